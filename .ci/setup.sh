@@ -24,6 +24,10 @@ Elsewhere name one: make setup PYTHON=/path/to/python3.12"
 python="$(find_python)"
 version="$("$python" -c 'import sys; print("%d.%d.%d" % sys.version_info[:3])')"
 key="$( { cat pyproject.toml constraints.txt .ci/setup.sh; printf '%s %s' "$version" "$PWD"; } | cksum)"
+# The parts of the package lie beside touchdown/; with the links every tool sees one package.
+for part in app backend resources widgets; do
+    [ -e "touchdown/$part" ] || ln -s "../$part" "touchdown/$part" || true
+done
 if [ "$(cat .venv/.ready 2>/dev/null || true)" = "$key" ] && [ -x .venv/bin/touchdown ]; then
     exit 0
 fi

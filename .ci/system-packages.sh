@@ -9,7 +9,7 @@ cd "$(dirname "$0")/.."
 what="Qt needs system libraries" without="the window and its tests do not start; 'make demo' works"
 missing=""
 if [ $# = 0 ]; then
-    missing="$(.venv/bin/python -m backend.verbs.qt_libraries)"
+    missing="$(.venv/bin/python -m touchdown.backend.cli.doctor.qt_libraries)"
 else
     what="the tests by real keys need programs" without="they are skipped; all other tests run"
     for word in "$@"; do

@@ -1,1 +1,1 @@
-"""The desktop application: joins a bench to the widgets."""
+"""The Qt application."""

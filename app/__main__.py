@@ -1,4 +1,4 @@
-"""Command line of the window: ``python -m app`` or ``touchdown app``."""
+"""Command line of the window."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
     import PySide6
 
-    from app.guard import bad_pair
+    from touchdown.app.start import bad_pair
 
     wrong = bad_pair(sys.version_info[:2], PySide6.__version__)
     if wrong is None and not _display() and "QT_QPA_PLATFORM" not in os.environ:
@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if wrong is not None:
         sys.stderr.write(f"touchdown: {wrong}\n")
         return 3
-    from app.start import run
+    from touchdown.app.start import run
 
     return run(args)
 

@@ -1,7 +1,8 @@
-"""The window round a bench: joins frame, workspaces and pump, and ends in order."""
+"""The application: window, bench link and workspaces of one run of the program."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -10,41 +11,99 @@ from PySide6.QtCore import QObject
 from PySide6.QtGui import QIcon
 from PySide6.QtWidgets import QApplication
 
-from app.actions import Actions
-from app.activity import moving
-from app.appearance import Appearance
-from app.arrival import Arrival, failed_card
-from app.cards import stopped_card
-from app.chips import ChipsPresenter
-from app.closing import Closing
-from app.connect.banner import words_of
-from app.connect.panels import BenchPanels
-from app.desk_dialogs import DeskDialogs
-from app.error_hooks import ErrorBox, log
-from app.fact_cards import clock, note, tell
-from app.inspect import InspectPresenter
-from app.keys import rows_of
-from app.layout_menu import LayoutMenu
-from app.layouts import Layouts
-from app.link import Link
-from app.main_window import USUAL, MainWindow
-from app.on_screen import pulled_back
-from app.pill import pill_of
-from app.servo import ServoSwitch
-from app.settings import WindowSettings, ignored_words, load_settings, save_settings
-from app.speed import SpeedOverride
-from app.stop_key import StopKey
-from app.tour import Tour, stops_of
-from app.workspace import Command, Desk, Workspace
-from app.workspaces import FIRST, Workspaces
-from backend.core.facts import Fact
-from backend.core.hub import Mailbox
-from widgets.fault_cards import CardText, FaultCards
-from widgets.pump import Pump
-from widgets.state_pill import PillState
-from widgets.theme import load_resources
-from widgets.top_bar import TopBar
-from widgets.tour_card import TourStop
+from touchdown.app.connect import BenchPanels
+from touchdown.app.shell import (
+    USUAL,
+    Actions,
+    Appearance,
+    ChipsPresenter,
+    Closing,
+    Command,
+    Desk,
+    DeskDialogs,
+    ErrorBox,
+    InspectPresenter,
+    LayoutMenu,
+    Layouts,
+    Link,
+    MainWindow,
+    ServoSwitch,
+    SpeedOverride,
+    StopKey,
+    WindowSettings,
+    Workspace,
+    clock,
+    ignored_words,
+    load_settings,
+    log,
+    moving,
+    note,
+    pill_of,
+    pulled_back,
+    rows_of,
+    save_settings,
+    stopped_card,
+    tell,
+    words_of,
+)
+from touchdown.app.tour import Tour, stops_of
+from touchdown.app.workspaces import FIRST, Workspaces
+from touchdown.backend.core import Event, EventQueue, TouchdownError
+from touchdown.widgets.base import Pump, load_resources
+from touchdown.widgets.shell import CardText, FaultCards, PillState, TopBar, TourStop
+
+
+class Arrival:
+    """At most one bench on its way. ``take`` is called by the pump."""
+
+    def __init__(self) -> None:
+        self._arrived: list[Link | Exception] = []
+        self._make: Callable[[], Link] | None = None
+        self.waiting = False
+
+    def begin(self, make: Callable[[], Link]) -> None:
+        """Build the bench; does nothing while one is on its way."""
+        if self.waiting:
+            return
+        self.waiting, self._make = True, make
+        threading.Thread(target=self._build, args=(make,), name="connect", daemon=True).start()
+
+    def again(self) -> bool:
+        """Try once more what failed; False if nothing was ever begun."""
+        if self._make is None:
+            return False
+        self.begin(self._make)
+        return True
+
+    def take(self) -> Link | Exception | None:
+        """Return what arrived, or None."""
+        if not self._arrived:
+            return None
+        self.waiting = False
+        return self._arrived.pop()
+
+    def _build(self, make: Callable[[], Link]) -> None:
+        arrived: Link | Exception = RuntimeError("an error that nobody expected")
+        try:
+            arrived = make()
+        except (TouchdownError, OSError, ValueError, ImportError, RuntimeError) as error:
+            arrived = error
+        finally:
+            # Whatever happened, the window stops saying "connecting".
+            self._arrived.append(arrived)
+
+
+def failed_card(error: Exception, again: Callable[[], None]) -> CardText:
+    """Return the card of a bench that could not be prepared; ``again`` tries once more."""
+    return CardText(
+        "CONNECT",
+        f"The bench could not be prepared: {error}",
+        "Nothing is connected; recorded runs can still be reviewed.",
+        "Try again (Ctrl+L), or run 'touchdown doctor' for the cause.",
+        reset=False,
+        offer=("Try again", again),
+    )
+
 
 MOST_PARTS = 8
 """A page is drawn in at most so many pieces."""
@@ -77,7 +136,7 @@ class TouchdownApp(QObject):
         self.window = MainWindow(self.theme, self.bar, self.cards, self.workspaces.all)
         self.window.may_close = self._may_close
         self._closing = Closing(self.cards, self.stop, self.window.close)
-        self._arrival, self._mailbox = Arrival(), Mailbox()
+        self._arrival, self._mailbox = Arrival(), EventQueue()
         self._chips: ChipsPresenter | None = None
         self.inspect: InspectPresenter | None = None
         self.actions = Actions(
@@ -364,7 +423,7 @@ class TouchdownApp(QObject):
         self._take(fact)
         return True
 
-    def _take(self, fact: Fact) -> None:
+    def _take(self, fact: Event) -> None:
         self.workspaces.take(fact)
         if self.panels is not None:
             self.panels.calibrate.take(fact)

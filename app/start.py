@@ -1,4 +1,4 @@
-"""Starts Qt, the window and the bench; one-shot modes for pictures and measurements."""
+"""Start of the window: bench, style, error hooks, application."""
 
 from __future__ import annotations
 
@@ -12,15 +12,12 @@ from pathlib import Path
 from PySide6.QtCore import QObject, QTimer
 from PySide6.QtWidgets import QApplication
 
-from app.application import TouchdownApp
-from app.closing import end_for_sure
-from app.error_hooks import ErrorBox, install, log_to
-from app.link import Link
-from app.measure import Measurement
-from app.review.workspace import ReviewWorkspace
-from app.settings import settings_path
-from backend.core.faults import InputError
-from backend.runs.store import calibrations_folder, data_folder, models_folder
+from touchdown.app.application import TouchdownApp
+from touchdown.app.benchmark import Measurement
+from touchdown.app.review import ReviewWorkspace
+from touchdown.app.shell import ErrorBox, Link, end_for_sure, install, log_to, settings_path
+from touchdown.backend.core import InputError
+from touchdown.backend.runs import calibrations_folder, data_folder, models_folder
 
 SWITCH_S = 0.0005
 """Window and bench hand over to each other this often.
@@ -83,20 +80,19 @@ def live_bench(settings: Path | None = None, disturbances: tuple[str, ...] = ())
     ``disturbances``: texts such as ``force_torque:stop@30``, in seconds of the bench clock.
     """
     # Imported here, on the connecting thread: the window is there meanwhile.
-    from backend.assembly import SimulatedBenchChoice, simulated_session
-    from backend.calibration.store import CalibrationStore
-    from backend.learning.registry import Registry
-    from backend.runs.requests import SceneChoice
-    from backend.session import Keep
-    from backend.simulation.release_mujoco import available
+    from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
+    from touchdown.backend.calibration import CalibrationStore
+    from touchdown.backend.learning import ModelRegistry
+    from touchdown.backend.runs import RecordingOptions, SceneChoice
+    from touchdown.backend.simulation import mujoco_available
 
     session = simulated_session(
         SimulatedBenchChoice(file=settings, disturbances=disturbances),
-        keep=Keep(data_folder() / "runs"),
+        keep=RecordingOptions(data_folder() / "runs"),
         # Asked, it is loaded: while that goes on nothing else runs, for 70 to 130 ms, and at the
         # first release the window stood still that long.
-        animate=available(),
-        registry=Registry(models_folder()),
+        animate=mujoco_available(),
+        registry=ModelRegistry(models_folder()),
     )
     session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
     session.prepare(SceneChoice())
@@ -109,7 +105,7 @@ def bench_of(file: Path | None, disturbances: tuple[str, ...] = ()) -> Link:
 
     Raises ``InputError`` for ``disturbances`` of a lab's devices.
     """
-    from backend.config.lab import is_lab_file
+    from touchdown.backend.config import is_lab_file
 
     if file is None or not is_lab_file(file):
         return live_bench(file, disturbances)
@@ -119,12 +115,14 @@ def bench_of(file: Path | None, disturbances: tuple[str, ...] = ()) -> Link:
             "--inject",
             "Leave it out; emulated devices take a fault plan.",
         )
-    from backend.lab import LabChoice, lab_session
-    from backend.learning.registry import Registry
-    from backend.session import Keep
+    from touchdown.backend.bench import LabChoice, lab_session
+    from touchdown.backend.learning import ModelRegistry
+    from touchdown.backend.runs import RecordingOptions
 
     session = lab_session(
-        LabChoice(file), keep=Keep(data_folder() / "runs"), registry=Registry(models_folder())
+        LabChoice(file),
+        keep=RecordingOptions(data_folder() / "runs"),
+        registry=ModelRegistry(models_folder()),
     )
     settle_memory()
     return session
@@ -167,3 +165,19 @@ class _Grab(QObject):
 
 def _print(figures: dict[str, float]) -> None:
     sys.stdout.write(json.dumps(figures) + "\n")
+
+
+INSTALL = 'pip install "PySide6-Essentials>=6.8,!=6.9.1,<6.12"'
+
+
+def bad_pair(python: tuple[int, int], pyside: str) -> str | None:
+    """Return one line on what is wrong with this pair, or None.
+
+    6.12.0 loses reference counts of True and None on CPython before 3.12 and aborts; 6.9.1 draws
+    no curves (pyqtgraph issue 3326).
+    """
+    broken = pyside == "6.9.1" or (pyside == "6.12.0" and python < (3, 12))
+    if not broken:
+        return None
+    version = ".".join(map(str, python))
+    return f"PySide6 {pyside} does not work with Python {version}. Install another: {INSTALL}"

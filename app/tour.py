@@ -1,4 +1,4 @@
-"""The tour of the window: which places it shows, and how one goes through them."""
+"""The first-run tour over the workspaces."""
 
 from __future__ import annotations
 
@@ -8,16 +8,14 @@ from typing import TypeVar
 from PySide6.QtCore import QEvent, QObject, QPoint, QRect
 from PySide6.QtWidgets import QApplication, QScrollArea, QWidget
 
-from app.collect.workspace import COLLECT, CollectWorkspace
-from app.main_window import MainWindow
-from app.operate.workspace import OperateWorkspace
-from app.review.workspace import ReviewWorkspace
-from app.stack.workspace import StackWorkspace
-from app.train.workspace import TrainWorkspace
-from app.workspace import Workspace
-from widgets.theme import Theme
-from widgets.top_bar import TopBar
-from widgets.tour_card import RING_PX, Spotlight, TourCard, TourStop
+from touchdown.app.collect import COLLECT, CollectWorkspace
+from touchdown.app.operate import OperateWorkspace
+from touchdown.app.review import ReviewWorkspace
+from touchdown.app.shell import MainWindow, Workspace
+from touchdown.app.stack import StackWorkspace
+from touchdown.app.train import TrainWorkspace
+from touchdown.widgets.base import Theme
+from touchdown.widgets.shell import RING_PX, Spotlight, TopBar, TourCard, TourStop
 
 FOLLOWED = frozenset({QEvent.Type.Resize, QEvent.Type.Move, QEvent.Type.Show, QEvent.Type.Hide})
 

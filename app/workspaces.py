@@ -1,4 +1,4 @@
-"""The workspaces of the window, in the order of the rail, each made when it is first asked for."""
+"""The list of workspaces and their lazy construction."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ from PySide6.QtCore import QObject, QTimer
 from PySide6.QtWidgets import QWidget
 from shiboken6 import isValid
 
-from app.collect.workspace import CollectWorkspace
-from app.link import Link
-from app.operate.workspace import OperateWorkspace
-from app.review.workspace import ReviewWorkspace
-from app.settings import ignored_words
-from app.stack.workspace import StackWorkspace
-from app.train.workspace import TrainWorkspace
-from app.workspace import Desk, Memory, Workspace
-from backend.core.facts import Fact
+from touchdown.app.collect import CollectWorkspace
+from touchdown.app.operate import OperateWorkspace
+from touchdown.app.review import ReviewWorkspace
+from touchdown.app.shell import Desk, Link, Memory, Workspace, ignored_words
+from touchdown.app.stack import StackWorkspace
+from touchdown.app.train import TrainWorkspace
+from touchdown.backend.core import Event
 
 WORKSPACES: tuple[Callable[[Desk], Workspace], ...] = (
     OperateWorkspace,
@@ -56,7 +54,7 @@ class Workspaces(Mapping[str, Workspace]):
         self._ahead: QTimer | None = None
         self._waiting = ("", "")
         self._link: Link | None = None
-        self._facts: list[Fact] = []
+        self._facts: list[Event] = []
 
     def __getitem__(self, name: str) -> Workspace:
         """Return a workspace with its page; raises KeyError."""
@@ -116,7 +114,7 @@ class Workspaces(Mapping[str, Workspace]):
         for ws in self.ready:
             ws.attach(link)
 
-    def take(self, fact: Fact) -> None:
+    def take(self, fact: Event) -> None:
         """Take one fact of the bench."""
         for ws in self.ready:
             ws.take(fact)

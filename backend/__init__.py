@@ -1,1 +1,1 @@
-"""Touchdown without a screen: sensor, episode, patch, belief, stability, action."""
+"""Touchdown without a screen. Packages import each other downwards only, from sensor to action."""

@@ -1,20 +1,16 @@
-"""The command line: ``touchdown <verb>``.
-
-Exit codes: 0 done, 1 the run failed or the piece fell, 2 bad input, 130 interrupted.
-"""
+"""The command line: ``touchdown VERB``."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
 import json
-import keyword
 import sys
 from collections.abc import Sequence
 from typing import NoReturn, Protocol, cast
 
-from backend.core.faults import FaultError, InputError, RefusedError, TouchdownError
-from backend.verbs.screen import Screen
+from touchdown.backend.cli import VerbOutput
+from touchdown.backend.core import FaultError, InputError, RefusedError, TouchdownError
 
 VERBS = {
     "app": "open the window",
@@ -39,6 +35,13 @@ VERBS = {
 }
 """Every verb and its line of help; its module is imported only when it is used."""
 
+# Verbs whose module does not carry the verb's name.
+_MODULES = {
+    "import": "import_",
+    "doctor": "doctor.command",
+    "experiment": "experiment.command",
+}
+
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -51,7 +54,7 @@ class Verb(Protocol):
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the verb's own arguments."""
 
-    def run(self, args: argparse.Namespace, screen: Screen) -> int:
+    def run(self, args: argparse.Namespace, screen: VerbOutput) -> int:
         """Do the work; returns the exit code."""
 
 
@@ -114,12 +117,13 @@ def _dispatch(words: list[str]) -> int:
         args.handed_on = unknown
     elif unknown:
         parser.error(f"unknown argument: {' '.join(unknown)}")
-    return verb.run(args, Screen(json=args.json))
+    return verb.run(args, VerbOutput(json=args.json))
 
 
 def module_of(verb: str) -> str:
-    """Return the module of a verb; one that is a word of Python carries an underscore."""
-    return f"backend.verbs.{verb}_" if keyword.iskeyword(verb) else f"backend.verbs.{verb}"
+    """Return the module of a verb."""
+    name = _MODULES.get(verb, verb)
+    return f"touchdown.backend.cli.{name}"
 
 
 def _front() -> Parser:

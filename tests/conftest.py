@@ -25,9 +25,9 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from backend.learning import child
 from tests.leaks import leaks_since, snapshot
 from tests.warm import WarmStart
+from touchdown.backend.learning import training_runs
 
 sys.dont_write_bytecode = False
 settings.register_profile(
@@ -106,7 +106,7 @@ def warm_start(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
         like = SimpleNamespace(
             Popen=_warm.popen, PIPE=subprocess.PIPE, TimeoutExpired=subprocess.TimeoutExpired
         )
-        monkeypatch.setattr(child, "subprocess", like)
+        monkeypatch.setattr(training_runs, "subprocess", like)
 
 
 @pytest.fixture(autouse=True)

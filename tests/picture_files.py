@@ -9,8 +9,8 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
-from backend.catalogue.diskspace import room_for
-from backend.core.faults import InputError
+from touchdown.backend.annotations.storage import free_space_for
+from touchdown.backend.core.faults import InputError
 
 PART = ".part"
 
@@ -55,7 +55,7 @@ def told(draw: Callable[[], int]) -> int:
     Standard error carries what Qt says of its platform, and is not read.
     """
     try:
-        room_for(Path(tempfile.gettempdir()), 0)
+        free_space_for(Path(tempfile.gettempdir()), 0)
         return draw()
     except InputError as error:
         why = f"{error.what} {error.where}: {error.fix}"

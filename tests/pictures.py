@@ -22,15 +22,16 @@ from PySide6.QtCore import QDeadlineTimer, QEventLoop
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from backend.__main__ import main as touchdown
-from backend.assembly import simulated_session
-from backend.config.method import TrainingSettings
-from backend.learning.recorded import RecordedTraining, TrainingRequest
-from backend.runs.requests import RunState, SceneChoice
-from backend.session import Keep, Session
 from tests.picture_files import PictureFiles, told
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.backend.__main__ import main as touchdown
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.bench.session import Session
+from touchdown.backend.config.method import TrainingSettings
+from touchdown.backend.learning.training_runs import RecordedTraining, TrainingRequest
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import RunState, SceneChoice
 
 SIZE = (1280, 720)
 PARTS = ("operate", "stack", "review", "collect", "train")
@@ -64,7 +65,7 @@ class Day:
     def __init__(self, application: QApplication, folder: Path, files: PictureFiles) -> None:
         self._folder, self._files = folder, files
         runs = folder / "runs"
-        self.session = simulated_session(keep=Keep(runs))
+        self.session = simulated_session(keep=RecordingOptions(runs))
         self.session.prepare(SceneChoice())
         self.main = TouchdownApp(application, ErrorBox(), folder / "window.json", runs)
         self.main.look.show("dark", 1.0)

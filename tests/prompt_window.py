@@ -13,15 +13,15 @@ from collections.abc import Iterator
 
 import pytest
 
-from widgets.pump import Pump
+from touchdown.widgets.base.freshness import Pump
 
 PACES = {
-    "app.calibrate.presenter": "PERIOD_S",
-    "app.chips": "PERIOD_S",
-    "app.collect.presenter": "GAUGE_S",
-    "app.connect.presenter": "PERIOD_S",
-    "app.live": "HEADER_PERIOD_S",
-    "app.operate.hand": "PERIOD_S",
+    "touchdown.app.calibrate.presenter": "PERIOD_S",
+    "touchdown.app.shell.top_bar": "PERIOD_S",
+    "touchdown.app.collect.presenter": "GAUGE_S",
+    "touchdown.app.connect.presenter": "PERIOD_S",
+    "touchdown.app.shell.live": "HEADER_PERIOD_S",
+    "touchdown.app.operate.jogging": "PERIOD_S",
 }
 """Modules of the window and what says there how often something is drawn."""
 

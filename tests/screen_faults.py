@@ -6,16 +6,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from backend.core.facts import FaultRaised
-from backend.core.faults import Fault
-from backend.devices.force_torque.faults import driver_fault
-from backend.devices.melfa.console import RESETS
-from backend.devices.melfa.link_faults import controller_fault, oversize_fault
-from backend.devices.protocols import ArmStatus, SafetyMode
-from backend.emulated_child import NOT_SET, STILL
-from backend.runs.bench_watch import bench_fault
-from backend.runs.gel_check import other_gel
-from backend.runs.probe import turned_fault
+from touchdown.backend.bench.emulated_process import NOT_SET, STILL
+from touchdown.backend.core.events import FaultRaised
+from touchdown.backend.core.faults import Fault
+from touchdown.backend.devices.force_torque.reader import driver_fault
+from touchdown.backend.devices.melfa.console import RESETS
+from touchdown.backend.devices.melfa.faults import controller_fault, oversize_fault
+from touchdown.backend.devices.protocols import ArmStatus, SafetyMode
+from touchdown.backend.runs.calibrations import other_gel_fault
+from touchdown.backend.runs.engine import bench_fault
+from touchdown.backend.runs.probe import turned_fault
 
 if TYPE_CHECKING:
     from tests.screens import Stage
@@ -30,7 +30,9 @@ def _alarm() -> Fault:
 
 def _cards() -> Mapping[str, Sequence[Fault]]:
     swapped = "It is the gel of the right finger: put the two back."
-    gel = other_gel("left", (8.2, 3.0), swapped, "touchdown calibrate camera --bench lab.toml")
+    gel = other_gel_fault(
+        "left", (8.2, 3.0), swapped, "touchdown calibrate camera --bench lab.toml"
+    )
     return {
         "faults-of-the-grasp": (turned_fault(0.074), gel.fault),
         "faults-of-drivers": (driver_fault(KeyError("payload")), oversize_fault(11)),

@@ -10,15 +10,19 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtWidgets import QFileDialog
 
-from app.calibrate.presenter import CalibratePresenter
-from app.connect.devices import DevicesPresenter
-from app.connect.presenter import ConnectPresenter
-from backend.calibration.record import DeviceName
-from backend.calibration.store import CalibrationStore
-from backend.config.bench_facts import BenchFacts
-from backend.config.lab import load_lab
-from backend.config.method import TrainingSettings
-from backend.core.facts import (
+from tests.app.test_review_time import make_run
+from tests.app.tiny_packs import write_tiny_packs
+from tests.backend.rig.scripted import scripted
+from tests.backend.runs.test_calibrated import SEEN
+from touchdown.app.calibrate.presenter import CalibratePresenter
+from touchdown.app.connect.devices import DevicesPresenter
+from touchdown.app.connect.presenter import ConnectPresenter
+from touchdown.backend.bench.lab import calibrations_of, otherwise_named
+from touchdown.backend.calibration.records import CalibrationStore, DeviceName
+from touchdown.backend.config.bench_description import BenchDescription
+from touchdown.backend.config.lab import load_lab
+from touchdown.backend.config.method import TrainingSettings
+from touchdown.backend.core.events import (
     CalibrationMeasured,
     HandOverAwaited,
     OutcomeAwaited,
@@ -26,19 +30,14 @@ from backend.core.facts import (
     SetUpAwaited,
     TrialFinished,
 )
-from backend.core.faults import Fault
-from backend.core.flow import Outcome
-from backend.devices.jog_axes import Room, axes_of
-from backend.lab import calibrations_of, otherwise_named
-from backend.learning.recorded import RecordedTraining, TrainingRequest
-from backend.rig.connection import Connection
-from backend.runs.attended import judged
-from backend.runs.requests import RunState
-from backend.runs.room import CONSEQUENCE, NEXT_STEP
-from tests.app.test_review_time import make_run
-from tests.app.tiny_packs import write_tiny_packs
-from tests.backend.rig.scripted import scripted
-from tests.backend.runs.test_calibrated import SEEN
+from touchdown.backend.core.faults import Fault
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.devices.jog import Room, axes_of
+from touchdown.backend.learning.training_runs import RecordedTraining, TrainingRequest
+from touchdown.backend.rig.connection import Connection
+from touchdown.backend.runs.outcome import outcome_from_signals
+from touchdown.backend.runs.recorder import CONSEQUENCE, NEXT_STEP
+from touchdown.backend.runs.requests import RunState
 
 if TYPE_CHECKING:
     from tests.screens import Stage
@@ -198,7 +197,9 @@ def attended(stage: Stage) -> Iterator[str]:
     bench.tell_probe(2, (2.1, 0.9), 1.6)
     pot = bench.catalogue.piece("pot")
     bench.set_state(RunState.RUNNING, asks="say the outcome")
-    bench.hub.publish(OutcomeAwaited(9.0, *judged(pot, side_n=0.3, left_n=0.1, holding=False)))
+    bench.hub.publish(
+        OutcomeAwaited(9.0, *outcome_from_signals(pot, side_n=0.3, left_n=0.1, holding=False))
+    )
     stage.live(0.0)
     yield "stack-say-the-outcome"
     yield from _photo(stage)
@@ -258,7 +259,7 @@ def _exchanged(folder: Path) -> Path:
     """Write a lab file, and a calibration that found its cameras at the other fingers."""
     path = folder / "exchanged" / "lab.toml"
     path.parent.mkdir(exist_ok=True)
-    template = Path(str(files("resources"))) / "benches" / "lab.toml"
+    template = Path(str(files("touchdown.resources"))) / "benches" / "lab.toml"
     path.write_text(template.read_text().replace("FILL-IN", "2D8Y-69G"))
     lab = load_lab(path)
     cameras = (("left", lab.settings.gelsight.right), ("right", lab.settings.gelsight.left))
@@ -296,7 +297,7 @@ def sheets(stage: Stage, folder: Path) -> Iterator[str]:
     main, bench = stage.main, stage.bench
     main.go("operate")
     bench.name, facts = "Bench 2", bench.facts
-    bench.facts = BenchFacts(mode="hardware")
+    bench.facts = BenchDescription(mode="hardware")
     yield from _connecting(stage, folder)
     yield from _devices(stage, folder / "lab.toml", "connect-devices")
     bench.name, bench.facts = "", facts

@@ -6,14 +6,20 @@ from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from backend.core.facts import Noticed, PhaseEntered, RunFinished, RunStarted, TrialStarted
-from backend.devices.degraded import Degraded
-from backend.runs.drifting import drift_notice
-from backend.runs.engine import Engine
-from backend.runs.plan import CancelledError, Checkpoint, Plan, Waiting
-from backend.runs.requests import RunState
-from backend.sensing.drift import Drift
 from tests.screen_panels import Hand
+from touchdown.backend.core.events import (
+    Noticed,
+    PhaseEntered,
+    RunFinished,
+    RunStarted,
+    TrialStarted,
+)
+from touchdown.backend.devices.supervision import Degraded
+from touchdown.backend.runs.calibrations import drift_notice
+from touchdown.backend.runs.engine import Engine
+from touchdown.backend.runs.plan import CancelledError, PausePoint, Plan, Wait
+from touchdown.backend.runs.requests import RunState
+from touchdown.backend.sensing.zeroing import WrenchDrift
 
 if TYPE_CHECKING:
     from tests.screens import Stage
@@ -66,7 +72,7 @@ def _of_the_wrist(stage: Stage) -> Iterator[str]:
     _look_at_once(stage)
     yield "state-degraded"
     wrist.rate_hz, bench.degraded = usual_hz, ()
-    bench.drift = drift = Drift(0.52, 11.0, named=True)
+    bench.drift = drift = WrenchDrift(0.52, 11.0, named=True)
     bench.hub.publish(Noticed(bench.clock_s(), drift_notice(drift)))
     _look_at_once(stage)
     yield "state-drift"
@@ -122,9 +128,9 @@ def _run(now_s: Callable[[], float], lifted: Callable[[], bool]) -> Plan[object]
     try:
         for probe in (1, 2):
             yield PhaseEntered(now_s(), "press", probe)
-            yield Waiting(lifted, 60.0, "the lift")
-            yield Checkpoint()
+            yield Wait(lifted, 60.0, "the lift")
+            yield PausePoint()
     except CancelledError:
-        yield Waiting(lifted, 60.0, "the lift")
+        yield Wait(lifted, 60.0, "the lift")
         yield RunFinished(now_s(), "run", "cancelled", "cancelled by the operator")
     return None

@@ -21,18 +21,18 @@ from PySide6.QtCore import QBuffer, QDeadlineTimer, QEventLoop
 from PySide6.QtGui import QPainter
 from PySide6.QtWidgets import QApplication
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeContext, Label, Looked
-from backend.core.flow import Outcome, PlaceAction
-from backend.objects.catalogue import load_catalogue
-from backend.runs.requests import RunState
 from tests import screen_faults, screen_panels, screen_states
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
 from tests.picture_files import PictureFiles, told
-from widgets.fault_cards import CardText, Question
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import AnswerContext, EpisodeContext, Label
+from touchdown.backend.core.values import Outcome, PlaceAction
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.requests import RunState
+from touchdown.widgets.shell.fault_cards import CardText, Question
 
 SIZES = ((1280, 720), (1600, 940))
 THEMES = ("dark", "light", "contrast")
@@ -92,7 +92,7 @@ def _render(args: argparse.Namespace, folder: Path, files: dict[str, PictureFile
 
 def _make_dataset(folder: Path) -> None:
     """Make 24 labelled probes of a pot on a disc."""
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     with Dataset.open(folder, person="setup") as dataset:
         pair = dataset.geometry.store_pair(catalogue.piece("pot"), catalogue.piece("circle15"))
         for seed in range(24):
@@ -104,7 +104,9 @@ def _make_dataset(folder: Path) -> None:
             if seed < 8:
                 for person, by_um in (("Ann", 180), ("Bo", -120)):
                     said = Label(x_um + by_um * (seed % 3), y_um - by_um, 0, 300)
-                    dataset.labels.opinion(person, uuid, said, looked=Looked(5200 + 90 * seed))
+                    dataset.labels.opinion(
+                        person, uuid, said, looked=AnswerContext(5200 + 90 * seed)
+                    )
 
 
 class Stage:

@@ -110,7 +110,7 @@ def test_nothing_is_printed():
 
 def test_style_sheets_have_one_door():
     users = [_name(p) for p in CODE if _calls(p, "setStyleSheet")]
-    assert [name for name in users if not name.startswith("widgets/theme")] == []
+    assert [name for name in users if not name.startswith("widgets/base/theme")] == []
 
 
 def test_no_signal_carries_samples():

@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from backend.core.faults import InputError
 from tests.bench import run
 from tests.bench.registry import Figure, figure
+from touchdown.backend.core.faults import InputError
 
 
 @pytest.fixture(autouse=True)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from backend.__main__ import VERBS
-from backend.verbs.check import Check
+from touchdown.backend.__main__ import VERBS
+from touchdown.backend.cli.doctor.command import DoctorCheck
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -40,6 +40,13 @@ def test_examples_name_what_exists(path):
                 assert [a.name for a in node.names if not hasattr(module, a.name)] == []
 
 
+def test_paths_named_for_contributors_exist():
+    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+    named = re.findall(r"`((?:app|backend|docs|resources|tests|widgets)/[\w./-]+)`", text)
+    assert len(named) >= 20
+    assert [path for path in named if not (ROOT / path).exists()] == []
+
+
 def test_json_examples_are_json():
     blocks = _blocks(COMMANDS, "json")
     assert len(blocks) >= 5
@@ -49,7 +56,7 @@ def test_json_examples_are_json():
 
 def test_the_doctor_example_has_the_fields_of_a_check():
     (example,) = [b for b in map(json.loads, _blocks(COMMANDS, "json")) if "checks" in b]
-    Check(**example["checks"][0])
+    DoctorCheck(**example["checks"][0])
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=_name)

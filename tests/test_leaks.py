@@ -94,6 +94,6 @@ def test_this_machine_may_be_reached():
 
 
 def test_the_operator_s_folders_are_not_seen(isolated_settings, monkeypatch):
-    from backend.runs.store import data_folder
+    from touchdown.backend.runs.recorder import data_folder
 
     assert data_folder() == isolated_settings / "data"

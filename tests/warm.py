@@ -1,6 +1,6 @@
 """Training processes that start in milliseconds: forked from one that has torch loaded already.
 
-What runs in them is ``backend.learning.process`` as ever, in a process of its own, with its own
+What runs in them is ``touchdown.backend.learning.process`` as ever, in a process of its own, with its own
 pipes and exit status; only the 3 s of importing torch for each of some forty children are spared.
 ``cold_start`` marks a test that takes the ordinary start.
 """
@@ -20,7 +20,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
-MODULE = "backend.learning.process"
+MODULE = "touchdown.backend.learning.process"
 LONGEST_BYTES = 1 << 16
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -135,7 +135,7 @@ def _reap(waiting: dict[int, int]) -> None:
 
 def _train(environment: dict[str, str], received: list[int]) -> None:
     """Be the training; never returns."""
-    from backend.learning.process import main
+    from touchdown.backend.learning.process import main
 
     code = 1
     try:

@@ -1,1 +1,1 @@
-"""Qt views: they show values and report intent; no device, no file, no thread."""
+"""Views of values, with no knowledge of the machinery behind them."""

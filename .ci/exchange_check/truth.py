@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-
 from backend.catalogue.dataset import Dataset
 
 

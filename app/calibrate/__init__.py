@@ -1,1 +1,12 @@
-"""The calibration wizard: what holds, measure, look at the residual, accept or repeat."""
+"""Calibration panel of a bench."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.app.calibrate import (
+        presenter,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

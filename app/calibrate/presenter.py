@@ -1,4 +1,4 @@
-"""Presenter of the calibration wizard: follows a run, shows what it found, keeps what is taken."""
+"""Presenter of the calibration panel."""
 
 from __future__ import annotations
 
@@ -11,32 +11,88 @@ from typing import cast
 
 from PySide6.QtWidgets import QWidget
 
-from app.activity import busy, why_no_run
-from app.calibrate.place_form import PlaceForm
-from app.calibrate.sheet import CalibrateSheet, Intents, SheetLook
-from app.calibrate.words import AFTER, COUNTS, STEPS, days_words
-from app.cards import refusal_card
-from app.link import Link
-from backend.calibration.kinds import KINDS, WHATS, What
-from backend.calibration.store import Standing
-from backend.calibration.told import name_words, residual_words, value_words
-from backend.core.facts import (
+from touchdown.app.calibrate.sheet import CalibrateSheet, Intents, PlaceForm, SheetLook
+from touchdown.app.shell import Link, busy, refusal_card, why_no_run
+from touchdown.backend.calibration import (
+    CALIBRATION_KINDS,
+    CALIBRATION_NAMES,
+    CalibrationName,
+    CalibrationStatus,
+    format_residual,
+    format_value,
+    quantity_name,
+)
+from touchdown.backend.core import (
+    FINGERS,
     CalibrationMeasured,
-    Fact,
+    Event,
     HandOverAwaited,
+    InputError,
     Progress,
+    RefusedError,
     RunFinished,
     RunStarted,
+    StaleSampleError,
 )
-from backend.core.faults import InputError, RefusedError, StaleSampleError
-from backend.core.flow import FINGERS
-from backend.devices.protocols import Arm
-from backend.runs.calibrated import device_names, keep
-from backend.runs.requests import CalibrateRequest
-from backend.runs.words import hand_over
-from widgets.fault_cards import CardText, FaultCards
-from widgets.freshness import Age
-from widgets.theme import Theme
+from touchdown.backend.devices import Arm
+from touchdown.backend.runs import (
+    CalibrateRequest,
+    accept_calibration,
+    device_names,
+    hand_over_message,
+)
+from touchdown.widgets.base import Age, Theme
+from touchdown.widgets.shell import CardText, FaultCards
+
+STEPS: dict[CalibrationName, tuple[str, ...]] = {
+    "payload": (
+        "Empty the gripper and leave 60 mm of free height above it.",
+        "The hand rises, leans 14° in six poses and is weighed in each.",
+        "It levels again. Compare mass and centre with the data sheet, then accept.",
+    ),
+    "wrist": (
+        "Empty the gripper and leave 60 mm of free height above it.",
+        "The hand leans in six poses: gravity shows how the sensor is turned.",
+        "Beyond 2° the settings are wrong: correct ft.rotation, then repeat.",
+    ),
+    "board": (
+        "Fix the bottom. The piece waits in its jig, or is handed over.",
+        "The piece touches the bottom in five places and feels each edge twice.",
+        "It goes back. The residual tells whether anything moved meanwhile.",
+    ),
+    "tool": (
+        "Fix a bottom whose place is known and give it as the origin.",
+        "The piece feels its four edges; three grips.",
+        "It goes back. The residual is the spread of the grips.",
+    ),
+    "camera": (
+        "Fix the bottom. The piece waits in its jig, or is handed over.",
+        "The piece is pressed at the rim on four sides: it leans, the dots follow.",
+        "Exchanged fingers and mirrored pictures are put right from the next start on.",
+    ),
+}
+
+AFTER: dict[CalibrationName, str] = {
+    "camera": ". The pictures stay as they are until the bench is started again: close the window "
+    "and open it anew."
+}
+"""What is said once a result is accepted that does not hold at once."""
+
+COUNTS: dict[CalibrationName, str] = {
+    "payload": "largest",
+    "wrist": "largest",
+    "board": "rms",
+    "tool": "rms",
+    "camera": "rms",
+}
+"""Which figure of the residuals is held against the limit."""
+
+
+def days_words(days_left: float) -> str:
+    """Say for how long a calibration still holds."""
+    days = int(days_left)
+    return "less than a day" if days < 1 else "1 day" if days == 1 else f"{days} days"
+
 
 PERIOD_S = 0.1
 STANDINGS_S = 5.0
@@ -59,12 +115,12 @@ class CalibratePresenter:
         self._link, self._theme, self._window, self._cards = link, theme, window, cards
         self._person, self._now_s = person, now_s
         self.sheet: CalibrateSheet | None = None
-        self._chosen: What = WHATS[0]
-        self._running: What | None = None
+        self._chosen: CalibrationName = CALIBRATION_NAMES[0]
+        self._running: CalibrationName | None = None
         self._progress = Progress(0.0, 0, 1, "")
-        self._measured: dict[What, CalibrationMeasured] = {}
-        self._said: dict[What, str] = {}
-        self._standings: dict[What, Standing] = {}
+        self._measured: dict[CalibrationName, CalibrationMeasured] = {}
+        self._said: dict[CalibrationName, str] = {}
+        self._standings: dict[CalibrationName, CalibrationStatus] = {}
         self._drawn_s = self._read_s = float("-inf")
 
     def open(self) -> None:
@@ -74,7 +130,7 @@ class CalibratePresenter:
             self.sheet = CalibrateSheet(
                 self._window,
                 self._theme,
-                [KINDS[what].title for what in WHATS],
+                [CALIBRATION_KINDS[what].title for what in CALIBRATION_NAMES],
                 PlaceForm(catalogue.tops, catalogue.bottoms, self._usual()),
                 Intents(self._choose, self._measure, self._link.engine.cancel, self._accept),
             )
@@ -90,10 +146,10 @@ class CalibratePresenter:
             return usual
         return replace(usual, piece=on_bench.piece, bottom=on_bench.bottoms[-1])
 
-    def take(self, fact: Fact) -> None:
+    def take(self, fact: Event) -> None:
         """Follow a calibration, whoever began it."""
         if isinstance(fact, RunStarted):
-            known = {str(what): what for what in WHATS}
+            known = {str(what): what for what in CALIBRATION_NAMES}
             self._running = known.get(fact.strategy) if fact.activity == "calibrate" else None
             self._progress = Progress(fact.t_s, 0, 1, "")
             return
@@ -106,7 +162,9 @@ class CalibratePresenter:
             self._said.pop(self._running, None)
         elif isinstance(fact, HandOverAwaited) and self.sheet is not None:
             answer = self._link.answer
-            self.sheet.question.ask(hand_over(fact), "End the run", "Done", lambda: answer(True))
+            self.sheet.question.ask(
+                hand_over_message(fact), "End the run", "Done", lambda: answer(True)
+            )
         elif isinstance(fact, RunFinished):
             if fact.ending != "finished":
                 self._said[self._running] = fact.reason
@@ -131,7 +189,7 @@ class CalibratePresenter:
     # -- orders -----------------------------------------------------------------------------------
 
     def _choose(self, index: int) -> None:
-        self._chosen = WHATS[index]
+        self._chosen = CALIBRATION_NAMES[index]
         self.draw(at_once=True)
 
     def _measure(self) -> None:
@@ -155,7 +213,7 @@ class CalibratePresenter:
         if found is None or store is None:
             return
         try:
-            path = keep(store, found, self._link.devices, self._person())
+            path = accept_calibration(store, found, self._link.devices, self._person())
         except RefusedError as error:
             self._cards.show_card(refusal_card(error, _clock()))
         except InputError as error:
@@ -178,7 +236,7 @@ class CalibratePresenter:
         self._read_s, store = self._now_s(), self._link.calibrations
         if store is not None:
             names = device_names(self._link.devices)
-            self._standings = {what: store.standing(what, names) for what in WHATS}
+            self._standings = {what: store.standing(what, names) for what in CALIBRATION_NAMES}
 
     def _look(self) -> SheetLook:
         what, active = self._chosen, busy(self._link)
@@ -186,9 +244,9 @@ class CalibratePresenter:
         mine = self._running == what
         why = NO_STORE if self._link.calibrations is None else why_no_run(self._link)
         return SheetLook(
-            rows=tuple(self._row(each) for each in WHATS),
-            chosen=WHATS.index(what),
-            title=KINDS[what].title,
+            rows=tuple(self._row(each) for each in CALIBRATION_NAMES),
+            chosen=CALIBRATION_NAMES.index(what),
+            title=CALIBRATION_KINDS[what].title,
             steps=STEPS[what],
             step=1 if mine else 2 if found is not None else 0,
             takes_piece=self.sheet is not None and self.sheet.form.request(what).takes_piece,
@@ -198,7 +256,7 @@ class CalibratePresenter:
             total=self._progress.total if mine else 1,
             progress=self._progress.text if mine else "",
             values=() if found is None else tuple(
-                (name_words(name), value_words(name, value, sigma, unit))
+                (quantity_name(name), format_value(name, value, sigma, unit))
                 for name, value, sigma, unit in zip(
                     found.names, found.values, found.sigmas, found.units, strict=True
                 )
@@ -223,7 +281,7 @@ class CalibratePresenter:
             return self._said.get(self._chosen, "")
         return " ".join(text for text in (found.obstacle, found.note) if text)
 
-    def _empty(self, what: What) -> str:
+    def _empty(self, what: CalibrationName) -> str:
         """Return what stands in place of residuals: what is kept, and from when."""
         standing = self._standings.get(what)
         if standing is None or standing.record is None:
@@ -232,7 +290,7 @@ class CalibratePresenter:
         by = f" by {file.person}" if file.person else ""
         return f"Last measured {file.date:%Y-%m-%d %H:%M} UTC{by}: {file.residual:.2g} {file.unit}."
 
-    def _row(self, what: What) -> tuple[str, str]:
+    def _row(self, what: CalibrationName) -> tuple[str, str]:
         standing = self._standings.get(what)
         if standing is None:
             return NO_STORE, ""
@@ -275,7 +333,7 @@ class CalibratePresenter:
 def _figure(found: CalibrationMeasured | None) -> str:
     if found is None:
         return ""
-    return f"Residual {residual_words(found.residual, found.limit, found.unit)}."
+    return f"Residual {format_residual(found.residual, found.limit, found.unit)}."
 
 
 def _clock() -> str:

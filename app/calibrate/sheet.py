@@ -1,4 +1,4 @@
-"""The calibration wizard as a window beside the bench: never modal, STOP stays at hand."""
+"""Sheet of the calibration panel."""
 
 from __future__ import annotations
 
@@ -6,27 +6,177 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from PySide6.QtCore import QSize, Qt
+from PySide6.QtCore import QRectF, QSize, Qt
+from PySide6.QtGui import QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import (
     QButtonGroup,
+    QCheckBox,
+    QComboBox,
     QDialog,
+    QDoubleSpinBox,
     QFrame,
     QGridLayout,
     QHBoxLayout,
     QProgressBar,
     QPushButton,
     QScrollArea,
+    QSizePolicy,
     QVBoxLayout,
     QWidget,
 )
 
-from app.calibrate.place_form import PlaceForm
-from app.calibrate.residual_bars import ResidualBars
-from app.connect.question import QuestionRow
-from backend.core.flow import FINGERS, Finger
-from widgets.panel import Captioned, label, rule, set_property
-from widgets.tactile_view import LEAST, TactileView
-from widgets.theme import Theme
+from touchdown.app.shell import QuestionRow
+from touchdown.backend.calibration import CalibrationName
+from touchdown.backend.core import FINGERS, Finger
+from touchdown.backend.runs import CalibrateRequest
+from touchdown.widgets.base import Captioned, Theme, label, rule, set_property, ui_font
+from touchdown.widgets.forms import inset
+from touchdown.widgets.plots import draw_message
+from touchdown.widgets.views import LEAST, TactileView
+
+MOST_BARS = 126
+
+
+class ResidualBars(QWidget):
+    """Sizes of the residuals; the dashed line is the limit of the figure that counts."""
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__()
+        self._theme = theme
+        self._sizes: tuple[float, ...] = ()
+        self._limit, self._unit, self._counts = 1.0, "", ""
+        self.empty = ""
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setAccessibleName("Residuals")
+
+    def sizeHint(self) -> QSize:
+        """Return a comfortable size."""
+        em = round(10 * self._theme.scale)
+        return QSize(36 * em, 11 * em)
+
+    def minimumSizeHint(self) -> QSize:
+        """Return the least size in which bars can be told apart."""
+        return QSize(200, 80)
+
+    def show_residuals(
+        self, residuals: Sequence[float], limit: float, unit: str, counts: str
+    ) -> None:
+        """Show signed ``residuals`` by size; ``counts``: the figure that the limit is for."""
+        self._sizes = tuple(abs(value) for value in residuals[:MOST_BARS])
+        self._limit, self._unit, self._counts = limit, unit, counts
+        largest = max(self._sizes, default=0.0)
+        self.setAccessibleDescription(f"largest {largest:.3g} {unit}, limit {limit:g} {unit}")
+        self.update()
+
+    def show_empty(self, text: str) -> None:
+        """Show ``text`` while there is nothing to draw."""
+        if text != self.empty:
+            self.empty = text
+            if not self._sizes:
+                self.setAccessibleDescription(text)
+            self.update()
+
+    def paintEvent(self, event: QPaintEvent) -> None:
+        """Draw the bars."""
+        painter = QPainter(self)
+        try:
+            painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
+            painter.setFont(ui_font(self._theme.scale, 0.85))
+            if not self._sizes:
+                draw_message(
+                    painter, self.rect(), self._theme, "Not measured since the start", self.empty
+                )
+                return
+            self._draw(painter)
+        finally:
+            painter.end()
+
+    def _draw(self, painter: QPainter) -> None:
+        tokens, metrics = self._theme.tokens, painter.fontMetrics()
+        line = metrics.height()
+        area = QRectF(self.rect()).adjusted(8, line + 6, -8, -(line + 6))
+        top = 1.15 * max(self._limit, *self._sizes)
+        step = area.width() / len(self._sizes)
+        for index, size in enumerate(self._sizes):
+            high = area.height() * size / top
+            bar = QRectF(
+                area.left() + index * step + 0.12 * step, area.bottom() - high, 0.76 * step, high
+            )
+            beyond = self._counts == "largest" and size > self._limit
+            painter.fillRect(bar, tokens.colour("bad" if beyond else "axis_x"))
+        y = area.bottom() - area.height() * self._limit / top
+        painter.setPen(QPen(tokens.colour("text"), 1.5, Qt.PenStyle.DashLine))
+        painter.drawLine(area.left(), y, area.right(), y)  # type: ignore[call-overload]
+        painter.setPen(tokens.colour("muted"))
+        painter.drawLine(area.bottomLeft(), area.bottomRight())
+        painter.drawText(8, line, f"limit of the {self._counts}: {self._limit:g} {self._unit}")
+        painter.drawText(8, self.height() - 5, f"{len(self._sizes)} residuals")
+
+
+REACH_MM = 200.0
+
+
+class PlaceForm(QWidget):
+    """Fields of a ``CalibrateRequest``."""
+
+    def __init__(
+        self, pieces: Sequence[str], bottoms: Sequence[str], usual: CalibrateRequest
+    ) -> None:
+        super().__init__()
+        self.piece, self.bottom = QComboBox(), QComboBox()
+        for box, names, name in (
+            (self.piece, pieces, usual.piece), (self.bottom, bottoms, usual.bottom),
+        ):  # fmt: skip
+            box.addItems(list(names))
+            box.setCurrentText(name)
+        self.x_mm, self.y_mm, self.pitch_mm = (QDoubleSpinBox() for _ in range(3))
+        for spin in (self.x_mm, self.y_mm):
+            spin.setRange(-REACH_MM, REACH_MM)
+        self.pitch_mm.setRange(0.5, 5.0)
+        self.pitch_mm.setValue(usual.pitch_mm)
+        for spin in (self.x_mm, self.y_mm, self.pitch_mm):
+            spin.setDecimals(2)
+            spin.setSuffix(" mm")
+            inset(spin)
+        self.hand_over = QCheckBox("Hand the piece over (no jig)")
+        first, second = QHBoxLayout(), QHBoxLayout()
+        self._titles: dict[QWidget, QWidget] = {}
+        for row, text, field in (
+            (first, "Piece", self.piece),
+            (first, "Bottom", self.bottom),
+            (first, "Pitch of the dots", self.pitch_mm),
+            (second, "Origin x", self.x_mm),
+            (second, "y", self.y_mm),
+        ):
+            title = label(text, "muted")
+            title.setBuddy(field)
+            self._titles[field] = title
+            field.setAccessibleName(text)
+            row.addWidget(title)
+            row.addWidget(field)
+        second.addWidget(self.hand_over)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        for row in (first, second):
+            row.addStretch(1)
+            column.addLayout(row)
+
+    def show_pitch(self, on: bool) -> None:
+        """Show the pitch of the dots, which cameras alone are measured by."""
+        for widget in (self.pitch_mm, self._titles[self.pitch_mm]):
+            widget.setVisible(on)
+
+    def request(self, what: CalibrationName) -> CalibrateRequest:
+        """Return what the fields say."""
+        return CalibrateRequest(
+            what,
+            self.piece.currentText(),
+            self.bottom.currentText(),
+            origin_mm=(self.x_mm.value(), self.y_mm.value()),
+            hand_over=self.hand_over.isChecked(),
+            pitch_mm=self.pitch_mm.value(),
+        )
+
 
 MOST_VALUES = 10
 VALUE_COLUMNS = 2

@@ -1,25 +1,25 @@
-"""Where everything of the Collect half stands: target, feel and maps, then the probes."""
+"""Page of the collect workspace."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import cast
 
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QFontMetrics, QResizeEvent
 from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 
-from app.collect.harvest import SIGNALS
-from backend.core.flow import FINGERS, Finger
-from widgets.distribution_view import DistributionView
-from widgets.episode_table import EpisodeTable
-from widgets.force_traces import TracePlot
-from widgets.freshness import Age
-from widgets.last_probe_panel import HealthPanel, LastProbePanel
-from widgets.panel import Captioned, Panel
-from widgets.tactile_view import TactileView
-from widgets.target_panel import TargetIntents, TargetPanel
-from widgets.theme import Theme, ui_font
+from touchdown.app.collect.origin import OriginNote, residual_words
+from touchdown.app.collect.probes import SIGNALS
+from touchdown.app.shell import Link
+from touchdown.backend.core import FINGERS, Finger, StaleSampleError
+from touchdown.backend.devices import Arm
+from touchdown.widgets.base import Age, Captioned, Panel, Theme, ui_font
+from touchdown.widgets.forms import HealthPanel, LastProbePanel, TargetIntents, TargetPanel
+from touchdown.widgets.lists import EpisodeTable
+from touchdown.widgets.plots import DistributionView, TracePlot
+from touchdown.widgets.views import TactileView
 
 FINGER_SHARE = 0.22
 """The thumbnails take at most this share of the page's height: the maps need the rest."""
@@ -176,3 +176,42 @@ def _column() -> tuple[QWidget, QVBoxLayout]:
     column.setContentsMargins(0, 0, 0, 0)
     column.setSpacing(8)
     return holder, column
+
+
+AGE_S = 1.0
+"""A pose that is older is not where the arm is."""
+
+
+class OriginField:
+    """x and y of the origin, and the note of the last check."""
+
+    def __init__(self, target: TargetPanel) -> None:
+        self._target = target
+        self.note: OriginNote | None = None
+
+    def show_note(self, note: OriginNote | None) -> None:
+        """Show what the last check found."""
+        self.note = note
+        usable = note is not None and not note.used
+        self._target.show_residual(residual_words(note), usable=usable)
+
+    def take_residual(self) -> None:
+        """Add the residual of the last check, once."""
+        if self.note is not None and not self.note.used:
+            x, y = self._target.origin
+            x.setValue(x.value() + self.note.residual_mm[0])
+            y.setValue(y.value() + self.note.residual_mm[1])
+            self.show_note(self.note.taken())
+
+    def set_here(self, link: Link | None) -> None:
+        """Set it to where the arm is now: the operator jogged it over the centre of the bottom."""
+        arm = None if link is None else link.devices.get("arm")
+        if link is None or arm is None:
+            return
+        try:
+            _, pose_mm = cast("Arm", arm).poses.latest(link.clock_s(), AGE_S)
+        except StaleSampleError:
+            return
+        for field, value_mm in zip(self._target.origin, pose_mm.tolist(), strict=False):
+            field.setValue(value_mm)
+        self.show_note(None)

@@ -1,4 +1,4 @@
-"""Presenter of the Collect half: orders to the bench, facts and the dataset to views."""
+"""Presenter of the collect workspace."""
 
 from __future__ import annotations
 
@@ -9,45 +9,223 @@ from datetime import datetime
 
 from PySide6.QtWidgets import QApplication
 
-from app.activity import ACTIVE
-from app.cards import refusal_card
-from app.collect.decide import decide_stored, words_of
-from app.collect.gauge import Pace, RecorderGauge
-from app.collect.harvest import Held
-from app.collect.orders import Standing, buttons
-from app.collect.origin import OriginNote
-from app.collect.origin_field import OriginField
-from app.collect.page import CollectPage
-from app.collect.probes import Probes
-from app.collect.progress import Progress
-from app.collect.request import request_of
-from app.label.commits import Commits
-from app.link import Link
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.review import check_person
-from backend.catalogue.values import EpisodeFilter
-from backend.core.facts import (
+from touchdown.app.collect.origin import OriginNote, Pace, RecorderGauge
+from touchdown.app.collect.page import CollectPage, OriginField
+from touchdown.app.collect.probes import Harvest, Held, read_pair, read_probe
+from touchdown.app.collect.requests import Standing, buttons, decide_stored, request_of, words_of
+from touchdown.app.shell import ACTIVE, Commits, Link, refusal_card
+from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, check_person
+from touchdown.backend.core import (
     CampaignBegan,
-    Decision,
     DecisionAwaited,
     EpisodeDecided,
-    Fact,
+    EpisodeDecision,
+    Event,
     Gripped,
     HandOverAwaited,
+    InputError,
     MountingAwaited,
     OriginChecked,
     PhaseEntered,
     ProbeCollected,
+    RefusedError,
     RunFinished,
     RunStarted,
+    TouchdownError,
 )
-from backend.core.faults import InputError, RefusedError, TouchdownError
-from backend.objects.catalogue import Catalogue
-from backend.runs.campaign import Campaign, campaign_now, newest_campaign
-from backend.runs.requests import CollectRequest, RunState
-from widgets.fault_cards import CardText, FaultCards
-from widgets.last_probe_panel import ProbeWords
-from widgets.target_panel import TargetButtons
+from touchdown.backend.episodes import check_quality
+from touchdown.backend.geometry import PieceLibrary
+from touchdown.backend.runs import (
+    Campaign,
+    CollectRequest,
+    RunState,
+    current_campaign,
+    newest_campaign,
+)
+from touchdown.widgets.forms import ProbeWords, TargetButtons
+from touchdown.widgets.shell import CardText, FaultCards
+
+
+class Probes:
+    """Maps, table and findings of one pair. ``chosen``: the probe that is looked at, "" for the
+    one that was recorded ``last``. ``failed`` is told what could not be read.
+    """
+
+    def __init__(
+        self,
+        page: CollectPage,
+        reader: Commits,
+        catalogue: PieceLibrary,
+        failed: Callable[[Exception], None],
+    ) -> None:
+        self._page, self._reader, self._catalogue = page, reader, catalogue
+        self._failed = failed
+        self.dataset: Dataset | None = None
+        self.harvest: Harvest | None = None
+        self.chosen = self.last = ""
+        self._pair = ("", "")
+        self._read_from: Dataset | None = None
+        self._stale, self._judging = True, False
+
+    @property
+    def shown(self) -> str:
+        """Uuid of the probe that is shown, "" if there is none."""
+        return self.chosen or self.last
+
+    def held(self) -> Held | None:
+        """Return the probe that is shown, None if it is not of this pair."""
+        return None if self.harvest is None else self.harvest.get(self.shown)
+
+    def restyle(self) -> None:
+        """Draw maps and table anew."""
+        self._stale = True
+
+    def choose(self, uuid: str) -> None:
+        """Show one probe; the last one follows the run again."""
+        self.chosen = "" if uuid == self.last else uuid
+        self._stale = True
+
+    def choose_dot(self, index: int) -> None:
+        """Show the probe of a dot."""
+        if self.harvest is not None:
+            self.choose(self.harvest.shown()[index].entry.uuid)
+
+    # -- reading ----------------------------------------------------------------------------------
+
+    def show_pair(self, piece: str, bottom: str) -> None:
+        """Read what the dataset holds of a pair, unless it is the one that is shown."""
+        pair = piece, bottom
+        if pair == self._pair and self.dataset is self._read_from:
+            return
+        try:
+            face, outline = (self._catalogue.piece(name).face for name in pair)
+        except InputError:
+            return
+        self._pair, self._read_from, dataset = pair, self.dataset, self.dataset
+        self.harvest, self._stale, self.last, self.chosen = Harvest(face, outline), True, "", ""
+        if dataset is None:
+            return
+        self._page.episodes.detail.setText("reading")
+
+        def done(held: list[Held]) -> None:
+            if pair == self._pair and dataset is self._read_from:
+                self.harvest = Harvest(face, outline, held)
+                self.last, self._stale = self.harvest.newest, True
+                self._judge()
+
+        self._reader.submit(lambda: read_pair(dataset, *pair), done, self._failed)
+
+    def read(self, uuid: str, came: Callable[[Held], None] | None = None) -> None:
+        """Read a probe again; with ``came`` it is new, read with its signals and handed on."""
+        dataset = self.dataset
+        if dataset is None:
+            return
+
+        def done(held: Held) -> None:
+            if came is not None:
+                came(held)
+            self.put(held)
+
+        self._reader.submit(
+            lambda: read_probe(dataset, dataset.entry(uuid), signals=came is not None),
+            done,
+            self._failed,
+        )
+
+    def put(self, held: Held) -> None:
+        """Take a probe, or a later state of one, if it is of the pair."""
+        if self.harvest is not None and (held.entry.piece, held.entry.bottom) == self._pair:
+            self.harvest.put(held)
+            self._stale = True
+            self._judge()
+
+    def _judge(self) -> None:
+        """Look for findings, one judgement at a time."""
+        if self._judging or self.harvest is None:
+            return
+        rows, self._judging = self.harvest.examined, True
+
+        def done(texts: list[str]) -> None:
+            self._judging = False
+            self._page.health.show_findings(texts, judged=len(rows))
+            if self.harvest is not None and len(self.harvest.examined) != len(rows):
+                self._judge()
+
+        def failed(error: Exception) -> None:
+            self._judging = False
+            self._failed(error)
+
+        self._reader.submit(
+            lambda: [f"{f.kind}: {f.text}" for f in check_quality(rows)], done, failed
+        )
+
+    # -- showing ----------------------------------------------------------------------------------
+
+    def draw(self, words: Callable[[Held | None], ProbeWords]) -> None:
+        """Show the probes if they changed; ``words`` tells of the one that is shown."""
+        if not self._stale or self.harvest is None:
+            return
+        self._stale, page = False, self._page
+        seen = self.harvest.covered
+        page.coverage.show_scene(self.harvest.bins(self.shown))
+        signal = page.signal.currentIndex()
+        page.distribution.show_scene(self.harvest.distribution(signal, self.shown))
+        possible = int(seen.possible.sum())
+        page.coverage_caption.detail.setText(
+            f"{possible - seen.holes} of {possible} bins of {seen.bin_mm:g} mm"
+        )
+        rows = self.harvest.rows(deleted=page.deleted.isChecked())
+        page.table.show_rows(rows, self.shown)
+        page.episodes.detail.setText(f"{len(rows)} of {' on '.join(self._pair)}")
+        page.probe.show_words(words(self.held()))
+
+
+TAKEN_BACK = frozenset(("discard", "redo", "skip"))
+
+
+class Progress:
+    """Follows the facts of a run, and what is decided beside it about probes of its campaign."""
+
+    def __init__(self) -> None:
+        self.campaign, self.total = "", 1
+        self._done = 0
+        self._accepted: set[str] = set()
+        self._taken_back: set[str] = set()
+        self._beside: set[str] = set()
+
+    @property
+    def done(self) -> int:
+        """Accepted probes that are still there."""
+        return self._done - len(self._beside)
+
+    def begin(self, fact: CampaignBegan) -> None:
+        """Take the count with which a run begins: what the dataset holds."""
+        self.campaign, self.total, self._done = fact.campaign, fact.total, fact.done
+        self._accepted, self._taken_back, self._beside = set(), set(), set()
+
+    def collected(self, fact: ProbeCollected) -> None:
+        """Take one more probe."""
+        self._done, self.total = fact.done, fact.total
+        if not fact.reasons:
+            self._accepted.add(fact.uuid)
+
+    def decided(self, fact: EpisodeDecided) -> None:
+        """Take a decision that the run carried out; its next probe tells the same number."""
+        if fact.decision in TAKEN_BACK and fact.uuid in self._accepted - self._taken_back:
+            self._taken_back.add(fact.uuid)
+            self._done -= 1
+
+    def stored(self, entry: EpisodeEntry) -> None:
+        """Take a probe as it is in the dataset now, of which the run knows nothing."""
+        if entry.campaign != self.campaign or not entry.quality.accepted:
+            return
+        if entry.uuid in self._taken_back:
+            return
+        if entry.deleted:
+            self._beside.add(entry.uuid)
+        else:
+            self._beside.discard(entry.uuid)
+
 
 GAUGE_S = 1.0
 LIFT_MM, LIFT_MM_S = 5.0, 5.0
@@ -61,7 +239,7 @@ class CollectPresenter:
         page: CollectPage,
         cards: FaultCards,
         reader: Commits,
-        catalogue: Catalogue,
+        catalogue: PieceLibrary,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._page, self._cards, self._reader, self._now_s = page, cards, reader, now_s
@@ -176,7 +354,7 @@ class CollectPresenter:
         if self.link is not None and self._mine:
             self.link.engine.cancel()
 
-    def decide(self, decision: Decision) -> None:
+    def decide(self, decision: EpisodeDecision) -> None:
         """Say what becomes of the probe that is shown: the chosen one, else the last."""
         uuid, held = self.probes.shown, self.probes.held()
         if self.dataset is None or held is None or not self.person:
@@ -216,7 +394,7 @@ class CollectPresenter:
 
     # -- facts ------------------------------------------------------------------------------------
 
-    def take(self, fact: Fact) -> None:
+    def take(self, fact: Event) -> None:
         """Follow a run that collects."""
         if isinstance(fact, RunStarted):
             self._mine = fact.activity == "collect"
@@ -245,7 +423,7 @@ class CollectPresenter:
         else:
             self._tell(fact)
 
-    def _tell(self, fact: Fact) -> None:
+    def _tell(self, fact: Event) -> None:
         """Show where the run is."""
         if isinstance(fact, HandOverAwaited | MountingAwaited):
             self._asked = fact
@@ -293,7 +471,7 @@ class CollectPresenter:
             uuid = newest_campaign(dataset.folder)
             if uuid is None:
                 return None
-            plan = campaign_now(dataset, uuid)
+            plan = current_campaign(dataset, uuid)
             return plan, len(plan.todo(dataset.episodes(EpisodeFilter(campaign=uuid))))
 
         def done(found: tuple[Campaign, int] | None) -> None:

@@ -1,146 +1,211 @@
-"""The probes of the chosen pair: read on a thread of their own, judged, and drawn."""
+"""Collected probes, as listed and shown."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 
-from app.collect.harvest import Harvest, Held, read_pair, read_probe
-from app.collect.page import CollectPage
-from app.label.commits import Commits
-from backend.catalogue.dataset import Dataset
-from backend.core.faults import InputError
-from backend.dataset.health import examine
-from backend.objects.catalogue import Catalogue
-from widgets.last_probe_panel import ProbeWords
+import numpy as np
+
+from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter
+from touchdown.backend.core import EpisodeQuality, FloatArray, InputError
+from touchdown.backend.episodes import Coverage, ExaminedEpisode, count_coverage
+from touchdown.backend.geometry import Outline
+from touchdown.backend.runs import Signals, counts_for_coverage, last_signals, read_probe_summary
+from touchdown.widgets.lists import EpisodeRow
+from touchdown.widgets.plots import Bins, DistributionScene, reach_of
+
+SIGNALS: tuple[tuple[str, str, float], ...] = (
+    ("Largest marker shift u", "px", 1.0),
+    ("Largest marker shift v", "px", 1.0),
+    ("Tx", "mN\N{MIDDLE DOT}m", 1e3),
+    ("Ty", "mN\N{MIDDLE DOT}m", 1e3),
+    ("Fz", "N", 1.0),
+)
+"""What the distribution is coloured by, in the order of ``ProbeCollected.signals``."""
+MOST_READ = 400
+"""Signals of so many of the newest probes are read when a dataset is opened."""
 
 
-class Probes:
-    """Maps, table and findings of one pair. ``chosen``: the probe that is looked at, "" for the
-    one that was recorded ``last``. ``failed`` is told what could not be read.
+@dataclass(frozen=True, slots=True)
+class Held:
+    """One probe: its row of the index and where it was; if it was read, where it was meant to go
+    and its signals.
     """
 
-    def __init__(
-        self,
-        page: CollectPage,
-        reader: Commits,
-        catalogue: Catalogue,
-        failed: Callable[[Exception], None],
-    ) -> None:
-        self._page, self._reader, self._catalogue = page, reader, catalogue
-        self._failed = failed
-        self.dataset: Dataset | None = None
-        self.harvest: Harvest | None = None
-        self.chosen = self.last = ""
-        self._pair = ("", "")
-        self._read_from: Dataset | None = None
-        self._stale, self._judging = True, False
+    entry: EpisodeEntry
+    offset_mm: tuple[float, float]
+    commanded_mm: tuple[float, float] | None = None
+    seen: ExaminedEpisode | None = None
+    signals: Signals | None = None
 
     @property
-    def shown(self) -> str:
-        """Uuid of the probe that is shown, "" if there is none."""
-        return self.chosen or self.last
+    def counts(self) -> bool:
+        """Whether it covers its place."""
+        return counts_for_coverage(self.entry)
 
-    def held(self) -> Held | None:
-        """Return the probe that is shown, None if it is not of this pair."""
-        return None if self.harvest is None else self.harvest.get(self.shown)
 
-    def restyle(self) -> None:
-        """Draw maps and table anew."""
-        self._stale = True
+def read_probe(dataset: Dataset, entry: EpisodeEntry, *, signals: bool) -> Held:
+    """Read one probe; a damaged file leaves its signals unknown."""
+    x_mm, y_mm = dataset.labels.head(entry.uuid).label.offset_mm.tolist()
+    held = Held(entry, (x_mm, y_mm))
+    if not signals or entry.deleted:
+        return held
+    try:
+        found = read_probe_summary(dataset, entry)
+    except InputError:
+        return held
+    return replace(
+        held,
+        commanded_mm=found.commanded_mm,
+        seen=found.examined,
+        signals=last_signals(found.examined.observation),
+    )
 
-    def choose(self, uuid: str) -> None:
-        """Show one probe; the last one follows the run again."""
-        self.chosen = "" if uuid == self.last else uuid
-        self._stale = True
 
-    def choose_dot(self, index: int) -> None:
-        """Show the probe of a dot."""
-        if self.harvest is not None:
-            self.choose(self.harvest.shown()[index].entry.uuid)
+def read_pair(dataset: Dataset, piece: str, bottom: str) -> list[Held]:
+    """Read the probes of a pair, oldest first; signals of the newest ``MOST_READ`` only."""
+    entries = dataset.episodes(EpisodeFilter(piece=piece, bottom=bottom, deleted=None))
+    late = len(entries) - MOST_READ
+    return [read_probe(dataset, e, signals=at >= late) for at, e in enumerate(entries)]
 
-    # -- reading ----------------------------------------------------------------------------------
 
-    def show_pair(self, piece: str, bottom: str) -> None:
-        """Read what the dataset holds of a pair, unless it is the one that is shown."""
-        pair = piece, bottom
-        if pair == self._pair and self.dataset is self._read_from:
-            return
-        try:
-            face, outline = (self._catalogue.piece(name).face for name in pair)
-        except InputError:
-            return
-        self._pair, self._read_from, dataset = pair, self.dataset, self.dataset
-        self.harvest, self._stale, self.last, self.chosen = Harvest(face, outline), True, "", ""
-        if dataset is None:
-            return
-        self._page.episodes.detail.setText("reading")
+class Harvest:
+    """The probes of one pair in the order in which they were recorded."""
 
-        def done(held: list[Held]) -> None:
-            if pair == self._pair and dataset is self._read_from:
-                self.harvest = Harvest(face, outline, held)
-                self.last, self._stale = self.harvest.newest, True
-                self._judge()
+    def __init__(self, face: Outline, bottom: Outline, held: Iterable[Held] = ()) -> None:
+        self._face, self._bottom = face, bottom
+        self._outline = bottom.polygon(96)
+        self._held = {h.entry.uuid: h for h in held}
+        self._none = count_coverage(np.zeros((0, 2)), face, bottom)
+        self._coverage: Coverage | None = None
 
-        self._reader.submit(lambda: read_pair(dataset, *pair), done, self._failed)
+    def __len__(self) -> int:
+        return len(self._held)
 
-    def read(self, uuid: str, came: Callable[[Held], None] | None = None) -> None:
-        """Read a probe again; with ``came`` it is new, read with its signals and handed on."""
-        dataset = self.dataset
-        if dataset is None:
-            return
-
-        def done(held: Held) -> None:
-            if came is not None:
-                came(held)
-            self.put(held)
-
-        self._reader.submit(
-            lambda: read_probe(dataset, dataset.entry(uuid), signals=came is not None),
-            done,
-            self._failed,
-        )
+    def __contains__(self, uuid: object) -> bool:
+        return uuid in self._held
 
     def put(self, held: Held) -> None:
-        """Take a probe, or a later state of one, if it is of the pair."""
-        if self.harvest is not None and (held.entry.piece, held.entry.bottom) == self._pair:
-            self.harvest.put(held)
-            self._stale = True
-            self._judge()
+        """Take a probe, or a later state of one."""
+        before = self._held.get(held.entry.uuid)
+        if before is not None and held.seen is None:
+            held = replace(
+                held,
+                commanded_mm=before.commanded_mm,
+                seen=before.seen,
+                signals=before.signals,
+            )
+        self._held[held.entry.uuid] = held
+        self._coverage = None
 
-    def _judge(self) -> None:
-        """Look for findings, one judgement at a time."""
-        if self._judging or self.harvest is None:
-            return
-        rows, self._judging = self.harvest.examined, True
+    def get(self, uuid: str) -> Held | None:
+        """Return one probe, None if it is not of this pair."""
+        return self._held.get(uuid)
 
-        def done(texts: list[str]) -> None:
-            self._judging = False
-            self._page.health.show_findings(texts, judged=len(rows))
-            if self.harvest is not None and len(self.harvest.examined) != len(rows):
-                self._judge()
+    @property
+    def newest(self) -> str:
+        """Uuid of the probe that was recorded last, "" if there is none."""
+        return next(reversed(self._held), "")
 
-        def failed(error: Exception) -> None:
-            self._judging = False
-            self._failed(error)
+    @property
+    def examined(self) -> list[ExaminedEpisode]:
+        """What the health checks look at."""
+        return [h.seen for h in self._held.values() if h.seen is not None and not h.entry.deleted]
 
-        self._reader.submit(lambda: [f"{f.kind}: {f.text}" for f in examine(rows)], done, failed)
+    @property
+    def covered(self) -> Coverage:
+        """Coverage by the observations that count."""
+        if self._coverage is None:
+            offsets = np.array([h.offset_mm for h in self._held.values() if h.counts])
+            self._coverage = count_coverage(offsets.reshape(-1, 2), self._face, self._bottom)
+        return self._coverage
 
-    # -- showing ----------------------------------------------------------------------------------
+    # -- shown ------------------------------------------------------------------------------------
 
-    def draw(self, words: Callable[[Held | None], ProbeWords]) -> None:
-        """Show the probes if they changed; ``words`` tells of the one that is shown."""
-        if not self._stale or self.harvest is None:
-            return
-        self._stale, page = False, self._page
-        seen = self.harvest.covered
-        page.coverage.show_scene(self.harvest.bins(self.shown))
-        signal = page.signal.currentIndex()
-        page.distribution.show_scene(self.harvest.distribution(signal, self.shown))
-        possible = int(seen.possible.sum())
-        page.coverage_caption.detail.setText(
-            f"{possible - seen.holes} of {possible} bins of {seen.bin_mm:g} mm"
+    def shown(self) -> list[Held]:
+        """Return what is drawn as dots: all that is not deleted and has a displacement."""
+        return [
+            h for h in self._held.values() if not h.entry.deleted and np.isfinite(h.offset_mm).all()
+        ]
+
+    def distribution(self, signal: int, chosen: str) -> DistributionScene:
+        """Return the dots, coloured by one of ``SIGNALS``."""
+        shown = self.shown()
+        name, unit, scale = SIGNALS[signal]
+        values = np.array([np.nan if h.signals is None else scale * h.signals[signal]
+                           for h in shown], dtype=np.float64)  # fmt: skip
+        return replace(self._scene(shown, chosen), values=values, title=f"{name} ({unit})")
+
+    def bins(self, chosen: str) -> DistributionScene:
+        """Return counts per bin."""
+        seen = self.covered
+        bins = Bins(seen.counts, seen.possible, seen.centre_mm(0, 0), seen.bin_mm)
+        return replace(self._scene(self.shown(), chosen), bins=bins, title="episodes per bin")
+
+    def _scene(self, shown: Sequence[Held], chosen: str) -> DistributionScene:
+        points = np.array([h.offset_mm for h in shown], dtype=np.float64).reshape(-1, 2)
+        uuids = [h.entry.uuid for h in shown]
+        return DistributionScene(
+            bottom=self._outline,
+            points_mm=points,
+            values=np.zeros(len(shown)),
+            refused=np.array([not h.entry.quality.accepted for h in shown], dtype=np.bool_),
+            flagged=np.array([h.entry.flagged for h in shown], dtype=np.bool_),
+            chosen=uuids.index(chosen) if chosen in uuids else -1,
+            reach_mm=reach_of(self._outline, np.concatenate([points, self._corners()])),
         )
-        rows = self.harvest.rows(deleted=page.deleted.isChecked())
-        page.table.show_rows(rows, self.shown)
-        page.episodes.detail.setText(f"{len(rows)} of {' on '.join(self._pair)}")
-        page.probe.show_words(words(self.held()))
+
+    def _corners(self) -> FloatArray:
+        """Return the outermost bins that can be probed, so that the scale does not jump."""
+        rows, columns = np.nonzero(self._none.possible)
+        return np.array(
+            [
+                self._none.centre_mm(i, j)
+                for i, j in zip(rows.tolist(), columns.tolist(), strict=True)
+            ]
+        ).reshape(-1, 2)
+
+    def rows(self, *, deleted: bool) -> list[EpisodeRow]:
+        """Return the table, newest first."""
+        made = [row_of(at, h) for at, h in enumerate(self._held.values(), 1)]
+        return [row for row in reversed(made) if deleted or not row.deleted]
+
+
+def row_of(number: int, held: Held) -> EpisodeRow:
+    """Write one probe as a row of the table."""
+    entry = held.entry
+    local = datetime.fromtimestamp(entry.recorded_ns * 1e-9, UTC).astimezone()
+    today = datetime.now(UTC).astimezone().date()
+    return EpisodeRow(
+        entry.uuid,
+        str(number),
+        "deleted" if entry.deleted else entry.state,
+        quality_words(entry.quality),
+        pair_words(held.offset_mm),
+        f"{local:%H:%M:%S}" if local.date() == today else f"{local:%y-%m-%d}",
+        flagged=entry.flagged,
+        deleted=entry.deleted,
+        grip=grip_words(entry.grip_id),
+        person=entry.person,
+        distance_mm=float(np.nan_to_num(np.hypot(*held.offset_mm), nan=-1.0)),
+    )
+
+
+def grip_words(grip_id: str) -> str:
+    """Return mounting and grip of a campaign such as "1.3", or the name that others gave."""
+    return ".".join(part.rpartition("-")[2] for part in grip_id.split("/")[-2:])
+
+
+def quality_words(quality: EpisodeQuality) -> str:
+    """Return "ok" or the first reason against it."""
+    return "ok" if quality.accepted else "; ".join(quality.reasons) or "refused"
+
+
+def pair_words(at_mm: tuple[float, float], digits: int = 1, unit: str = "") -> str:
+    """Write a displacement such as "+1.5, +0.3"; "none" for a probe that has none."""
+    if not np.isfinite(at_mm).all():
+        return "none"
+    x, y = (f"{v:+.{digits}f}".replace("-", "\N{MINUS SIGN}") for v in at_mm)
+    return f"{x}, {y}{unit}"

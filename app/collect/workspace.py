@@ -1,26 +1,67 @@
-"""The workspace "Collect & Label" as the frame sees it: two halves on one dataset."""
+"""Collect workspace with its labelling half."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
-from app.collect.by_half import by_half
-from app.collect.origin import note_of
-from app.collect.page import CollectIntents, CollectPage
-from app.collect.presenter import CollectPresenter
-from app.collect.request import arrangement_of, form_of
-from app.label.commits import Commits
-from app.label.halves import Halves
-from app.label.opening import Opened
-from app.label.workspace import LabelWorkspace
-from app.link import Link
-from app.live import LivePresenter, LiveViews
-from app.workspace import Command, Desk, Memory, Workspace
-from backend.catalogue.dataset import DESCRIPTION, Dataset
-from backend.core.facts import Decision, Fact
-from backend.objects.catalogue import load_catalogue
-from widgets.target_panel import TargetForm, TargetIntents
+from touchdown.app.collect.origin import note_of
+from touchdown.app.collect.page import CollectIntents, CollectPage
+from touchdown.app.collect.presenter import CollectPresenter
+from touchdown.app.collect.requests import arrangement_of, form_of
+from touchdown.app.label import Halves, LabelWorkspace
+from touchdown.app.shell import (
+    Command,
+    Commits,
+    Desk,
+    Link,
+    LivePresenter,
+    LiveViews,
+    Memory,
+    Opened,
+    Workspace,
+    portable,
+)
+from touchdown.backend.annotations import DESCRIPTION, Dataset
+from touchdown.backend.core import EpisodeDecision, Event
+from touchdown.backend.geometry import load_pieces
+from touchdown.widgets.forms import TargetForm, TargetIntents
+
+
+def by_half(
+    front: Callable[[], str], titles: Mapping[str, str], commands: Mapping[str, Sequence[Command]]
+) -> tuple[Command, ...]:
+    """Return all commands; a key that several halves use becomes one row that names them all.
+
+    ``front`` tells the half in front; ``titles`` and ``commands`` by name of the half. A command of
+    a half behind does nothing.
+    """
+    rows: dict[str, Command] = {}
+    acts: dict[str, dict[str, Callable[[], None]]] = {}
+    for half, given in commands.items():
+        for command in given:
+            key = portable(command.key) or f"{half}.{command.name}"
+            text = f"{titles[half]}: {command.text}"
+            known = rows.get(key)
+            if known is None:
+                rows[key] = replace(command, text=text, run=_runner(front, acts, key))
+            else:
+                both = f"{known.text}; {text}"
+                rows[key] = replace(known, text=both, repeats=known.repeats and command.repeats)
+            acts.setdefault(key, {})[half] = command.run
+    return tuple(rows.values())
+
+
+def _runner(
+    front: Callable[[], str], acts: Mapping[str, Mapping[str, Callable[[], None]]], key: str
+) -> Callable[[], None]:
+    def run() -> None:
+        act = acts[key].get(front())
+        if act is not None:
+            act()
+
+    return run
+
 
 COLLECT, LABEL = "collect", "label"
 TITLES = {COLLECT: "Collect", LABEL: "Label"}
@@ -66,7 +107,7 @@ class CollectWorkspace(Workspace):
         self.label.build_in(self.page)
         yield
         self.reader = Commits(self.label.post, "collect-reader")
-        catalogue = load_catalogue()
+        catalogue = load_pieces()
         self.presenter = CollectPresenter(
             self.collect_page, self._desk.cards, self.reader, catalogue
         )
@@ -90,7 +131,7 @@ class CollectWorkspace(Workspace):
             self.live.draw_headers, self.presenter.draw, self.presenter.draw_maps,
         )  # fmt: skip
 
-    def take(self, fact: Fact) -> None:
+    def take(self, fact: Event) -> None:
         """Follow the runs."""
         self.presenter.take(fact)
 
@@ -246,7 +287,7 @@ class CollectWorkspace(Workspace):
         )
 
     def _decide(self, name: str) -> None:
-        decisions: dict[str, Decision] = {
+        decisions: dict[str, EpisodeDecision] = {
             "keep": "keep", "discard": "discard", "flag": "flag", "redo": "redo", "skip": "skip",
         }  # fmt: skip
         self.presenter.decide(decisions[name])

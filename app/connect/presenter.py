@@ -1,4 +1,4 @@
-"""Presenter of the Connect panel: looks at the connection, hands the operator's orders on."""
+"""Presenter of the connection panel."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from datetime import datetime
 
 from PySide6.QtWidgets import QWidget
 
-from app.activity import busy
-from app.cards import refusal_card
-from app.connect.devices import DevicesPresenter
-from app.connect.limits import LimitsPresenter
-from app.connect.sheet import ConnectSheet, Intents, RowLook, SheetLook
-from app.link import Link
-from backend.core.faults import RefusedError
-from backend.devices.steps import STEPS
-from backend.rig.connection import Connection, DeviceLine
-from widgets.fault_cards import FaultCards
-from widgets.top_bar import CHIPS
+from touchdown.app.calibrate import CalibratePresenter
+from touchdown.app.connect.devices import DevicesPresenter
+from touchdown.app.connect.limits import LimitsPresenter
+from touchdown.app.connect.sheet import ConnectSheet, Intents, RowLook, SheetLook
+from touchdown.app.shell import Link, busy, refusal_card
+from touchdown.backend.core import RefusedError
+from touchdown.backend.devices import STEPS
+from touchdown.backend.rig import Connection, DeviceLine
+from touchdown.widgets.base import Theme
+from touchdown.widgets.shell import CHIPS, FaultCards
 
 PERIOD_S = 0.1
 TITLES = dict(CHIPS)
@@ -166,3 +165,27 @@ def row_of(line: DeviceLine, *, can: bool) -> RowLook:
 def _at(line: DeviceLine) -> str:
     """Return the mark of the step that is next."""
     return {"connecting": "now", "failed": "failed"}.get(line.state, "open")
+
+
+class BenchPanels:
+    """Made with the bench; devices that are connected by hand are asked for at once."""
+
+    def __init__(self, link: Link, theme: Theme, window: QWidget, cards: FaultCards) -> None:
+        self.calibrate = CalibratePresenter(link, theme, window, cards)
+        self.limits = LimitsPresenter(link, window, cards)
+        self.connect: ConnectPresenter | None = None
+        if link.connection is not None:
+            self.connect = ConnectPresenter(link, link.connection, window, cards, self.limits)
+
+    def open_connect(self) -> bool:
+        """Show the Connect panel, or connect, or cancel; False where there is none."""
+        if self.connect is None:
+            return False
+        self.connect.open()
+        return True
+
+    def draw(self) -> None:
+        """Follow the bench."""
+        self.calibrate.draw()
+        if self.connect is not None:
+            self.connect.draw()

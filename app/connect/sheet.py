@@ -1,4 +1,4 @@
-"""The Connect panel: each device with its steps, who answers, what failed and what to do."""
+"""Sheet of the connection panel."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.connect.question import QuestionRow
-from widgets.panel import label, rule, set_property
+from touchdown.app.shell import QuestionRow
+from touchdown.widgets.base import label, rule, set_property
 
 MARKS = {
     "done": "\N{CHECK MARK}",

@@ -1,1 +1,12 @@
-"""The label half of the workspace "Collect & Label": one displacement per episode, by keyboard."""
+"""Label workspace: edit and review labels."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.app.label import (
+        workspace,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

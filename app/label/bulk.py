@@ -1,16 +1,57 @@
-"""One change to many labels: first what it would do, then the same and nothing else."""
+"""Bulk changes of labels."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
 
-from app.label.bulk_form import BulkForm
-from app.label.edit import parse
-from app.label.presenter import LabelPresenter
-from backend.catalogue.bulk import Change, MoveGeometry, Preview, RotateFrame, SetState, ShiftOrigin
-from backend.objects.catalogue import Catalogue
-from widgets.choice_bar import ChoiceBar
+from touchdown.app.label.decisions import Decisions
+from touchdown.app.label.page import LabelPage
+from touchdown.app.label.presenter import LabelPresenter
+from touchdown.app.label.side import BULK, HISTORY, KINDS, BulkForm, SideTabs, agreement_words
+from touchdown.app.label.text import history_rows, operation_words
+from touchdown.app.shell import Commits, parse
+from touchdown.backend.annotations import (
+    BulkChange,
+    BulkPreview,
+    MoveGeometry,
+    Operation,
+    RotateFrame,
+    SetState,
+    ShiftOrigin,
+)
+from touchdown.backend.geometry import PieceLibrary
+from touchdown.widgets.forms import ChoiceBar
+
+MOST_LINES = 300
+AGREEMENT, LOG = 1, 2
+
+
+class SidePresenter:
+    """Reads on the thread of the saves; shows only what is in front."""
+
+    def __init__(self, side: SideTabs, presenter: LabelPresenter, commits: Commits) -> None:
+        self._side, self._presenter, self._commits = side, presenter, commits
+
+    def show(self, text: str) -> None:
+        """Fill the view in front; ``text`` is what to look for in the log."""
+        if self._side.tab == LOG:
+            book = self._presenter.shown
+            self._commits.submit(
+                lambda: book.log(text=text, limit=MOST_LINES), self._show_log, self._failed
+            )
+        elif self._side.tab == AGREEMENT:
+            dataset = self._presenter.dataset
+            self._commits.submit(
+                lambda: agreement_words(dataset), self._side.agreement.setText, self._failed
+            )
+
+    def _show_log(self, operations: list[Operation]) -> None:
+        self._side.show_log([operation_words(operation) for operation in operations])
+
+    def _failed(self, error: Exception) -> None:
+        self._side.show_log([f"The log cannot be read: {error}"])
+
 
 YES = (("1", "Change them"),)
 
@@ -19,10 +60,10 @@ class BulkPresenter:
     """Holds the preview; what is applied is what was previewed, or nothing."""
 
     def __init__(
-        self, form: BulkForm, presenter: LabelPresenter, catalogue: Catalogue, choice: ChoiceBar
+        self, form: BulkForm, presenter: LabelPresenter, catalogue: PieceLibrary, choice: ChoiceBar
     ) -> None:
         self._form, self._on, self._catalogue, self._choice = form, presenter, catalogue, choice
-        self._preview: Preview | None = None
+        self._preview: BulkPreview | None = None
 
     def preview(self) -> None:
         """Work out what would change in the queue that is shown."""
@@ -32,7 +73,7 @@ class BulkPresenter:
         """Do so, and ask whether to do it: for whoever has no mouse."""
         self._begin(self._show_and_ask)
 
-    def _begin(self, done: Callable[[Preview], None]) -> None:
+    def _begin(self, done: Callable[[BulkPreview], None]) -> None:
         self._preview = None
         self._form.apply.setEnabled(False)
         kind, text = str(self._form.kind.currentData()), self._form.value.text().strip()
@@ -60,12 +101,12 @@ class BulkPresenter:
                 lambda: self._on.saving.save(lambda: book.bulk(person, wanted), self._applied)
             )
 
-    def _show(self, found: Preview) -> None:
+    def _show(self, found: BulkPreview) -> None:
         self._preview = found
         self._form.found.setText(preview_words(found))
         self._form.apply.setEnabled(bool(found.rows))
 
-    def _show_and_ask(self, found: Preview) -> None:
+    def _show_and_ask(self, found: BulkPreview) -> None:
         self._show(found)
         if found.rows:
             count = _labels(len(found.rows))
@@ -76,7 +117,7 @@ class BulkPresenter:
         self._form.found.setText(f"{_labels(count)} changed. U takes it back in one step.")
         self._on.read_queue()
 
-    def _change(self, kind: str, text: str) -> Change:
+    def _change(self, kind: str, text: str) -> BulkChange:
         if kind == "shift":
             x_mm, y_mm, _ = parse(text)
             return ShiftOrigin(round(1e3 * x_mm), round(1e3 * y_mm))
@@ -106,7 +147,7 @@ class BulkPresenter:
         )
 
 
-def preview_words(found: Preview) -> str:
+def preview_words(found: BulkPreview) -> str:
     """Return what a change would do, and why it leaves some labels alone."""
     lines = [f"{_labels(len(found.rows))} will change."]
     for reason, count in Counter(reason for _, reason in found.refused).most_common(3):
@@ -116,3 +157,80 @@ def preview_words(found: Preview) -> str:
 
 def _labels(count: int) -> str:
     return "1 label" if count == 1 else f"{count} labels"
+
+
+MOST = 9
+"""So many answers have a digit."""
+
+
+class SideKeys:
+    """Brings a view to the front and asks what to do there, by digits and typed words."""
+
+    def __init__(
+        self,
+        page: LabelPage,
+        presenter: LabelPresenter,
+        decisions: Decisions,
+        side: SidePresenter,
+        bulk: BulkPresenter,
+    ) -> None:
+        self._page, self._on, self._decisions = page, presenter, decisions
+        self._side, self._bulk = side, bulk
+
+    def versions(self) -> None:
+        """Ask which of the newest versions to restore."""
+        self._after(self._ask_version)
+
+    def _ask_version(self) -> None:
+        now = self._on.present
+        if now is None or self._on.sitting.opines:
+            self._page.say("No versions are shown here.", bad=True)
+            return
+        self._page.side.choose(HISTORY)
+        rows = [row for row in history_rows(now.history, now.edit.base) if not row.head][:MOST]
+        if not rows:
+            self._page.say("There is no earlier version.")
+            return
+        ids = {f"{row.number}. {row.what}": row.rev_uuid for row in rows}
+        choices = [(str(n), word) for n, word in enumerate(ids, start=1)]
+        self._page.choice.ask(
+            "Restore which version?", choices, lambda word: self._decisions.restore(ids[word])
+        )
+
+    def agreement(self) -> None:
+        """Show the figures of agreement."""
+        self._page.side.choose(AGREEMENT)
+        self._side.show("")
+
+    def log(self) -> None:
+        """Show the log, ready to be searched: Enter or Esc leaves."""
+        needle = self._page.side.needle
+        self._page.side.choose(LOG)
+        self._side.show(needle.text())
+        needle.setFocus()
+        needle.selectAll()
+
+    def many(self) -> None:
+        """Ask what to change in every label of the queue, and by how much."""
+        choices = [(str(n), text) for n, (_, text, _) in enumerate(KINDS, start=1)]
+        names = {text: name for name, text, _ in KINDS}
+        self._after(
+            lambda: self._page.choice.ask(
+                "Change every label of this queue how?", choices,
+                lambda word: self._begin(names[word]),
+            )
+        )  # fmt: skip
+
+    def _begin(self, kind: str) -> None:
+        form = self._page.bulk
+        self._page.side.choose(BULK)
+        form.kind.setCurrentIndex(form.kind.findData(kind))
+        if form.value.isEnabled():
+            form.value.setFocus()
+            form.value.selectAll()
+        else:
+            self._bulk.preview_and_ask()
+
+    def _after(self, ask: Callable[[], None]) -> None:
+        """Ask after the saves that are under way, unless one has failed."""
+        self._on.do(ask)

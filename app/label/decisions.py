@@ -1,14 +1,13 @@
-"""What a person decides about the episode in front: accept, approve, reject, mark, undo."""
+"""Review decisions on a label."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
-from app.label.page import LabelPage
-from app.label.presenter import LabelPresenter
-from backend.catalogue.review import REJECT_REASONS
-from backend.catalogue.values import Operation, Verdict
+from touchdown.app.label.page import LabelPage
+from touchdown.app.label.presenter import LabelPresenter
+from touchdown.backend.annotations import REJECT_REASONS, Operation, Verdict
 
 REVIEWING = ("review", "audit")
 """Queues in which Enter approves."""

@@ -1,20 +1,44 @@
-"""Edits of the episode in front: nudged, dragged, typed or taken, and saved as one revision."""
+"""Editing of one label by keys and mouse."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Protocol
 
 from PySide6.QtCore import QTimer
 
-from app.label.edit import Edit, parse
-from app.label.page import LabelPage
-from app.label.saving import Intent, Saving
-from app.label.sigma import ask_sigma
-from app.label.sitting import Present, Sitting
-from backend.catalogue.gold_book import GoldBook
-from backend.catalogue.values import Revision
-from widgets.offset_scene import Point
+from touchdown.app.label.page import LabelPage
+from touchdown.app.label.session import Present, Sitting
+from touchdown.app.shell import Edit, Intent, Saving, parse
+from touchdown.backend.annotations import ControlItemLabels, Revision
+from touchdown.widgets.views import Point
+
+OFFERED_MM = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
+USUAL_MM = 0.2
+"""What is marked when a person is asked for the first time."""
+
+
+def ask_sigma(page: LabelPage, known_mm: float | None, take: Callable[[float], None]) -> None:
+    """Offer uncertainties, the present one marked; ``take`` gets mm.
+
+    Digits are no answers: what is typed meanwhile begins a displacement, whole.
+    """
+    marked_mm = known_mm or USUAL_MM
+    words = {_word(mm): mm for mm in sorted({*OFFERED_MM, marked_mm})}
+    page.choice.offer(
+        "How sure are you of what you set (sigma)?",
+        list(words),
+        list(words).index(_word(marked_mm)),
+        lambda word: take(words[word]),
+        page.open_entry,
+    )
+
+
+def _word(sigma_mm: float) -> str:
+    exact = f"{sigma_mm:g}"
+    return f"{sigma_mm:.2f} mm" if len(exact) <= 4 else f"{exact} mm"
+
 
 NUDGES_MS = 500
 
@@ -41,7 +65,12 @@ class Editing:
     """Changes the edit in front; saves it half a second after the last nudge, or when asked."""
 
     def __init__(
-        self, front: Front, page: LabelPage, book: GoldBook, sitting: Sitting, saving: Saving
+        self,
+        front: Front,
+        page: LabelPage,
+        book: ControlItemLabels,
+        sitting: Sitting,
+        saving: Saving,
     ) -> None:
         self._front, self._page, self._book = front, page, book
         self._sitting, self._saving = sitting, saving
@@ -183,3 +212,30 @@ class Editing:
 
 def _nothing() -> None:
     """Do nothing more."""
+
+
+PAUSE_S = 60.0
+
+
+class LookClock:
+    """Adds up the time between signs of life; gaps longer than a minute count nothing."""
+
+    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_s = now_s
+        self._last_s, self._seen_s = now_s(), 0.0
+
+    def restart(self) -> None:
+        """Another episode is shown."""
+        self._last_s, self._seen_s = self._now_s(), 0.0
+
+    def alive(self) -> None:
+        """Take note of a key or a click."""
+        now_s = self._now_s()
+        if now_s - self._last_s <= PAUSE_S:
+            self._seen_s += now_s - self._last_s
+        self._last_s = now_s
+
+    def seen_ms(self) -> int:
+        """Return the time spent on this episode."""
+        self.alive()
+        return round(1e3 * self._seen_s)

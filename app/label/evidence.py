@@ -1,16 +1,15 @@
-"""What speaks for or against a label: the scene camera, the model, and how far they are off."""
+"""Evidence beside the label in edit."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from app.label.edit import Edit, as_pair
-from app.label.item import LabelItem
-from app.label.words import models_words
-from backend.catalogue.values import Revision
-from backend.placement.offset_fit import NOTABLE_SIGMAS, OffsetFit, sigmas_apart
-from widgets.offset_scene import Ghost, offset_in_words
+from touchdown.app.label.text import models_words
+from touchdown.app.shell import Edit, LabelItem, as_pair
+from touchdown.backend.annotations import Revision
+from touchdown.backend.placement import NOTABLE_SIGMAS, OffsetFit, sigmas_apart
+from touchdown.widgets.views import Ghost, offset_in_words
 
 LEAST_SIGMA_MM = 0.05
 """What a label is trusted at best when it is compared with other evidence."""

@@ -1,4 +1,4 @@
-"""Where everything of the label half stands. No logic."""
+"""Page of the label workspace."""
 
 from __future__ import annotations
 
@@ -7,35 +7,130 @@ from dataclasses import dataclass
 
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeyEvent
-from PySide6.QtWidgets import (
-    QComboBox,
-    QHBoxLayout,
-    QPushButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QListWidget, QPushButton, QVBoxLayout, QWidget
 
-from app.label.bulk_form import BulkForm
-from app.label.entry import Entry
-from app.label.health_panel import HealthPanel
-from app.label.item import Sheets
-from app.label.nothing import NOBODY, Nothing, NothingHere
-from app.label.side import SideTabs
-from app.label.words import QUEUES
-from widgets.choice_bar import ChoiceBar
-from widgets.elided import ElidedLabel
-from widgets.film import Film
-from widgets.in_sight import bring_in_sight
-from widgets.label_list import LabelList
-from widgets.offset_scene import Point
-from widgets.offset_view import OffsetView
-from widgets.panel import Panel
-from widgets.phase_plot import PhasePlot
-from widgets.recorded_traces import NAMES, RecordedTraces
-from widgets.scene_shot import SceneShotView
-from widgets.state_strip import StateStrip
-from widgets.theme import Theme
-from widgets.unsaved_banner import UnsavedBanner
+from touchdown.app.label.side import BulkForm, Entry, SideTabs
+from touchdown.app.label.text import QUEUES
+from touchdown.app.shell import Sheets
+from touchdown.widgets.base import ElidedLabel, Panel, Theme, WrappedItems, bring_in_sight, label
+from touchdown.widgets.forms import ChoiceBar
+from touchdown.widgets.lists import LabelList
+from touchdown.widgets.plots import NAMES, PhasePlot, RecordedTraces
+from touchdown.widgets.shell import StateStrip, UnsavedBanner
+from touchdown.widgets.views import Film, OffsetView, Point, SceneShotView
+
+
+class HealthPanel(QWidget):
+    """``look`` is asked for a look through the dataset, ``choose`` gets the row of a finding."""
+
+    def __init__(self, look: Callable[[], None], choose: Callable[[int], None]) -> None:
+        super().__init__()
+        self.said = label("Nothing was looked through yet.", "muted", wrap=True)
+        self.list = QListWidget()
+        self.list.setAccessibleName("Findings of the dataset")
+        WrappedItems(self.list)
+        self.look = QPushButton("Look through the dataset")
+        self.look.setToolTip("Look for what is out of order in all episodes (Ctrl+H)")
+        self.look.clicked.connect(look)
+        self.list.itemClicked.connect(lambda item: choose(self.list.row(item)))
+        self.list.itemActivated.connect(lambda item: choose(self.list.row(item)))
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addWidget(self.said)
+        column.addWidget(self.list, 1)
+        column.addWidget(self.look)
+
+    def show_findings(self, said: str, lines: Sequence[str]) -> None:
+        """Show one line a kind, and one sentence on the whole."""
+        self.said.setText(said)
+        self.list.clear()
+        self.list.addItems(list(lines))
+
+
+@dataclass(frozen=True, slots=True)
+class Nothing:
+    """Why nothing is shown. ``button`` says what ``command`` (its name) does about it.
+
+    Without a button there is only to wait.
+    """
+
+    title: str
+    why: str
+    button: str
+    command: str
+
+
+OTHER = "Choose another queue (Ctrl+J)", "queue"
+SCORE = "Let the model score the dataset (Ctrl+M)", "score"
+NOBODY = Nothing(
+    "Nobody is named yet",
+    "What is to be labelled depends on who labels.",
+    "Give your name (Ctrl+U)",
+    "person",
+)
+NO_PROBES = Nothing(
+    "There are no probes yet",
+    "Every probe that is collected waits here for its label.",
+    "Collect probes (F2)",
+    "collect",
+)
+LOADING = Nothing("Loading the episode", "Its pictures and forces are being read.", "", "")
+UNREADABLE = Nothing(
+    "This episode cannot be read",
+    "The line below says why; its label stays as it is.",
+    "Go to the next one (PgDown)",
+    "next",
+)
+LABELLED = "Every probe has a label that was accepted or rejected."
+NOT_SCORED = "The model has not looked for such labels yet, or none is left."
+EMPTY_QUEUES = {
+    "unlabelled": Nothing("Nothing is left to label", LABELLED, *OTHER),
+    "review": Nothing(
+        "Nothing waits for your review", "What you labelled is for others to review.", *OTHER
+    ),
+    "returned": Nothing("Nothing of yours was rejected", "No label came back to you.", *OTHER),
+    "conflicts": Nothing("There are no conflicts", "No merge left an episode two labels.", *OTHER),
+    **{
+        name: Nothing("Nothing is in this queue", NOT_SCORED, *SCORE)
+        for name in ("doubt", "disagreement", "uncertainty", "duplicates")
+    },
+}
+EMPTY = Nothing("Nothing is in this queue", "No episode is what it asks for.", *OTHER)
+
+
+class NothingHere(QWidget):
+    """Says in the middle why there is nothing; ``act`` is told the command of the button."""
+
+    def __init__(self, act: Callable[[str], None]) -> None:
+        super().__init__()
+        self.shown = EMPTY
+        self.title, self.why = label("", "head", wrap=True), label("", "muted", wrap=True)
+        self.button = QPushButton()
+        self.button.setProperty("role", "primary")
+        self.button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.button.clicked.connect(lambda: act(self.shown.command))
+        column = QVBoxLayout(self)
+        column.setSpacing(8)
+        column.addStretch(2)
+        for widget in (self.title, self.why):
+            widget.setAlignment(Qt.AlignmentFlag.AlignCenter)
+            column.addWidget(widget)
+        column.addSpacing(4)
+        column.addWidget(self.button, 0, Qt.AlignmentFlag.AlignHCenter)
+        column.addStretch(3)
+        self.show_why(EMPTY)
+        self.hide()
+
+    def show_why(self, nothing: Nothing) -> None:
+        """Show another reason."""
+        self.shown = nothing
+        self.title.setText(nothing.title)
+        self.why.setText(nothing.why)
+        self.button.setText(nothing.button)
+        self.button.setVisible(bool(nothing.button))
+        self.setAccessibleName(nothing.title)
+        self.setAccessibleDescription(nothing.why)
+
 
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
 PAIRS = [(a, b) for a in range(6) for b in range(a + 1, 6)]

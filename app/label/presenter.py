@@ -1,31 +1,100 @@
-"""Presenter of the label half: keys to labels, one saved revision for each edit.
-
-Nothing is held back: an edit is saved half a second after the last nudge, and before anything else
-is done. What cannot be saved stays in sight and blocks the way on.
-"""
+"""Presenter of the label workspace."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
 
-from app.label import show
-from app.label.commits import Commits
-from app.label.edit import Edit
-from app.label.editing import Editing
-from app.label.evidence import badges_of
-from app.label.item import LabelItem, Prelabel, Sheets, reader
-from app.label.looking import LookClock
-from app.label.nothing import EMPTY, EMPTY_QUEUES, LOADING, NO_PROBES, UNREADABLE, Nothing
-from app.label.page import LabelPage
-from app.label.post import Post
-from app.label.prefetch import Prefetch
-from app.label.saving import Intent, Saving
-from app.label.sitting import Chosen, Present, Sitting
-from app.label.walk import Queue, Walk, read_queue
-from app.label.words import FINDING, asks_for, clock, history_rows
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.gold_book import GoldBook
-from backend.catalogue.values import EpisodeEntry, Looked
+from touchdown.app.label.editing import Editing, LookClock
+from touchdown.app.label.evidence import badges_of, ghosts_of, model_words, scene_words
+from touchdown.app.label.page import (
+    EMPTY,
+    EMPTY_QUEUES,
+    LOADING,
+    NO_PROBES,
+    UNREADABLE,
+    HealthPanel,
+    LabelPage,
+    Nothing,
+)
+from touchdown.app.label.queue import Prefetch, Queue, Walk, read_queue
+from touchdown.app.label.session import Chosen, Present, Sitting
+from touchdown.app.label.text import FINDING, asks_for, clock, history_rows, rests_on, source_words
+from touchdown.app.shell import (
+    CURSOR_S,
+    Commits,
+    Edit,
+    Intent,
+    LabelItem,
+    Post,
+    Prelabel,
+    Saving,
+    Sheets,
+    reader,
+    shots_of,
+)
+from touchdown.backend.annotations import (
+    AnswerContext,
+    ControlItemLabels,
+    Dataset,
+    EpisodeEntry,
+    QualityReport,
+    Revision,
+)
+from touchdown.backend.episodes import QualityIssue
+from touchdown.backend.placement import resting_contact
+from touchdown.widgets.views import OffsetScene, offset_in_words, verdict_in_words
+
+
+def show_item(page: LabelPage, item: LabelItem) -> None:
+    """Show what was recorded."""
+    page.show_something()
+    first, last = item.span_s
+    at_s = min(max(CURSOR_S, first), last)
+    page.film.take_reel(item.reel, (max(first, 0.0), last))
+    ahead = item.ahead
+    page.forces.show_trace(item.trace, None if ahead is None else ahead.forces)
+    page.moments.show_trace(item.trace, None if ahead is None else ahead.moments)
+    page.phase.show_trace(item.trace, None if ahead is None else ahead.phase)
+    page.show_cursor(at_s)
+    entry = item.entry
+    page.view_panel.detail.setText(f"{entry.piece} on {entry.bottom}, {entry.uuid[-8:]}")
+
+
+def show_edit(
+    page: LabelPage, item: LabelItem, edit: Edit, history: Sequence[Revision], *, hidden: bool
+) -> None:
+    """Show where the face is, and what follows from it."""
+    scene = scene_of(item, edit, history, hidden=hidden)
+    page.view.show_scene(scene)
+    page.verdict.setText(verdict_in_words(scene))
+    where = offset_in_words(scene.offset_mm, scene.sigma_mm)
+    if edit.changed:
+        page.basis.setText(f"{where}. Not saved yet, {source_words(edit.source)}.")
+    else:
+        page.basis.setText(f"{offset_in_words(scene.offset_mm)}: {rests_on(edit.base)}")
+    page.basis.setToolTip(page.basis.text())
+    page.model_line.setText(model_words(edit, item, hidden=hidden))
+    page.scene_line.setText(scene_words(edit, item, hidden=hidden))
+    outlines = item.face, item.bottom
+    page.shots.show_shots(shots_of(item.scene, edit, outlines, hidden=hidden))
+
+
+def scene_of(
+    item: LabelItem, edit: Edit, history: Sequence[Revision], *, hidden: bool
+) -> OffsetScene:
+    """Return the scene of an edit; ``hidden``: nothing of a model, nor of other sources."""
+    ghosts = () if hidden else ghosts_of(item, history)
+    offset = edit.offset_mm
+    if offset is None:
+        return OffsetScene(item.bottom, item.face, ghosts=ghosts)
+    pair = item.pair
+    f = resting_contact(pair.points_mm, pair.centre_mm, pair.bottom, offset, edit.yaw_rad)
+    return OffsetScene(
+        item.bottom, item.face, offset, edit.yaw_rad, f.points_mm, f.touching, f.hull_mm,
+        f.centre_mm, f.margin_mm, f.support, f.too_close, edit.sigma_mm, ghosts,
+    )  # fmt: skip
 
 
 class LabelPresenter:
@@ -41,7 +110,7 @@ class LabelPresenter:
         sitting: Sitting,
     ) -> None:
         self._page, self.dataset, self.book = page, dataset, dataset.labels
-        self.shown = GoldBook(self.book)
+        self.shown = ControlItemLabels(self.book)
         """The labels as the person sees and changes them: gold looks like the rest."""
         self.sitting = sitting
         self.present: Present | None = None
@@ -183,7 +252,7 @@ class LabelPresenter:
         self.present = Present(ready, self._begin(uuid), self.shown.of(uuid).history(uuid))
         self._page.say(self._news or self._said_of(self.present))
         self._news = ""
-        show.show_item(self._page, ready)
+        show_item(self._page, ready)
         self._show_label()
 
     def _nothing(self) -> Nothing:
@@ -222,7 +291,7 @@ class LabelPresenter:
             self._badges = self._badges_of(now)
             self._cover_rows()
             hides = self.sitting.hides
-            show.show_edit(self._page, now.item, now.edit, now.history, hidden=hides)
+            show_edit(self._page, now.item, now.edit, now.history, hidden=hides)
             self._show_saving()
 
     def _cover_rows(self) -> None:
@@ -302,12 +371,82 @@ class LabelPresenter:
         """Return what is to be seen of an episode now."""
         return self.shown.entry(self.dataset.entry(uuid))
 
-    def looked(self) -> Looked:
+    def looked(self) -> AnswerContext:
         """Return how the person came to the answer."""
-        return Looked(self.clock.seen_ms(), self.sitting.hides)
+        return AnswerContext(self.clock.seen_ms(), self.sitting.hides)
 
 
 def _waiting_words(count: int) -> str:
     """Say what waits until another program lets go of the dataset."""
     what = "1 action waits and is" if count == 1 else f"{count} actions wait and are"
     return f"another program is writing to the dataset. {what} done as soon as it lets go."
+
+
+DIGITS = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """All findings of one kind: what is said of each episode, and the first in words."""
+
+    name: str
+    said: dict[str, str]
+    first: str
+
+    @property
+    def title(self) -> str:
+        """Kind and number of episodes."""
+        count = len(self.said)
+        return f"{self.name}: {count} {'episode' if count == 1 else 'episodes'}"
+
+
+class HealthPresenter:
+    """Holds what the last look found, as long as the window is open."""
+
+    def __init__(self, page: LabelPage, panel: HealthPanel, presenter: LabelPresenter) -> None:
+        self._page, self._panel, self._on = page, panel, presenter
+        self.kinds: list[Kind] = []
+
+    def show(self, health: QualityReport) -> None:
+        """Show what was found, most important kinds first."""
+        self.kinds = by_kind(health.findings)
+        self._panel.show_findings(
+            health_words(health, len(self.kinds), datetime.now()),
+            [f"{kind.title}\n{kind.first}" for kind in self.kinds],
+        )
+
+    def choose(self, row: int) -> None:
+        """Open the episodes of a finding as a queue."""
+        if 0 <= row < len(self.kinds):
+            kind = self.kinds[row]
+            self._on.open_chosen(Chosen(kind.title, kind.said))
+
+    def ask(self) -> None:
+        """Ask for a finding by one digit."""
+        if not self.kinds:
+            self._page.say("There are no findings: Ctrl+H looks through the dataset.")
+            return
+        names = [kind.name for kind in self.kinds[:DIGITS]]
+        choices = [(str(n), name) for n, name in enumerate(names, start=1)]
+        self._page.choice.ask("Which finding?", choices, lambda t: self.choose(names.index(t)))
+
+
+def by_kind(findings: Sequence[QualityIssue]) -> list[Kind]:
+    """Return the findings grouped by kind, in the order in which each kind comes first."""
+    said: dict[str, dict[str, str]] = {}
+    first: dict[str, str] = {}
+    for finding in findings:
+        first.setdefault(finding.kind, finding.text)
+        for uuid in finding.episodes:
+            said.setdefault(finding.kind, {}).setdefault(uuid, finding.text)
+    return [Kind(name.capitalize(), texts, first[name]) for name, texts in said.items()]
+
+
+def health_words(health: QualityReport, kinds: int, at: datetime) -> str:
+    """Say how much was looked at, and whether anything is out of order."""
+    whole = f"{health.looked:,}" + (f" of {health.count:,}" if health.looked < health.count else "")
+    noun = "episode was" if health.looked == 1 else "episodes were"
+    found = {0: "nothing is out of order", 1: "1 kind of finding"}.get(
+        kinds, f"{kinds} kinds of findings"
+    )
+    return f"{whole} {noun} looked through at {at:%H:%M}: {found}."

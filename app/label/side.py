@@ -1,13 +1,19 @@
-"""Beside the queue: versions of this label, agreement, log, many at once, health of the data."""
+"""Side panel: agreement, bulk changes, entry of numbers."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from itertools import combinations
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QEvent, Qt
+from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import (
     QButtonGroup,
+    QComboBox,
     QFrame,
+    QHBoxLayout,
+    QLineEdit,
     QListWidget,
     QPushButton,
     QScrollArea,
@@ -16,10 +22,115 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.label.entry import Entry
-from widgets.history_list import HistoryList
-from widgets.panel import Panel, label
-from widgets.wrapped_items import WrappedItems
+from touchdown.backend.annotations import (
+    PROGRAM,
+    AgreementReport,
+    Dataset,
+    SuggestionBias,
+    compare_with_control_items,
+    suggestion_bias,
+)
+from touchdown.widgets.base import Panel, WrappedItems, label
+from touchdown.widgets.lists import HistoryList
+
+LEAST = 2
+"""One common episode is no agreement."""
+
+
+def agreement_words(dataset: Dataset) -> str:
+    """Return the figures of a dataset as text; slow, not for the window's thread."""
+    people = sorted(name for name in dataset.people() if name != PROGRAM)
+    parts = []
+    for first, second in combinations(people, 2):
+        found = dataset.compare(first, second)
+        if found.episodes >= LEAST:
+            parts.append(in_words(first, second, found))
+    for person in people:
+        gold = compare_with_control_items(dataset.database, dataset.geometry, person)
+        if gold.episodes:
+            parts.append(in_words(f"{person} on gold", "approved label", gold))
+    swayed = suggestion_bias(dataset.database, people)
+    if swayed.episodes >= LEAST:
+        parts.append(sway_in_words(swayed))
+    return "\n\n".join(parts) or (
+        "No two people have answered the same episodes yet.\n\n"
+        "One episode in 20 of what is to be labelled is gold: an approved label of others, not "
+        "told from the rest. What you decide there is an opinion, as in the queue 'Gold': no "
+        "label changes."
+    )
+
+
+def in_words(first: str, second: str, c: AgreementReport) -> str:
+    """Return the figures of two persons; what is not known is left out."""
+    count = "1 episode" if c.episodes == 1 else f"{c.episodes} episodes"
+    lines = [f"{first} minus {second}, {count}"]
+    for axis, bias, icc in (("x", c.bias_x_mm, c.icc_x), ("y", c.bias_y_mm, c.icc_y)):
+        if not math.isnan(bias.mean):
+            limits = f", 95 % limits {_signed(bias.lower)} to {_signed(bias.upper)}"
+            known = "" if math.isnan(bias.lower) else limits
+            lines.append(f"{axis}: bias {_signed(bias.mean)} mm{known}{_figure(', ICC', icc)}")
+    rest = [
+        _figure("RMS", c.rms_mm, " mm"),
+        _figure("patch IoU", c.patch_iou),
+        _figure("verdicts: kappa", c.kappa),
+        _figure("alpha", c.alpha),
+    ]
+    lines.append(", ".join(part for part in rest if part))
+    if not any(map(math.isnan, c.drift_mm)):
+        lines.append(f"drift x {_signed(c.drift_mm[0])}, y {_signed(c.drift_mm[1])} mm")
+    times = [f"{seconds:.1f} s" for seconds in c.seconds if not math.isnan(seconds)]
+    if times and not math.isnan(c.seconds[0]):
+        lines.append(f"time {' and '.join(times)} an episode")
+    return "\n".join(line for line in lines if line)
+
+
+def sway_in_words(s: SuggestionBias) -> str:
+    """Return how far labels made blind lie from those made with the model in sight."""
+    lines = [f"Blind minus shown, {s.episodes} episodes"]
+    for axis, bias in (("x", s.x_mm), ("y", s.y_mm)):
+        limits = f", 95 % limits {_signed(bias.lower)} to {_signed(bias.upper)}"
+        known = "" if math.isnan(bias.lower) else limits
+        lines.append(f"{axis}: mean difference {_signed(bias.mean)} mm{known}")
+    return "\n".join(lines)
+
+
+def _figure(name: str, value: float, unit: str = "") -> str:
+    return "" if math.isnan(value) else f"{name} {value:.2f}{unit}"
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2f}".replace("-", "\N{MINUS SIGN}")
+
+
+class Entry(QLineEdit):
+    """One line to type: Enter takes it, Esc leaves; while it has the focus no other key acts."""
+
+    def __init__(
+        self, name: str, hint: str, typed: Callable[[str], None], leave: Callable[[], None]
+    ) -> None:
+        super().__init__()
+        self._typed, self._leave = typed, leave
+        self.setAccessibleName(name)
+        self.setPlaceholderText(hint)
+
+    def event(self, event: QEvent) -> bool:
+        """Claim Enter and Esc before the shortcuts of the page do."""
+        if event.type() is QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
+            enter = (Qt.Key.Key_Return, Qt.Key.Key_Enter, Qt.Key.Key_Escape)
+            if event.key() in enter:
+                event.accept()
+                return True
+        return bool(super().event(event))
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Set or leave."""
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            self._typed(self.text())
+        elif event.key() == Qt.Key.Key_Escape:
+            self._leave()
+        else:
+            super().keyPressEvent(event)
+
 
 TABS = ("History", "Agree", "Log", "Bulk", "Health")
 HISTORY, BULK, HEALTH = 0, 3, 4
@@ -95,3 +206,62 @@ def _top(widget: QWidget) -> QWidget:
     scroll.setFrameShape(QFrame.Shape.NoFrame)
     scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
     return scroll
+
+
+KINDS: tuple[tuple[str, str, str], ...] = (
+    ("shift", "Shift the origin", "x,y in mm"),
+    ("rotate", "Rotate the frame", "angle in degrees"),
+    ("geometry", "Use the present sizes of the pieces", ""),
+    ("accept", "Accept", ""),
+    ("approve", "Approve", ""),
+    ("reject", "Reject", "reason"),
+)
+
+
+class BulkForm(QWidget):
+    """What to change, a preview in words, and the button that does it.
+
+    ``entered``: Enter in the line, ``leave``: Esc.
+    """
+
+    def __init__(
+        self,
+        preview: Callable[[], None],
+        apply: Callable[[], None],
+        entered: Callable[[], None],
+        leave: Callable[[], None],
+    ) -> None:
+        super().__init__()
+        self.kind = QComboBox()
+        self.value = Entry("By how much, or why", "", lambda _: entered(), leave)
+        self.kind.setAccessibleName("Change")
+        for name, text, _ in KINDS:
+            self.kind.addItem(text, name)
+        self.preview, self.apply = QPushButton("Preview"), QPushButton("Apply")
+        self.found = label("Changes every label of the queue that is shown.", "muted", wrap=True)
+        buttons = QHBoxLayout()
+        for button in (self.preview, self.apply):
+            buttons.addWidget(button)
+        buttons.addStretch(1)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(5)
+        for part in (self.kind, self.value):
+            column.addWidget(part)
+        column.addLayout(buttons)
+        column.addWidget(self.found)
+        column.addStretch(1)
+        self.preview.clicked.connect(preview)
+        self.apply.clicked.connect(apply)
+        self.kind.currentIndexChanged.connect(self._kind_chosen)
+        self.value.textChanged.connect(self._changed)
+        self._kind_chosen(0)
+
+    def _kind_chosen(self, at: int) -> None:
+        hint = KINDS[at][2]
+        self.value.setPlaceholderText(hint)
+        self.value.setEnabled(bool(hint))
+        self._changed()
+
+    def _changed(self) -> None:
+        self.apply.setEnabled(False)

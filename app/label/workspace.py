@@ -1,31 +1,109 @@
-"""The workspace "Collect & Label" as the frame sees it; labelling needs no bench."""
+"""Label workspace."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from app.label.bulk import BulkPresenter
-from app.label.commands import commands_of
-from app.label.commits import Commits
-from app.label.decisions import Decisions
-from app.label.halves import Halves
-from app.label.health import HealthPresenter
-from app.label.opening import Opened, opener
-from app.label.page import LabelIntents, LabelPage
-from app.label.panels import SidePresenter
-from app.label.post import Post
-from app.label.presenter import LabelPresenter
-from app.label.side import HEALTH
-from app.label.side_keys import SideKeys
-from app.label.sitting import Sitting
-from app.label.whole import WholeDataset
-from app.label.words import FINDING, QUEUES
-from app.workspace import Desk, Memory, Workspace
-from backend.catalogue.review import check_person
-from backend.core.faults import InputError, TouchdownError
-from backend.runs.store import data_folder
-from widgets.fault_cards import CardText
+from PySide6.QtWidgets import (
+    QButtonGroup,
+    QHBoxLayout,
+    QPushButton,
+    QStackedWidget,
+    QVBoxLayout,
+    QWidget,
+)
+
+from touchdown.app.label.bulk import BulkPresenter, SideKeys, SidePresenter
+from touchdown.app.label.dataset import WholeDataset
+from touchdown.app.label.decisions import Decisions
+from touchdown.app.label.page import LabelIntents, LabelPage
+from touchdown.app.label.presenter import HealthPresenter, LabelPresenter
+from touchdown.app.label.session import Sitting
+from touchdown.app.label.side import HEALTH
+from touchdown.app.label.text import FINDING, QUEUES
+from touchdown.app.shell import Command, Commits, Desk, Memory, Opened, Post, Workspace, opener
+from touchdown.backend.annotations import check_person
+from touchdown.backend.core import InputError, TouchdownError
+from touchdown.backend.runs import data_folder
+from touchdown.widgets.shell import CardText
+
+
+class Halves(QWidget):
+    """Shows one half at a time; the switch is there as soon as there are two."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setObjectName("frame")
+        self._stack, self._buttons = QStackedWidget(), QButtonGroup(self)
+        self._names: list[str] = []
+        self._halves: list[QWidget] = []
+        self._entered: Callable[[str], None] = _ignore
+        self._bar = QWidget()
+        self._row = QHBoxLayout(self._bar)
+        self._row.setContentsMargins(10, 8, 10, 0)
+        self._row.setSpacing(4)
+        self._row.addStretch(1)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(0)
+        column.addWidget(self._bar)
+        column.addWidget(self._stack, 1)
+        self._bar.hide()
+        self._buttons.idClicked.connect(lambda at: self.show_half(self._names[at]))
+
+    def heightForWidth(self, _width: int) -> int:
+        """Ask for no more than the least height: the views share what there is."""
+        return self.minimumHeight()
+
+    def add(self, name: str, title: str, page: QWidget) -> None:
+        """Add a half."""
+        button = QPushButton(title)
+        button.setCheckable(True)
+        button.setProperty("role", "tab")
+        self._buttons.addButton(button, len(self._names))
+        self._row.insertWidget(len(self._names), button)
+        self._names.append(name)
+        self._halves.append(page)
+        self._stack.addWidget(page)
+        self._bar.setVisible(len(self._names) > 1)
+        self._buttons.button(self._stack.currentIndex()).setChecked(True)
+
+    def take_out(self) -> None:
+        """Take the halves out, so that the page is put into a window without them."""
+        for half in self._halves:
+            self._stack.removeWidget(half)
+            half.setParent(None)
+
+    def put_back(self) -> Iterator[None]:
+        """Put the halves back, one at a time: each takes the window's style sheet then."""
+        for half in self._halves:
+            self._stack.addWidget(half)
+            yield
+
+    @property
+    def front(self) -> str:
+        """Name of the half that is shown."""
+        return self._names[self._stack.currentIndex()]
+
+    def tell(self, entered: Callable[[str], None]) -> None:
+        """Have ``entered`` called with the name of a half that comes to the front."""
+        self._entered = entered
+
+    def show_half(self, name: str) -> None:
+        """Bring a half to the front, and tell."""
+        self.bring(name)
+        self._entered(name)
+
+    def bring(self, name: str) -> None:
+        """Bring a half to the front of a page that may not be in front itself."""
+        at = self._names.index(name)
+        self._stack.setCurrentIndex(at)
+        self._buttons.button(at).setChecked(True)
+
+
+def _ignore(_name: str) -> None:
+    """Do nothing: nobody asked to be told."""
 
 
 def default_folder() -> Path:
@@ -359,3 +437,125 @@ def _nobody(_what: object) -> None:
 
 def _nothing() -> None:
     """Do nothing more."""
+
+
+STEPS_UM = (("", 100), ("Shift+", 1000), ("Alt+", 10))
+ARROWS = (("Left", -1, 0), ("Right", 1, 0), ("Up", 0, 1), ("Down", 0, -1))
+
+
+def commands_of(w: LabelWorkspace, desk: Desk) -> tuple[Command, ...]:
+    """Return all commands of the label half."""
+    return (
+        *_decisions(w),
+        *_nudges(w),
+        *_looks(w),
+        *_queue(w),
+        *_beside(w),
+        *_sitting_and_dataset(w),
+        Command("discard", "Discard what could not be saved", "Esc", w.discard),
+        Command("sheet", "Key sheet", "?", desk.keys),
+    )
+
+
+def _decisions(w: LabelWorkspace) -> tuple[Command, ...]:
+    decide = w.decide
+    return (
+        Command("accept", "Accept (approve, while reviewing) and next", "Return",
+                lambda: decide(Decisions.enter)),
+        Command("reject", "Reject, then 1 to 9 for the reason", "D",
+                lambda: decide(Decisions.reject)),
+        Command("flag", "Flag, or take the flag off", "X", lambda: decide(Decisions.flag)),
+        Command("undo", "Undo my last action", "Ctrl+Z", lambda: decide(Decisions.undo)),
+        Command("redo", "Redo", "Ctrl+Shift+Z", lambda: decide(Decisions.redo)),
+        Command("undo-plain", "Undo my last action", "U", lambda: decide(Decisions.undo)),
+        Command("redo-plain", "Redo", "Shift+U", lambda: decide(Decisions.redo)),
+        Command("model", "Take the model's displacement", "M",
+                lambda: w.on(lambda p: p.editing.take_model())),
+        Command("sigma", "Say how sure you are of what you set", "S",
+                lambda: w.on(lambda p: p.editing.say_sigma())),
+        Command("verdict", "Your verdict, then S, U or ?", "V",
+                lambda: decide(Decisions.verdict)),
+        Command("take-over", "Take over another's draft", "T",
+                lambda: decide(Decisions.take_over)),
+        Command("resolve", "Resolve a conflict", "C", lambda: decide(Decisions.resolve)),
+        Command("delete", "Delete the episode, with a reason", "Delete",
+                lambda: decide(Decisions.delete)),
+    )  # fmt: skip
+
+
+def _nudges(w: LabelWorkspace) -> tuple[Command, ...]:
+    def nudge(name: str, prefix: str, dx_um: int, dy_um: int) -> Command:
+        step_um = max(abs(dx_um), abs(dy_um))
+        return Command(
+            f"nudge-{name.lower()}-{step_um}",
+            f"Move the face {step_um / 1000:g} mm {name.lower()}",
+            f"{prefix}{name}",
+            lambda: w.on(lambda p: p.editing.nudge(dx_um, dy_um)),
+            repeats=True,
+            beside=True,
+        )
+
+    return tuple(
+        nudge(name, prefix, dx * step_um, dy * step_um)
+        for prefix, step_um in STEPS_UM
+        for name, dx, dy in ARROWS
+    )
+
+
+def _looks(w: LabelWorkspace) -> tuple[Command, ...]:
+    return (
+        Command("play", "Play the film from the cursor, or pause (Space)", "",
+                lambda: w.label_page.film.play_or_pause()),
+        Command("frame-back", "One frame back", "[", lambda: w.label_page.film.step(-1),
+                repeats=True, beside=True),
+        Command("frame-on", "One frame forward", "]", lambda: w.label_page.film.step(1),
+                repeats=True, beside=True),
+        Command("pictures", "Pictures: the tactile film, or the scene camera", "I",
+                lambda: w.label_page.next_pictures(), beside=True),
+        Command("curves", "Choose the curves on one axis", "W",
+                lambda: w.label_page.list_curves()),
+        Command("hide", "Hide or show the model and other sources", "H", w.hide),
+    )  # fmt: skip
+
+
+def _queue(w: LabelWorkspace) -> tuple[Command, ...]:
+    return (
+        Command("previous", "Previous, without a decision", "PgUp",
+                lambda: w.on(lambda p: p.move(-1))),
+        Command("next", "Next, without a decision: skip", "PgDown",
+                lambda: w.on(lambda p: p.move(1))),
+        Command("first", "First of the queue", "Home", lambda: w.on(lambda p: p.go_to(0))),
+        Command("last", "Last of the queue", "End",
+                lambda: w.on(lambda p: p.go_to(len(p.walk.order) - 1))),
+        Command("number", "Go to a place of the queue, by its number", "Q", w.ask_number),
+        Command("queue", "Choose the queue", "Ctrl+J", w.list_queues),
+        Command("reread", "Read the queue anew", "Ctrl+R",
+                lambda: w.on(lambda p: p.flushed(p.read_queue))),
+    )  # fmt: skip
+
+
+def _beside(w: LabelWorkspace) -> tuple[Command, ...]:
+    return (
+        Command("versions", "Restore an earlier version, by its digit", "O",
+                lambda: w.beside(SideKeys.versions)),
+        Command("agreement", "Figures of agreement", "E", lambda: w.beside(SideKeys.agreement)),
+        Command("log", "Search the log of all actions", "L", lambda: w.beside(SideKeys.log)),
+        Command("bulk", "Change every label of the queue", "B", lambda: w.beside(SideKeys.many)),
+        Command("health", "Look through the dataset for what is out of order", "Ctrl+H",
+                w.look_through),
+        Command("findings", "Choose a finding, by its digit", "F",
+                lambda: w.healthy(HealthPresenter.ask)),
+    )  # fmt: skip
+
+
+def _sitting_and_dataset(w: LabelWorkspace) -> tuple[Command, ...]:
+    return (
+        Command("blind", "Blind mode: no model, no other sources", "Ctrl+B", w.toggle_blind),
+        Command("person", "Change the person", "Ctrl+U", w.ask_person),
+        Command("score", "Let the model score the dataset: fills four queues", "Ctrl+M",
+                lambda: w.all(WholeDataset.score)),
+        Command("models", "Choose the models that pre-label: one, or several together",
+                "Shift+M", lambda: w.all(WholeDataset.choose_models)),
+        Command("merge", "Merge another copy of this dataset", "Ctrl+Shift+M",
+                lambda: w.all(WholeDataset.merge)),
+    )  # fmt: skip

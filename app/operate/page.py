@@ -1,4 +1,4 @@
-"""Where everything of the Operate workspace stands: feel, believe and probe, move by hand."""
+"""Page of the operate workspace."""
 
 from __future__ import annotations
 
@@ -8,21 +8,12 @@ from dataclasses import dataclass
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QHBoxLayout
 
-from app.live_page import LivePage, column, no_higher
-from backend.core.flow import FINGERS
-from widgets.belief_panel import BeliefPanel
-from widgets.columns import Columns
-from widgets.force_traces import SPANS_S
-from widgets.gripper_panel import GripperPanel
-from widgets.header_tools import chooser, tool
-from widgets.jog_pace import Pace
-from widgets.jog_pad import JogIntents, JogPad
-from widgets.panel import Captioned, Panel
-from widgets.probe_panel import ProbePanel
-from widgets.scene_panel import ScenePanel
-from widgets.tactile_view import LOOKS
-from widgets.theme import Theme, ui_font
-from widgets.traces_panel import TracesPanel
+from touchdown.app.shell import LivePage, column, no_higher
+from touchdown.backend.core import FINGERS
+from touchdown.widgets.base import Captioned, Columns, Panel, Theme, chooser, tool, ui_font
+from touchdown.widgets.forms import GripperPanel, JogIntents, JogPad, Pace, ProbePanel, ScenePanel
+from touchdown.widgets.plots import SPANS_S, TracesPanel
+from touchdown.widgets.views import LOOKS, BeliefPanel
 
 TRACES = "Force and moment"
 

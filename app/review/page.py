@@ -1,4 +1,4 @@
-"""Where everything of the Review workspace stands: a recording, its parts, one line of time."""
+"""Page of the review workspace."""
 
 from __future__ import annotations
 
@@ -17,20 +17,19 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from widgets.belief_legend import BeliefLegend
-from widgets.belief_view import BeliefView
-from widgets.decision_panel import DecisionPanel
-from widgets.elided import ElidedLabel
-from widgets.film import Film
-from widgets.map_and_strip import MapAndStrip
-from widgets.panel import Panel, label
-from widgets.probe_strip import ProbeStrip
-from widgets.recorded_traces import RecordedTraces
-from widgets.recording_list import RecordingList
-from widgets.score_panel import ScorePanel
-from widgets.theme import Theme
-from widgets.time_line import TimeLine
-from widgets.wrapped_items import WrappedItems
+from touchdown.widgets.base import ElidedLabel, Panel, Theme, WrappedItems, label
+from touchdown.widgets.lists import RecordingList
+from touchdown.widgets.plots import RecordedTraces
+from touchdown.widgets.views import (
+    BeliefLegend,
+    BeliefView,
+    DecisionPanel,
+    Film,
+    MapAndStrip,
+    ProbeStrip,
+    ScorePanel,
+    TimeLine,
+)
 
 KINDS = (("all", "All"), ("runs", "Runs"), ("series", "Series"))
 ORDERS = (

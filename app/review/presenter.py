@@ -1,30 +1,22 @@
-"""Presenter of the Review workspace: recordings in a list, the chosen one told again."""
+"""Presenter of the review workspace."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
 
-from app.label.commits import Commits
-from app.review.collection import Collection
-from app.review.exports import table_of
-from app.review.library import Library
-from app.review.page import ReviewPage
-from app.review.picture import episode_caption, trial_caption
-from app.review.reading import Reading, ReadRun
-from app.review.recorded import Recorded, read_recorded
-from app.review.recordings import Recordings
-from app.review.replay import Replay
-from app.review.run_lines import activity_words
-from app.review.stored import Series, StoredEpisode
-from app.review.timed import TimedTrial
-from app.run_story import RunStory, TrialStory
-from app.tally import score_of
-from backend.core.faults import InputError
-from backend.runs.journal import NAME
-from widgets.decision_panel import DecisionText
-from widgets.fault_cards import CardText, FaultCards
-from widgets.score_panel import WORDS
+from touchdown.app.review.campaign import Collection
+from touchdown.app.review.episodes import Recorded, Series, StoredEpisode, read_recorded
+from touchdown.app.review.exports import episode_caption, table_of, trial_caption
+from touchdown.app.review.page import ReviewPage
+from touchdown.app.review.recordings import Library, Reading, ReadRun, Recordings, activity_words
+from touchdown.app.review.replay import Replay
+from touchdown.app.review.timing import TimedTrial
+from touchdown.app.shell import Commits, RunStory, TrialStory, score_of
+from touchdown.backend.core import InputError
+from touchdown.backend.runs import EVENT_LOG_NAME
+from touchdown.widgets.shell import CardText, FaultCards
+from touchdown.widgets.views import WORDS, DecisionText
 
 MOST_MEASURED = 500
 """Rows of a longer list are all as high as its first: measuring 10,000 of them takes a second."""
@@ -184,12 +176,12 @@ class ReviewPresenter:
         elif not self._episodes and 0 <= row < len(self.timed):
             self._show_trial(self.timed[row])
         else:
-            self.file = None if self._run is None else self._run / NAME
+            self.file = None if self._run is None else self._run / EVENT_LOG_NAME
             self.replay.show(None, told=self._told)
 
     def _show_trial(self, trial: TimedTrial) -> None:
         assert self._run is not None
-        self.file = self._run / NAME
+        self.file = self._run / EVENT_LOG_NAME
         self.caption = trial_caption(self._run.name, trial)
         face, bottom = (
             self.library.face(trial.head.piece),

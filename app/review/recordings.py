@@ -1,18 +1,103 @@
-"""The list of recordings: runs and series of the dataset, filtered, sorted, said in a line each."""
+"""List of recordings."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 
-from app.label.commits import Commits
-from app.review.page import ReviewPage
-from app.review.run_lines import read_run_line
-from app.review.stored import Series
-from backend.core.faults import InputError
-from backend.runs.journal import NAME
-from widgets.recording_list import RecordingRow
+from touchdown.app.review.campaign import Collection, collection_of
+from touchdown.app.review.episodes import Series, StoredEpisode, read_stored, series_of
+from touchdown.app.review.exports import table_of
+from touchdown.app.review.page import ReviewPage
+from touchdown.app.review.timing import TimedTrial, trials_of
+from touchdown.app.shell import Commits, Prelabeller, RunStory, model_of
+from touchdown.backend.annotations import DESCRIPTION, Dataset
+from touchdown.backend.core import (
+    Event,
+    InputError,
+    Outcome,
+    RunFinished,
+    RunStarted,
+    TrialFinished,
+)
+from touchdown.backend.geometry import Outline, PieceLibrary, load_pieces
+from touchdown.backend.runs import EVENT_LOG_NAME, decode_event, event_log_path, read_events
+from touchdown.widgets.lists import RecordingRow
+from touchdown.widgets.views import WORDS
+
+_STARTS = tuple(
+    f'{{"kind":"{kind.__name__}",'.encode() for kind in (RunStarted, TrialFinished, RunFinished)
+)
+"""How the journal begins the few lines that matter here; all others are passed over unread."""
+
+ACTIVITIES = {"collect": "collecting", "probe": "single probe"}
+"""Runs of the bench that have no trials, by what they were for."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunLine:
+    """What the list says of a run: its beginning, the outcomes so far, its end if it came."""
+
+    head: RunStarted | None = None
+    outcomes: tuple[Outcome, ...] = ()
+    ended: RunFinished | None = None
+
+    def text(self) -> str:
+        """Return piece, bottom and outcomes in words."""
+        if self.head is None:
+            return "nothing recorded"
+        said = _counted(self.outcomes) or activity_words(self.head)
+        if self.ended is None:
+            said.append("not finished")
+        elif self.ended.ending != "finished":
+            said.append(f"run {self.ended.ending}")
+        return f"{self.head.piece} on {self.head.bottom}: {', '.join(said) or 'no trial'}"
+
+
+def read_run_line(run: Path) -> RunLine:
+    """Read what the list says of ``run``; raises ``InputError`` or ``OSError``.
+
+    A torn last line ends the journal quietly, as it does in ``read_journal``.
+    """
+    head: RunStarted | None = None
+    ended: RunFinished | None = None
+    outcomes: list[Outcome] = []
+    path = event_log_path(run)
+    with path.open("rb") as file:
+        for number, raw in enumerate(file, start=1):
+            if not raw.startswith(_STARTS) or not raw.endswith(b"\n"):
+                continue
+            where = f"{path}, line {number}"
+            try:
+                fact = decode_event(json.loads(raw), where)
+            except ValueError as error:
+                raise InputError("A line is not valid JSON.", where, "Open the run.") from error
+            if isinstance(fact, RunStarted):
+                head = fact
+            elif isinstance(fact, TrialFinished):
+                outcomes.append(fact.outcome)
+            elif isinstance(fact, RunFinished):
+                ended = fact
+    return RunLine(head, tuple(outcomes), ended)
+
+
+def activity_words(head: RunStarted) -> list[str]:
+    """Return what a run without trials was for; nothing for one that stacks."""
+    return [] if head.activity == "stack" else [ACTIVITIES.get(head.activity, head.activity)]
+
+
+def _counted(outcomes: tuple[Outcome, ...]) -> list[str]:
+    """Return the single outcome, or how often there was each."""
+    if len(outcomes) == 1:
+        return [WORDS[outcomes[0]]]
+    return [f"{count} {WORDS[outcome]}" for outcome, count in Counter(outcomes).most_common()]
+
 
 MOST_DESCRIBED = 50
 """So many of the newest runs say in the list what they were; older ones once a filter asks for
@@ -176,7 +261,7 @@ class Recordings:
 
 def _looked_for(runs: Path, known: list[Path]) -> tuple[list[Path], list[str]]:
     """Return the runs of a folder, newest first, with their titles; ``known`` if it is the same."""
-    found = [path.parent for path in runs.glob(f"*/{NAME}")] if runs.is_dir() else []
+    found = [path.parent for path in runs.glob(f"*/{EVENT_LOG_NAME}")] if runs.is_dir() else []
     found.sort(key=lambda folder: folder.name, reverse=True)
     found = known if found == known else found
     return found, [run_title(folder.name) for folder in found]
@@ -194,7 +279,128 @@ def run_title(name: str) -> str:
 def _described(folder: Path, known: tuple[int, str]) -> tuple[int, str]:
     """Return length of a journal and what its run was; ``known`` if it is as long as then."""
     try:
-        size = (folder / NAME).stat().st_size
+        size = (folder / EVENT_LOG_NAME).stat().st_size
         return known if size == known[0] else (size, read_run_line(folder).text())
     except (InputError, OSError):
         return UNREAD, CANNOT
+
+
+class Library:
+    """Opens the dataset ``folder`` once there is one. All calls but ``catalogue`` on one thread."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._dataset: Dataset | None = None
+        self._models: Prelabeller | None = None
+        self._series: list[Series] = []
+
+    @cached_property
+    def catalogue(self) -> PieceLibrary:
+        """The pieces."""
+        return load_pieces()
+
+    def series(self) -> list[Series]:
+        """Return the series of the dataset, newest first; none where there is no dataset.
+
+        The very same list while nothing changed: nobody has to compare thousands of episodes.
+        """
+        if self._dataset is None and not (self.folder / DESCRIPTION).is_file():
+            return self._series
+        found = series_of(self._opened())
+        if found != self._series:
+            self._series = found
+        return self._series
+
+    def episode(self, uuid: str) -> StoredEpisode:
+        """Read one episode; raises ``InputError`` naming a damaged file."""
+        if self._models is None:
+            self._models = Prelabeller(self.catalogue, model_of)
+        dataset = self._opened()
+        return read_stored(dataset, self._models, self.catalogue, dataset.entry(uuid))
+
+    def table(self, uuids: Sequence[str]) -> str:
+        """Return the table of these episodes, one line each; one that cannot be read has none."""
+        return table_of(self._numbered(uuids))
+
+    def _numbered(self, uuids: Sequence[str]) -> Iterator[tuple[TimedTrial, Outline | None]]:
+        for number, uuid in enumerate(uuids, start=1):
+            try:
+                shown = self.episode(uuid)
+            except InputError:
+                continue
+            yield shown.trial.numbered(number), self.face(shown.entry.bottom)
+
+    def face(self, name: str) -> Outline | None:
+        """Return the outline of a face, None for an unknown piece."""
+        try:
+            return self.catalogue.piece(name).face
+        except InputError:
+            return None
+
+    def close(self) -> None:
+        """Let go of the dataset."""
+        if self._dataset is not None:
+            self._dataset.close()
+            self._dataset = None
+
+    def _opened(self) -> Dataset:
+        if self._dataset is None:
+            self._dataset = Dataset.open(self.folder, create=False, write=False)
+        return self._dataset
+
+
+LONG_S = 0.3
+"""A reading that takes longer says how far it is."""
+BLOCK_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class ReadRun:
+    """A run as its journal tells it; ``collection`` if it collected, else its ``trials``."""
+
+    folder: Path
+    story: RunStory
+    collection: Collection | None
+    trials: list[TimedTrial]
+
+
+class Reading:
+    """One look at one journal. ``read`` is called on another thread, all else on the window's."""
+
+    def __init__(self, run: Path, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._run, self._now_s, self._begun_s = run, now_s, now_s()
+        self._share = 0.0
+        self._dropped = False
+
+    def read(self) -> ReadRun | None:
+        """Return the run, None if it was dropped; raises ``InputError`` or ``OSError``."""
+        lines = _lines(event_log_path(self._run))
+        story, facts = RunStory(of_any=True), list[Event]()
+        for fact in read_events(self._run):
+            if self._dropped:
+                return None
+            story.take(fact)
+            facts.append(fact)
+            self._share = min(1.0, len(facts) / lines)
+        collection = collection_of(facts)
+        trials = [] if collection is not None else trials_of(facts)
+        return ReadRun(self._run, story, collection, trials)
+
+    def drop(self) -> None:
+        """Nobody waits for it any more: it ends with the line that is being read."""
+        self._dropped = True
+
+    def progress(self) -> str:
+        """Return how far it is and how long it still takes; "" while nobody would ask."""
+        taken_s, share = self._now_s() - self._begun_s, self._share
+        if taken_s < LONG_S:
+            return ""
+        left = f", {taken_s * (1.0 / share - 1.0):.0f} s left" if share > 0.0 else ""
+        return f"{100.0 * share:.0f} % read{left}"
+
+
+def _lines(journal: Path) -> int:
+    """Return how many lines a journal has, one at least."""
+    with journal.open("rb") as file:
+        blocks = iter(lambda: file.read(BLOCK_BYTES), b"")
+        return max(1, sum(block.count(b"\n") for block in blocks))

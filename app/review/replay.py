@@ -1,4 +1,4 @@
-"""One trial at one cursor: film, wrench, belief and decision show what was known at that time."""
+"""Replay of a recorded run."""
 
 from __future__ import annotations
 
@@ -6,20 +6,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from app.review.page import ReviewPage
-from app.review.recorded import Recorded
-from app.review.timed import TOUCHING, PatchScore, TimedTrial
-from app.run_story import TrialStory, no_probe, scene_of, truth_of
-from backend.core.facts import Said, TrialFinished
-from backend.core.flow import FloatArray
-from backend.objects.shapes import Outline
-from widgets.belief_scene import BeliefScene
-from widgets.decision_panel import DecisionText, decide_in_words
-from widgets.film import latest
-from widgets.probe_strip import NO_PROBES, caption_of
-from widgets.recorded_traces import NOTHING
-from widgets.score_panel import WORDS
-from widgets.time_line import TimeScene
+from touchdown.app.review.episodes import Recorded
+from touchdown.app.review.page import ReviewPage
+from touchdown.app.review.timing import TOUCHING, PatchScore, TimedTrial
+from touchdown.app.shell import TrialStory, no_probe, scene_of, truth_of
+from touchdown.backend.core import FloatArray, Said, TrialFinished
+from touchdown.backend.geometry import Outline
+from touchdown.widgets.plots import NOTHING
+from touchdown.widgets.views import (
+    NO_PROBES,
+    WORDS,
+    BeliefScene,
+    DecisionText,
+    TimeScene,
+    caption_of,
+    decide_in_words,
+    latest,
+)
 
 SEGMENTS = 96
 NO_RECORDING = DecisionText("No recording chosen", "", "", "Choose one in the list.")

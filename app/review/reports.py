@@ -1,27 +1,83 @@
-"""Presenter of a report of experiments: read on a thread, shown part by part."""
+"""Reports shown in review."""
 
 from __future__ import annotations
 
+import csv
+import io
+import re
+from base64 import b64encode
 from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 
-from PySide6.QtCore import QSize
-from PySide6.QtGui import QImage
+from PySide6.QtCore import QRectF, QSize, Qt
+from PySide6.QtGui import QImage, QPainter
+from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import QFileDialog, QWidget
 
-from app.label.commits import Commits
-from app.review.exports import open_outside
-from app.review.report_drawing import drawn, size_of
-from app.workspace import Desk
-from backend.core.faults import InputError
-from backend.core.files import write_atomically
-from backend.experiments.document import Entry, Gallery, Grid, Picture, Report
-from backend.experiments.reading import read_report
-from backend.experiments.tables_page import tables_page
-from widgets.fault_cards import CardText
-from widgets.panel import label
-from widgets.report_grid import CellLook, ReportGrid
-from widgets.report_sheet import Flow, PictureCard, ReportIntents, ReportSheet
+from touchdown.app.review.exports import open_outside
+from touchdown.app.shell import Commits, Desk
+from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.experiments import (
+    BLUE,
+    FAINT,
+    INK,
+    ORANGE,
+    VIOLET,
+    PictureGallery,
+    Report,
+    ReportPicture,
+    ReportTable,
+    TableEntry,
+    read_report,
+    report_page,
+)
+from touchdown.widgets.base import Tokens, label
+from touchdown.widgets.shell import CardText
+from touchdown.widgets.views import (
+    CellLook,
+    Flow,
+    PictureCard,
+    ReportGrid,
+    ReportIntents,
+    ReportSheet,
+)
+
+USUAL_PX = 220, 220
+NAMESPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+
+
+def size_of(svg: str) -> tuple[int, int]:
+    """Return width and height of a drawing as it says them, px."""
+    found = [re.search(rf'<svg [^>]*\b{name}="(\d+)"', svg) for name in ("width", "height")]
+    width, height = (None if one is None else int(one[1]) for one in found)
+    return (width, height) if width and height else USUAL_PX
+
+
+def drawn(svg: str, ratio: float, tokens: Tokens) -> QImage:
+    """Return a drawing at ``ratio`` device pixels a pixel; callable on any thread."""
+    width, height = size_of(svg)
+    image = QImage(round(width * ratio), round(height * ratio), QImage.Format.Format_ARGB32)
+    image.setDevicePixelRatio(ratio)
+    image.fill(Qt.GlobalColor.transparent)
+    painter = QPainter(image)
+    QSvgRenderer(in_colours(svg, tokens).encode()).render(painter, QRectF(0, 0, width, height))
+    painter.end()
+    return image
+
+
+def in_colours(svg: str, tokens: Tokens) -> str:
+    """Return a chart in the colours of a theme, with the names that Qt looks for."""
+    for own, theirs in (
+        (INK, tokens.text),
+        (FAINT, tokens.border),
+        (BLUE, tokens.axis_x),
+        (ORANGE, tokens.axis_y),
+        (VIOLET, tokens.axis_z),
+    ):
+        svg = svg.replace(own, theirs)
+    return svg.replace("<svg ", f"<svg {NAMESPACES} ", 1).replace(" href=", " xlink:href=")
+
 
 USUAL = Path("output/experiment")
 """Where ``touchdown experiment`` writes, below the folder that it is started in."""
@@ -36,7 +92,7 @@ class Reports:
         self.sheet: ReportSheet | None = None
         self.report: Report | None = None
         self._file = Path()
-        self._entry: Entry | None = None
+        self._entry: TableEntry | None = None
         self._asked = 0
         self._part = 0
         self._drawing = 0
@@ -78,11 +134,11 @@ class Reports:
         widgets: list[QWidget] = [label(section.title, "head", wrap=True)]
         about = self.report.about if number == 0 else ()
         widgets += [label(text, "muted", wrap=True) for text in (*about, *section.text)]
-        cards: list[tuple[Picture, PictureCard]] = []
+        cards: list[tuple[ReportPicture, PictureCard]] = []
         for part in section.parts:
             if part.title:
                 widgets.append(label(part.title, "title", wrap=True))
-            if isinstance(part, Grid):
+            if isinstance(part, ReportTable):
                 widgets += self._grid(part)
             else:
                 widgets += _gallery(part, cards)
@@ -103,7 +159,7 @@ class Reports:
         )
         self.sheet.open_large()
 
-    def _grid(self, grid: Grid) -> list[QWidget]:
+    def _grid(self, grid: ReportTable) -> list[QWidget]:
         def choose(row: int, column: int) -> None:
             inside = row >= 0 and column >= 0
             self._choose(grid.rows[row][1][column] if inside else None)
@@ -117,7 +173,7 @@ class Reports:
             made.append(label(grid.note, "small", wrap=True))
         return made
 
-    def _draw(self, cards: Sequence[tuple[Picture, PictureCard]]) -> None:
+    def _draw(self, cards: Sequence[tuple[ReportPicture, PictureCard]]) -> None:
         """Have the pictures drawn one after the other on the thread, while the part is shown."""
         assert self.sheet is not None
         self._drawing += 1
@@ -141,7 +197,7 @@ class Reports:
 
         draw(0)
 
-    def _choose(self, entry: Entry | None) -> None:
+    def _choose(self, entry: TableEntry | None) -> None:
         self._entry = entry
         if self.sheet is None:
             return
@@ -154,7 +210,7 @@ class Reports:
             away = "" if there else "; its folder is where the experiment was run"
             self.sheet.show_trace(f"{entry.trace.capitalize()}{away}.", can_open=there)
 
-    def _folder(self, entry: Entry) -> Path | None:
+    def _folder(self, entry: TableEntry) -> Path | None:
         """Return the run folder of a cell, None if it is not on this computer."""
         folder = self._file.parent / JOBS / entry.jobs[0]
         return folder if folder.is_dir() else None
@@ -174,7 +230,7 @@ class Reports:
             if page.is_file():
                 return page
             self._exports.mkdir(parents=True, exist_ok=True)
-            write_atomically(made, tables_page(report).encode())
+            write_atomically(made, report_page(report).encode())
             return made
 
         self._reader.submit(there, lambda path: self._desk.say(open_outside(path)), self._failed)
@@ -186,12 +242,14 @@ class Reports:
         self._desk.cards.show_card(CardText("REPORT", what, where, fix, reset=False))
 
 
-def _look(entry: Entry) -> CellLook:
+def _look(entry: TableEntry) -> CellLook:
     interval = (entry.interval,) if entry.interval else ()
     return CellLook(entry.value, (*interval, *entry.notes), entry.trace)
 
 
-def _gallery(gallery: Gallery, cards: list[tuple[Picture, PictureCard]]) -> list[QWidget]:
+def _gallery(
+    gallery: PictureGallery, cards: list[tuple[ReportPicture, PictureCard]]
+) -> list[QWidget]:
     """Return the widgets of a gallery; its cards are added to those that are to be drawn."""
     made: list[QWidget] = [label(gallery.text, "muted", wrap=True)] if gallery.text else []
     own = [
@@ -203,3 +261,37 @@ def _gallery(gallery: Gallery, cards: list[tuple[Picture, PictureCard]]) -> list
     if gallery.end:
         made.append(label(gallery.end, wrap=True))
     return made
+
+
+STYLE = """
+body { font: 15px/1.5 sans-serif; margin: 2em auto; max-width: 1200px; padding: 0 1em; }
+img { max-width: 100%; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+th, td { border-bottom: 1px solid #bbb; padding: 3px 10px; text-align: left; }
+"""
+
+
+def report_of(caption: str, facts: str, picture: bytes, table: str) -> str:
+    """Return the page: ``caption``, ``facts`` line by line, a PNG, and a table given as CSV."""
+    rows = list(csv.reader(io.StringIO(table)))
+    head = "".join(f"<th>{escape(name)}</th>" for name in rows[0])
+    body = "".join(
+        f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>\n" for row in rows[1:]
+    )
+    said = "<br>\n".join(escape(line) for line in facts.splitlines())
+    return (
+        f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8">'
+        f"<title>{escape(caption)}</title><style>{STYLE}</style></head>\n<body>\n"
+        f"<h1>{escape(caption)}</h1>\n<p>{said}</p>\n"
+        f'<img alt="{escape(caption)}" src="data:image/png;base64,{b64encode(picture).decode()}">\n'
+        f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>\n"
+        "</body>\n</html>\n"
+    )
+
+
+def export_report(text: str, folder: Path, name: str) -> Path:
+    """Write a page; raises ``OSError``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}.html"
+    write_atomically(path, text.encode())
+    return path

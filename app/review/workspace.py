@@ -1,22 +1,24 @@
-"""The Review workspace as the frame sees it. It needs no bench."""
+"""Review workspace."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from app.label.commits import Commits
-from app.label.post import Post
-from app.review.exports import export_table, open_outside, stamped
-from app.review.library import Library
-from app.review.page import ReviewIntents, ReviewPage
-from app.review.picture import export_picture, picture_of
-from app.review.presenter import ReviewPresenter
-from app.review.report import export_report, report_of
-from app.review.reports import Reports
-from app.workspace import Command, Desk, Workspace
-from backend.runs.store import dataset_folder
-from widgets.fault_cards import CardText
+from touchdown.app.review.exports import (
+    export_picture,
+    export_table,
+    open_outside,
+    picture_of,
+    stamped,
+)
+from touchdown.app.review.page import ReviewIntents, ReviewPage
+from touchdown.app.review.presenter import ReviewPresenter
+from touchdown.app.review.recordings import Library
+from touchdown.app.review.reports import Reports, export_report, report_of
+from touchdown.app.shell import Command, Commits, Desk, Post, Workspace
+from touchdown.backend.runs import dataset_folder
+from touchdown.widgets.shell import CardText
 
 
 class ReviewWorkspace(Workspace):

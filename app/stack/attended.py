@@ -1,4 +1,4 @@
-"""Presenter of a trial on devices: what the operator is asked, and what they answer."""
+"""Attended trials: hand-over and outcome."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from pathlib import Path
 
 from PySide6.QtWidgets import QFileDialog
 
-from app.label.commits import Commits
-from app.label.post import Post
-from app.link import Link
-from app.stack.page import StackPage
-from backend.core.facts import (
-    Fact,
+from touchdown.app.shell import Commits, Link, Post
+from touchdown.app.stack.page import StackPage
+from touchdown.backend.core import (
+    Event,
     HandOverAwaited,
+    InputError,
+    Outcome,
     OutcomeAwaited,
     PhaseEntered,
     PhotoKept,
@@ -23,13 +23,9 @@ from backend.core.facts import (
     TrialFinished,
     TrialStarted,
 )
-from backend.core.faults import InputError
-from backend.core.flow import Outcome
-from backend.runs.photo import KINDS, keep_photo
-from backend.runs.words import hand_over, scene_to_set
-from widgets.fault_cards import CardText, FaultCards
-from widgets.offset_scene import OffsetScene
-from widgets.trial_panel import TrialLook
+from touchdown.backend.runs import KINDS, hand_over_message, keep_photo, scene_to_set_message
+from touchdown.widgets.shell import CardText, FaultCards
+from touchdown.widgets.views import OffsetScene, TrialLook
 
 _OVER = PhaseEntered | Released | TrialStarted | TrialFinished | RunFinished
 """After one of these nothing is asked any more."""
@@ -45,16 +41,20 @@ class AttendedPresenter:
         self._post = Post(page)
         self._files: Commits | None = None
 
-    def take(self, fact: Fact) -> None:
+    def take(self, fact: Event) -> None:
         """Follow the runs that stack."""
         if isinstance(fact, RunStarted):
             self._mine = fact.activity == "stack"
         if not self._mine:
             return
         if isinstance(fact, SetUpAwaited):
-            self._ask(TrialLook("Set the scene", scene_to_set(fact), "Ready  Y", self._scene(fact)))
+            self._ask(
+                TrialLook(
+                    "Set the scene", scene_to_set_message(fact), "Ready  Y", self._scene(fact)
+                )
+            )
         elif isinstance(fact, HandOverAwaited):
-            self._ask(TrialLook("Hand the piece over", hand_over(fact), "It is there  Y"))
+            self._ask(TrialLook("Hand the piece over", hand_over_message(fact), "It is there  Y"))
         elif isinstance(fact, OutcomeAwaited):
             self._ask(TrialLook("What became of it?", fact.why, proposed=fact.proposed))
         elif isinstance(fact, _OVER):

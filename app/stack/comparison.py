@@ -1,28 +1,83 @@
-"""Presenter of the comparison: the question in the form, and how each strategy answered it."""
+"""Comparison of strategies on one seed."""
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import replace
+from typing import get_args
 
 from PySide6.QtWidgets import QWidget
 
-from app.activity import busy, why_no_run
-from app.link import Link
-from app.outlines import outlines
-from app.run_story import RunStory, TrialStory, scene_of
-from app.stack.rivals import Asked, Rivals, asked, strategy_of
-from app.tally import score_of
-from backend.core.facts import Fact
-from backend.core.flow import Outcome
-from backend.runs.requests import StackRequest, Strategy
-from widgets.belief_scene import BeliefScene
-from widgets.comparison_sheet import ComparisonSheet, RivalLook
-from widgets.run_panel import STRATEGIES
-from widgets.score_panel import WORDS, rate_words
-from widgets.theme import Theme
+from touchdown.app.shell import (
+    Link,
+    RunStory,
+    TrialStory,
+    busy,
+    outlines,
+    scene_of,
+    score_of,
+    why_no_run,
+)
+from touchdown.backend.core import Event, Outcome, RunStarted, TrialFinished
+from touchdown.backend.runs import StackRequest, StrategyChoice
+from touchdown.widgets.base import Theme
+from touchdown.widgets.forms import STRATEGIES
+from touchdown.widgets.views import WORDS, BeliefScene, ComparisonSheet, RivalLook, rate_words
 
-BLIND: Strategy = "pick-and-place"
+MOST = 4
+"""So many questions are kept, with the last belief map of each trial."""
+Asked = tuple[str, str, int, int]
+"""Piece, bottoms joined by "+", seed, trials: all but the strategy."""
+
+
+def asked(request: StackRequest) -> Asked:
+    """Return what a request asks, whichever the strategy."""
+    return request.piece, "+".join(request.bottoms), request.seed, request.trials
+
+
+def strategy_of(name: str) -> StrategyChoice | None:
+    """Return the strategy of this name; None if there is none."""
+    names: tuple[StrategyChoice, ...] = get_args(StrategyChoice)
+    return next((known for known in names if known == name), None)
+
+
+class Rivals:
+    """Keeps one story per question and strategy: the newest."""
+
+    def __init__(self) -> None:
+        self._stories: OrderedDict[Asked, dict[StrategyChoice, RunStory]] = OrderedDict()
+        self._present: RunStory | None = None
+
+    def take(self, fact: Event) -> None:
+        """Take the next fact."""
+        if isinstance(fact, RunStarted):
+            self._begin(fact)
+        if self._present is not None:
+            self._present.take(fact)
+            if isinstance(fact, TrialFinished) and self._present.trial is not None:
+                # The maps before the last are the story of another view, and 40 kB each.
+                probes = self._present.trial.probes
+                probes[:-1] = [replace(look, belief=None) for look in probes[:-1]]
+
+    def story(self, question: Asked, strategy: StrategyChoice) -> RunStory | None:
+        """Return the newest run of a strategy, also one in progress; None if there was none."""
+        return self._stories.get(question, {}).get(strategy)
+
+    def _begin(self, head: RunStarted) -> None:
+        self._present = None
+        strategy = strategy_of(head.strategy)
+        if head.activity != "stack" or strategy is None:
+            return
+        question = head.piece, head.bottom, head.seed, head.trials
+        self._present = RunStory()
+        self._stories.setdefault(question, {})[strategy] = self._present
+        self._stories.move_to_end(question)
+        while len(self._stories) > MOST:
+            self._stories.popitem(last=False)
+
+
+BLIND: StrategyChoice = "pick-and-place"
 NOT_RUN = BeliefScene(empty=("Not run yet", "Run it with the same seed."))
 NO_MAP = BeliefScene(empty=("No belief", "This strategy lets go without a probe."))
 
@@ -40,12 +95,12 @@ class Comparison:
         self._link, self._theme, self._request, self._start = link, theme, request, start
         self._rivals = Rivals()
         self._question: StackRequest | None = None
-        self._pair: tuple[Strategy, Strategy] = ("paper", BLIND)
-        self._waiting: list[Strategy] = []
+        self._pair: tuple[StrategyChoice, StrategyChoice] = ("paper", BLIND)
+        self._waiting: list[StrategyChoice] = []
         self._drawn: tuple[object, ...] = ()
         self.sheet: ComparisonSheet | None = None
 
-    def take(self, fact: Fact) -> None:
+    def take(self, fact: Event) -> None:
         """Follow all runs, also while the sheet is closed."""
         self._rivals.take(fact)
 
@@ -113,7 +168,7 @@ class Comparison:
         if not self._start(replace(self._question, strategy=strategy)):
             self._waiting = []
 
-    def _missing(self, request: StackRequest) -> list[Strategy]:
+    def _missing(self, request: StackRequest) -> list[StrategyChoice]:
         return [s for s in self._pair if not _answered(self._rivals.story(asked(request), s))]
 
     def _show(
@@ -172,7 +227,7 @@ class Comparison:
         self.draw()
 
 
-def both(request: StackRequest) -> tuple[Strategy, Strategy]:
+def both(request: StackRequest) -> tuple[StrategyChoice, StrategyChoice]:
     """Return the paper's strategy and the chosen one; letting go where that is the paper's."""
     return "paper", BLIND if request.strategy == "paper" else request.strategy
 

@@ -1,4 +1,4 @@
-"""Where everything of the Stack workspace stands: feel on the left, believe, then decide."""
+"""Page of the stack workspace."""
 
 from __future__ import annotations
 
@@ -8,20 +8,22 @@ from dataclasses import dataclass
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout
 
-from app.live_page import LivePage, column, no_higher
-from backend.core.flow import FINGERS
-from widgets.belief_panel import BeliefPanel
-from widgets.columns import Columns
-from widgets.decision_panel import DecisionPanel, DecisionText
-from widgets.header_tools import tool
-from widgets.panel import Panel
-from widgets.probe_strip import ProbeStrip
-from widgets.run_panel import RunPanel
-from widgets.score_panel import ScorePanel
-from widgets.side_view import SideView
-from widgets.theme import Theme, ui_font
-from widgets.traces_panel import TracesPanel
-from widgets.trial_panel import TrialIntents, TrialLook, TrialPanel
+from touchdown.app.shell import LivePage, column, no_higher
+from touchdown.backend.core import FINGERS
+from touchdown.widgets.base import Columns, Panel, Theme, tool, ui_font
+from touchdown.widgets.forms import RunPanel
+from touchdown.widgets.plots import TracesPanel
+from touchdown.widgets.views import (
+    BeliefPanel,
+    DecisionPanel,
+    DecisionText,
+    ProbeStrip,
+    ScorePanel,
+    SideView,
+    TrialIntents,
+    TrialLook,
+    TrialPanel,
+)
 
 TRACES, SIDE = "Force and moment", "Bench from the side"
 SIDE_PX = 150

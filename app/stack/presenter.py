@@ -1,31 +1,38 @@
-"""Presenter of the Stack workspace: facts to views, orders to the bench."""
+"""Presenter of the stack workspace."""
 
 from __future__ import annotations
 
-from app.activity import ACTIVE, busy, why_no_run
-from app.link import Link
-from app.model_words import model_words
-from app.outlines import outlines
-from app.run_story import ProbeLook, RunStory, TrialStory, no_probe, scene_of
-from app.stack.page import StackPage
-from app.stack.rivals import strategy_of
-from app.tally import score_of
-from backend.core.facts import Fact, TrialFinished
-from backend.core.faults import InputError, RefusedError
-from backend.core.flow import Outcome
-from backend.runs.requests import Mode, RunState, RunStatus, StackRequest
-from widgets.belief_scene import BeliefScene
-from widgets.decision_panel import (
+from touchdown.app.shell import (
+    ACTIVE,
+    Link,
+    ProbeLook,
+    RunStory,
+    TrialStory,
+    busy,
+    model_words,
+    no_probe,
+    outlines,
+    scene_of,
+    score_of,
+    why_no_run,
+)
+from touchdown.app.stack.comparison import strategy_of
+from touchdown.app.stack.page import StackPage
+from touchdown.backend.core import Event, InputError, Outcome, RefusedError, TrialFinished
+from touchdown.backend.runs import DecisionMode, RunState, RunStatus, StackRequest
+from touchdown.widgets.forms import RunButtons, RunForm
+from touchdown.widgets.shell import CardText, FaultCards
+from touchdown.widgets.views import (
     ESTIMATED,
     TRUE,
+    WORDS,
+    BeliefScene,
     DecisionText,
+    Score,
+    caption_of,
     decide_in_words,
     signed_mm,
 )
-from widgets.fault_cards import CardText, FaultCards
-from widgets.probe_strip import caption_of
-from widgets.run_panel import RunButtons, RunForm
-from widgets.score_panel import WORDS, Score
 
 PRESSING = frozenset({"press", "hold"})
 HELD_UP = {
@@ -112,7 +119,7 @@ class StackPresenter:
         words = model_words(form.piece, form.strategy)
         self._page.run.show_model(words.short, words.full)
 
-    def take(self, fact: Fact) -> None:
+    def take(self, fact: Event) -> None:
         """Take one fact (drawn with the next tick)."""
         trials = len(self.story.trials)
         self.story.take(fact)
@@ -293,7 +300,7 @@ def request_of(form: RunForm) -> StackRequest:
     """Return the request of a form."""
     bottoms = (form.under, form.bottom) if form.under else (form.bottom,)
     strategy = strategy_of(form.strategy) or "paper"
-    modes: dict[str, Mode] = {"auto": "auto", "approve": "approve", "step": "step"}
+    modes: dict[str, DecisionMode] = {"auto": "auto", "approve": "approve", "step": "step"}
     return StackRequest(
         piece=form.piece,
         bottoms=bottoms,

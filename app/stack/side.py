@@ -1,4 +1,4 @@
-"""Presenter of the side view: commanded arm, grip width, and the fall after a release."""
+"""Side panel of the stack workspace."""
 
 from __future__ import annotations
 
@@ -9,14 +9,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.link import Link
-from backend.core.facts import Fact, PhaseEntered, Released, RunStarted, TrialStarted
-from backend.core.faults import InputError, StaleSampleError
-from backend.core.flow import Fall
-from backend.devices.protocols import Arm, Device, Gripper
-from backend.objects.catalogue import Piece
-from widgets.panel import Panel
-from widgets.side_view import (
+from touchdown.app.shell import Link
+from touchdown.backend.core import (
+    Event,
+    Fall,
+    InputError,
+    PhaseEntered,
+    Released,
+    RunStarted,
+    StaleSampleError,
+    TrialStarted,
+)
+from touchdown.backend.devices import Arm, Device, Gripper
+from touchdown.backend.geometry import Piece
+from touchdown.widgets.base import Panel
+from touchdown.widgets.views import (
     UPRIGHT,
     USUAL_SPAN_MM,
     Quaternion,
@@ -52,7 +59,7 @@ class SidePresenter:
         self._stands: bool | None = None
         self._tick = self._trial = self._let_go_in = 0
 
-    def take(self, fact: Fact) -> None:
+    def take(self, fact: Event) -> None:
         """Note what is in the scene and what was let go."""
         if isinstance(fact, RunStarted):
             self._piece = self._known(fact.piece)

@@ -1,25 +1,46 @@
-"""The Stack workspace as the frame sees it."""
+"""Stack workspace."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, fields, replace
 from functools import partial
 
-from app.link import Link
-from app.live import LivePresenter, LiveViews
-from app.stack.attended import AttendedPresenter
-from app.stack.comparison import Comparison
-from app.stack.form import careful, form_of
-from app.stack.page import StackIntents, StackPage
-from app.stack.presenter import StackPresenter, request_of
-from app.stack.side import SidePresenter
-from app.workspace import Command, Desk, Memory, Workspace
-from backend.core.facts import Fact
-from backend.core.flow import Outcome
-from widgets.decision_panel import NOTHING_YET
-from widgets.run_panel import RunForm
-from widgets.trial_panel import TrialIntents
+from touchdown.app.shell import Command, Desk, Link, LivePresenter, LiveViews, Memory, Workspace
+from touchdown.app.stack.attended import AttendedPresenter
+from touchdown.app.stack.comparison import Comparison
+from touchdown.app.stack.page import StackIntents, StackPage
+from touchdown.app.stack.presenter import StackPresenter, request_of
+from touchdown.app.stack.side import SidePresenter
+from touchdown.backend.core import Event, Outcome
+from touchdown.backend.runs import SceneChoice
+from touchdown.widgets.forms import RunForm
+from touchdown.widgets.views import NOTHING_YET, TrialIntents
+
+
+def form_of(memory: Mapping[str, object]) -> tuple[RunForm, list[str]]:
+    """Return (form, names of what made no sense); those fields get their defaults."""
+    default, known, dropped = RunForm(), {}, []
+    for entry in fields(RunForm):
+        value = memory.get(entry.name, getattr(default, entry.name))
+        if type(value) is type(getattr(default, entry.name)):
+            known[entry.name] = value
+        else:
+            dropped.append(entry.name)
+    return RunForm(**known), dropped  # type: ignore[arg-type]
+
+
+def careful(form: RunForm, on_bench: SceneChoice) -> RunForm:
+    """Return the form for devices: asked before each move, and nothing let go untested.
+
+    It begins with what is ``on_bench``, whatever was filled in for another one.
+    """
+    mode = "approve" if form.mode == "auto" else form.mode
+    strategy = "paper" if form.strategy == "pick-and-place" else form.strategy
+    *under, bottom = on_bench.bottoms
+    stands = replace(form, piece=on_bench.piece, bottom=bottom, under="".join(under[:1]))
+    return replace(stands, mode=mode, strategy=strategy)
+
 
 SEEN = (
     ("stands", "It stands", "1", Outcome.PLACED),
@@ -101,7 +122,7 @@ class StackWorkspace(Workspace):
         if self.presenter is not None:
             self.presenter.show_model()
 
-    def take(self, fact: Fact) -> None:
+    def take(self, fact: Event) -> None:
         """Follow the run, whichever page is in front."""
         if self.presenter is not None and self.side is not None:
             self.presenter.take(fact)

@@ -1,1 +1,12 @@
-"""The Train workspace: train models, compare them, put one in use."""
+"""Train workspace: train and compare models."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.app.train import (
+        workspace,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-"""Where everything of the Train workspace stands: what to train, how it goes, what came of it."""
+"""Page of the train workspace."""
 
 from __future__ import annotations
 
@@ -8,15 +8,11 @@ from dataclasses import dataclass
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QHBoxLayout, QPushButton, QSizePolicy, QWidget
 
-from app.live_page import column
-from widgets.columns import Columns
-from widgets.notes import Notes
-from widgets.panel import Panel, label, rule
-from widgets.theme import Theme, ui_font
-from widgets.training_form import TrainingFormPanel, TrainingIntents
-from widgets.training_plot import CurvePlot, ReliabilityPlot
-from widgets.training_samples import SampleStrip
-from widgets.training_tables import FigureTable, RunTable
+from touchdown.app.shell import column
+from touchdown.widgets.base import Columns, Notes, Panel, Theme, label, rule, ui_font
+from touchdown.widgets.forms import TrainingFormPanel, TrainingIntents
+from touchdown.widgets.lists import FigureTable, RunTable
+from touchdown.widgets.plots import CurvePlot, ReliabilityPlot, SampleStrip
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,26 +1,124 @@
-"""Presenter of the Train workspace: the form to a training, its reports and runs to the views."""
+"""Presenter of the train workspace."""
 
 from __future__ import annotations
 
+import threading
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from app.label.commits import Commits
-from app.label.post import Post
-from app.train import words
-from app.train.page import TrainPage
-from app.train.reading import InUse, Looked, Reading, scenes_of
-from app.train.thread import Report, Told, TrainingThread
-from backend.catalogue.training_set import LABEL_CHOICES
-from backend.config.load import parse
-from backend.config.method import TrainingSettings
-from backend.core.faults import InputError
-from backend.learning.job import Epoch, Finished
-from backend.learning.recorded import TrainingRequest, request_of
-from backend.learning.training_runs import TrainingRun, read_training_run
-from widgets.fault_cards import CardText, FaultCards, Question
-from widgets.training_form import TrainingButtons, TrainingForm
-from widgets.training_samples import SampleScene
+from touchdown.app.shell import Commits, Post
+from touchdown.app.train import text as words
+from touchdown.app.train.page import TrainPage
+from touchdown.app.train.reading import InUse, Looked, Reading, scenes_of
+from touchdown.backend.annotations import LABEL_CHOICES
+from touchdown.backend.config import TrainingSettings, parse_settings
+from touchdown.backend.core import InputError, ProcessStallDetector
+from touchdown.backend.learning import (
+    RecordedTraining,
+    TrainingCancelled,
+    TrainingEpoch,
+    TrainingFinished,
+    TrainingLoaded,
+    TrainingRequest,
+    TrainingRun,
+    read_training_run,
+    resume_request,
+)
+from touchdown.widgets.forms import TrainingButtons, TrainingForm
+from touchdown.widgets.plots import SampleScene
+from touchdown.widgets.shell import CardText, FaultCards, Question
+
+Report = TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled
+LOOK_S = 0.05
+PATIENCE_S, JOIN_S = 1.0, 1.0
+"""So long a window that closes waits for a cancelled training, and after that for a killed one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """Whom to tell, on the window's thread. ``ended`` gets what ended it early, or None.
+
+    ``still``: the child process does nothing, or goes on after all.
+    """
+
+    begun: Callable[[Path], None]
+    report: Callable[[Report], None]
+    ended: Callable[[Exception | None], None]
+    still: Callable[[bool], None]
+
+
+class TrainingThread:
+    """Begins at once; exactly one ``ended`` follows."""
+
+    def __init__(self, request: TrainingRequest, post: Post, told: Told) -> None:
+        self._request, self._post, self._told = request, post, told
+        self._lock, self._cancelled = threading.Lock(), False
+        self._training: RecordedTraining | None = None
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="training", daemon=True)
+        self._watch = threading.Thread(target=self._look, name="training watch", daemon=True)
+        self._thread.start()
+        self._watch.start()
+
+    def cancel(self) -> None:
+        """End it after the present batch, or at once if it stands still; returns at once."""
+        with self._lock:
+            self._cancelled = True
+            if self._training is not None:
+                self._training.cancel()
+
+    def close(self) -> None:
+        """End it and wait, for a while only: the process is gone then, whatever it did."""
+        self.cancel()
+        self._thread.join(PATIENCE_S)
+        self._kill()
+        self._over.set()
+        self._thread.join(JOIN_S)
+        self._watch.join(JOIN_S)
+
+    def _kill(self) -> None:
+        with self._lock:
+            if self._training is not None:
+                self._training.kill()
+
+    def _run(self) -> None:
+        failure: Exception | None = None
+        try:
+            self._train()
+        except Exception as error:  # noqa: BLE001 - a training whose end nobody tells blocks the page
+            failure = error
+        self._over.set()
+        self._post.put(partial(self._told.ended, failure))
+
+    def _train(self) -> None:
+        training = RecordedTraining(self._request)
+        with self._lock:
+            self._training = training
+            if self._cancelled:
+                training.cancel()
+        self._post.put(partial(self._told.begun, training.folder))
+        for report in training.reports():
+            self._post.put(partial(self._told.report, report))
+
+    def _look(self) -> None:
+        """Tell when the child stands still and when it goes on; a cancelled one is ended then."""
+        watch, told = None, False
+        while not self._over.wait(LOOK_S):
+            with self._lock:
+                training, cancelled = self._training, self._cancelled
+            number = None if training is None else training.number
+            if number is None:
+                continue
+            watch = watch or ProcessStallDetector(number)
+            still = watch.look(time.monotonic())
+            if still and cancelled:
+                self._kill()
+            elif still is not told:
+                told = still
+                self._post.put(partial(self._told.still, still))
 
 
 class TrainPresenter:
@@ -96,7 +194,7 @@ class TrainPresenter:
         if self.thread is not None or run is None or not run.can_resume:
             return
         try:
-            request = request_of(run, Path(self._page.form.form().data))
+            request = resume_request(run, Path(self._page.form.form().data))
         except InputError as error:
             self._failed(error)
             return
@@ -157,11 +255,11 @@ class TrainPresenter:
 
     def _report(self, report: Report) -> None:
         now_s = time.monotonic()
-        if isinstance(report, Epoch):
+        if isinstance(report, TrainingEpoch):
             self._epochs_s.append(now_s - self._stamp_s)
             if not self._cancelling:
                 self._show_progress(words.eta_words(report.epoch, report.epochs, self._epochs_s))
-        elif not isinstance(report, Finished) and not self._cancelling:
+        elif not isinstance(report, TrainingFinished) and not self._cancelling:
             self._show_progress("first epoch \N{HORIZONTAL ELLIPSIS}")
         self._stamp_s = now_s
         if self.live in self.runs:
@@ -325,7 +423,7 @@ def training_request(form: TrainingForm) -> TrainingRequest:
         "seed": form.seed,
     }
     labels = next(name for name in LABEL_CHOICES if name == form.labels)
-    parsed = parse(TrainingSettings, settings, "the form")
+    parsed = parse_settings(TrainingSettings, settings, "the form")
     return TrainingRequest(Path(form.data), form.piece, parsed, labels)
 
 

@@ -1,4 +1,4 @@
-"""What the page asks of the disk; all of it runs on the reading thread."""
+"""Reading of past trainings."""
 
 from __future__ import annotations
 
@@ -6,19 +6,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from backend.assembly import model_in_use
-from backend.catalogue.training_set import LABEL_CHOICES
-from backend.core.faults import InputError
-from backend.core.flow import FloatArray
-from backend.learning.checkpoint import load_card
-from backend.learning.overview import Candidate, Overview, candidates, overview
-from backend.learning.registry import SHIPPED, Registry
-from backend.learning.samples import Sample, load_samples
-from backend.learning.training_runs import TrainingRun, training_runs
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import face_points
-from widgets.training_form import LABELS, TrainingForm
-from widgets.training_samples import SampleScene
+from touchdown.backend.annotations import LABEL_CHOICES
+from touchdown.backend.bench import model_in_use
+from touchdown.backend.core import FloatArray, InputError
+from touchdown.backend.geometry import face_points, load_pieces
+from touchdown.backend.learning import (
+    SHIPPED,
+    ModelRegistry,
+    SamplePrediction,
+    TrainingCandidate,
+    TrainingRun,
+    TrainingSetOverview,
+    list_training_runs,
+    load_card,
+    load_samples,
+    training_candidates,
+    training_set_overview,
+)
+from touchdown.widgets.forms import LABELS, TrainingForm
+from touchdown.widgets.plots import SampleScene
 
 HOW_TO_GET_DATA = "Collect probes (Ctrl+2), or choose another folder (Ctrl+O)."
 
@@ -45,7 +51,7 @@ class Looked:
     ``trouble``: why there is nothing to train on.
     """
 
-    overview: Overview
+    overview: TrainingSetOverview
     runs: tuple[TrainingRun, ...]
     in_use: InUse | None
     trouble: str = ""
@@ -54,10 +60,10 @@ class Looked:
 class Reading:
     """Remembers the episodes of the data looked at last: a change of the split reads nothing."""
 
-    def __init__(self, registry: Registry) -> None:
+    def __init__(self, registry: ModelRegistry) -> None:
         self._registry = registry
         self._key: tuple[str, str] | None = None
-        self._found: Sequence[Candidate] = ()
+        self._found: Sequence[TrainingCandidate] = ()
 
     def look(self, form: TrainingForm, *, anew: bool) -> Looked:
         """Read data, trainings and registry."""
@@ -70,14 +76,14 @@ class Reading:
         except InputError as error:
             found, trouble = (), f"{error.what} {error.fix}"
             self._key = None
-        seen = overview(
+        seen = training_set_overview(
             found,
             form.piece,
             form.held_out / 100,
             form.seed,
             divide_series=form.divide_series,
         )
-        runs = tuple(training_runs(data))
+        runs = tuple(list_training_runs(data))
         piece = seen.piece or _piece_of(runs) or self._changed_last()
         return Looked(seen, runs, self.in_use(piece), trouble)
 
@@ -113,11 +119,11 @@ class Reading:
         self._registry.roll_back(piece)
         return self.in_use(piece)
 
-    def _candidates(self, form: TrainingForm, *, anew: bool) -> Sequence[Candidate]:
+    def _candidates(self, form: TrainingForm, *, anew: bool) -> Sequence[TrainingCandidate]:
         key = (form.data, form.labels)
         if anew or key != self._key:
             labels = next(name for name in LABEL_CHOICES if name == form.labels)
-            self._found = candidates(Path(form.data), labels)
+            self._found = training_candidates(Path(form.data), labels)
             self._key = key
         return self._found
 
@@ -128,7 +134,7 @@ def _what_would_count(form: TrainingForm) -> str:
     review = "accept labels in Label (Ctrl+2) and let somebody else approve them"
     for name, text in LABELS[names.index(form.labels) + 1 :]:
         labels = next(choice for choice in LABEL_CHOICES if choice == name)
-        if count := len(candidates(Path(form.data), labels)):
+        if count := len(training_candidates(Path(form.data), labels)):
             would = "1 episode would" if count == 1 else f"{count} episodes would"
             return f"No label counts yet. {would} with Labels: {text}. Or {review}."
     return f"No label counts yet: {review}."
@@ -138,11 +144,11 @@ def scenes_of(run: TrainingRun) -> list[SampleScene]:
     """Return the samples of a finished training; raises ``InputError``."""
     samples = load_samples(run.folder)
     piece = str(run.about.params.get("piece", ""))
-    points = face_points(load_catalogue().piece(piece).face)
+    points = face_points(load_pieces().piece(piece).face)
     return [_scene(sample, points) for sample in samples if len(points) == len(sample.truth)]
 
 
-def _scene(sample: Sample, points: FloatArray) -> SampleScene:
+def _scene(sample: SamplePrediction, points: FloatArray) -> SampleScene:
     detail = f"IoU {100 * sample.iou:.0f} %"
     return SampleScene(points, sample.probability, sample.truth, sample.bottom, detail)
 

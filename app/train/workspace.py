@@ -1,4 +1,4 @@
-"""The Train workspace as the frame sees it. It needs no bench."""
+"""Train workspace."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ from pathlib import Path
 
 from PySide6.QtWidgets import QFileDialog
 
-from app.label.commits import Commits
-from app.label.post import Post
-from app.train.page import TrainIntents, TrainPage
-from app.train.presenter import TrainPresenter
-from app.train.reading import Reading
-from app.workspace import Command, Desk, Memory, Workspace
-from backend.learning.registry import Registry
-from backend.runs.store import dataset_folder, models_folder
-from widgets.training_form import TrainingForm, TrainingIntents
+from touchdown.app.shell import Command, Commits, Desk, Memory, Post, Workspace
+from touchdown.app.train.page import TrainIntents, TrainPage
+from touchdown.app.train.presenter import TrainPresenter
+from touchdown.app.train.reading import Reading
+from touchdown.backend.learning import ModelRegistry
+from touchdown.backend.runs import dataset_folder, models_folder
+from touchdown.widgets.forms import TrainingForm, TrainingIntents
 
 MOST_FOLDERS = 8
 
@@ -89,7 +87,7 @@ class TrainWorkspace(Workspace):
         if self.presenter is None:
             self._post = Post(self.page)
             self._commits = Commits(self._post, "train-reading")
-            reading = Reading(Registry(models_folder()))
+            reading = Reading(ModelRegistry(models_folder()))
             self.presenter = TrainPresenter(
                 self.page, self._desk.cards, reading, self._commits, self._post
             )

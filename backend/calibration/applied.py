@@ -1,8 +1,4 @@
-"""What calibrations that hold change: where the hand goes, how high contact is, what cameras show.
-
-``Placed`` is for the plans; ``seen_by`` corrects the settings of the cameras, and ``overruled``
-tells where that is not what they say.
-"""
+"""Effect of the calibrations in use: target positions, contact height, and camera settings."""
 
 from __future__ import annotations
 
@@ -10,15 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from backend.calibration.kinds import MIRRORS, ON, What
-from backend.calibration.record import Record
-from backend.config.hardware import FingerCameraSettings, GelsightSettings
-from backend.core.faults import RefusedError
-from backend.core.flow import FINGERS, FloatArray
+from touchdown.backend.calibration.records import CalibrationRecord
+from touchdown.backend.calibration.result import MIRROR_CODES, ON_BOTTOM, CalibrationName
+from touchdown.backend.config import FingerCameraSettings, GelsightSettings
+from touchdown.backend.core import FINGERS, FloatArray, RefusedError
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class HandPosition:
     """A place for the hand, mm, with the standard uncertainty of each of x and y."""
 
     x_mm: float
@@ -27,7 +22,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class BoardPosition:
     """Where the hand is with the face of ``piece`` over the centre of ``bottom``, touching it.
 
     ``slope_x``, ``slope_y``: by how much it is higher per mm of x and y.
@@ -35,7 +30,7 @@ class Board:
 
     piece: str
     bottom: str
-    place: Place
+    place: HandPosition
     contact_mm: float
     slope_x: float
     slope_y: float
@@ -51,14 +46,14 @@ class Board:
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class CalibratedPositions:
     """What board and tool say of places; neither where no calibration holds."""
 
-    board: Board | None = None
-    face: Place | None = None
+    board: BoardPosition | None = None
+    face: HandPosition | None = None
     """Centre of the held face from the axis of the tool."""
 
-    def origin(self, named_mm: tuple[float, float], sigma_mm: float, bottom: str) -> Place:
+    def origin(self, named_mm: tuple[float, float], sigma_mm: float, bottom: str) -> HandPosition:
         """Return where the hand has the face over the centre of ``bottom``.
 
         A place that the operator names, other than (0, 0), is that of the bottom itself, known to
@@ -69,25 +64,27 @@ class Placed:
             return self.board.place
         x_mm, y_mm = named_mm
         if self.face is None:
-            return Place(x_mm, y_mm, sigma_mm)
+            return HandPosition(x_mm, y_mm, sigma_mm)
         off = self.face
-        return Place(x_mm - off.x_mm, y_mm - off.y_mm, math.hypot(sigma_mm, off.sigma_mm))
+        return HandPosition(x_mm - off.x_mm, y_mm - off.y_mm, math.hypot(sigma_mm, off.sigma_mm))
 
 
-NOWHERE = Placed()
+UNCALIBRATED = CalibratedPositions()
 
 
-def placed_by(used: Mapping[What, Record]) -> Placed:
+def calibrated_positions(used: Mapping[CalibrationName, CalibrationRecord]) -> CalibratedPositions:
     """Return what the calibrations in use say of places."""
-    return Placed(_board(used.get("board")), _face(used.get("tool")))
+    return CalibratedPositions(_board(used.get("board")), _face(used.get("tool")))
 
 
-def refuse_other_bottom(used: Mapping[What, Record], bottom: str, command: str) -> None:
+def require_calibrated_bottom(
+    used: Mapping[CalibrationName, CalibrationRecord], bottom: str, command: str
+) -> None:
     """Raise ``RefusedError`` if the board was felt on another bottom than ``bottom``.
 
     ``command`` measures the board of this bench.
     """
-    board = placed_by(used).board
+    board = calibrated_positions(used).board
     if board is not None and board.bottom != bottom:
         raise RefusedError(
             "CALIBRATION-OTHER-BOTTOM",
@@ -96,7 +93,7 @@ def refuse_other_bottom(used: Mapping[What, Record], bottom: str, command: str) 
         )
 
 
-def seen_by(settings: GelsightSettings, record: Record) -> GelsightSettings:
+def calibrated_cameras(settings: GelsightSettings, record: CalibrationRecord) -> GelsightSettings:
     """Return the settings of the cameras as the calibration found them to sit.
 
     The record says which serial number is at which finger, how each picture is mirrored, and its
@@ -114,7 +111,7 @@ def seen_by(settings: GelsightSettings, record: Record) -> GelsightSettings:
     sat: dict[str, FingerCameraSettings] = {}
     for finger in FINGERS:
         code = values.get(f"{finger}_mirror")
-        mirror = own[finger].mirror if code is None else MIRRORS[round(code.value)]
+        mirror = own[finger].mirror if code is None else MIRROR_CODES[round(code.value)]
         sat[finger] = own[finger].model_copy(update={"mirror": mirror})
     scale = {
         f"mm_per_px_{pixel}": 0.5
@@ -124,13 +121,15 @@ def seen_by(settings: GelsightSettings, record: Record) -> GelsightSettings:
     return settings.model_copy(update={**sat, **scale})
 
 
-def overruled(settings: GelsightSettings, record: Record, command: str) -> dict[str, str]:
+def camera_conflicts(
+    settings: GelsightSettings, record: CalibrationRecord, command: str
+) -> dict[str, str]:
     """Return, by device, at which finger the calibration has a camera and the settings do not.
 
     The calibration counts: who moved the sensors since must hear of it. What to do is said with the
     first; ``command`` measures anew.
     """
-    sits, told = seen_by(settings, record), dict[str, str]()
+    sits, told = calibrated_cameras(settings, record), dict[str, str]()
     for finger in FINGERS:
         written, found = getattr(settings, finger).serial, getattr(sits, finger).serial
         if written and written != found:
@@ -146,24 +145,24 @@ def overruled(settings: GelsightSettings, record: Record, command: str) -> dict[
     return told
 
 
-def _board(record: Record | None) -> Board | None:
-    if record is None or ON not in record.file.about:
+def _board(record: CalibrationRecord | None) -> BoardPosition | None:
+    if record is None or ON_BOTTOM not in record.file.about:
         return None
-    piece, bottom = record.file.about.split(ON)
+    piece, bottom = record.file.about.split(ON_BOTTOM)
     values = record.file.values
     x, y = values["x_mm"], values["y_mm"]
-    return Board(
+    return BoardPosition(
         piece,
         bottom,
-        Place(x.value, y.value, max(x.sigma, y.sigma)),
+        HandPosition(x.value, y.value, max(x.sigma, y.sigma)),
         values["z_mm"].value,
         values["slope_x_rad"].value,
         values["slope_y_rad"].value,
     )
 
 
-def _face(record: Record | None) -> Place | None:
+def _face(record: CalibrationRecord | None) -> HandPosition | None:
     if record is None:
         return None
     x, y = record.file.values["face_x_mm"], record.file.values["face_y_mm"]
-    return Place(x.value, y.value, max(x.sigma, y.sigma))
+    return HandPosition(x.value, y.value, max(x.sigma, y.sigma))

@@ -1,4 +1,4 @@
-"""Facts about real devices that no source confirms: a lab corrects them here, not in the code.
+"""Settings of real devices that no public source confirms; a lab file overrides them.
 
 Drivers and emulators read the same settings. ``docs/hardware.md`` lists each with its reason.
 """
@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from backend.config.method import NonNegative, Positive, Settings
+from touchdown.backend.config.method import NonNegative, Positive, Settings
 
 Port = Annotated[int, Field(ge=1, le=65535)]
 Share = Annotated[float, Field(gt=0, le=1)]

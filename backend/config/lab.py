@@ -1,25 +1,107 @@
-"""The lab file: which devices stand on a bench, where they answer, and how far they may go."""
+"""The lab file: devices of a bench, their addresses, and the limits of motion and force.
+
+An emulated device answers on this computer; a real arm never does. The window shows the kind of
+bench that the file declares, so a file whose kind and addresses disagree is refused. Editing keeps
+comments and order, and reads the new file back before it replaces the old one.
+"""
 
 from __future__ import annotations
 
+import ipaddress
+import json
 import math
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from backend.config.bench_facts import BenchFacts, digest, wrist_frame
-from backend.config.hardware import HardwareSettings
-from backend.config.lab_places import refuse_wrong_places
-from backend.config.load import parse, read_toml
-from backend.config.method import NonNegative, Positive, Settings
-from backend.core.faults import InputError
+from touchdown.backend.config.bench_description import BenchDescription, sha256_of_json, wrist_frame
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.config.method import NonNegative, Positive, Settings
+from touchdown.backend.config.toml_file import parse_settings, read_toml
+from touchdown.backend.core import InputError, write_atomically
 
-VERSION = 1
+ADDRESS_URL = re.compile(r"(?:socket|udp|tcp)://(?:[^@/]*@)?(?P<host>\[[^\]]+\]|[^:/]+)")
+TERMINALS = Path("/dev/pts")
+DEVICES, MEMORY = Path("/dev"), Path("/dev/shm")  # noqa: S108 - only compared
+"""The other is a place for temporary files, where no device of the system is."""
+ARM_HOSTS = {"melfa": "melfa.host", "ur": "ur.host"}
+"""Where the arm of each driver answers."""
+
+
+def require_matching_addresses(settings: HardwareSettings, kind: str, where: str) -> None:
+    """Raise ``InputError`` where ``kind`` ("hardware" or "emulated") and an address disagree."""
+    for key, here in _addresses(settings):
+        if kind == "emulated" and not here:
+            raise InputError(
+                f"Bad value for 'kind': this bench is called emulated, but '{key}' is no place of "
+                "an emulated device.",
+                where,
+                f"Write kind = \"hardware\", or correct '{key}': a whole path, or 127.0.0.1.",
+            )
+        if kind == "hardware" and here and key == ARM_HOSTS.get(settings.melfa.driver):
+            raise InputError(
+                "Bad value for 'kind': this bench is called hardware, but its arm answers on this "
+                "computer, as emulated ones do.",
+                where,
+                f"Write kind = \"emulated\", or correct '{key}'.",
+            )
+
+
+def _addresses(settings: HardwareSettings) -> Iterator[tuple[str, bool]]:
+    """Yield (key, whether it is a place on this computer that an emulated device can have)."""
+    if settings.melfa.driver == "ur":
+        yield "ur.host", is_loopback(settings.ur.host)
+    else:
+        yield "melfa.host", is_loopback(settings.melfa.host)
+    yield "wsg.host", is_loopback(settings.wsg.host)
+    # Without an address these two are at the controller of their arm.
+    if settings.ft.driver not in ("melfa", "ur") or settings.ft.address:
+        yield "ft.address", _is_here(settings.ft.address)
+    gelsight = settings.gelsight
+    if gelsight.driver != "gelsight":
+        # Where cameras of other makes are, their drivers know.
+        return
+    filmed = bool(gelsight.left.file and gelsight.right.file)
+    yield "gelsight.by_id", filmed or not _is_device(Path(gelsight.by_id))
+
+
+def is_loopback(host: str) -> bool:
+    """Whether ``host`` is this computer by the address that only it can reach."""
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _is_here(address: str) -> bool:
+    found = ADDRESS_URL.match(address)
+    if found:
+        return is_loopback(found["host"])
+    path = Path(address)
+    if not path.is_absolute():
+        return False
+    target = path.resolve()
+    # A link whose terminal is gone leads nowhere: then its own place decides.
+    return _is_below(target, TERMINALS) or not _is_device(target)
+
+
+def _is_device(path: Path) -> bool:
+    return _is_below(path, DEVICES) and not _is_below(path, MEMORY)
+
+
+def _is_below(path: Path, folder: Path) -> bool:
+    return path == folder or folder in path.parents
+
+
+LAB_FILE_VERSION = 1
 Length = Annotated[float, Field(allow_inf_nan=False)]
 LabKind = Literal["hardware", "emulated"]
-NO_SIMULATION = frozenset({"version", "kind", "melfa", "wsg", "ft", "gelsight"})
+LAB_FILE_KEYS = frozenset({"version", "kind", "melfa", "wsg", "ft", "gelsight"})
 """A file with one of these keys is a lab file; settings of the simulated bench have none."""
 
 
@@ -57,13 +139,13 @@ class LimitSettings(Settings):
 
     @model_validator(mode="after")
     def _in_order(self) -> LimitSettings:
-        for low, high in ORDER:
+        for low, high in ORDERED_LIMITS:
             if not getattr(self, low) <= getattr(self, high):
                 raise ValueError(f"'{low}' is above '{high}'")
         return self
 
 
-ORDER = (
+ORDERED_LIMITS = (
     ("least_x_mm", "most_x_mm"),
     ("least_y_mm", "most_y_mm"),
     ("lowest_mm", "highest_mm"),
@@ -130,7 +212,7 @@ class Lab:
         return self.path.parent / self.settings.calibrations
 
     @property
-    def facts(self) -> BenchFacts:
+    def facts(self) -> BenchDescription:
         """Return what the numbers of an observation depend on here."""
         settings = self.settings
         mounting, gelsight, ft = settings.mounting, settings.gelsight, settings.ft
@@ -142,9 +224,9 @@ class Lab:
             "gelsight": [gelsight.mm_per_px_x, gelsight.mm_per_px_y, gelsight.crop_fraction],
             "fingers": [f.model_dump(mode="json") for f in (gelsight.left, gelsight.right)],
         }
-        return BenchFacts(
+        return BenchDescription(
             mode=settings.kind,
-            sha256=digest(kept),
+            sha256=sha256_of_json(kept),
             mm_per_px=(scale, scale),
             ft_frame=wrist_frame(mounting.sensor_height_mm, mounting.sensor_yaw_rad),
             sensor_height_mm=mounting.sensor_height_mm,
@@ -153,23 +235,128 @@ class Lab:
 
 def is_lab_file(path: Path) -> bool:
     """Whether ``path`` names devices, not a simulated bench; raises ``InputError`` as reading."""
-    return bool(NO_SIMULATION & read_toml(path).keys())
+    return bool(LAB_FILE_KEYS & read_toml(path).keys())
 
 
 def load_lab(path: Path) -> Lab:
     """Read a lab file; raises ``InputError`` naming file, key and reason."""
     settings = parse_lab(read_toml(path), path)
-    refuse_wrong_places(settings, settings.kind, str(path))
+    require_matching_addresses(settings, settings.kind, str(path))
     return Lab(path, settings)
 
 
 def parse_lab(content: dict[str, Any], path: Path) -> LabSettings:
     """Return the settings of a lab file; raises ``InputError``, also for another version."""
     version = content.get("version")
-    if version != VERSION or isinstance(version, bool):
+    if version != LAB_FILE_VERSION or isinstance(version, bool):
         raise InputError(
-            f"Bad value for 'version': {version!r} is not known here ({VERSION}).",
+            f"Bad value for 'version': {version!r} is not known here ({LAB_FILE_VERSION}).",
             str(path),
-            f"Write 'version = {VERSION}', or use the Touchdown that wrote the file.",
+            f"Write 'version = {LAB_FILE_VERSION}', or use the Touchdown that wrote the file.",
         )
-    return parse(LabSettings, content, str(path))
+    return parse_settings(LabSettings, content, str(path))
+
+
+LabValue = str | int
+_KEY = r"\s*{}\s*="
+_SECTION = re.compile(r"\s*\[\s*([^\[\]]+?)\s*\]\s*(#.*)?$")
+
+
+def save_lab(path: Path, values: Mapping[str, LabValue]) -> bool:
+    """Set ``values`` by dotted key in the lab file ``path``; returns whether anything changed.
+
+    Raises ``InputError``, and changes nothing, if the file could not be used with them.
+    """
+    before = path.read_text("utf-8") if read_toml(path) else ""
+    after = edit_toml(before, values, str(path))
+    if after == before:
+        return False
+    settings = parse_lab(tomllib.loads(after), path)
+    require_matching_addresses(settings, settings.kind, str(path))
+    write_atomically(path, after.encode())
+    return True
+
+
+def edit_toml(text: str, values: Mapping[str, LabValue], where: str) -> str:
+    """Return the TOML ``text`` with ``values`` set; raises ``InputError`` where it cannot be."""
+    content = tomllib.loads(text)
+    lines = text.splitlines()
+    for key, value in values.items():
+        if _get(content, key) == value:
+            continue
+        _set(content, key, value)
+        lines = _edit_line(lines, key, content)
+    after = "\n".join(lines) + "\n"
+    try:
+        same = tomllib.loads(after) == content
+    except tomllib.TOMLDecodeError:
+        same = False
+    if not same:
+        raise InputError(
+            "The file is written in a way that is not understood well enough to change it.",
+            where,
+            f"Set {', '.join(values)} there by hand.",
+        )
+    return after if after.strip() != text.strip() else text
+
+
+def _edit_line(lines: list[str], key: str, content: dict[str, Any]) -> list[str]:
+    """Return the lines with ``key`` as ``content`` has it: in its place, or in a new one."""
+    table, _, name = key.rpartition(".")
+    while table:
+        begin, end = _section(lines, table)
+        for at in range(begin, end):
+            if re.match(_KEY.format(re.escape(name)), lines[at]):
+                written = f"{name} = {_toml(_get(content, f'{table}.{name}'))}"
+                return [*lines[:at], written + _comment(lines[at]), *lines[at + 1 :]]
+        outer, _, inner = table.rpartition(".")
+        begin, end = _section(lines, outer)
+        if not any(re.match(_KEY.format(re.escape(inner)), line) for line in lines[begin:end]):
+            break
+        # The table is written on one line: all of it is written again.
+        table, name = outer, inner
+    table, _, name = key.rpartition(".")
+    written = f"{name} = {_toml(_get(content, key))}"
+    begin, end = _section(lines, table)
+    if begin == end == 0:
+        return [*lines, "", f"[{table}]", written]
+    while end > begin and not lines[end - 1].strip():
+        end -= 1
+    return [*lines[:end], written, *lines[end:]]
+
+
+def _section(lines: list[str], table: str) -> tuple[int, int]:
+    """Return where the lines of ``table`` begin and end; (0, 0) where it has no head."""
+    heads = [(at, match[1]) for at, line in enumerate(lines) if (match := _SECTION.match(line))]
+    ends = [at for at, _ in heads[1:]] + [len(lines)]
+    for (at, name), end in zip(heads, ends, strict=False):
+        if re.sub(r"\s", "", name) == table:
+            return at + 1, end
+    return 0, 0
+
+
+def _comment(line: str) -> str:
+    """Return the comment behind a value, with the space before it; "" where there is none."""
+    quoted = re.sub(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'', lambda m: "_" * len(m[0]), line)
+    at = quoted.find("#")
+    return "" if at < 0 else line[len(quoted[:at].rstrip()) :]
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _get(content: dict[str, Any], key: str) -> Any:
+    found: Any = content
+    for part in key.split("."):
+        found = found.get(part) if isinstance(found, dict) else None
+    return found
+
+
+def _set(content: dict[str, Any], key: str, value: LabValue) -> None:
+    *tables, name = key.split(".")
+    for part in tables:
+        content = content.setdefault(part, {})
+    content[name] = value

@@ -1,6 +1,6 @@
 """Constants of the method, each a named setting with its default and reason.
 
-[P] stands in the paper (Ota et al., arXiv 2309.14552); [U] is left open there and chosen here.
+[P] is stated in the paper (Ota et al., arXiv 2309.14552); [U] is left open there and chosen here.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Everything the simulated bench can be told: physics, sensors, spreads, and named presets.
+"""Settings of the simulated bench: physics, sensors, spreads, and named presets.
 
 Defaults are those of preset ``mixed``. Values marked [U] are unconfirmed estimates.
 """
@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, model_validator
 
-from backend.config.load import parse, read_toml
-from backend.config.method import NonNegative, Positive, Settings
+from touchdown.backend.config.method import NonNegative, Positive, Settings
+from touchdown.backend.config.toml_file import parse_settings, read_toml
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Preset: TypeAlias = Literal["mixed", "quiet", "hard", "off", "realistic", "bench-v1"]
@@ -161,7 +161,7 @@ class SimulationSettings(Settings):
 
 def _frozen(name: str) -> dict[str, Any]:
     """Return the values of a bench that is never changed again."""
-    return read_toml(Path(str(files("resources"))) / "benches" / f"{name}.toml")
+    return read_toml(Path(str(files("touchdown.resources"))) / "benches" / f"{name}.toml")
 
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -226,7 +226,7 @@ def load_simulation(file: Path | None = None, preset: str | None = None) -> Simu
     content = {} if file is None else read_toml(file)
     if preset is not None:
         content["preset"] = preset
-    return parse(SimulationSettings, content, str(file) if file else "--preset")
+    return parse_settings(SimulationSettings, content, str(file) if file else "--preset")
 
 
 def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""One monotonic clock for the whole bench, and the hand-wound one of the simulation."""
+"""Clocks of the bench: monotonic, paced by the wall clock, or advanced by hand in simulation."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class BenchClock:
         self._never.wait(self._due_s - now_s)
 
 
-class WallWatch:
+class ClockJumpDetector:
     """Notices that the wall clock was set, or that the computer slept: the two clocks part then."""
 
     LEAST_S = 1.0
@@ -68,7 +68,7 @@ class WallWatch:
         return ahead_s if abs(ahead_s) > self.LEAST_S + self.SLEW * gone_s else 0.0
 
 
-class HandClock:
+class ManualClock:
     """A clock that moves only when it is wound, in whole microseconds (exactly repeatable)."""
 
     def __init__(self) -> None:

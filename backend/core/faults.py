@@ -1,4 +1,7 @@
-"""What can go wrong, in the operator's language: what, where, and what to do next."""
+"""Errors and faults in the operator's language.
+
+Each names the problem, its place, and the next step.
+"""
 
 from __future__ import annotations
 

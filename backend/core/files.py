@@ -1,10 +1,16 @@
-"""Files that are either complete or not there."""
+"""Durable files: atomic writes, exclusive locks, and the name of the program that wrote them.
+
+A file is either complete or absent. The system releases a lock when its process ends.
+"""
 
 from __future__ import annotations
 
 import errno
 import os
+import sys
 from contextlib import suppress
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 NOTHING_TO_SYNC = frozenset({errno.EINVAL, errno.ENOTSUP})
@@ -57,3 +63,48 @@ def write_atomically(path: Path, content: bytes) -> None:
             part.unlink()
         raise
     sync_folder(path.parent)
+
+
+_FAR_BYTE = 1 << 20
+"""Windows locks bytes against reading as well: this one is far behind the text."""
+
+
+def lock_file(path: Path) -> int:
+    """Lock ``path`` (made if need be) until the returned descriptor is closed.
+
+    Raises ``BlockingIOError`` if it is locked already.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        _lock(descriptor)
+    except OSError as error:
+        os.close(descriptor)
+        raise BlockingIOError(f"{path} is locked") from error
+    return descriptor
+
+
+def _lock(descriptor: int) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        os.lseek(descriptor, _FAR_BYTE, os.SEEK_SET)
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        os.lseek(descriptor, 0, os.SEEK_SET)
+    else:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@lru_cache(maxsize=8)
+def package_version(package: str) -> str:
+    """Return the version of an installed package, "" if it is not installed."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
+
+
+def program_stamp() -> str:
+    """Return name and version of this program."""
+    return f"touchdown {package_version('touchdown') or '(not installed)'}"

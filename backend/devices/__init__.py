@@ -1,1 +1,20 @@
-"""What the bench needs from hardware, and who provides it."""
+"""Device protocols, interlock, jog, supervision and the registry of makes."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend.devices import (
+        connection,
+        force_torque_registry,
+        guarded,
+        interlock,
+        jog,
+        jog_limits,
+        protocols,
+        registry,
+        supervision,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-"""Arm and gripper behind the interlock: the only ones that plans and windows ever hold."""
+"""Arm and gripper that obey the interlock."""
 
 from __future__ import annotations
 
@@ -7,23 +7,40 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import astuple, replace
 
-from backend.core.faults import RefusedError
-from backend.core.flow import Pose
-from backend.core.stream import SampleStream
-from backend.core.turning import LEVEL_RAD, refuse_turned, turn_of, turned_rad
-from backend.devices.held import ByHand, OpensByRight, Right
-from backend.devices.interlock import LEASE_S, Interlock, ReleaseEvidence, release_refusal
-from backend.devices.jog_limits import (
+from touchdown.backend.core import (
+    LEVEL_RAD,
+    Pose,
+    RefusedError,
+    SampleStream,
+    pose_rotation,
+    require_unrotated,
+    rotation_angle_rad,
+)
+from touchdown.backend.devices.interlock import (
+    LEASE_S,
+    Interlock,
+    JigEvidence,
+    ReleaseEvidence,
+    Retreating,
+    jig_refusal,
+    release_refusal,
+)
+from touchdown.backend.devices.jog_limits import (
+    falls_mm,
     refuse_forced,
     refuse_outside,
+    refuse_place,
+    refuse_turning,
     refuse_unknown,
     room_mm,
+    room_rad,
 )
-from backend.devices.protocols import (
+from touchdown.backend.devices.protocols import (
     STILL,
     TURN_RAD_S,
     Arm,
     ArmStatus,
+    ByHand,
     Device,
     DeviceState,
     Gripper,
@@ -32,14 +49,13 @@ from backend.devices.protocols import (
     Identity,
     Joints,
     Motion,
+    OpensByRight,
     PressCommand,
     PressMotion,
+    Right,
     RobotMode,
     Vector,
 )
-from backend.devices.putting_back import JigEvidence, jig_refusal
-from backend.devices.retreating import Retreating
-from backend.devices.turn_limits import falls_mm, refuse_place, refuse_turning, room_rad
 
 PressForce = Callable[[], float]
 """Present press force in N (tared Fz), NaN if unknown."""
@@ -240,7 +256,7 @@ class GuardedArm(_Guarded):
                 "APPROACH-SPEED",
                 f"{command.approach_mm_s:.1f} mm/s exceeds {limits.contact_speed_mm_s:.1f} mm/s.",
             )
-        refuse_turned(turn_of(self._arm.pose(max_age_s=0.2)))
+        require_unrotated(pose_rotation(self._arm.pose(max_age_s=0.2)))
         return self._arm.press(command)
 
     def unload(self, force_n: float, speed_mm_s: float) -> Motion:
@@ -259,7 +275,7 @@ class GuardedArm(_Guarded):
     def _refuse_turned_move(self, target: Pose, turn_rad_s: float) -> bool:
         """Return whether the hand is turned on the way; refuse what may not be."""
         here = self._arm.pose(max_age_s=0.2)
-        if max(turned_rad(here), turned_rad(target)) <= LEVEL_RAD:
+        if max(rotation_angle_rad(here), rotation_angle_rad(target)) <= LEVEL_RAD:
             return False
         self._refuse_turning_jog(here, turn_rad_s)
         low = replace(target, z_mm=min(here.z_mm, target.z_mm))

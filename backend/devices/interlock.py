@@ -1,9 +1,4 @@
-"""Guards the arm and the gripper: stop latch, motion lease, limits, and the release conditions.
-
-Plans and windows hold the guarded devices only. ``stop`` works from any thread in every state,
-joins nothing and never opens the gripper. Motion needs a live lease: whoever moves the bench renews
-it, and silence ends motion. Each refusal has a name (``RefusedError.reason``).
-"""
+"""Interlock: stop, faults, leases and permissions."""
 
 from __future__ import annotations
 
@@ -11,9 +6,63 @@ import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Protocol, runtime_checkable
 
-from backend.core.faults import Fault, RefusedError
-from backend.devices.retreating import RETREATS
+from touchdown.backend.core import Fault, RefusedError
+
+NEAR_JIG_MM = 0.5
+"""The arm is back at the taught place of the jig within this distance on each axis."""
+STILL_MM = 0.05
+JAMMED_N = 2.0
+"""More force than this along any axis: the piece does not sit freely in the jig."""
+
+
+@dataclass(frozen=True, slots=True)
+class JigEvidence:
+    """What was measured over the jig.
+
+    ``from_jig_mm``: largest distance on one axis from the taught place; ``moved_mm``: largest
+    travel as it stands (``travelled_mm``); ``force_n``: largest force beyond gripper and piece.
+    """
+
+    from_jig_mm: float
+    moved_mm: float
+    force_n: float
+    holding: bool
+
+
+def jig_refusal(evidence: JigEvidence) -> tuple[str, str] | None:
+    """Return None if the piece may be put back, else (name, sentence); NaN refuses."""
+    e = evidence
+    rows = (
+        (
+            "NOT-AT-JIG",
+            0 <= e.from_jig_mm <= NEAR_JIG_MM,
+            f"The arm is {e.from_jig_mm:.2f} mm from the taught place of the jig.",
+        ),
+        ("ARM-MOVING", 0 <= e.moved_mm <= STILL_MM, "The arm is not standing still."),
+        ("JAMMED", 0 <= e.force_n <= JAMMED_N, f"{e.force_n:.1f} N on the piece in the jig."),
+        ("NOT-HOLDING", e.holding, "The gripper does not hold a piece."),
+    )
+    return next(((name, sentence) for name, holds, sentence in rows if not holds), None)
+
+
+RETREAT_MM, RETREAT_MM_S = 2.0, 10.0
+RETREATS = frozenset({"FT-TRIP", "FT-OVERLOAD", "CONTACT-STIFF", "CONTACT-SWINGS"})
+"""Codes of faults at which an arm that can draws back from the contact; at all others it stops."""
+
+
+@runtime_checkable
+class Retreating(Protocol):
+    """An arm that does so by itself, once it is told."""
+
+    def retreat(self) -> None:
+        """Rise by ``RETREAT_MM`` from where the arm is, then stand; the motion under way ends.
+
+        From any thread, waits for nothing; where nothing can be driven it is a stop. A press that
+        draws back already goes on with that.
+        """
+
 
 LEAST_OVERRIDE = 0.1
 """Slower, a move of a run would outlast the time that it is given."""

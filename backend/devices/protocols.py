@@ -1,8 +1,4 @@
-"""What the bench needs from hardware. Simulated, replayed and real devices satisfy these.
-
-Protocols, not base classes: the implementations share no code by inheritance, and one contract
-suite holds them all. Plans and windows never hold an unguarded arm or gripper: see ``interlock``.
-"""
+"""Protocols that every device implements, with their values and states."""
 
 from __future__ import annotations
 
@@ -11,10 +7,21 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import Enum
-from typing import Protocol
+from typing import Literal, Protocol, runtime_checkable
 
-from backend.core.flow import Finger, FloatArray, Pose, TactileFrame
-from backend.core.stream import SampleStream, Stream
+import numpy as np
+
+from touchdown.backend.core import (
+    Fault,
+    FaultError,
+    Finger,
+    FloatArray,
+    Pose,
+    SampleStream,
+    Stream,
+    TactileFrame,
+)
+from touchdown.backend.devices.interlock import JigEvidence, ReleaseEvidence
 
 Vector = tuple[float, float, float]
 STILL: Vector = (0.0, 0.0, 0.0)
@@ -290,3 +297,187 @@ class Gripper(Device, Protocol):
 
     def stop(self) -> None:
         """Stop where it is; keeps the grip."""
+
+
+VOID_PRESS = "PRESS-VOID"
+"""Code of a press during which the arm stood still for a moment: what was felt does not count."""
+
+
+class CommandedMotion:
+    """Ends once, well or with a fault; ``sent`` is what really went out."""
+
+    def __init__(self, sent: Mapping[str, float]) -> None:
+        self._sent = dict(sent)
+        self._done = False
+        self._fault: Fault | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether it ended."""
+        return self._done
+
+    @property
+    def sent(self) -> Mapping[str, float]:
+        """What was sent, after limits."""
+        return self._sent
+
+    def result(self) -> None:
+        """Return if it ended well; raise the fault if not; ValueError while under way."""
+        if not self._done:
+            raise ValueError("the motion is still under way")
+        if self._fault is not None:
+            raise FaultError(self._fault)
+
+    def end(self, fault: Fault | None = None) -> None:
+        """End; only the first ending counts."""
+        if not self._done:
+            self._fault = fault
+            self._done = True
+
+
+def stopped_fault(device: str) -> Fault:
+    """Return the fault of a motion that was stopped."""
+    return Fault(
+        "STOPPED",
+        "The motion was stopped.",
+        "The device stands still; the gripper was not opened.",
+        "Look at the bench, then press Reset.",
+        device,
+    )
+
+
+def replaced_fault(device: str) -> Fault:
+    """Return the fault of a motion that another command took the place of."""
+    return Fault(
+        "REPLACED",
+        "Another command took the place of this motion.",
+        "The device follows the newer command.",
+        "Wait for a motion to end before the next command.",
+        device,
+    )
+
+
+def servo_off_fault(device: str) -> Fault:
+    """Return the fault of an order to an arm whose motors are off."""
+    return Fault(
+        "SERVO-OFF",
+        "The servo of the arm is off.",
+        "Nothing was moved.",
+        "Hold Servo in the top bar for 1 s.",
+        device,
+    )
+
+
+Step = Literal["reach", "identify", "configure", "first sample"]
+STEPS: tuple[Step, ...] = ("reach", "identify", "configure", "first sample")
+"""The wire is open; the device is the one that was meant; it is set up; it delivers."""
+
+
+class Steps:
+    """Written by whoever connects, read by anyone."""
+
+    def __init__(self) -> None:
+        self.done = 0
+        """So many of ``STEPS`` are done."""
+
+    def begin(self) -> None:
+        """Start anew."""
+        self.done = 0
+
+    def reached(self, step: Step) -> None:
+        """Count ``step`` as done, and all before it."""
+        self.done = max(self.done, STEPS.index(step) + 1)
+
+
+@runtime_checkable
+class Stepwise(Protocol):
+    """A device that says how far its connection has come."""
+
+    @property
+    def steps(self) -> Steps:
+        """The steps of the present connection."""
+
+
+@runtime_checkable
+class Homing(Gripper, Protocol):
+    """A gripper that finds its origin on the operator's word.
+
+    ``lost_holding``: a piece was held when the connection was lost, so that a fast stop waits for
+    the operator, also in the next connection.
+    """
+
+    lost_holding: bool
+
+    @property
+    def homed(self) -> bool:
+        """Whether it knows where its jaws are."""
+
+    @property
+    def fault(self) -> Fault | None:
+        """What has to be acknowledged, or why the connection was lost."""
+
+    def home(self) -> Motion:
+        """Find the origin, with empty jaws only."""
+
+    def acknowledge(self) -> None:
+        """Take a fast stop or fault as seen."""
+
+
+STILL_S = 0.2
+"""So long an arm has stood before jaws may open."""
+TOLD_S = 0.8
+"""An arm whose controller holds it by a program of its own tells its place some ten times a second,
+and later while variables are written: then the last two places of this time count."""
+
+
+def last_places_mm(poses: SampleStream, now_s: float) -> FloatArray:
+    """Return the places (n, 3) of the last ``STILL_S``, mm; the last two at least, or none."""
+    told = poses.window(now_s - TOLD_S, now_s)
+    recent = int((told.t_s >= now_s - STILL_S).sum())
+    count = len(told.t_s)
+    return told.values[count - max(recent, 2) :] if count >= 2 else np.empty((0, 3))
+
+
+def travelled_mm(places_mm: FloatArray) -> float:
+    """Return the largest travel on one axis between ``places_mm`` (n, 3); NaN of fewer than two."""
+    return float(np.ptp(places_mm, axis=0).max()) if len(places_mm) > 1 else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class ByHand:
+    """The operator's own order, confirmed by them."""
+
+    confirmed: bool
+
+
+Right = ReleaseEvidence | JigEvidence | ByHand
+
+
+@runtime_checkable
+class OpensByRight(Protocol):
+    """A gripper that looks at its own sensors before it opens on a held piece."""
+
+    def open_held(self, right: Right, width_mm: float, speed_mm_s: float) -> Motion:
+        """Open to ``width_mm`` if ``right`` and what is measured now allow it; ``RefusedError``."""
+
+
+TRACE = (
+    *(f"command_{axis}_mm" for axis in "xyz"),
+    *(f"measured_{axis}_mm" for axis in "xyz"),
+    *(f"sent_j{n}_rad" for n in range(1, 7)),
+    *(f"measured_j{n}_rad" for n in range(1, 7)),
+    *("phase", "missed", "holds", "moving", "press_n"),
+)
+"""Names of the values that ``trace`` returns; ``phase`` is the place in the life of the stream."""
+
+
+@runtime_checkable
+class Traced(Protocol):
+    """An arm whose stream can be looked into while it runs."""
+
+    @property
+    def press_n(self) -> float:
+        """Felt press force by the zero of the contact law; NaN without contact."""
+
+    def trace(self) -> tuple[float, ...]:
+        """Return the values of ``TRACE`` as they are now."""

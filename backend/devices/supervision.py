@@ -1,33 +1,285 @@
-"""Watches the sensors while the bench moves: a silent or raving sensor ends motion with a fault.
-
-Called once per advance of the bench, with the bench clock. Limits come from the interlock
-(reliability sections 3.3, 4.7 and 6). On the way to a fault a device is ``degraded``, and by hand
-the arm then only moves away from contact. A gripper is watched as long as it holds a piece.
-"""
+"""Supervision of running devices: age, force, grip."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from backend.core.faults import Fault
-from backend.core.flow import FINGERS, Finger, ImageArray, TactileFrame
-from backend.core.stream import SampleStream, Stream
-from backend.devices.arrivals import TellsSlow
-from backend.devices.degraded import (
-    GRIP_LATE_S,
-    GRIP_LOST_S,
-    LATE_SHARE,
-    NAMES,
-    Degraded,
-    Rate,
-    pause_fault,
+from touchdown.backend.core import (
+    FINGERS,
+    Fault,
+    Finger,
+    ImageArray,
+    RefusedError,
+    SampleStream,
+    Stream,
+    TactileFrame,
 )
-from backend.devices.grip_watch import GripWatch
-from backend.devices.interlock import Interlock
-from backend.devices.protocols import Device, Gripper
+from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.devices.protocols import Device, DeviceState, Gripper
+
+MOVED_MM = 0.3
+"""So much the width may change while a piece is held."""
+WEAK_SHARE, WEAK_S = 0.5, 0.1
+"""A force below this share of the grip's, for so long, holds no more what was measured with it."""
+STANDS_S = 0.3
+"""After the jaws began to hold they still close on the gels for this long."""
+LEAST_MM, MOST_MM = -1.0, 1000.0
+"""No jaws have another width."""
+
+
+@runtime_checkable
+class Ordered(Protocol):
+    """A gripper that knows what it was ordered: how often to grip, and whether to let go since."""
+
+    grips: int
+    letting_go: bool
+
+
+class GripWatch:
+    """Watches one gripper from the moment at which it holds something."""
+
+    def __init__(self, gripper: Gripper | None = None) -> None:
+        self._gripper = gripper
+        # Asked once: in every step it takes as long as the rest of the watch.
+        asked: object = gripper
+        self._ordered = asked if isinstance(asked, Ordered) else None
+        self._grips = 0
+        self._since_s: float | None = None
+        self._width_mm = self._force_n = 0.0
+        self._weak_s: float | None = None
+        self.seen_s = float("-inf")
+        """When the gripper last told a width that is one."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether something was held when it was last seen."""
+        return self._since_s is not None
+
+    def check(self, now_s: float) -> Fault | None:
+        """Return the fault of a piece that is lost, once; None if all is well."""
+        gripper = self._gripper
+        if gripper is None:
+            return None
+        status = gripper.status()
+        told = LEAST_MM <= status.width_mm <= MOST_MM
+        self.seen_s = now_s if told else self.seen_s
+        if gripper.state is not DeviceState.READY:
+            self._since_s = None
+            return None
+        if self._lets_go() or not told:
+            return None
+        if self._since_s is None:
+            self._since_s = now_s if status.holding else None
+            self._width_mm = status.width_mm
+            return None
+        if not status.holding:
+            self._since_s = None
+            return _lost("The gripper holds no piece any more, and nobody opened it.")
+        if now_s - self._since_s <= STANDS_S:
+            self._width_mm, self._force_n, self._weak_s = status.width_mm, status.force_n, None
+            return None
+        if self._weak(status.force_n, now_s):
+            self._since_s = None
+            return _lost(f"The grip force fell from {self._force_n:.1f} to {status.force_n:.1f} N.")
+        moved_mm = status.width_mm - self._width_mm
+        if not abs(moved_mm) <= MOVED_MM:
+            self._since_s = None
+            return _lost(f"The jaws moved by {moved_mm:+.1f} mm while they held the piece.")
+        return None
+
+    def _weak(self, force_n: float, now_s: float) -> bool:
+        """Whether the grip has been weak for too long; no number is no change."""
+        if force_n < WEAK_SHARE * self._force_n:
+            self._weak_s = now_s if self._weak_s is None else self._weak_s
+        elif force_n >= WEAK_SHARE * self._force_n:
+            self._weak_s = None
+        return self._weak_s is not None and now_s - self._weak_s >= WEAK_S - 1e-6
+
+    def _lets_go(self) -> bool:
+        """Whether what is held may leave now. A newer grip is watched from its own beginning."""
+        ordered = self._ordered
+        if ordered is None:
+            return False
+        if ordered.letting_go or ordered.grips != self._grips:
+            # A newer grip may close it further; what is let go may leave.
+            self._since_s = None
+        self._grips = ordered.grips
+        return ordered.letting_go
+
+
+def _lost(what: str) -> Fault:
+    return Fault(
+        "PIECE-LOST",
+        what,
+        "Motion stopped; the probe in progress is void and nothing was let go.",
+        "Take the piece out or grip it again by hand, then press Reset.",
+        "gripper",
+    )
+
+
+LATE_SHARE = {"force_torque": 1 / 3, "tactile_left": 0.24, "tactile_right": 0.24}
+"""Late at this share of the age that is a fault: 100 of 300 ms, pictures 120 of 500 ms."""
+GRIP_LATE_S, GRIP_LOST_S = 0.3, 1.0
+"""A gripper that holds a piece is late, and a fault, after this long without a reading."""
+SLOW_SHARE = 0.5
+"""Slow below this share of the usual rate, or of the best that the sensor had so far."""
+RATE_WINDOW_S = 1.0
+NAMES = {
+    "force_torque": "wrist sensor",
+    "tactile_left": "left tactile camera",
+    "tactile_right": "right tactile camera",
+    "gripper": "gripper",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Degraded:
+    """``device`` is silent or slow since ``since_s`` of the bench clock."""
+
+    device: str
+    how: Literal["silent", "slow"]
+    since_s: float
+
+    def what(self, now_s: float) -> str:
+        """Say which device, how, and for how long at ``now_s`` of the bench clock."""
+        name, for_s = NAMES[self.device], f"{now_s - self.since_s:.1f} s"
+        if self.how == "silent":
+            return f"The {name} has been silent for {for_s}."
+        return f"The {name} has delivered less than half of its samples for {for_s}."
+
+
+class Rate:
+    """Samples per second of a sensor by their own stamps, beside the best it had."""
+
+    def __init__(self) -> None:
+        self._best_hz = 0.0
+        self._begun_s: float | None = None
+        self._count = 0
+        self.slow_since_s: float | None = None
+        """When the sensor became slow; None while it is not."""
+
+    def begin(self) -> None:
+        """Count anew: what came before is of another scene. The best rate is kept."""
+        self._begun_s, self._count, self.slow_since_s = None, 0, None
+
+    def note(
+        self, newest_s: float, count: int, usual_hz: Callable[[], float] = lambda: 0.0
+    ) -> None:
+        """Take ``count`` samples, the newest stamped ``newest_s``; judged once a second.
+
+        ``usual_hz``: the rate that the sensor itself tells, 0 where it tells none.
+        """
+        if self._begun_s is None:
+            self._begun_s = newest_s
+            return
+        self._count += count
+        span_s = newest_s - self._begun_s
+        if span_s < RATE_WINDOW_S:
+            return
+        rate_hz = self._count / span_s
+        self._best_hz = max(self._best_hz, rate_hz)
+        if rate_hz >= SLOW_SHARE * max(self._best_hz, usual_hz()):
+            self.slow_since_s = None
+        elif self.slow_since_s is None:
+            self.slow_since_s = self._begun_s
+        self._begun_s, self._count = newest_s, 0
+
+
+def refuse_degraded(degraded: tuple[Degraded, ...], now_s: float) -> None:
+    """Raise ``RefusedError`` while a device is degraded: nothing new begins on it."""
+    for one in degraded:
+        raise RefusedError("DEGRADED", f"{one.what(now_s)} Start again once it delivers.")
+
+
+def pause_fault(degraded: Degraded, now_s: float) -> Fault:
+    """Return what to say of a run that pauses because of ``degraded``."""
+    return Fault(
+        "DEGRADED",
+        degraded.what(now_s),
+        "The run is paused, the arm stands lifted; every probe so far is safe.",
+        "Check the device and its cable; resume (P) once the state is no longer DEGRADED.",
+        degraded.device,
+    )
+
+
+ARRIVALS_SLOW_SHARE, WELL_SHARE = 0.5, 0.6
+"""Slow below this share of the usual rate, until it is above the other."""
+WINDOW_S = 0.05
+LEAST_PERIODS = 6
+"""So many samples are due in the window at least: single losses do not make a sensor slow."""
+APART = 1.5
+"""Quiet for so many periods after an arrival: nothing more waited behind it."""
+WAIT_S, WAIT_PERIODS = 0.021, 5.0
+"""A longer wait than adapters make (16 ms), and than this many periods, says nothing of a rate."""
+
+
+@runtime_checkable
+class TellsSlow(Protocol):
+    """A sensor that knows by itself since when it has been slow."""
+
+    @property
+    def slow_since_s(self) -> float | None:
+        """Bench time; None while it is not slow."""
+
+
+class Arrivals:
+    """Of one connection, to a sensor with the usual period ``period_s``."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._window_s = max(WINDOW_S, LEAST_PERIODS * period_s)
+        self._came: deque[tuple[float, int]] = deque()
+        self._total = 0
+        self._judged = True
+        self.slow_since_s: float | None = None
+        """When it began to be slow; None while it is not."""
+
+    def note(self, now_s: float, count: int) -> None:
+        """Take ``count`` samples that came at ``now_s``."""
+        self.look(now_s)
+        self._total += count
+        self._came.append((now_s, self._total))
+        self._judged = False
+        if self.slow_since_s is not None and self._share() >= WELL_SHARE:
+            self.slow_since_s = None
+
+    def look(self, now_s: float) -> None:
+        """Judge up to the newest arrival, once nothing more waited behind it at ``now_s``."""
+        if self._judged or now_s - self._came[-1][0] <= APART * self._period_s:
+            return
+        self._judged = True
+        if (
+            self.slow_since_s is None
+            and self._share() < ARRIVALS_SLOW_SHARE
+            and not self._held_up()
+        ):
+            self.slow_since_s = self._came[0][0]
+
+    def _held_up(self) -> bool:
+        """Whether somebody waited long: what ends the wait may still be on its way."""
+        longest_s = max(b[0] - a[0] for a, b in pairwise(self._came))
+        return longest_s > max(WAIT_S, WAIT_PERIODS * self._period_s)
+
+    def _share(self) -> float:
+        """Return the rate over the window up to the newest arrival, as a share of the usual one.
+
+        1.0 as long as there is no window.
+        """
+        came, (last_s, last) = self._came, self._came[-1]
+        while len(came) > 1 and came[1][0] <= last_s - self._window_s:
+            came.popleft()
+        first_s, first = came[0]
+        if last_s - first_s < self._window_s:
+            return 1.0
+        return (last - first) * self._period_s / (last_s - first_s)
+
 
 GRACE_S = 1.0
 """After a scene begins the sensors get this long to deliver their first samples."""

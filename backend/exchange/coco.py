@@ -1,8 +1,4 @@
-"""COCO-like JSON: the bottom face as a canvas, the contact patch as an annotation on it.
-
-20 px/mm, the centre of the bottom in the middle, v down. The polygon is the overlap of both
-outlines; on import only the offset (first keypoint) is read back.
-"""
+"""COCO-like JSON: the bottom face as a canvas, the contact patch as an annotation on it."""
 
 from __future__ import annotations
 
@@ -16,17 +12,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from backend.catalogue.chain import content_hash
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.geometry import Pair
-from backend.catalogue.values import Label
-from backend.core.faults import InputError
-from backend.core.flow import FloatArray
-from backend.exchange.exporting import Job
-from backend.exchange.label_rows import LabelRow
-from backend.exchange.query import Chosen
-from backend.objects.shapes import turned
-from backend.objects.surface import overlap_polygon
+from touchdown.backend.annotations import Dataset, Label, Pair, content_hash
+from touchdown.backend.core import FloatArray, InputError
+from touchdown.backend.exchange.exports import ExportJob
+from touchdown.backend.exchange.label_import import ImportedLabel
+from touchdown.backend.exchange.query import SelectedEpisode
+from touchdown.backend.geometry import overlap_polygon, rotated
 
 FILE = "annotations.json"
 PX_PER_MM = 20.0
@@ -40,7 +31,7 @@ MAX_BYTES = 1_000_000_000
 INK, PAPER = 60, 245
 
 
-def write(job: Job, folder: Path) -> Mapping[str, object]:
+def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
     """Write ``annotations.json`` and one picture per pair into ``folder``."""
     images, annotations = [], []
     canvases: dict[str, Canvas] = {}
@@ -94,7 +85,7 @@ def _file_name(pair: str) -> str:
     return f"images/{pair[:16]}.png"
 
 
-def _image(one: Chosen, canvas: Canvas) -> dict[str, object]:
+def _image(one: SelectedEpisode, canvas: Canvas) -> dict[str, object]:
     return {
         "id": one.index + 1,
         "file_name": _file_name(one.revision.geometry),
@@ -107,13 +98,13 @@ def _image(one: Chosen, canvas: Canvas) -> dict[str, object]:
     }
 
 
-def _annotation(one: Chosen, canvas: Canvas) -> dict[str, object]:
+def _annotation(one: SelectedEpisode, canvas: Canvas) -> dict[str, object]:
     revision, pair = one.revision, canvas.pair
     offset = revision.label.offset_mm
     yaw_rad = math.radians((revision.label.theta_mdeg or 0) / 1e3)
     x_mm, y_mm = offset.tolist()
     patch_mm = overlap_polygon(pair.face, (x_mm, y_mm), pair.bottom, yaw_rad)
-    centre_mm = offset + turned(np.array(pair.centre_mm), yaw_rad)
+    centre_mm = offset + rotated(np.array(pair.centre_mm), yaw_rad)
     points = [
         value for xy in canvas.px(np.stack([offset, centre_mm])).tolist() for value in (*xy, SEEN)
     ]
@@ -147,7 +138,7 @@ def _shape(polygon_px: FloatArray) -> dict[str, object]:
     }
 
 
-def read(source: Path, dataset: Dataset) -> Iterator[LabelRow]:
+def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
     """Yield the offsets of ``annotations.json``; rows whose polygon does not fit carry a warning.
 
     Raises ``InputError`` for a file that is damaged or foreign.
@@ -181,7 +172,7 @@ class _Scale:
 
 def _row(
     annotation: Mapping[str, Any], image: Mapping[str, Any], scale: _Scale, dataset: Dataset
-) -> LabelRow:
+) -> ImportedLabel:
     x_mm, y_mm = scale.mm(annotation["keypoints"][:2])[0].tolist()
     x_um, y_um = round(x_mm * 1e3), round(y_mm * 1e3)
     was = Label(**annotation["label"]) if "label" in annotation else None
@@ -196,14 +187,14 @@ def _row(
         share = _iou(corners, label, pair, dataset)
         if share < MIN_IOU:
             warning = f"its polygon and the patch of its offset overlap by {share:.2f} only"
-    return LabelRow(str(image["episode"]), str(image.get("file_sha256", "")), label, warning)
+    return ImportedLabel(str(image["episode"]), str(image.get("file_sha256", "")), label, warning)
 
 
 def _iou(corners_mm: FloatArray, label: Label, pair: Pair, dataset: Dataset) -> float:
     """Return the overlap of the points within a convex polygon and those of the derived patch."""
     touching = dataset.geometry.patch(pair.sha256, label).touching
     yaw_rad = math.radians((label.theta_mdeg or 0) / 1e3)
-    points = turned(pair.points_mm, yaw_rad) + label.offset_mm
+    points = rotated(pair.points_mm, yaw_rad) + label.offset_mm
     along = np.roll(corners_mm, -1, axis=0) - corners_mm
     turn = 1.0 if _doubled_area(corners_mm) > 0.0 else -1.0
     away = points[:, None, :] - corners_mm

@@ -1,13 +1,36 @@
-"""Names, types and shapes of what is handed on: the light part, which a reader's process needs."""
+"""Features of an exchanged episode: names, types, shapes, arrays as read from a foreign file.
+
+Light on purpose: the process that reads foreign files imports it. Optional packages are imported
+when they are needed.
+"""
 
 from __future__ import annotations
 
+import importlib
+import json
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from backend.core.flow import TACTILE_CHANNELS, WRENCH_CHANNELS
+from touchdown.backend.core import TACTILE_CHANNELS, WRENCH_CHANNELS, InputError
+
+
+def require_package(module: str) -> ModuleType:
+    """Import a package of the extra ``exchange``; raises ``InputError`` naming what to install."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise InputError(
+            f"The package '{module.partition('.')[0]}' is not installed.",
+            "extra 'exchange'",
+            "Install it: pip install 'touchdown[exchange]'.",
+        ) from error
+
 
 FPS = 10
 TICK_NS = 1_000_000_000 // FPS
@@ -39,7 +62,7 @@ POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 FT_NAMES = ("fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm")
 
 
-def features(points: int, *, native: bool) -> tuple[Feature, ...]:
+def make_features(points: int, *, native: bool) -> tuple[Feature, ...]:
     """Return the features of episodes with ``points`` face points; ``native``: with recordings."""
     recorded = (
         Feature(FT_WINDOW, "float32", (WINDOW, WRENCH_CHANNELS)),
@@ -53,3 +76,35 @@ def features(points: int, *, native: bool) -> tuple[Feature, ...]:
         Feature(OFFSET, "float32", (2,), constant=True, names=("x", "y")),
         Feature(PATCH, "uint8", (points,), constant=True),
     )
+
+
+FACTS = "facts.json"
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignEpisode:
+    """``values``: (T, ...) per feature. ``side``: of a split, or "". ``uuid``: ours, if it says."""
+
+    index: int
+    fps: float | None
+    values: Mapping[str, NDArray[Any]]
+    side: str = ""
+    uuid: str = ""
+
+
+ForeignReader = Callable[[Path], Iterator[ForeignEpisode]]
+
+
+def save_foreign(episode: ForeignEpisode, path: Path) -> None:
+    """Write an episode for the other process: arrays without objects, facts as JSON text."""
+    facts = {name: getattr(episode, name) for name in ("index", "fps", "side", "uuid")}
+    text = np.frombuffer(json.dumps(facts).encode("utf-8"), np.uint8)
+    np.savez(path, **{FACTS: text, **episode.values})  # type: ignore[arg-type]
+
+
+def load_foreign(path: Path) -> ForeignEpisode:
+    """Read what ``save`` wrote; nothing in it is ever executed."""
+    with np.load(path, allow_pickle=False) as stored:
+        facts = json.loads(stored[FACTS].tobytes())
+        values = {name: stored[name] for name in stored.files if name != FACTS}
+    return ForeignEpisode(values=values, **facts)

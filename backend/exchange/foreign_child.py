@@ -1,6 +1,6 @@
-"""The process that opens foreign files: ``python -m backend.exchange.foreign_child KIND SRC DIR``.
+"""Child process that opens foreign files.
 
-Writes one file per episode into DIR and names each in a line of JSON on standard output.
+Usage: ``python -m touchdown.backend.exchange.foreign_child KIND SRC DIR``.
 """
 
 from __future__ import annotations
@@ -11,21 +11,21 @@ from importlib import import_module
 from pathlib import Path
 from typing import cast
 
-from backend.core.faults import InputError
-from backend.exchange.foreign_episode import Read, save
+from touchdown.backend.core import InputError
+from touchdown.backend.exchange.features import ForeignReader, save_foreign
 
-READERS = {"lerobot": "lerobot_reading", "robomimic": "robomimic_reading"}
+READERS = {"lerobot": "lerobot_reader", "robomimic": "robomimic_reader"}
 MEMORY_BYTES = 8_000_000_000
 
 
 def main(kind: str, source: str, folder: str) -> None:
     """Read everything; whatever is wrong becomes one line."""
     _limit_memory()
-    read = cast("Read", import_module(f"backend.exchange.{READERS[kind]}").read)
+    read = cast("ForeignReader", import_module(f"touchdown.backend.exchange.{READERS[kind]}").read)
     try:
         for number, episode in enumerate(read(Path(source))):
             path = Path(folder) / f"{number:06d}.npz"
-            save(episode, path)
+            save_foreign(episode, path)
             _tell({"episode": str(path)})
     except InputError as error:
         _tell({"error": error.what, "where": error.where, "fix": error.fix})

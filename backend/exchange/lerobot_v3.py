@@ -1,8 +1,4 @@
-"""LeRobotDataset v3.0: parquet rows per tick, many episodes per file, videos one after the other.
-
-Source: huggingface/lerobot, docs/source/lerobot-dataset-v3.mdx and src/lerobot/datasets. Written
-without that package; its reader is asked by ``make exchange-check``.
-"""
+"""LeRobotDataset v3.0: parquet rows per tick, many episodes per file, videos one after the other."""
 
 from __future__ import annotations
 
@@ -13,14 +9,47 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from backend.config.method import SAMPLES_PER_PROBE
-from backend.exchange.exporting import Job
-from backend.exchange.extra import need
-from backend.exchange.features import FPS, PICTURES, Feature
-from backend.exchange.lerobot_film import CODEC, VIDEO_MB, Film
-from backend.exchange.low_dim import ExportEpisode
-from backend.exchange.running_stats import RunningStats
+from touchdown.backend.config import SAMPLES_PER_PROBE
+from touchdown.backend.exchange.export_episode import ExportEpisode
+from touchdown.backend.exchange.exports import ExportJob
+from touchdown.backend.exchange.features import FPS, PICTURES, Feature, require_package
+from touchdown.backend.exchange.video import CODEC, VIDEO_MB, VideoWriter
+
+
+class RunningStats:
+    """Statistics over the first axis of all blocks (Chan, Golub and LeVeque 1979)."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._least: NDArray[Any] = np.array(np.inf)
+        self._greatest: NDArray[Any] = np.array(-np.inf)
+        self._mean: NDArray[Any] = np.array(0.0)
+        self._squares: NDArray[Any] = np.array(0.0)
+
+    def add(self, rows: NDArray[np.float64]) -> None:
+        """Take a block (n, ...)."""
+        n, mean = len(rows), rows.mean(axis=0)
+        gap, total = mean - self._mean, self.count + n
+        self._least = np.minimum(self._least, rows.min(axis=0))
+        self._greatest = np.maximum(self._greatest, rows.max(axis=0))
+        within = ((rows - mean) ** 2).sum(axis=0)
+        self._squares = self._squares + within + gap**2 * (self.count * n / total)
+        self._mean = self._mean + gap * (n / total)
+        self.count = total
+
+    def result(self) -> dict[str, Any]:
+        """Return min, max, mean, std and count as lists, as LeRobot keeps them."""
+        deviation = np.sqrt(self._squares / self.count)
+        return {
+            "min": self._least.tolist(),
+            "max": self._greatest.tolist(),
+            "mean": self._mean.tolist(),
+            "std": deviation.tolist(),
+            "count": [self.count],
+        }
+
 
 CODEBASE = "v3.0"
 CHUNK_FILES, DATA_MB = 1000, 100
@@ -32,12 +61,12 @@ STATS_EVERY = 5
 """Every such picture goes into the statistics of pixels."""
 
 
-def write(job: Job, folder: Path) -> Mapping[str, object]:
+def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
     """Write the episodes of ``job`` as a LeRobot dataset in ``folder``."""
     tasks = sorted({_task(one.entry.piece, one.entry.bottom) for one in job.chosen})
     rows: list[dict[str, Any]] = []
     stats: dict[str, RunningStats] = {}
-    with _Data(folder, job.features) as data, _Films(folder, job.pictures) as films:
+    with _ParquetWriter(folder, job.features) as data, _FingerVideos(folder, job.pictures) as films:
         for episode in job.episodes():
             task = _task(episode.chosen.entry.piece, episode.chosen.entry.bottom)
             row = data.add(episode, tasks.index(task)) | films.add(episode)
@@ -55,12 +84,12 @@ def _task(piece: str, bottom: str) -> str:
     return f"press the {piece} on the {bottom}"
 
 
-class _Data:
+class _ParquetWriter:
     """The parquet files of rows: one row group per episode, a new file beyond 100 MB."""
 
     def __init__(self, folder: Path, features: Sequence[Feature]) -> None:
-        pa = need("pyarrow")
-        self._parquet = need("pyarrow.parquet")
+        pa = require_package("pyarrow")
+        self._parquet = require_package("pyarrow.parquet")
         self._pa, self._folder, self._features = pa, folder, features
         fields = [pa.field(f.key, _type(pa, f.dtype, f.shape)) for f in features]
         fields.append(pa.field("timestamp", pa.float32()))
@@ -115,12 +144,12 @@ class _Data:
         self._writer = self._parquet.ParquetWriter(self._path, self._schema, compression="snappy")
 
 
-class _Films:
+class _FingerVideos:
     """The videos of both fingers."""
 
     def __init__(self, folder: Path, pictures: bool) -> None:
         keys = PICTURES.values() if pictures else ()
-        self._films = {key: Film(folder, VIDEO_PATH, key) for key in keys}
+        self._films = {key: VideoWriter(folder, VIDEO_PATH, key) for key in keys}
 
     def __enter__(self) -> Self:
         return self
@@ -175,17 +204,17 @@ def _count(
 
 
 def _write_episodes(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    pa = need("pyarrow")
+    pa = require_package("pyarrow")
     path = folder / EPISODES_PATH
     path.parent.mkdir(parents=True, exist_ok=True)
     places = {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
     table = pa.Table.from_pylist([{**row, **places} for row in rows])
-    need("pyarrow.parquet").write_table(table, path, compression="snappy")
+    require_package("pyarrow.parquet").write_table(table, path, compression="snappy")
 
 
 def _write_tasks(folder: Path, tasks: Sequence[str]) -> None:
     """Write ``tasks.parquet``: the text is the index of a pandas frame, said by its metadata."""
-    pa = need("pyarrow")
+    pa = require_package("pyarrow")
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": list(tasks)})
     column = {"pandas_type": "int64", "numpy_type": "int64", "metadata": None}
     text = {"pandas_type": "unicode", "numpy_type": "object", "metadata": None}
@@ -199,16 +228,18 @@ def _write_tasks(folder: Path, tasks: Sequence[str]) -> None:
         "pandas_version": "2.0.0",
     }  # fmt: skip
     table = table.replace_schema_metadata({"pandas": json.dumps(pandas)})
-    need("pyarrow.parquet").write_table(table, folder / "meta/tasks.parquet", compression="snappy")
+    require_package("pyarrow.parquet").write_table(
+        table, folder / "meta/tasks.parquet", compression="snappy"
+    )
 
 
-def _info(job: Job, tasks: int) -> dict[str, Any]:
+def _info(job: ExportJob, tasks: int) -> dict[str, Any]:
     listed: dict[str, Any] = {
         f.key: {"dtype": f.dtype, "shape": list(f.shape), "names": list(f.names) or None}
         for f in job.features
     }
     for key in PICTURES.values() if job.pictures else ():
-        listed[key] = Film.feature()
+        listed[key] = VideoWriter.feature()
     listed["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
     listed |= {name: {"dtype": "int64", "shape": [1], "names": None} for name in COUNTERS}
     return {
@@ -228,7 +259,7 @@ def _info(job: Job, tasks: int) -> dict[str, Any]:
     }
 
 
-def _ranges(job: Job) -> dict[str, str]:
+def _ranges(job: ExportJob) -> dict[str, str]:
     """Return each side of the split as a range of episodes: they come side by side."""
     sides: dict[str, list[int]] = {}
     for one in job.chosen:

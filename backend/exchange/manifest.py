@@ -1,7 +1,4 @@
-"""``manifest.json``: what an export holds, from which query, revisions, geometry and program.
-
-The same query on the same revisions gives the same manifest except ``created_ns``.
-"""
+"""Manifest of an export (``manifest.json``): episodes, query, revisions, geometry, program."""
 
 from __future__ import annotations
 
@@ -13,23 +10,19 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.raw_files import digest
-from backend.catalogue.schema import SCHEMA_VERSION
-from backend.core.faults import InputError
-from backend.core.files import write_atomically
-from backend.core.program import program
-from backend.exchange.features import FPS, Feature
-from backend.exchange.query import Chosen, ExportQuery, Selection
+from touchdown.backend.annotations import SCHEMA_VERSION, Dataset, file_sha256
+from touchdown.backend.core import InputError, program_stamp, write_atomically
+from touchdown.backend.exchange.features import FPS, Feature
+from touchdown.backend.exchange.query import ExportQuery, SelectedEpisode, Selection
 
-NAME = "manifest.json"
+MANIFEST_NAME = "manifest.json"
 VERSION = 1
 GEOMETRY = "geometry"
 MAX_BYTES = 2_000_000_000
 Manifest = dict[str, Any]
 
 
-def describe(
+def make_manifest(
     dataset: Dataset,
     format_name: str,
     query: ExportQuery,
@@ -44,12 +37,12 @@ def describe(
         "version": VERSION,
         "format": format_name,
         "created_ns": time.time_ns(),
-        "program_version": program(),
+        "program_version": program_stamp(),
         "schema_version": SCHEMA_VERSION,
         "dataset_uuid": dataset.description.uuid,
         "query": {"text": query.text(), "resolved": resolved | {"states": list(query.states)}},
         "episodes": [_episode(one) for one in chosen],
-        "geometry": sorted(records_of(dataset, chosen)),
+        "geometry": sorted(geometry_records_of(dataset, chosen)),
         "label_states": dict(sorted(Counter(r.state for r in revisions).items())),
         "label_sources": dict(sorted(Counter(r.source for r in revisions).items())),
         "feature_spec": {
@@ -59,13 +52,13 @@ def describe(
                 for f in features
             ],
         },
-        "splits": splits(chosen),
+        "splits": manifest_splits(chosen),
         "site_heads": dataset.labels.chain_heads(),
         "warnings": list(selection.warnings),
     }
 
 
-def splits(chosen: Sequence[Chosen]) -> dict[str, list[int]]:
+def manifest_splits(chosen: Sequence[SelectedEpisode]) -> dict[str, list[int]]:
     """Return the export numbers on each side of the split."""
     sides: dict[str, list[int]] = {}
     for one in chosen:
@@ -73,7 +66,7 @@ def splits(chosen: Sequence[Chosen]) -> dict[str, list[int]]:
     return sides
 
 
-def _episode(one: Chosen) -> dict[str, object]:
+def _episode(one: SelectedEpisode) -> dict[str, object]:
     entry, revision, label = one.entry, one.revision, one.revision.label
     return {
         "uuid": entry.uuid,
@@ -96,7 +89,7 @@ def _episode(one: Chosen) -> dict[str, object]:
     }
 
 
-def records_of(dataset: Dataset, chosen: Sequence[Chosen]) -> set[str]:
+def geometry_records_of(dataset: Dataset, chosen: Sequence[SelectedEpisode]) -> set[str]:
     """Return the hashes of all geometry records that the labels need."""
     found: set[str] = set()
     for pair in {one.revision.geometry for one in chosen}:
@@ -108,17 +101,17 @@ def records_of(dataset: Dataset, chosen: Sequence[Chosen]) -> set[str]:
 def write_manifest(folder: Path, manifest: Manifest) -> str:
     """List the files of ``folder`` in the manifest and write it last; returns its SHA-256."""
     found = (path for path in folder.rglob("*") if path.is_file())
-    paths = sorted(path for path in found if path != folder / NAME and path.name[0] != ".")
+    paths = sorted(path for path in found if path != folder / MANIFEST_NAME and path.name[0] != ".")
     manifest["files"] = [
         {
             "path": path.relative_to(folder).as_posix(),
             "bytes": path.stat().st_size,
-            "sha256": digest(path),
+            "sha256": file_sha256(path),
         }
         for path in paths
     ]
     content = json.dumps(manifest, indent=1, ensure_ascii=False, allow_nan=False).encode("utf-8")
-    write_atomically(folder / NAME, content)
+    write_atomically(folder / MANIFEST_NAME, content)
     return sha256(content).hexdigest()
 
 
@@ -127,7 +120,7 @@ def read_manifest(folder: Path) -> Manifest | None:
 
     Raises ``InputError`` if it cannot be read, or if a file is missing or was changed.
     """
-    path = folder / NAME
+    path = folder / MANIFEST_NAME
     if not path.is_file():
         return None
     try:
@@ -151,5 +144,5 @@ def _check_files(folder: Path, files: Sequence[Mapping[str, Any]]) -> None:
             raise ValueError(f"{listed['path']} lies outside the export")
         if not path.is_file() or path.stat().st_size != listed["bytes"]:
             raise ValueError(f"{listed['path']} is missing or cut short")
-        if digest(path) != listed["sha256"]:
+        if file_sha256(path) != listed["sha256"]:
             raise ValueError(f"{listed['path']} was changed since it was exported")

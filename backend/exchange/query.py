@@ -1,9 +1,4 @@
-"""Which episodes are handed on, with which revision of their label, and on which side of a split.
-
-Of each episode the approved revision counts where approved labels are wanted, else its head. Never
-handed on: deleted, conflicting and rejected episodes, those that failed their quality checks, and
-those whose file is not there.
-"""
+"""Selection of the episodes to export, with label revision and side of the split."""
 
 from __future__ import annotations
 
@@ -12,11 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.split_tags import tagged_sides
-from backend.catalogue.values import EpisodeEntry, EpisodeFilter, Revision
-from backend.core.faults import InputError
-from backend.dataset.splits import Split, divided, split_grips, split_series
+from touchdown.backend.annotations import (
+    Dataset,
+    EpisodeEntry,
+    EpisodeFilter,
+    Revision,
+    tagged_sides,
+)
+from touchdown.backend.core import InputError
+from touchdown.backend.episodes import Split, divided_indices, split_grips, split_series
 
 ExportState = Literal["approved", "submitted", "draft"]
 EXPORT_STATES: tuple[ExportState, ...] = get_args(ExportState)
@@ -48,7 +47,7 @@ class ExportQuery:
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class SelectedEpisode:
     """One episode to hand on. ``index``: its number in the export; ``split``: its side."""
 
     index: int
@@ -64,12 +63,12 @@ class Selection:
     ``warnings``: sentences for the manifest.
     """
 
-    chosen: tuple[Chosen, ...]
+    chosen: tuple[SelectedEpisode, ...]
     left_out: tuple[tuple[str, int], ...]
     warnings: tuple[str, ...]
 
 
-def select(dataset: Dataset, query: ExportQuery) -> Selection:
+def select_episodes(dataset: Dataset, query: ExportQuery) -> Selection:
     """Choose the episodes of ``query``; raises ``InputError`` if there are none."""
     if not 0.0 <= query.held_out < 1.0:
         raise InputError(
@@ -88,7 +87,7 @@ def select(dataset: Dataset, query: ExportQuery) -> Selection:
         raise _nothing(dataset, query, left_out)
     sides, warnings = _sides(dataset, [entry for entry, _ in found], query)
     order = sorted(range(len(found)), key=lambda k: (sides[k] != TRAIN, sides[k], k))
-    chosen = tuple(Chosen(i, *found[k], sides[k]) for i, k in enumerate(order))
+    chosen = tuple(SelectedEpisode(i, *found[k], sides[k]) for i, k in enumerate(order))
     said = [f"{count} episodes are left out: {why}." for why, count in sorted(left_out.items())]
     return Selection(chosen, tuple(sorted(left_out.items())), (*said, *warnings))
 
@@ -136,7 +135,7 @@ def _sides(
         for k in split.held_out.tolist():
             sides[k] = HELD_OUT
     series = [(entry.mounting_id, entry.piece, entry.bottom) for entry in entries]
-    leaks = divided(sides, series)
+    leaks = divided_indices(sides, series)
     if not len(leaks):
         return sides, []
     count = len({series[k] for k in leaks.tolist()})

@@ -1,8 +1,4 @@
-"""Zarr v3: one array per feature, first axis = episode, a hundred episodes per shard.
-
-Written in whole shards by one process and never appended to; ``committed`` comes last. Source:
-zarr-specs, codec ``sharding_indexed``.
-"""
+"""Zarr v3: one array per feature, first axis = episode, a hundred episodes per shard."""
 
 from __future__ import annotations
 
@@ -13,29 +9,28 @@ from typing import Any
 
 import numpy as np
 
-from backend.config.method import SAMPLES_PER_PROBE
-from backend.exchange.exporting import Job
-from backend.exchange.extra import need
-from backend.exchange.features import FPS, PICTURES
-from backend.exchange.lerobot_film import HEIGHT, WIDTH
-from backend.exchange.low_dim import ExportEpisode
+from touchdown.backend.config import SAMPLES_PER_PROBE
+from touchdown.backend.exchange.export_episode import ExportEpisode
+from touchdown.backend.exchange.exports import ExportJob
+from touchdown.backend.exchange.features import FPS, PICTURES, require_package
+from touchdown.backend.exchange.video import HEIGHT, WIDTH
 
 FOLDER = "episodes.zarr"
 SHARD = 100
 
 
-def write(job: Job, folder: Path) -> Mapping[str, object]:
+def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
     """Write the episodes of ``job`` as a Zarr group in ``folder``."""
-    zarr = need("zarr")
+    zarr = require_package("zarr")
     try:
         _write(zarr, job, folder)
     finally:
         # It keeps threads for the next call; there may never be one.
-        need("zarr.core.sync").cleanup_resources()
+        require_package("zarr.core.sync").cleanup_resources()
     return {"data": "zarr v3, sharding_indexed, zstd", "shard": SHARD}
 
 
-def _write(zarr: Any, job: Job, folder: Path) -> None:
+def _write(zarr: Any, job: ExportJob, folder: Path) -> None:
     count = len(job.chosen)
     group = zarr.create_group(folder / FOLDER, zarr_format=3)
     arrays = {}
@@ -55,7 +50,7 @@ def _write(zarr: Any, job: Job, folder: Path) -> None:
     group.attrs["committed"] = True
 
 
-def _batches(job: Job) -> Iterator[tuple[int, list[ExportEpisode]]]:
+def _batches(job: ExportJob) -> Iterator[tuple[int, list[ExportEpisode]]]:
     episodes, start = job.episodes(), 0
     while batch := list(islice(episodes, SHARD)):
         yield start, batch

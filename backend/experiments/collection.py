@@ -1,16 +1,28 @@
-"""Collections of labelled episodes: cut into parts, each written to pack files of its own."""
+"""Simulated collections of labelled episodes: cut into jobs, written as packs by one or several
+processes, and searched for ambiguous presses.
+
+The cut depends on the plan alone, so that results do not depend on the number of processes. The
+paper shows signals that are not symmetric about the middle of the bottom, and very different
+patches with very similar signals; ``find_ambiguous_pairs`` searches for such pairs. Free of torch:
+spawned workers import this module.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import multiprocessing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass
+from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from backend.dataset.pack_file import EpisodeRow
-from backend.dataset.rows import patch_hex
-from backend.simulation.episodes import EpisodeBatch, Plan
+from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray
+from touchdown.backend.episodes import PackedEpisode, TrainingRows, patch_hex, write_packs
+from touchdown.backend.learning import channel_groups
+from touchdown.backend.simulation import BatchPlan, EpisodeBatch, simulate_episodes
 
 GRIPS_PER_JOB = 20
 """Grips solved side by side when a gripping has many probes."""
@@ -19,10 +31,10 @@ PROBES_PER_JOB = 128
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class CollectionJob:
     """Some grips of one plan, for one or more pack files of their own."""
 
-    plan: Plan
+    plan: BatchPlan
     grips: range
     label: Mapping[str, object]
     folder: Path
@@ -34,17 +46,19 @@ class Job:
         return sum(self.plan.probes_of(grip) for grip in self.grips)
 
 
-def jobs_of(plan: Plan, label: Mapping[str, object], folder: Path) -> list[Job]:
+def split_jobs(plan: BatchPlan, label: Mapping[str, object], folder: Path) -> list[CollectionJob]:
     """Cut a plan into jobs; the cut depends on the plan only, so that results do too."""
     size = max(GRIPS_PER_JOB, -(-PROBES_PER_JOB // plan.probes_per_grip))
     stem = f"{plan.piece}-{plan.bottom}"
     return [
-        Job(plan, range(start, min(start + size, plan.grips)), label, folder, f"{stem}-{k:03d}")
+        CollectionJob(
+            plan, range(start, min(start + size, plan.grips)), label, folder, f"{stem}-{k:03d}"
+        )
         for k, start in enumerate(range(0, plan.grips, size))
     ]
 
 
-def rows_of(job: Job, batches: Sequence[EpisodeBatch]) -> Iterator[EpisodeRow]:
+def episode_rows(job: CollectionJob, batches: Sequence[EpisodeBatch]) -> Iterator[PackedEpisode]:
     """Yield the episodes in order of their number, with labels."""
     plan, pair = job.plan, f"{job.plan.piece}-{job.plan.bottom}-{job.plan.seed}"
     places = [(int(n), batch, i) for batch in batches for i, n in enumerate(batch.episode)]
@@ -66,17 +80,17 @@ def rows_of(job: Job, batches: Sequence[EpisodeBatch]) -> Iterator[EpisodeRow]:
             "seed": plan.seed,
             **job.label,
         }
-        yield EpisodeRow(batch.observation[i], label)
+        yield PackedEpisode(batch.observation[i], label)
 
 
-def label_sigma_um(plan: Plan) -> int:
+def label_sigma_um(plan: BatchPlan) -> int:
     """Return the standard deviation of the label's larger axis (x: the grasp offset counts)."""
     spread = plan.settings.spread
     parts = (spread.grasp_offset_mm, spread.label_error_mm, spread.print_offset_mm)
     return round(1e3 * float(np.linalg.norm(parts)))
 
 
-def metadata_of(job: Job) -> dict[str, str]:
+def pack_metadata(job: CollectionJob) -> dict[str, str]:
     """Return what a pack says about all its episodes."""
     plan = job.plan
     return {
@@ -88,3 +102,158 @@ def metadata_of(job: Job) -> dict[str, str]:
         "grips_per_mounting": str(plan.grips_per_mounting),
         "settings": plan.settings.model_dump_json(),
     }
+
+
+HELD_TICKS = 5
+"""The hold at the end of the press: the signals have settled."""
+UNLIKE_IOU = 0.25
+"""Patches that overlap by less than this are very different."""
+LEAST_SHARE = 0.15
+"""Of the face: a patch smaller than this is unlike any other by its size alone."""
+BLOCK_ROWS = 500
+
+
+@dataclass(frozen=True, slots=True)
+class AmbiguousPair:
+    """Two presses ``first``, ``second`` (row numbers) with like signals and unlike patches.
+
+    ``distance``: rms difference in units of the channel groups' spread over the data; ``rank``:
+    share of all pairs of the data that are nearer than this one.
+    """
+
+    first: int
+    second: int
+    distance: float
+    patch_iou: float
+    rank: float
+
+
+def hold_signals(rows: TrainingRows) -> FloatArray:
+    """Return (n, 258) mean signals of the hold."""
+    signals = rows.observation[:, -HELD_TICKS:].mean(axis=1, dtype=np.float64)
+    return np.asarray(signals, dtype=np.float64)
+
+
+def largest_marker_px(signals: FloatArray) -> FloatArray:
+    """Return (n,) the largest displacement of a marker."""
+    field = signals[:, :TACTILE_CHANNELS].reshape(len(signals), 2, 2, -1)
+    return np.asarray(np.hypot(field[:, :, 0], field[:, :, 1]).max(axis=(1, 2)))
+
+
+def standardise(signals: FloatArray) -> FloatArray:
+    """Return (n, 258) with each channel group of unit spread and equal weight in a distance."""
+    groups = channel_groups()
+    centred = signals - signals.mean(axis=0)
+    size = np.bincount(groups)
+    spread = np.sqrt(np.bincount(groups, (centred**2).mean(axis=0)) / size)
+    spread[spread < 1e-12] = 1.0
+    count = len(size)
+    return np.asarray(centred / (spread * np.sqrt(size * count))[groups], dtype=np.float64)
+
+
+def find_ambiguous_pairs(
+    signals: FloatArray, patch: NDArray[np.bool_], count: int, unlike_iou: float = UNLIKE_IOU
+) -> list[AmbiguousPair]:
+    """Return the ``count`` nearest pairs of ``signals`` (n, 258) with unlike ``patch`` (n, N).
+
+    Both patches cover at least ``LEAST_SHARE`` of the face. No press occurs twice. All pairs are
+    looked at.
+    """
+    if signals.shape[1] != CHANNELS:
+        raise ValueError(f"signals have {signals.shape[1]} channels, not {CHANNELS}")
+    place = standardise(signals)
+    squares = (place**2).sum(axis=1)
+    size = patch.sum(axis=1)
+    large = size >= LEAST_SHARE * patch.shape[1]
+    bits = patch.astype(np.float32)
+    found: list[tuple[float, int, int, float]] = []
+    everything = []
+    for start in range(0, len(place), BLOCK_ROWS):
+        rows = slice(start, start + BLOCK_ROWS)
+        distance = squares[rows, None] + squares - 2.0 * place[rows] @ place.T
+        both = bits[rows] @ bits.T
+        iou = both / np.maximum(size[rows, None] + size - both, 1.0)
+        later = np.arange(start, start + len(distance))[:, None] < np.arange(len(place))
+        everything.append(distance[later])
+        i, j = np.nonzero(later & (iou < unlike_iou) & large[rows, None] & large)
+        best = np.argsort(distance[i, j])[: 20 * count]
+        found += [
+            (float(distance[i[k], j[k]]), start + int(i[k]), int(j[k]), float(iou[i[k], j[k]]))
+            for k in best
+        ]
+    pairs = np.sort(np.concatenate(everything))
+    twins: list[AmbiguousPair] = []
+    used: set[int] = set()
+    for square, first, second, iou_of in sorted(found):
+        if len(twins) < count and not used & {first, second}:
+            used |= {first, second}
+            rank = float(np.searchsorted(pairs, square) / len(pairs))
+            twins.append(AmbiguousPair(first, second, max(square, 0.0) ** 0.5, iou_of, rank))
+    return twins
+
+
+POLL_S = 0.2
+
+
+def run_jobs(jobs: Sequence[CollectionJob], workers: int, advance: Callable[[int], None]) -> int:
+    """Run all jobs, here or in ``workers`` processes; returns the number of probes drawn again.
+
+    ``advance`` gets the number of finished episodes. An error in a job stops the rest.
+    """
+    workers = min(workers, len(jobs))
+    if workers == 1:
+        return _run_here(jobs, advance)
+    context = multiprocessing.get_context("spawn")
+    finished = context.Value("q", 0)
+    rejected = 0
+    with ProcessPoolExecutor(workers, context, initializer=_count_in, initargs=(finished,)) as pool:
+        waiting = {pool.submit(run_job, job) for job in jobs}
+        try:
+            while waiting:
+                done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_COMPLETED)
+                rejected += sum(future.result() for future in done)
+                advance(int(finished.value))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return rejected
+
+
+def _run_here(jobs: Sequence[CollectionJob], advance: Callable[[int], None]) -> int:
+    """Spare a process that would first have to load everything anew."""
+    finished = 0
+
+    def count(episodes: int) -> None:
+        nonlocal finished
+        finished += episodes
+        advance(finished)
+
+    return sum(run_job(job, count) for job in jobs)
+
+
+def run_job(job: CollectionJob, count: Callable[[int], None] | None = None) -> int:
+    """Simulate and write one job; returns the number of probes drawn again.
+
+    ``count`` gets the size of each batch; without it the counter of this worker does.
+    """
+    batches: list[EpisodeBatch] = []
+    for batch in simulate_episodes(job.plan, job.grips):
+        batches.append(batch)
+        (count or _count)(len(batch.episode))
+    write_packs(job.folder, job.stem, episode_rows(job, batches), pack_metadata(job))
+    return sum(batch.rejected for batch in batches)
+
+
+_finished: Synchronized[int] | None = None
+
+
+def _count_in(finished: Synchronized[int]) -> None:
+    """Let this worker count its episodes in the parent's counter (set once, as it starts)."""
+    global _finished
+    _finished = finished
+
+
+def _count(episodes: int) -> None:
+    if _finished is not None:
+        with _finished.get_lock():
+            _finished.value += episodes

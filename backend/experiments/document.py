@@ -1,12 +1,26 @@
-"""A report as values: what the page and the window show alike. Nothing is drawn here."""
+"""A report as a document of sections, tables and pictures, rendered as one self-contained HTML page.
+
+Charts are SVG text drawn from numbers alone. SVG that comes from a file is checked: one element
+that draws and loads nothing. The Review workspace shows the same document.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
+from typing import Any
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.core import FloatArray, Outcome
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class TableEntry:
     """One cell of a table: a value, its 95 % interval, lines below, and where it comes from.
 
     ``jobs``: folders below ``jobs/`` that hold what the cell was made from, none for a cell that is
@@ -29,7 +43,7 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class ReportTable:
     """A table. ``columns``: name and what stands below it; each row: name, and an entry a column.
 
     ``note`` stands below the table.
@@ -37,12 +51,12 @@ class Grid:
 
     title: str
     columns: tuple[tuple[str, str], ...]
-    rows: tuple[tuple[str, tuple[Entry, ...]], ...]
+    rows: tuple[tuple[str, tuple[TableEntry, ...]], ...]
     note: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class ReportPicture:
     """``svg``: one element that needs nothing beside it; ``note`` stands below."""
 
     svg: str
@@ -51,22 +65,22 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True)
-class Gallery:
+class PictureGallery:
     """Pictures side by side, with a line below them."""
 
     title: str
-    pictures: tuple[Picture, ...]
+    pictures: tuple[ReportPicture, ...]
     text: str = ""
     end: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class ReportSection:
     """One part of a report: a title, paragraphs, then tables and pictures in order."""
 
     title: str
     text: tuple[str, ...]
-    parts: tuple[Grid | Gallery, ...]
+    parts: tuple[ReportTable | PictureGallery, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,4 +90,244 @@ class Report:
     title: str
     banner: str
     about: tuple[str, ...]
-    sections: tuple[Section, ...]
+    sections: tuple[ReportSection, ...]
+
+
+Json = Mapping[str, Any]
+
+
+def entry_of(
+    estimate: Json, printed: float | None = None, notes: tuple[str, ...] = ()
+) -> TableEntry:
+    """Return a rate of 0..1 in % with its interval; ``printed``: the paper's, said below it."""
+    paper = () if printed is None else (f"paper {format_percent(printed)}",)
+    return TableEntry(
+        format_percent(estimate.get("value")), format_interval(estimate), (*paper, *notes)
+    )
+
+
+def format_interval(estimate: Json) -> str:
+    """Return the 95 % interval in %, "" without a value."""
+    if estimate.get("value") is None:
+        return ""
+    return f"({format_percent(estimate['low'])}-{format_percent(estimate['high'])})"
+
+
+def format_percent(share: float | None) -> str:
+    """Return a share in %, "-" for none."""
+    return "-" if share is None else f"{100 * share:.1f}"
+
+
+def format_outcomes(outcomes: Mapping[str, int]) -> str:
+    """Return how many ended as placed / fell / knocked over / gave up / aborted."""
+    return " / ".join(str(outcomes.get(outcome.value, 0)) for outcome in Outcome)
+
+
+SVG_ELEMENTS = frozenset(
+    ("svg", "g", "image", "polygon", "polyline", "path", "rect", "circle", "line", "text")
+)
+DATA_URL_PREFIX = "data:image/png;base64,"
+
+
+def check_svg(svg: str) -> str:
+    """Return ``svg`` if it is one element that draws and loads nothing; raises ValueError."""
+    if "<!" in svg or "<?" in svg:
+        raise ValueError("a drawing declares something")
+    try:
+        root = ElementTree.fromstring(svg)  # noqa: S314 - without declarations nothing can swell
+    except ElementTree.ParseError as error:
+        raise ValueError(f"a drawing is damaged: {error}") from error
+    if root.tag != "svg":
+        raise ValueError("a drawing is no svg element")
+    for element in root.iter():
+        if element.tag not in SVG_ELEMENTS:
+            raise ValueError(f"a drawing holds '{element.tag}'")
+        for name, value in element.attrib.items():
+            loads = name.endswith("href") and not value.startswith(DATA_URL_PREFIX)
+            if name.startswith("on") or loads or "url(" in value:
+                raise ValueError(f"a drawing does more than draw: '{name}'")
+    return svg
+
+
+SIDE = 220
+PAD = 34
+INK, FAINT = "#1B2127", "#C9D0D7"
+BLUE, ORANGE, VIOLET = "#005FCC", "#C04A00", "#3A0D3F"
+"""Of lines and marks: x, y, z where there are three."""
+
+
+def scatter(
+    points_mm: FloatArray, values: FloatArray, title: str, unit: str, reach_mm: float
+) -> str:
+    """Return a map of ``values`` (n,) at ``points_mm`` (n, 2): colour is value, centre is zero.
+
+    The scale ends at the 98th percentile of the magnitude, so that single presses do not flatten
+    the rest; signs share one scale.
+    """
+    top = float(np.percentile(np.abs(values), 98)) or 1.0
+    signed = bool((values < 0).any())
+    low = -top if signed else 0.0
+    shade = np.clip((values - low) / (top - low), 0.0, 1.0)
+    colours = _colours(shade, diverging=signed)
+    dots = [
+        f'<circle cx="{_x(x, reach_mm):.1f}" cy="{_x(-y, reach_mm):.1f}" r="1.8" fill="{colour}"/>'
+        for (x, y), colour in zip(points_mm, colours, strict=True)
+    ]
+    cross = (
+        f'<path d="M{PAD} {SIDE / 2}H{SIDE - PAD}M{SIDE / 2} {PAD}V{SIDE - PAD}" '
+        f'stroke="{FAINT}" stroke-width="0.7"/>'
+    )
+    words = f"{low:.3g} to {top:.3g} {unit}; ±{reach_mm:.0f} mm"
+    return _frame(title, cross + "".join(dots) + _text(SIDE / 2, SIDE - 8, words))
+
+
+def reliability_chart(
+    promised: Sequence[float], came: Sequence[float], title: str, note: str
+) -> str:
+    """Return promise against outcome; an honest model lies on the diagonal."""
+    place = [(_unit(p), _unit(1.0 - c)) for p, c in zip(promised, came, strict=True)]
+    line = " ".join(f"{x:.1f},{y:.1f}" for x, y in place)
+    dots = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.5" fill="{BLUE}"/>' for x, y in place)
+    box = (
+        f'<rect x="{PAD}" y="{PAD}" width="{SIDE - 2 * PAD}" height="{SIDE - 2 * PAD}" '
+        f'fill="none" stroke="{FAINT}"/><path d="M{PAD} {SIDE - PAD}L{SIDE - PAD} {PAD}" '
+        f'stroke="{ORANGE}" stroke-dasharray="4 3"/>'
+        f'<polyline points="{line}" fill="none" stroke="{BLUE}"/>'
+    )
+    ticks = _text(PAD - 8, SIDE - PAD + 4, "0") + _text(PAD - 8, PAD + 4, "1")
+    ticks += _text(SIDE - PAD, SIDE - PAD + 14, "1")
+    return _frame(title, box + dots + ticks + _text(SIDE / 2, SIDE - 6, note))
+
+
+def patch_picture(points_mm: FloatArray, patch: NDArray[np.bool_], title: str, note: str) -> str:
+    """Return the face with the points that touch."""
+    reach = float(np.abs(points_mm).max()) + 1.0
+    cell = (SIDE - 2 * PAD) / (2.0 * reach)
+    cells = [
+        f'<rect x="{_x(x, reach) - cell / 2:.1f}" y="{_x(-y, reach) - cell / 2:.1f}" '
+        f'width="{cell:.1f}" height="{cell:.1f}" fill="{ORANGE if on else FAINT}"/>'
+        for (x, y), on in zip(points_mm, patch, strict=True)
+    ]
+    return _frame(title, "".join(cells) + _text(SIDE / 2, SIDE - 8, note))
+
+
+def twin_traces(first: FloatArray, second: FloatArray, title: str, unit: str) -> str:
+    """Return three channels of two presses (20, 3) over the 2 s: full and dashed."""
+    top = max(float(np.abs(first).max()), float(np.abs(second).max()), 1e-9)
+    lines = []
+    for values, dash in ((first, ""), (second, ' stroke-dasharray="3 3"')):
+        for axis, colour in enumerate((BLUE, ORANGE, VIOLET)):
+            points = " ".join(
+                f"{_unit(k / (len(values) - 1)):.1f},{_unit(0.5 - 0.5 * v / top):.1f}"
+                for k, v in enumerate(values[:, axis])
+            )
+            lines.append(f'<polyline points="{points}" fill="none" stroke="{colour}"{dash}/>')
+    axis_line = f'<path d="M{PAD} {SIDE / 2}H{SIDE - PAD}" stroke="{FAINT}"/>'
+    note = _text(SIDE / 2, SIDE - 8, f"x y z, ±{top:.3g} {unit}, 2 s")
+    return _frame(title, axis_line + "".join(lines) + note)
+
+
+def _x(mm: float, reach_mm: float) -> float:
+    return _unit(0.5 + 0.5 * mm / reach_mm)
+
+
+def _unit(share: float) -> float:
+    return PAD + share * (SIDE - 2 * PAD)
+
+
+def _text(x: float, y: float, words: str) -> str:
+    return (
+        f'<text x="{x:.0f}" y="{y:.0f}" font-size="10" text-anchor="middle" '
+        f'fill="{INK}">{escape(words)}</text>'
+    )
+
+
+def _frame(title: str, inside: str) -> str:
+    return (
+        f'<svg viewBox="0 0 {SIDE} {SIDE}" width="{SIDE}" height="{SIDE}" role="img" '
+        f'aria-label="{escape(title)}">{_text(SIDE / 2, 16, title)}{inside}</svg>'
+    )
+
+
+def _colours(shade: FloatArray, *, diverging: bool) -> list[str]:
+    table = cv2.COLORMAP_TWILIGHT_SHIFTED if diverging else cv2.COLORMAP_CIVIDIS
+    grey = np.round(255 * shade).astype(np.uint8)[:, None]
+    return [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in cv2.applyColorMap(grey, table)[:, 0]]
+
+
+PAGE_STYLE = """
+body{font:15px/1.45 'DejaVu Sans',system-ui,sans-serif;color:#1B2127;background:#F2F4F6;
+margin:2em auto;max-width:1180px;padding:0 1em}
+h1{font-size:1.5em}h2{font-size:1.2em;margin:2em 0 .3em}h3{font-size:1em;margin:1.2em 0 .2em}
+.banner{background:#F9C800;color:#14181C;padding:.35em .8em;display:inline-block;font-weight:600}
+.wide{overflow-x:auto}.strip,.charts{display:flex;gap:14px;flex-wrap:wrap}
+.charts svg{background:#fff;border:1px solid #C9D0D7}
+.probe{background:#fff;border:1px solid #C9D0D7;padding:10px;width:232px}
+.probe p{margin:.4em 0;font-size:.85em}.end{font-weight:600}
+table{border-collapse:collapse;background:#fff}
+th{text-align:left;font-weight:600;white-space:nowrap}td{text-align:right;white-space:nowrap}
+td,th{padding:.35em .7em;border-bottom:1px solid #C9D0D7;vertical-align:top}
+small{color:#55606B;display:block;font-size:.8em}code{font-size:.85em;overflow-wrap:anywhere}
+"""
+
+
+def report_page(report: Report) -> str:
+    """Return the whole page; hovering over a cell shows its job and seed."""
+    about = "".join(f"<p>{escape(text)}</p>" for text in report.about)
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f"<title>{escape(report.title)}</title><style>{PAGE_STYLE}</style></head><body>"
+        f'<h1>{escape(report.title)}</h1><p class="banner">{escape(report.banner)}</p>{about}'
+        f"{''.join(map(_section, report.sections))}</body></html>"
+    )
+
+
+def _section(section: ReportSection) -> str:
+    text = "".join(f"<p>{escape(words)}</p>" for words in section.text)
+    parts = [
+        _grid(part) if isinstance(part, ReportTable) else _gallery(part) for part in section.parts
+    ]
+    return f"<h2>{escape(section.title)}</h2>{text}{''.join(parts)}"
+
+
+def _grid(grid: ReportTable) -> str:
+    head = "".join(f"<th>{escape(name)}{_small(below)}</th>" for name, below in grid.columns)
+    rows = "".join(
+        f"<tr><th>{escape(name)}</th>{''.join(map(_cell, entries))}</tr>"
+        for name, entries in grid.rows
+    )
+    note = f"<p>{_small(grid.note)}</p>" if grid.note else ""
+    return (
+        f'{_title(grid.title)}<div class="wide"><table><tr><th></th>{head}</tr>{rows}</table></div>'
+        f"{note}"
+    )
+
+
+def _cell(entry: TableEntry) -> str:
+    trace = f' title="{escape(entry.trace)}"' if entry.jobs else ""
+    notes = "".join(map(_small, entry.notes))
+    return f"<td{trace}>{escape(entry.value)}{_small(entry.interval)}{notes}</td>"
+
+
+def _gallery(gallery: PictureGallery) -> str:
+    text = f"<p>{escape(gallery.text)}</p>" if gallery.text else ""
+    end = f'<p class="end">{escape(gallery.end)}</p>' if gallery.end else ""
+    told = any(picture.title or picture.note for picture in gallery.pictures)
+    drawn = "".join(_captioned(p) if told else p.svg for p in gallery.pictures)
+    kind = "strip" if told else "charts"
+    return f'{_title(gallery.title)}{text}<div class="{kind}">{drawn}</div>{end}'
+
+
+def _captioned(picture: ReportPicture) -> str:
+    return (
+        f'<div class="probe"><b>{escape(picture.title)}</b>{picture.svg}'
+        f"<p>{escape(picture.note)}</p></div>"
+    )
+
+
+def _title(text: str) -> str:
+    return f"<h3>{escape(text)}</h3>" if text else ""
+
+
+def _small(text: str) -> str:
+    return f"<small>{escape(text)}</small>" if text else ""

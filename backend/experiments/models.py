@@ -1,22 +1,108 @@
-"""Trained models as the experiments use them: many episodes at once."""
+"""Trained models of the experiments: adopted into a job store, loaded, and applied to batches of
+episodes.
+
+Imports torch.
+"""
 
 from __future__ import annotations
+
+import shutil
+from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.core.faults import InputError
-from backend.core.flow import FloatArray
-from backend.experiments.closed_loop import Model
-from backend.learning.checkpoint import Checkpoint
-from backend.learning.features import columns
-from backend.learning.model import network
-from backend.learning.training import predict
-from backend.objects.catalogue import Piece
-from backend.objects.surface import face_points
+from touchdown.backend.core import FloatArray, InputError
+from touchdown.backend.experiments.tables import MODELS, Recipe
+from touchdown.backend.experiments.trials import BatchModel
+from touchdown.backend.geometry import Piece, face_points
+from touchdown.backend.jobs import JobSpec, JobStore
+from touchdown.backend.learning import (
+    Checkpoint,
+    card_path,
+    load_card,
+    load_checkpoint,
+    load_network,
+    modality_columns,
+    predict,
+    save_half_precision,
+)
+
+WEIGHTS = "model.safetensors"
 
 
-def batch_model(checkpoint: Checkpoint, piece: Piece) -> Model:
+def adopt_models(store: JobStore, *folders: Path) -> dict[tuple[str, str], str]:
+    """Copy every model of the folders to the store; returns its id there by piece and table name.
+
+    A later folder wins. Raises ``InputError`` for an empty folder, or two models of one folder for
+    the same cells.
+    """
+    found: dict[tuple[str, str], str] = {}
+    for folder in folders:
+        found |= _adopted(store, folder)
+    return found
+
+
+def _adopted(store: JobStore, folder: Path) -> dict[tuple[str, str], str]:
+    found: dict[tuple[str, str], str] = {}
+    for path in sorted(folder.glob("*.safetensors")):
+        card = load_card(path)
+        names = [n for n, inputs, head in MODELS if (inputs, head) == (card.modality, card.answers)]
+        if not names:
+            continue
+        key = (card.piece, names[0])
+        if key in found:
+            raise InputError(
+                f"Two models answer for {' '.join(key)}.", str(path), "Leave one of them."
+            )
+        found[key] = _adopt(store, path, card.weights_sha256)
+    if not found:
+        raise InputError("There are no models here.", str(folder), "Name a folder of models.")
+    return found
+
+
+def keep_models(store: JobStore, recipe: Recipe, folder: Path) -> list[Path]:
+    """Write each model that the experiment has trained so far to ``folder``, with 16-bit weights.
+
+    Named by piece and table name, as ``pot-ft+tac.safetensors``: a folder for ``--models``.
+    """
+    written = []
+    for piece in recipe.pieces:
+        for name, _, _ in MODELS:
+            source = recipe.training(piece, name).id
+            if store.has(source):
+                path = folder / f"{piece}-{name.lower()}.safetensors"
+                save_half_precision(path, load_model(source, store))
+                written.append(path)
+    return written
+
+
+def load_model(source: str, store: JobStore) -> Checkpoint:
+    """Return the model of job ``source``: trained by it, or adopted under this name."""
+    if not store.has(source):
+        raise InputError("There is no such model.", source, "Run the campaign from its beginning.")
+    return load_checkpoint(store.folder(source) / WEIGHTS)
+
+
+def _adopt(store: JobStore, path: Path, weights_sha256: str) -> str:
+    spec = JobSpec("model", {"weights_sha256": weights_sha256})
+    if not store.has(spec.id):
+        with store.writing(spec) as part:
+            shutil.copyfile(path, part / WEIGHTS)
+            shutil.copyfile(card_path(path), card_path(part / WEIGHTS))
+            store.finish(spec, part, {"weights_sha256": weights_sha256})
+    return spec.id
+
+
+def models_that_ship(preset: str) -> list[Path]:
+    """Return the folders of shipped models, that of models trained on the bench ``preset`` last."""
+    folder = Path(str(files("touchdown.resources"))) / "models"
+    own = folder / preset
+    return [folder, own] if own.is_dir() else [folder]
+
+
+def batch_model(checkpoint: Checkpoint, piece: Piece) -> BatchModel:
     """Return ``checkpoint`` for batches; raises ``InputError`` if it is not of ``piece``."""
     card = checkpoint.card
     if card.piece != piece.name or card.geometry != piece.sha256:
@@ -25,9 +111,9 @@ def batch_model(checkpoint: Checkpoint, piece: Piece) -> Model:
             card.weights_sha256[:12],
             "Train a model for this piece.",
         )
-    net, part = network(checkpoint), columns(card.modality)
+    net, part = load_network(checkpoint), modality_columns(card.modality)
 
     def probability(observation: NDArray[np.float32]) -> FloatArray:
         return predict(net, observation, part).astype(np.float64)
 
-    return Model(probability, face_points(piece.face), card.base_rate)
+    return BatchModel(probability, face_points(piece.face), card.base_rate)

@@ -1,30 +1,39 @@
-"""How much each nuisance of the bench costs: one at a time, from nothing to three times its size.
+"""Sensitivity of a model to each nuisance of the bench, scaled one at a time from nothing to three
+times its size.
 
-Every factor is asked on the same seeds, so that differences are paired by group.
+All factors use the same seeds, so that differences are paired by group. The page shows one small
+chart a nuisance above the table of changes.
 """
 
 from __future__ import annotations
 
+import html
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from backend.config.bench_facts import bench_sha256
-from backend.config.simulation import SimulationSettings
-from backend.experiments.asking import Place, presses_jobs, trials_jobs
-from backend.experiments.beyond import counted
-from backend.experiments.elsewhere import interval, press_figures
-from backend.experiments.nuisances import FACTORS, NUISANCES, Nuisance, scaled
-from backend.experiments.paired import iou_change, signed
-from backend.jobs.spec import JobSpec
-from backend.jobs.store import JobStore
+from touchdown.backend.config import SimulationSettings, bench_sha256
+from touchdown.backend.experiments.document import BLUE, FAINT, INK, ORANGE, PAGE_STYLE
+from touchdown.backend.experiments.domain_shift import format_interval, press_scores
+from touchdown.backend.experiments.evaluation import (
+    FACTORS,
+    NUISANCES,
+    EvaluationBench,
+    Nuisance,
+    press_jobs,
+    scale_nuisance,
+    trial_jobs,
+)
+from touchdown.backend.experiments.statistics import format_change, iou_change
+from touchdown.backend.experiments.strategies import count_outcomes
+from touchdown.backend.jobs import JobSpec, JobStore
 
 FORMAT = "touchdown-sensitivity/1"
 Json = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Sensitivity:
+class NuisanceSensitivity:
     """What to ask. ``model``: job or file it comes from; ``groups`` and ``trials`` per bottom."""
 
     bench: SimulationSettings
@@ -74,10 +83,10 @@ class Sensitivity:
         reference, _ = self._cell(nuisance, 1.0)
         for factor in FACTORS:
             asked, tried = self._cell(nuisance, factor)
-            presses, trials = _done(asked, store), _done(tried, store)
+            presses, trials = _finished_results(asked, store), _finished_results(tried, store)
             if not presses:
                 continue
-            row: Json = {"factor": factor, **press_figures(presses, _MODEL)}
+            row: Json = {"factor": factor, **press_scores(presses, _MODEL)}
             both = [
                 (a.params["bottom"], (store.result(a.id), store.result(b.id)))
                 for a, b in zip(reference, asked, strict=True)
@@ -89,20 +98,22 @@ class Sensitivity:
                 for bottom in self.bottoms
             }
             if trials:
-                row["trials"] = counted([trial for part in trials for trial in part["trials"]])
+                row["trials"] = count_outcomes(
+                    [trial for part in trials for trial in part["trials"]]
+                )
             yield row
 
     def _cell(self, nuisance: Nuisance, factor: float) -> tuple[list[JobSpec], list[JobSpec]]:
         # At the bench's own size it is the bench itself, whichever nuisance is meant.
-        bench = self.bench if factor == 1.0 else scaled(self.bench, nuisance, factor)
-        place = Place("bench", bench)
+        bench = self.bench if factor == 1.0 else scale_nuisance(self.bench, nuisance, factor)
+        place = EvaluationBench("bench", bench)
         presses: list[JobSpec] = []
         trials: list[JobSpec] = []
         for bottom in self.bottoms:
             pair = (self.piece, bottom)
-            presses += presses_jobs(place, pair, {_MODEL: self.model}, self.groups, self.code)
+            presses += press_jobs(place, pair, {_MODEL: self.model}, self.groups, self.code)
             strategy = (self.strategy, self.model)
-            trials += trials_jobs(place, pair, strategy, self.trials, self.code)
+            trials += trial_jobs(place, pair, strategy, self.trials, self.code)
         return presses, trials
 
 
@@ -114,13 +125,124 @@ def sensitivity_rows(answer: Json) -> list[tuple[str, ...]]:
     rows = []
     for nuisance in answer["nuisances"]:
         at = {row["factor"]: row for row in nuisance["at"]}
-        changes = [signed(at.get(factor, {}).get("iou_change")) for factor in FACTORS]
+        changes = [format_change(at.get(factor, {}).get("iou_change")) for factor in FACTORS]
         right = [
-            interval(at[f]["stable_1"]["accuracy"]) if f in at else "" for f in (0.0, 1.0, 3.0)
+            format_interval(at[f]["stable_1"]["accuracy"]) if f in at else ""
+            for f in (0.0, 1.0, 3.0)
         ]
         rows.append((nuisance["title"], *changes[:2], *changes[3:], *right))
     return rows
 
 
-def _done(jobs: Sequence[JobSpec], store: JobStore) -> list[Mapping[str, Any]]:
+def _finished_results(jobs: Sequence[JobSpec], store: JobStore) -> list[Mapping[str, Any]]:
     return [store.result(spec.id) for spec in jobs if store.has(spec.id)]
+
+
+JsonMapping = Mapping[str, Any]
+WIDE, TALL, LEFT, BOTTOM, TOP = 260, 190, 34, 34, 30
+LOW, HIGH = 0.3, 1.0
+"""Range of the vertical axis."""
+COLUMNS = ("", "0", "0.5", "2", "3", "stable right, 0", "1", "3")
+
+
+def sensitivity_page(answer: JsonMapping) -> str:
+    """Return the whole page."""
+    charts = "".join(_chart(nuisance) for nuisance in answer["nuisances"] if nuisance["at"])
+    head = "".join(f"<th>{word}</th>" for word in COLUMNS)
+    lines = "".join(
+        f"<tr><th>{row[0]}</th>" + "".join(f"<td>{cell}</td>" for cell in row[1:]) + "</tr>"
+        for row in sensitivity_rows(dict(answer))
+    )
+    body = [
+        "<h1>Touchdown: what each nuisance of the bench costs</h1>",
+        '<p class="banner">SIMULATED BENCH: no robot moved for these figures</p>',
+        f"<p>{html.escape(answer['piece'].title())} on {' and '.join(answer['bottoms'])}, "
+        f"one model as it is, bench <code>{answer['bench_sha256'][:16]}</code>, program "
+        f"{html.escape(answer['code'])}. Each nuisance alone is 0 to 3 times as large as on the "
+        f'bench; all else, seeds included, stays. <b style="color:{BLUE}">Line with dots</b>: IoU '
+        f'of single presses. <b style="color:{ORANGE}">Dashed line with squares</b>: stability '
+        "right after one press, on as many stable as unstable places. Bars: 95 % intervals, each "
+        "value for itself. Values of one chart share their presses, so that small changes mean "
+        "more than the bars say: see the table.</p>",
+        f'<div class="charts">{charts}</div>',
+        "<h2>Change of the IoU in points, paired by group; stability right, %</h2>"
+        f'<div class="wide"><table><tr>{head}</tr>{lines}</table></div>',
+    ]
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f"<title>Touchdown sensitivity</title><style>{PAGE_STYLE}</style></head>"
+        f"<body>{''.join(body)}</body></html>"
+    )
+
+
+def _chart(nuisance: JsonMapping) -> str:
+    rows: Sequence[JsonMapping] = nuisance["at"]
+    parts = [_axes()]
+    for get, colour, square in ((_iou, BLUE, False), (_accuracy, ORANGE, True)):
+        at = [(row["factor"], get(row)) for row in rows if get(row)["value"] is not None]
+        line = " ".join(f"{_x(f):.1f},{_y(e['value']):.1f}" for f, e in at)
+        dash = ' stroke-dasharray="5 3"' if square else ""
+        parts.append(f'<polyline points="{line}" fill="none" stroke="{colour}"{dash}/>')
+        parts += [_mark(_x(factor), estimate, colour, square=square) for factor, estimate in at]
+    limit = f"draws end at {nuisance['limit']}" if nuisance["limit"] else ""
+    parts.append(_text(WIDE / 2, 14, nuisance["title"], 11))
+    parts.append(_text(WIDE / 2, 25, limit, 8))
+    title = html.escape(nuisance["title"])
+    return (
+        f'<svg viewBox="0 0 {WIDE} {TALL}" width="{WIDE}" height="{TALL}" role="img" '
+        f'aria-label="{title}">{"".join(parts)}</svg>'
+    )
+
+
+def _axes() -> str:
+    parts = []
+    for share in (0.4, 0.6, 0.8, 1.0):
+        y = _y(share)
+        parts.append(f'<path d="M{LEFT} {y:.1f}H{WIDE - 10}" stroke="{FAINT}" stroke-width=".7"/>')
+        parts.append(_text(LEFT - 12, y + 3, f"{100 * share:.0f}", 9))
+    for factor in FACTORS:
+        parts.append(_text(_x(factor), TALL - BOTTOM + 16, f"{factor:g}", 9))
+    now = _x(1.0)
+    parts.append(
+        f'<path d="M{now:.1f} {TOP}V{TALL - BOTTOM}" stroke="{FAINT}" stroke-dasharray="2 3"/>'
+    )
+    parts.append(_text(WIDE / 2, TALL - 6, "times its size on the bench; %", 9))
+    return "".join(parts)
+
+
+def _mark(x: float, estimate: JsonMapping, colour: str, *, square: bool) -> str:
+    y, low, high = (_y(estimate[key]) for key in ("value", "low", "high"))
+    x += 2.0 if square else -2.0
+    bar = f'<path d="M{x:.1f} {low:.1f}V{high:.1f}" stroke="{colour}" stroke-opacity=".45"/>'
+    if square:
+        return (
+            bar
+            + f'<rect x="{x - 2.5:.1f}" y="{y - 2.5:.1f}" width="5" height="5" fill="{colour}"/>'
+        )
+    return bar + f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.8" fill="{colour}"/>'
+
+
+def _x(factor: float) -> float:
+    return LEFT + 12 + (WIDE - LEFT - 34) * factor / FACTORS[-1]
+
+
+def _y(share: float) -> float:
+    within = min(max(share, LOW), HIGH)
+    return TALL - BOTTOM - (TALL - BOTTOM - TOP) * (within - LOW) / (HIGH - LOW)
+
+
+def _text(x: float, y: float, words: str, size: int) -> str:
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}" text-anchor="middle" '
+        f'fill="{INK}">{html.escape(words)}</text>'
+    )
+
+
+def _iou(row: JsonMapping) -> JsonMapping:
+    found: JsonMapping = row["iou"]
+    return found
+
+
+def _accuracy(row: JsonMapping) -> JsonMapping:
+    found: JsonMapping = row["stable_1"]["accuracy"]
+    return found

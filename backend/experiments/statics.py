@@ -1,7 +1,8 @@
-"""Probes at drawn displacements: what Tables 1 and 2 and the reliability of a model are made of.
+"""Groups of probes at drawn displacements, scored for Tables 1 and 2.
 
-Every group is one gripping on one mounting of its own: its first probe at a displacement of a
-balanced sample, the further ones at random. Groups are independent of each other.
+Every group is one gripping on one mounting of its own. Its first probe is at a displacement of a
+balanced sample of stable and unstable places, the further ones are at random. Groups are
+independent of each other.
 """
 
 from __future__ import annotations
@@ -13,19 +14,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.core.flow import FloatArray
-from backend.experiments.scenes import Case, balanced_offset, probing_scene, uniform_offset
-from backend.objects.surface import face_points
-from backend.objects.tower import judge
-from backend.sensing.episode import EpisodeLimits
-from backend.simulation.lockstep import Lockstep
-from backend.simulation.scoring import stacked
+from touchdown.backend.config import BeliefSettings, StabilitySettings
+from touchdown.backend.core import ContactPatch, FloatArray
+from touchdown.backend.experiments.statistics import reliability_curve
+from touchdown.backend.experiments.trials import (
+    BatchModel,
+    SceneSetup,
+    balanced_offset,
+    probing_scene,
+    uniform_offset,
+)
+from touchdown.backend.geometry import face_points, judge_tower
+from touchdown.backend.learning import LEVEL
+from touchdown.backend.placement import Belief, judge_stability
+from touchdown.backend.sensing import EpisodeLimits
+from touchdown.backend.simulation import BatchedTrials, tower_with_piece
 
 ATTEMPTS = 30
 
 
 @dataclass(frozen=True, slots=True)
-class Groups:
+class ProbeGroups:
     """g groups of p probes.
 
     ``observation`` (g, p, 20, 258); ``offset_mm`` (g, p, 2) commanded, ``true_mm`` (g, p, 2);
@@ -47,8 +56,8 @@ class Groups:
 
 
 def probe_groups(
-    case: Case, seeds: list[int], probes: int, world: type[Lockstep] = Lockstep
-) -> Groups:
+    case: SceneSetup, seeds: list[int], probes: int, world: type[BatchedTrials] = BatchedTrials
+) -> ProbeGroups:
     """Press ``probes`` times in each of the grippings named by ``seeds``.
 
     Half of the groups begin at a stable place. A press that is no observation is drawn again;
@@ -86,10 +95,10 @@ def probe_groups(
     seen, offset, true, slip = seen[going], offset[going], true[going], slip[going]
     outline = case.bottoms[0].face
     verdicts = [
-        judge(stacked(scenes[g], (float(x), float(y)), bench.grippings[g].yaw_rad))
+        judge_tower(tower_with_piece(scenes[g], (float(x), float(y)), bench.grippings[g].yaw_rad))
         for g, (x, y) in zip(going, true[:, 0], strict=True)
     ]
-    return Groups(
+    return ProbeGroups(
         seen,
         offset,
         true,
@@ -102,17 +111,99 @@ def probe_groups(
     )
 
 
-def join_groups(parts: Sequence[Groups]) -> Groups:
+def join_groups(parts: Sequence[ProbeGroups]) -> ProbeGroups:
     """Return all groups in order."""
     counts = ("rejected", "left_out")
-    names = [f.name for f in fields(Groups) if f.name not in counts]
+    names = [f.name for f in fields(ProbeGroups) if f.name not in counts]
     joined: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in names
     }
-    return Groups(**joined, **{name: sum(getattr(p, name) for p in parts) for name in counts})
+    return ProbeGroups(**joined, **{name: sum(getattr(p, name) for p in parts) for name in counts})
 
 
-def _offset(case: Case, seed: int, group: int, probe: int, attempt: int) -> FloatArray:
+def _offset(case: SceneSetup, seed: int, group: int, probe: int, attempt: int) -> FloatArray:
     if probe == 0:
         return balanced_offset(case, seed, attempt, stable=group % 2 == 0)
     return uniform_offset(case, seed, probe, attempt)
+
+
+PROBE_COUNTS = (1, 2, 3, 5)
+RELIABLE_AFTER = 3
+DIGITS = 4
+
+
+def score_patches(probability: FloatArray, groups: ProbeGroups) -> dict[str, list[float]]:
+    """Return for each group the mean IoU and point accuracy of its random probes.
+
+    ``probability`` (g, p, N). The first probe is that of a balanced sample and does not count.
+    ``..._true``: against the real patch in place of the label.
+    """
+    said = probability[:, 1:] > LEVEL
+    scores = {}
+    for name, patch in (("", groups.label[:, 1:]), ("_true", groups.truth[:, 1:])):
+        both, either = (said & patch).sum(-1), (said | patch).sum(-1)
+        iou = np.where(either == 0, 1.0, both / np.maximum(either, 1)).mean(axis=1)
+        scores["iou" + name] = _plain(iou)
+        scores["accuracy" + name] = _plain((said == patch).mean(axis=(1, 2)))
+    return scores
+
+
+def score_fused_verdicts(
+    probability: FloatArray, groups: ProbeGroups, model: BatchModel, case: SceneSetup
+) -> dict[str, Any]:
+    """Fuse the first n probes of each group and judge at the place of the first.
+
+    Returns ``says`` per n, the reliability of all covered cells after three probes, and the IoU of
+    that map against the true support.
+    """
+    says: dict[str, list[bool]] = {str(n): [] for n in PROBE_COUNTS if n <= probability.shape[1]}
+    promised, real = [], []
+    iou: list[float] = []
+    for g in range(len(probability)):
+        first = _pair(groups.offset_mm[g, 0])
+        belief = Belief.unknown(BeliefSettings(), first, model.base_rate)
+        for k, p in enumerate(probability[g]):
+            patch = ContactPatch(model.points_mm.copy(), p.copy())
+            belief = belief.updated(patch, _pair(groups.offset_mm[g, k]))
+            if str(k + 1) in says:
+                com, rules = case.piece.com_xy_mm, StabilitySettings()
+                says[str(k + 1)].append(judge_stability(belief, patch, com, first, rules).stable)
+            if k + 1 == RELIABLE_AFTER:
+                cells, support = _support(belief, groups, g, case)
+                promised.append(cells)
+                real.append(support)
+                iou.append(_iou(cells > LEVEL, support))
+    chart = reliability_curve(np.concatenate(promised), np.concatenate(real))
+    return {
+        "says": says,
+        "map_iou": iou,
+        "reliability": {
+            "promised": _plain(np.array(chart.promised)),
+            "came": _plain(np.array(chart.came)),
+            "count": list(chart.count),
+            "ece": round(chart.ece, DIGITS),
+        },
+    }
+
+
+def _support(
+    belief: Belief, groups: ProbeGroups, g: int, case: SceneSetup
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return probability and truth of the covered cells, the map being in commanded places."""
+    covered = belief.map.covered
+    centres = belief.map.cell_centres_mm()[covered]
+    shift = groups.true_mm[g, 0] - groups.offset_mm[g, 0]
+    return belief.map.probability[covered], case.bottoms[0].face.contains(centres + shift)
+
+
+def _iou(said: NDArray[np.bool_], real: NDArray[np.bool_]) -> float:
+    either = int((said | real).sum())
+    return round(float((said & real).sum() / either), DIGITS) if either else 1.0
+
+
+def _plain(values: FloatArray) -> list[float]:
+    return [round(float(v), DIGITS) for v in values]
+
+
+def _pair(values: FloatArray) -> tuple[float, float]:
+    return float(values[0]), float(values[1])

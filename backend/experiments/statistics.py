@@ -1,17 +1,27 @@
-"""Rates with their uncertainty."""
+"""Statistics of the experiments: rates, means, binary verdicts, reliability and paired changes, with
+95 % intervals.
+
+Rates have Wilson intervals, means normal ones over independent groups. ``reliability_curve`` sorts
+probabilities into bins of equal mass; its ``ece`` is the expected calibration error. ``iou_change``
+compares the same seeds group by group. ``compare_intervals`` lists the cells of one ``tables.json``
+whose interval misses the value of another one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from backend.learning.metrics import Z_95, wilson
+from touchdown.backend.core import FloatArray
+from touchdown.backend.learning import Z_95, wilson_interval
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class IntervalEstimate:
     """A value in 0..1 with its 95 % interval, from ``n`` independent trials; None without any."""
 
     value: float | None
@@ -24,27 +34,27 @@ class Estimate:
         return asdict(self)
 
 
-def rate(successes: int, trials: int) -> Estimate:
+def estimate_rate(successes: int, trials: int) -> IntervalEstimate:
     """Return a share with its Wilson interval."""
     if not trials:
-        return Estimate(None, None, None, 0)
-    low, high = wilson(successes, trials)
-    return Estimate(successes / trials, low, high, trials)
+        return IntervalEstimate(None, None, None, 0)
+    low, high = wilson_interval(successes, trials)
+    return IntervalEstimate(successes / trials, low, high, trials)
 
 
-def mean(values: Sequence[float]) -> Estimate:
+def estimate_mean(values: Sequence[float]) -> IntervalEstimate:
     """Return a mean with its normal interval; ``values`` are independent of each other."""
     n = len(values)
     if not n:
-        return Estimate(None, None, None, 0)
+        return IntervalEstimate(None, None, None, 0)
     data = np.asarray(values, dtype=np.float64)
     centre = float(data.mean())
     half = Z_95 * float(data.std(ddof=1)) / n**0.5 if n > 1 else 1.0
-    return Estimate(centre, max(0.0, centre - half), min(1.0, centre + half), n)
+    return IntervalEstimate(centre, max(0.0, centre - half), min(1.0, centre + half), n)
 
 
 @dataclass(frozen=True, slots=True)
-class Binary:
+class VerdictCounts:
     """Counts of a yes-or-no answer: said stable and is (``both``), is but was not said
     (``missed``), was said but is not (``unsafe``), ``neither``.
     """
@@ -55,7 +65,7 @@ class Binary:
     neither: int
 
     @classmethod
-    def of(cls, said: Sequence[bool], true: Sequence[bool]) -> Binary:
+    def of(cls, said: Sequence[bool], true: Sequence[bool]) -> VerdictCounts:
         """Count; ``said`` and ``true`` of equal length."""
         pairs = list(zip(said, true, strict=True))
         return cls(
@@ -70,8 +80,8 @@ class Binary:
         """Number of cases."""
         return self.both + self.missed + self.unsafe + self.neither
 
-    def __add__(self, other: Binary) -> Binary:
-        return Binary(
+    def __add__(self, other: VerdictCounts) -> VerdictCounts:
+        return VerdictCounts(
             self.both + other.both,
             self.missed + other.missed,
             self.unsafe + other.unsafe,
@@ -80,17 +90,132 @@ class Binary:
 
     def as_json(self) -> dict[str, object]:
         """Return accuracy, balanced accuracy, base rate, and the rate of each kind of error."""
-        found = rate(self.both, self.both + self.missed)
-        unsafe = rate(self.unsafe, self.unsafe + self.neither)
+        found = estimate_rate(self.both, self.both + self.missed)
+        unsafe = estimate_rate(self.unsafe, self.unsafe + self.neither)
         stable = self.both + self.missed
         balanced = None
         if found.value is not None and unsafe.value is not None:
             balanced = 0.5 * (found.value + 1.0 - unsafe.value)
         return {
-            "accuracy": rate(self.both + self.neither, self.n).as_json(),
+            "accuracy": estimate_rate(self.both + self.neither, self.n).as_json(),
             "balanced": balanced,
             "base_rate": max(stable, self.n - stable) / self.n if self.n else None,
             "stable_share": stable / self.n if self.n else None,
             "found": found.as_json(),
             "unsafe": unsafe.as_json(),
         }
+
+
+BINS = 15
+
+
+@dataclass(frozen=True, slots=True)
+class ReliabilityCurve:
+    """Per bin of equal mass: mean ``promised`` probability, share that ``came`` true, ``count``."""
+
+    promised: tuple[float, ...]
+    came: tuple[float, ...]
+    count: tuple[int, ...]
+
+    @property
+    def ece(self) -> float:
+        """Mean distance between promise and truth, weighted by count; NaN without any."""
+        weight = np.array(self.count, dtype=np.float64)
+        if not weight.sum():
+            return float("nan")
+        gap = np.abs(np.array(self.promised) - np.array(self.came))
+        return float((gap * weight).sum() / weight.sum())
+
+
+def reliability_curve(
+    probability: FloatArray, truth: NDArray[np.bool_] | FloatArray, bins: int = BINS
+) -> ReliabilityCurve:
+    """Sort ``probability`` (n,) into ``bins`` of equal mass and compare with ``truth`` (n,).
+
+    A share in place of a truth stands for cases that were counted together.
+    """
+    order = np.argsort(probability, kind="stable")
+    parts = [part for part in np.array_split(order, bins) if len(part)]
+    return ReliabilityCurve(
+        tuple(float(probability[part].mean()) for part in parts),
+        tuple(float(truth[part].mean()) for part in parts),
+        tuple(len(part) for part in parts),
+    )
+
+
+PressResult = Mapping[str, Any]
+"""The answer of one job of presses."""
+Json = dict[str, Any]
+
+
+def iou_change(pairs: Sequence[tuple[PressResult, PressResult]], before: str, after: str) -> Json:
+    """Return the mean change of IoU with its 95 % interval, over groups that both kept.
+
+    From model ``before`` in the first part of each pair to model ``after`` in the second. A job in
+    which a group was left out is not compared: its groups no longer match.
+    """
+    change = [
+        new - old
+        for then, now in pairs
+        if then["left_out"] == now["left_out"] == 0
+        for old, new in zip(_iou(then, before), _iou(now, after), strict=True)
+    ]
+    if len(change) < 2:
+        return {"value": None, "low": None, "high": None, "n": len(change)}
+    centre, half = float(np.mean(change)), Z_95 * float(np.std(change, ddof=1)) / len(change) ** 0.5
+    return {"value": centre, "low": centre - half, "high": centre + half, "n": len(change)}
+
+
+def format_change(change: Json | None) -> str:
+    """Write a change in points with half its interval; "" without one."""
+    if not change or change["value"] is None:
+        return ""
+    half = 50.0 * (change["high"] - change["low"])
+    return f"{100 * change['value']:+.1f} ± {half:.1f}"
+
+
+def _iou(part: PressResult, model: str) -> list[float]:
+    found: list[float] = part["models"][model]["iou"]
+    return found
+
+
+TablesContent = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class IntervalAgreement:
+    """``cells`` compared, and the names of those whose 95 % interval misses the other's value."""
+
+    cells: int
+    outside: tuple[str, ...]
+
+    @property
+    def share(self) -> float:
+        """Return the share of cells that agree; 1 without any."""
+        return 1.0 - len(self.outside) / self.cells if self.cells else 1.0
+
+
+def compare_intervals(small: TablesContent, large: TablesContent) -> IntervalAgreement:
+    """Compare the cells that two contents of ``tables.json`` have in common."""
+    values = dict(_named_rates(large))
+    outside, count = [], 0
+    for name, rate in _named_rates(small):
+        other = values.get(name)
+        if other is not None:
+            count += 1
+            if not rate["low"] <= other["value"] <= rate["high"]:
+                outside.append(name)
+    return IntervalAgreement(count, tuple(outside))
+
+
+def _named_rates(answer: TablesContent) -> Iterator[tuple[str, Mapping[str, float]]]:
+    """Yield each cell that has a value, by a name that says table, row, piece and bottom."""
+    rows = {"table1": ("metric", "model"), "table2": ("method",), "table3": ("strategy", "tower")}
+    for table, keys in rows.items():
+        for row in answer[table]:
+            named = " ".join(str(row[key]) for key in keys)
+            for cell in row["cells"]:
+                rate = cell.get("accuracy", cell) if table == "table2" else cell
+                if rate.get("value") is not None:
+                    where = f"{cell.get('piece', '')} {cell.get('bottom', '')}"
+                    yield f"{table} {named} {where}", rate

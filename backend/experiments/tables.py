@@ -1,26 +1,276 @@
-"""Tables 1 to 3 from the answers of finished jobs, as plain JSON with all that traces them."""
+"""Tables 1 to 3 of the paper, from the jobs that measure them to JSON rows beside the printed numbers.
+
+Paper: Ota et al., "Tactile Estimation of Extrinsic Contact Patch for Stable Placement", ICRA 2024,
+arXiv 2309.14552. Printed values are in % except Table III (successes of 10); keys: piece, bottom.
+``Recipe`` lists the jobs and their dependencies at one ``Scale`` and runs nothing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any, Literal
 
-from backend.core.flow import Outcome
-from backend.experiments import paper
-from backend.experiments.formats import TABLES_FORMAT
-from backend.experiments.recipes import BOTTOMS, MODELS, PIECES, TWO, Recipe
-from backend.experiments.statistics import Binary, mean, rate
-from backend.jobs.spec import JobSpec
-from backend.jobs.store import JobStore
-from backend.objects.tower import TOO_CLOSE_MM
+from touchdown.backend.config import SimulationSettings, TrainingSettings, bench_sha256
+from touchdown.backend.core import Outcome
+from touchdown.backend.experiments.statistics import VerdictCounts, estimate_mean, estimate_rate
+from touchdown.backend.geometry import TOO_CLOSE_MM
+from touchdown.backend.jobs import JobSpec, JobStore
+from touchdown.backend.learning import DeviceName
+
+PAPER_CELLS = tuple(product(("mushroom", "barrel", "pot"), ("short", "long")))
+"""Columns of all three tables, in their order."""
+PaperRow = Mapping[tuple[str, str], float]
+
+
+def _paper_row(*values: float) -> PaperRow:
+    return dict(zip(PAPER_CELLS, values, strict=True))
+
+
+PAPER_IOU: Mapping[str, PaperRow] = {
+    "FT": _paper_row(27.4, 37.7, 29.6, 44.5, 23.8, 53.2),
+    "Tac": _paper_row(33.6, 22.2, 31.5, 42.6, 16.5, 37.5),
+    "FT+Tac": _paper_row(38.4, 50.7, 31.9, 41.2, 24.8, 54.8),
+}
+PAPER_POINT_ACCURACY: Mapping[str, PaperRow] = {
+    "FT": _paper_row(67.4, 65.5, 75.3, 73.1, 68.0, 71.9),
+    "Tac": _paper_row(72.9, 60.4, 76.5, 77.5, 66.9, 71.7),
+    "FT+Tac": _paper_row(77.9, 73.8, 77.0, 75.4, 67.3, 74.9),
+}
+PAPER_STABILITY: Mapping[str, PaperRow] = {
+    "Implicit": _paper_row(73.7, 73.0, 63.9, 69.8, 64.2, 66.0),
+    "1": _paper_row(69.8, 81.0, 63.7, 71.4, 61.7, 69.4),
+    "2": _paper_row(88.4, 93.0, 92.7, 88.9, 83.2, 83.9),
+    "3": _paper_row(93.0, 93.2, 97.3, 92.1, 91.1, 85.7),
+}
+"""Implicit, and the method fusing n = 1, 2, 3 probes. Five were not measured."""
+PAPER_STACKING: Mapping[str, PaperRow] = {
+    "pick-and-place": _paper_row(0, 0, 0, 0, 0, 0),
+    "one": _paper_row(8, 6, 8, 5, 7, 6),
+    "two": _paper_row(6, 5, 7, 5, 6, 5),
+}
+PAPER_RUNS = 10
+
+
+PIECES = ("mushroom", "barrel", "pot")
+TABLE_BOTTOMS = ("short", "long")
+TRAINING_BOTTOMS = ("circle15", "circle25", "square15")
+TOWER = ("short", "long")
+"""Bottom-up: Long stands on Short, and Long is touched."""
+NetworkHead = Literal["patch", "stability"]
+MODELS: tuple[tuple[str, str, NetworkHead], ...] = (
+    ("FT", "FT", "patch"),
+    ("Tac", "Tac", "patch"),
+    ("FT+Tac", "FT+Tac", "patch"),
+    ("Implicit", "FT+Tac", "stability"),
+)
+"""Name in the tables, inputs, and what the network answers."""
+TRAINING_SEED, STATIC_SEED, STACKING_SEED = 21, 3_000_000, 4_000_000
+"""Distances between cells are far below these: no seed serves twice."""
+CELL_SEEDS = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How much of everything: ``probes`` for training per outline, groups and trials per cell."""
+
+    name: str
+    probes: int
+    epochs: int
+    groups: int
+    trials: int
+    probes_per_grip: int = 50
+    grips_per_mounting: int = 40
+    fused: int = 5
+    pictured: int = 1500
+    """Probes whose signals are shown and searched for presses that feel alike."""
+    repeated: int = 0
+    """Trials of each cell of Table 3 that are run on the devices as well, images and all."""
+
+
+FULL = Scale("full", probes=2000, epochs=30, groups=400, trials=100, repeated=20)
+QUICK = Scale("quick", probes=0, epochs=0, groups=40, trials=10, pictured=400)
+SCALES = {scale.name: scale for scale in (FULL, QUICK)}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All jobs of Tables 1 to 3 on one bench.
+
+    ``models``: for each piece and model name the hash of a trained file to use in place of a
+    training; ``code`` is the version of the program.
+    """
+
+    scale: Scale
+    bench: SimulationSettings
+    code: str
+    models: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    pieces: tuple[str, ...] = PIECES
+    device: DeviceName = "auto"
+    """What trains: another one gives other last digits."""
+
+    def bench_id(self) -> str:
+        """Return the SHA-256 of the bench's settings."""
+        return bench_sha256(self.bench)
+
+    def jobs(self) -> list[JobSpec]:
+        """Return every job once, inputs before what needs them."""
+        found: dict[str, JobSpec] = {}
+        for spec in self._all():
+            found.setdefault(spec.id, spec)
+        return list(found.values())
+
+    def data(self, piece: str) -> list[JobSpec]:
+        """Return the collections of training probes of ``piece``, one per outline."""
+        scale = self.scale
+        facts: dict[str, Any] = {
+            "piece": piece,
+            "episodes": scale.probes,
+            "probes_per_grip": scale.probes_per_grip,
+            "grips_per_mounting": scale.grips_per_mounting,
+        }
+        return [self._job("simulate", TRAINING_SEED, bottom=b, **facts) for b in TRAINING_BOTTOMS]
+
+    def training(self, piece: str, model: str) -> JobSpec:
+        """Return the training of one model."""
+        inputs, head = next((i, h) for name, i, h in MODELS if name == model)
+        settings = paper_training(inputs, self.scale.epochs)
+        needs = tuple(spec.id for spec in self.data(piece))
+        params = {
+            "piece": piece,
+            "head": head,
+            "training": settings.model_dump(mode="json"),
+            "device": self.device,
+        }
+        return JobSpec("train", params, settings.seed, needs, self.code)
+
+    def static(self, piece: str, bottom: str) -> JobSpec | None:
+        """Return the evaluation of all models of ``piece`` over one bottom; None without any."""
+        names = [name for name, _, _ in MODELS if self._source(piece, name)]
+        if not names:
+            return None
+        sources = {name: self._source(piece, name) for name in names}
+        return self._job(
+            "static",
+            STATIC_SEED + CELL_SEEDS * self._cell(piece, bottom),
+            needs=tuple(sorted({s for s in sources.values() if s})),
+            piece=piece,
+            bottom=bottom,
+            models=sources,
+            groups=self.scale.groups,
+            probes=self.scale.fused,
+        )
+
+    def stacking(self, piece: str, bottoms: tuple[str, ...], strategy: str) -> JobSpec | None:
+        """Return one cell of Table 3; None without a model for a strategy that needs one."""
+        source = self._source(piece, "FT+Tac") if strategy != "pick-and-place" else ""
+        if source is None:
+            return None
+        tower = 5 if len(bottoms) > 1 else 0
+        return self._job(
+            "stack",
+            STACKING_SEED + CELL_SEEDS * (self._cell(piece, bottoms[-1]) + tower),
+            needs=(source,) if source else (),
+            piece=piece,
+            bottoms=list(bottoms),
+            strategy=strategy,
+            trials=self.scale.trials,
+        )
+
+    def devices(self, piece: str, bottoms: tuple[str, ...]) -> JobSpec | None:
+        """Return the first trials of a cell on the stepped bench; None if there are to be none."""
+        cell = self.stacking(piece, bottoms, "paper")
+        if cell is None or not self.scale.repeated:
+            return None
+        params = {**cell.params, "trials": self.scale.repeated}
+        return JobSpec("devices", params, cell.seed, cell.inputs, self.code)
+
+    def twins(self) -> JobSpec:
+        """Return the small collection whose signals are shown and searched for alike presses."""
+        return self._job(
+            "twins",
+            TRAINING_SEED,
+            piece=self.pieces[0],
+            bottom=TRAINING_BOTTOMS[0],
+            episodes=self.scale.pictured,
+            probes_per_grip=self.scale.probes_per_grip,
+            grips_per_mounting=self.scale.grips_per_mounting,
+        )
+
+    def effort(self, spec: JobSpec) -> int:
+        """Return how long a job takes compared with others, for the time that is left."""
+        p, scale = spec.params, self.scale
+        if spec.kind in ("simulate", "twins"):
+            return int(p["episodes"])
+        if spec.kind == "train":
+            return scale.probes * scale.epochs // 2
+        if spec.kind == "static":
+            return 5 * int(p["groups"]) * int(p["probes"]) // 2
+        return (2000 if spec.kind == "devices" else 10) * int(p["trials"])
+
+    def _all(self) -> Iterator[JobSpec]:
+        for piece in self.pieces:
+            if self.scale.probes:
+                yield from self.data(piece)
+                yield from (self.training(piece, name) for name, _, _ in MODELS)
+        yield self.twins()
+        for piece in self.pieces:
+            cells = [self.static(piece, bottom) for bottom in TABLE_BOTTOMS]
+            for bottom in TABLE_BOTTOMS:
+                cells += [self.stacking(piece, (bottom,), s) for s in ("pick-and-place", "paper")]
+            cells.append(self.stacking(piece, TOWER, "paper"))
+            cells += [
+                self.devices(piece, tower) for tower in (*((b,) for b in TABLE_BOTTOMS), TOWER)
+            ]
+            yield from (cell for cell in cells if cell is not None)
+
+    def _source(self, piece: str, model: str) -> str | None:
+        """Return the job or the hash that a model comes from."""
+        if (piece, model) in self.models:
+            return self.models[piece, model]
+        return self.training(piece, model).id if self.scale.probes else None
+
+    def _job(self, kind: str, seed: int, needs: tuple[str, ...] = (), **params: Any) -> JobSpec:
+        params["bench"] = self.bench.model_dump(mode="json")
+        return JobSpec(kind, params, seed, needs, self.code)
+
+    @staticmethod
+    def _cell(piece: str, bottom: str) -> int:
+        return 10 * PIECES.index(piece) + TABLE_BOTTOMS.index(bottom)
+
+
+def paper_training(inputs: str, epochs: int) -> TrainingSettings:
+    """Return training as the paper may have done it: a constant rate, and the last weights.
+
+    The paper names neither a schedule nor an early stop.
+    """
+    return TrainingSettings.model_validate(
+        {
+            "modality": inputs,
+            "epochs": epochs,
+            "schedule": "constant",
+            "keep": "last",
+            "patience": epochs,
+            # One mounting an outline: nothing is chosen by validation, so that it may know them.
+            "divide_series": True,
+        }
+    )
+
+
+TABLES_FORMAT = "touchdown-tables/1"
+BEYOND_FORMAT = "touchdown-beyond/2"
+BEYOND_READABLE = ("touchdown-beyond/1", BEYOND_FORMAT)
+"""The first says nothing of towers that were left out."""
+
 
 PATCH_MODELS = tuple(name for name, _, head in MODELS if head == "patch")
-OURS = "FT+Tac"
-UNSAFE = (Outcome.FELL.value, Outcome.KNOCKED_OVER.value)
+OWN_MODEL = "FT+Tac"
+UNSAFE_OUTCOMES = (Outcome.FELL.value, Outcome.KNOCKED_OVER.value)
 Json = dict[str, Any]
 
 
-def tables(recipe: Recipe, store: JobStore) -> Json:
+def table_results(recipe: Recipe, store: JobStore) -> Json:
     """Return everything that is finished; a cell whose job is missing is null."""
     return {
         "format": TABLES_FORMAT,
@@ -37,7 +287,7 @@ def tables(recipe: Recipe, store: JobStore) -> Json:
 
 
 def _cells(recipe: Recipe) -> Iterable[tuple[str, str]]:
-    return ((piece, bottom) for piece in recipe.pieces for bottom in BOTTOMS)
+    return ((piece, bottom) for piece in recipe.pieces for bottom in TABLE_BOTTOMS)
 
 
 def _answer(spec: JobSpec | None, store: JobStore) -> Json | None:
@@ -47,7 +297,7 @@ def _answer(spec: JobSpec | None, store: JobStore) -> Json | None:
 def _table1(recipe: Recipe, store: JobStore) -> list[Json]:
     """One row per model and metric; interval from the spread between grippings."""
     rows = []
-    for metric, printed in (("iou", paper.IOU), ("accuracy", paper.POINTS)):
+    for metric, printed in (("iou", PAPER_IOU), ("accuracy", PAPER_POINT_ACCURACY)):
         for model in PATCH_MODELS:
             cells = []
             for piece, bottom in _cells(recipe):
@@ -55,8 +305,8 @@ def _table1(recipe: Recipe, store: JobStore) -> list[Json]:
                 scores = ((_answer(spec, store) or {}).get("models") or {}).get(model)
                 cell = _cell(piece, bottom, spec, 0.01 * printed[model][piece, bottom])
                 if scores:
-                    cell |= mean(scores["patch"][metric]).as_json()
-                    cell["against_truth"] = mean(scores["patch"][metric + "_true"]).value
+                    cell |= estimate_mean(scores["patch"][metric]).as_json()
+                    cell["against_truth"] = estimate_mean(scores["patch"][metric + "_true"]).value
                     cell["weights_sha256"] = scores["weights_sha256"]
                 cells.append(cell)
             rows.append({"metric": metric, "model": model, "cells": cells, **_means(cells)})
@@ -67,19 +317,19 @@ def _table2(recipe: Recipe, store: JobStore) -> list[Json]:
     """One row per method; each cell both ways: top interface alone, and every interface."""
     rows = []
     for method in ("Implicit", "1", "2", "3", "5"):
-        model = "Implicit" if method == "Implicit" else OURS
+        model = "Implicit" if method == "Implicit" else OWN_MODEL
         n = "1" if method == "Implicit" else method
         cells = []
-        pooled = Binary(0, 0, 0, 0)
+        pooled = VerdictCounts(0, 0, 0, 0)
         for piece, bottom in _cells(recipe):
             spec = recipe.static(piece, bottom)
             answer = _answer(spec, store)
-            printed = paper.STABILITY.get(method, {}).get((piece, bottom))
+            printed = PAPER_STABILITY.get(method, {}).get((piece, bottom))
             cell = _cell(piece, bottom, spec, None if printed is None else 0.01 * printed)
             says = ((answer or {}).get("models") or {}).get(model, {}).get("says", {}).get(n)
             if answer and says:
-                every, cell["excluded"] = scored(says, answer["margin_mm"], interface=1)
-                top, _ = scored(says, answer["margin_mm"], interface=0)
+                every, cell["excluded"] = score_verdicts(says, answer["margin_mm"], interface=1)
+                top, _ = score_verdicts(says, answer["margin_mm"], interface=0)
                 cell |= {**every.as_json(), "top_interface": top.as_json()}
                 pooled += every
             cells.append(cell)
@@ -87,9 +337,9 @@ def _table2(recipe: Recipe, store: JobStore) -> list[Json]:
     return rows
 
 
-def scored(
+def score_verdicts(
     says: Sequence[bool], margins_mm: Sequence[Sequence[float | None]], interface: int
-) -> tuple[Binary, int]:
+) -> tuple[VerdictCounts, int]:
     """Count answers against margins; cases within the band that is too close are left out.
 
     A margin of None means no support at all. Returns the counts and how many were left out.
@@ -100,7 +350,7 @@ def scored(
         if margin[interface] is None or abs(margin[interface] or 0.0) >= TOO_CLOSE_MM
     ]
     stands = [margin is not None and margin > 0.0 for _, margin in kept]
-    return Binary.of([said for said, _ in kept], stands), len(says) - len(kept)
+    return VerdictCounts.of([said for said, _ in kept], stands), len(says) - len(kept)
 
 
 def _table3(recipe: Recipe, store: JobStore) -> list[Json]:
@@ -114,12 +364,12 @@ def _table3(recipe: Recipe, store: JobStore) -> list[Json]:
     for printed, tower, strategy in kinds:
         cells = []
         for piece, bottom in _cells(recipe):
-            if tower == "two" and bottom != TWO[-1]:
+            if tower == "two" and bottom != TOWER[-1]:
                 continue
-            bottoms = TWO if tower == "two" else (bottom,)
+            bottoms = TOWER if tower == "two" else (bottom,)
             spec = recipe.stacking(piece, bottoms, strategy)
             answer = _answer(spec, store)
-            share = paper.STACKING[printed][piece, bottom] / paper.RUNS
+            share = PAPER_STACKING[printed][piece, bottom] / PAPER_RUNS
             cell = _cell(piece, "+".join(bottoms), spec, share)
             if answer:
                 cell |= stacking_cell(answer["trials"]) | {"left_out": answer["left_out"]}
@@ -136,9 +386,9 @@ def _table3(recipe: Recipe, store: JobStore) -> list[Json]:
                 "tower": tower,
                 "strategy": strategy,
                 "cells": cells,
-                "pooled": rate(placed, trials).as_json(),
-                "unsafe": rate(unsafe, trials).as_json(),
-                "paper_pooled": 0.1 * sum(paper.STACKING[printed].values()) / len(paper.CELLS),
+                "pooled": estimate_rate(placed, trials).as_json(),
+                "unsafe": estimate_rate(unsafe, trials).as_json(),
+                "paper_pooled": 0.1 * sum(PAPER_STACKING[printed].values()) / len(PAPER_CELLS),
             }
         )
     return rows
@@ -153,10 +403,10 @@ def stacking_cell(trials: Sequence[Mapping[str, Any]]) -> Json:
     top = sum(bool(t["margins_mm"]) and (t["margins_mm"][-1] or -1.0) > 0.0 for t in trials)
     probes = [t["probes"] for t in trials if t["outcome"] == Outcome.PLACED.value]
     return {
-        **rate(placed, len(trials)).as_json(),
+        **estimate_rate(placed, len(trials)).as_json(),
         "outcomes": counts,
-        "unsafe_releases": sum(counts.get(word, 0) for word in UNSAFE),
-        "top_interface": rate(top, len(trials)).as_json(),
+        "unsafe_releases": sum(counts.get(word, 0) for word in UNSAFE_OUTCOMES),
+        "top_interface": estimate_rate(top, len(trials)).as_json(),
         "probes": sum(probes) / len(probes) if probes else None,
     }
 
@@ -188,9 +438,13 @@ def _bench_facts(recipe: Recipe, store: JobStore) -> Json:
         slipped.append(answer["slipped"])
         rejected += answer["rejected"]
         count += len(answer["margin_mm"])
-        ours = answer["models"].get(OURS)
+        ours = answer["models"].get(OWN_MODEL)
         if ours and "reliability" in ours:
-            facts = {"piece": piece, "bottom": bottom, "map_iou": mean(ours["map_iou"]).as_json()}
+            facts = {
+                "piece": piece,
+                "bottom": bottom,
+                "map_iou": estimate_mean(ours["map_iou"]).as_json(),
+            }
             charts.append({**facts, **ours["reliability"]})
     return {
         "slipped": sum(slipped) / len(slipped) if slipped else None,

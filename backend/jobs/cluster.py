@@ -1,28 +1,29 @@
-"""Jobs on a Dask cluster (optional extra ``cluster``): a local one, or any address."""
+"""Execution of jobs on a Dask cluster, local or at an address.
+
+Requires the optional extra ``cluster``.
+"""
 
 from __future__ import annotations
 
 from importlib import import_module
 from typing import Any
 
-from backend.core.faults import InputError
-from backend.jobs.running import JobResult, Kinds, run_job
-from backend.jobs.spec import JobSpec
-from backend.jobs.store import JobStore
+from touchdown.backend.core import InputError
+from touchdown.backend.jobs.job import JobFunctions, JobResult, JobSpec, JobStore, run_job
 
-AHEAD = 2
+JOBS_AHEAD = 2
 """Jobs handed out per worker thread, so that none waits for the next."""
 
 
 class DaskCluster:
     """Runs jobs through ``dask.distributed``; the store must lie where all workers reach it."""
 
-    def __init__(self, kinds: Kinds, store: JobStore, client: Any) -> None:
+    def __init__(self, kinds: JobFunctions, store: JobStore, client: Any) -> None:
         self._kinds, self._store, self._client = kinds, store, client
         self._running: dict[Any, JobSpec] = {}
 
     @classmethod
-    def at(cls, kinds: Kinds, store: JobStore, address: str) -> DaskCluster:
+    def at(cls, kinds: JobFunctions, store: JobStore, address: str) -> DaskCluster:
         """Connect to the scheduler ``address`` (tcp://host:8786); raises ``InputError``."""
         try:
             distributed: Any = import_module("distributed")
@@ -42,7 +43,7 @@ class DaskCluster:
     def room(self) -> int:
         """Return room for a few jobs per thread of the cluster."""
         threads = sum(int(n) for n in self._client.nthreads().values())
-        return AHEAD * max(1, threads) - len(self._running)
+        return JOBS_AHEAD * max(1, threads) - len(self._running)
 
     def submit(self, spec: JobSpec) -> None:
         """Hand the job to the scheduler, which tries again when a worker dies."""

@@ -1,1 +1,20 @@
-"""From episodes to checkpoints."""
+"""Contact-patch networks: training, checkpoints, registry, evaluation."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend.learning import (
+        checkpoint,
+        fitting,
+        inference,
+        job,
+        metrics,
+        registry,
+        training,
+        training_data,
+        training_runs,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-"""Models on disk: ``<name>.safetensors`` with a JSON card beside it. Loading runs no code."""
+"""Checkpoint files: ``<name>.safetensors`` with a JSON card. Loading runs no code."""
 
 from __future__ import annotations
 
@@ -16,12 +16,16 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
-from backend.config.bench_facts import BenchFacts
-from backend.config.method import SAMPLES_PER_PROBE
-from backend.core.faults import InputError
-from backend.core.files import write_atomically
-from backend.learning.features import VECTOR_ORDER, Modality, columns
-from backend.learning.shape import ARCHITECTURES, Shape, expected_arrays
+from touchdown.backend.config import SAMPLES_PER_PROBE, BenchDescription
+from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.learning.inference import (
+    ARCHITECTURES,
+    VECTOR_ORDER,
+    Modality,
+    NetworkShape,
+    expected_arrays,
+    modality_columns,
+)
 
 MAX_WEIGHT_BYTES = 100_000_000
 MAX_CARD_BYTES = 1_000_000
@@ -34,7 +38,7 @@ _PICKLES = (b"PK\x03\x04", b"\x80")
 Size = Annotated[int, Field(ge=1, le=100_000)]
 
 
-class Sizes(BaseModel):
+class NetworkSizes(BaseModel):
     """Sizes of the network."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -44,13 +48,13 @@ class Sizes(BaseModel):
     points: Size
 
 
-class Card(BaseModel):
+class ModelCard(BaseModel):
     """The model card: what the weights are, and what they were made from."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     format: Literal["touchdown-model/1"] = "touchdown-model/1"
     arch: str
-    hyper: Sizes
+    hyper: NetworkSizes
     modality: Modality
     vector_order: str = VECTOR_ORDER
     rate_hz: int = 10
@@ -73,7 +77,7 @@ class Card(BaseModel):
     licence: str = "Apache-2.0"
     simulated: bool = True
     """Whether all training data came from a simulated bench."""
-    benches: tuple[BenchFacts, ...] = ()
+    benches: tuple[BenchDescription, ...] = ()
     """The benches that the training data came from, as far as the data tell."""
     grid_mm: float = 1.0
     """Pitch of the face points."""
@@ -86,7 +90,7 @@ class Checkpoint:
     """A loaded model: its weights by name, as ``shape.expected_arrays`` lists them; its card."""
 
     arrays: Mapping[str, NDArray[np.float32]]
-    card: Card
+    card: ModelCard
 
 
 def card_path(path: Path) -> Path:
@@ -94,7 +98,7 @@ def card_path(path: Path) -> Path:
     return path.with_suffix(".json")
 
 
-def save_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], card: Card) -> Card:
+def save_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], card: ModelCard) -> ModelCard:
     """Write weights and card; returns the card with the weights' hash."""
     content = save_arrays({name: np.ascontiguousarray(array) for name, array in arrays.items()})
     sealed = card.model_copy(update={"weights_sha256": hashlib.sha256(content).hexdigest()})
@@ -103,7 +107,7 @@ def save_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], card: Card) 
     return sealed
 
 
-def save_half(path: Path, model: Checkpoint) -> Card:
+def save_half_precision(path: Path, model: Checkpoint) -> ModelCard:
     """Write a model with weights of 16 bits, half as large; ``mean`` and ``scale`` stay whole."""
     arrays = {
         name: array if name in WHOLE else array.astype(np.float16)
@@ -112,7 +116,7 @@ def save_half(path: Path, model: Checkpoint) -> Card:
     return save_checkpoint(path, arrays, model.card)
 
 
-def save_card(path: Path, card: Card) -> None:
+def save_card(path: Path, card: ModelCard) -> None:
     """Write the card of the weights ``path``, for example with further metrics."""
     text = json.dumps(card.model_dump(), indent=2, sort_keys=True, ensure_ascii=False)
     write_atomically(card_path(path), text.encode("utf-8") + b"\n")
@@ -131,19 +135,19 @@ def load_checkpoint(path: Path) -> Checkpoint:
     if hashlib.sha256(content).hexdigest() != card.weights_sha256:
         raise _bad(path, "The weights are damaged or not those of their card (SHA-256 differs)")
     arrays = parse_arrays(content, path)
-    _check_arrays(arrays, Shape(**card.hyper.model_dump()), path)
+    _check_arrays(arrays, NetworkShape(**card.hyper.model_dump()), path)
     return Checkpoint({name: a.astype(np.float32, copy=False) for name, a in arrays.items()}, card)
 
 
-def load_card(path: Path) -> Card:
+def load_card(path: Path) -> ModelCard:
     """Load and check the card of the weights ``path``."""
     where = card_path(path)
     content = read_limited(where, MAX_CARD_BYTES)
     try:
-        card = Card.model_validate_json(content)
+        card = ModelCard.model_validate_json(content)
     except ValidationError as error:
-        raise _bad(where, f"Bad model card, {first_of(error)}") from error
-    wanted = columns(card.modality)
+        raise _bad(where, f"Bad model card, {first_error(error)}") from error
+    wanted = modality_columns(card.modality)
     problems = {
         f"architecture '{card.arch}' is not known": card.arch not in ARCHITECTURES,
         f"it wants {card.frames} frames": card.frames != SAMPLES_PER_PROBE,
@@ -157,7 +161,7 @@ def load_card(path: Path) -> Card:
     return card
 
 
-def first_of(error: ValidationError) -> str:
+def first_error(error: ValidationError) -> str:
     """Return which key of a card is wrong first, and how."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"]) or "(file)"
@@ -172,7 +176,7 @@ def parse_arrays(content: bytes, path: Path) -> dict[str, NDArray[Any]]:
         raise _bad(path, f"The file is not a complete safetensors file ({error})") from error
 
 
-def _check_arrays(arrays: dict[str, NDArray[Any]], shape: Shape, path: Path) -> None:
+def _check_arrays(arrays: dict[str, NDArray[Any]], shape: NetworkShape, path: Path) -> None:
     expected = expected_arrays(shape)
     if set(arrays) != set(expected):
         odd = ", ".join(sorted(set(arrays) ^ set(expected)))

@@ -1,4 +1,4 @@
-"""Train a model from a folder of episodes to a checkpoint with its card."""
+"""Fitting of a model to a folder of episodes, from data to an evaluated checkpoint."""
 
 from __future__ import annotations
 
@@ -10,35 +10,106 @@ from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+import numpy as np
 import torch
 
-from backend.catalogue.training_set import LabelChoice, is_dataset, load_training_set
-from backend.config.bench_facts import BenchFacts
-from backend.config.method import StabilitySettings
-from backend.core.faults import InputError
-from backend.core.files import write_atomically
-from backend.dataset.rows import TrainingRows, load_rows
-from backend.learning.checkpoint import Card, Sizes, save_checkpoint
-from backend.learning.device import compute_alike, device_of, name_of
-from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
-from backend.learning.origin import (
-    MANIFEST,
-    benches_of,
-    manifest_digest,
-    manifest_of,
-    only_simulated,
+from touchdown.backend.annotations import LabelChoice, is_dataset, load_training_set
+from touchdown.backend.config import BenchDescription, StabilitySettings
+from touchdown.backend.core import FloatArray, InputError, write_atomically
+from touchdown.backend.episodes import TrainingRows, load_rows
+from touchdown.backend.learning.checkpoint import (
+    Checkpoint,
+    ModelCard,
+    NetworkSizes,
+    save_checkpoint,
 )
-from backend.learning.resume import forget_state, load_state, resume_path, save_state
-from backend.learning.samples import bottom_figures, choose_samples, save_samples
-from backend.learning.shape import ARCH
-from backend.learning.training import Trainer, fingerprint
+from touchdown.backend.learning.inference import ARCH, modality_columns
+from touchdown.backend.learning.job import (
+    TrainingCancelled,
+    TrainingEpoch,
+    TrainingFinished,
+    TrainingJob,
+    TrainingLoaded,
+)
+from touchdown.backend.learning.metrics import (
+    EvaluationScores,
+    bottom_figures,
+    choose_samples,
+    save_samples,
+    score,
+)
+from touchdown.backend.learning.training import (
+    Trainer,
+    delete_training_state,
+    device_name,
+    fingerprint,
+    in_batches,
+    load_network,
+    load_training_state,
+    predict,
+    resume_path,
+    save_training_state,
+    select_device,
+    use_deterministic_algorithms,
+)
+from touchdown.backend.learning.training_data import (
+    MANIFEST,
+    manifest_sha256,
+    only_simulated,
+    read_benches,
+    training_manifest,
+)
+
+ALL = "all"
+
+
+def hardware_rows(rows: TrainingRows) -> TrainingRows | None:
+    """Return the episodes that a real bench recorded, None if there are none."""
+    real = [i for i, label in enumerate(rows.labels) if label.get("mode") == "lab"]
+    return rows.take(np.array(real)) if real else None
+
+
+def evaluate_model(
+    checkpoint: Checkpoint, rows: TrainingRows, points_mm: FloatArray, delta: float
+) -> dict[str, EvaluationScores]:
+    """Return the scores per bottom, and under "all" those of every episode.
+
+    ``points_mm`` (N, 2) are the face points. Raises ``InputError`` if model and data do not belong
+    to the same face.
+    """
+    card = checkpoint.card
+    if card.piece != rows.piece or card.geometry != rows.geometry:
+        raise InputError(
+            f"The model of '{card.piece}' and the episodes of '{rows.piece}' are not of one face.",
+            "geometry",
+            "Evaluate on episodes of the piece, in the version, that the model was trained for.",
+        )
+    if not card.hyper.points == rows.patch.shape[1] == len(points_mm):
+        raise InputError(
+            f"The model has {card.hyper.points} points, the labels {rows.patch.shape[1]}, "
+            f"the face {len(points_mm)}.",
+            "points",
+            "Simulate the episodes again with the present catalogue.",
+        )
+    model, seen = load_network(checkpoint), modality_columns(card.modality)
+    parts = in_batches(np.arange(len(rows)))
+    probability = np.concatenate([predict(model, rows.inputs(part), seen) for part in parts])
+    bottoms = np.array(rows.bottom)
+    scores = {
+        name: score(probability[bottoms == name], rows.patch[bottoms == name], points_mm, delta)
+        for name in sorted(set(rows.bottom))
+    }
+    return {**scores, ALL: score(probability, rows.patch, points_mm, delta)}
+
 
 DIVERGED_NATS = 2 * math.log(2)
 """Twice the loss of always answering 0.5."""
-Tell = Callable[[Loaded | Epoch | Finished | Cancelled], None]
+ReportCallback = Callable[
+    [TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled], None
+]
 
 
-def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
+def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bool]) -> None:
     """Do ``job``, telling every step; the state is kept after each epoch until the model is there.
 
     Raises ``InputError`` for bad data, a bad output name or a state that does not fit.
@@ -48,20 +119,20 @@ def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
             "A model file ends in .safetensors.", str(job.out), "Choose another --out."
         )
     began_s = time.monotonic()
-    compute_alike(job.threads)
+    use_deterministic_algorithms(job.threads)
     rows = load_episodes(job.data, job.piece, job.labels)
     data = fingerprint(rows)
-    trainer = Trainer(rows, job.settings, device_of(job.device))
+    trainer = Trainer(rows, job.settings, select_device(job.device))
     state = resume_path(job.out)
     if job.resume:
-        load_state(state, trainer, data)
+        load_training_state(state, trainer, data)
     tell(_loaded(rows, trainer))
 
     for report in trainer.epochs(cancelled):
-        save_state(state, trainer, data)
-        tell(Epoch(**dataclasses.asdict(report)))
+        save_training_state(state, trainer, data)
+        tell(TrainingEpoch(**dataclasses.asdict(report)))
     if not trainer.finished:
-        tell(Cancelled(done=trainer.done, state=state))
+        tell(TrainingCancelled(done=trainer.done, state=state))
         return
     if not trainer.best_loss < DIVERGED_NATS:
         raise InputError(
@@ -70,16 +141,16 @@ def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
             "Choose a smaller --learning-rate.",
         )
     probability = trainer.predict_held_out()
-    card = card_of(rows, trainer, data, benches_of(job.data, rows))
+    card = make_card(rows, trainer, data, read_benches(job.data, rows))
     card = _with_bottoms(card, bottom_figures(rows, trainer.split.held_out, probability))
     if job.keep is not None:
-        write_atomically(job.keep / MANIFEST, manifest_of(rows, trainer.split))
+        write_atomically(job.keep / MANIFEST, training_manifest(rows, trainer.split))
         save_samples(job.keep, choose_samples(rows, trainer.split.held_out, probability))
     card = save_checkpoint(job.out, trainer.best_model().arrays(), card)
-    forget_state(state)
+    delete_training_state(state)
     best = trainer.best_figures
     tell(
-        Finished(
+        TrainingFinished(
             out=job.out,
             weights_sha256=card.weights_sha256,
             best_epoch=trainer.best_epoch,
@@ -97,8 +168,8 @@ def load_episodes(data: Path, piece: str | None, labels: LabelChoice) -> Trainin
     return load_rows(data, piece)
 
 
-def _loaded(rows: TrainingRows, trainer: Trainer) -> Loaded:
-    return Loaded(
+def _loaded(rows: TrainingRows, trainer: Trainer) -> TrainingLoaded:
+    return TrainingLoaded(
         piece=rows.piece,
         episodes=len(rows),
         held_out=len(trainer.split.held_out),
@@ -110,20 +181,20 @@ def _loaded(rows: TrainingRows, trainer: Trainer) -> Loaded:
     )
 
 
-def _with_bottoms(card: Card, figures: dict[str, dict[str, float]]) -> Card:
+def _with_bottoms(card: ModelCard, figures: dict[str, dict[str, float]]) -> ModelCard:
     validation = {**card.metrics["validation"], "bottoms": figures}
     return card.model_copy(update={"metrics": {**card.metrics, "validation": validation}})
 
 
-def card_of(
-    rows: TrainingRows, trainer: Trainer, data: str, benches: tuple[BenchFacts, ...] = ()
-) -> Card:
+def make_card(
+    rows: TrainingRows, trainer: Trainer, data: str, benches: tuple[BenchDescription, ...] = ()
+) -> ModelCard:
     """Return the card of a finished training; ``data`` is the fingerprint of ``rows``."""
     settings, best = trainer.settings, trainer.best_figures
     sources = sorted({str(label.get("source")) for label in rows.labels})
-    return Card(
+    return ModelCard(
         arch=ARCH,
-        hyper=Sizes(**trainer.model.shape.as_json()),
+        hyper=NetworkSizes(**trainer.model.shape.as_json()),
         modality=settings.modality,
         piece=rows.piece,
         geometry=rows.geometry,
@@ -150,14 +221,14 @@ def card_of(
             **settings.model_dump(),
             "optimiser": "Adam",
             "torch": torch.__version__,
-            "device": name_of(trainer.device),
+            "device": device_name(trainer.device),
         },
         seed=settings.seed,
         program_version=_version(),
         weights_sha256="",
         simulated=only_simulated(rows),
         benches=benches,
-        manifest_sha256=manifest_digest(manifest_of(rows, trainer.split)),
+        manifest_sha256=manifest_sha256(training_manifest(rows, trainer.split)),
     )
 
 

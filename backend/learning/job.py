@@ -1,4 +1,4 @@
-"""What a training is asked for, and what it says while it goes on (JSON lines)."""
+"""Job and report messages between a training process and its parent (JSON lines)."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from backend.catalogue.training_set import LabelChoice
-from backend.config.method import TrainingSettings
-from backend.learning.metrics import ReliabilityBin
+from touchdown.backend.annotations import LabelChoice
+from touchdown.backend.config import TrainingSettings
+from touchdown.backend.learning.metrics import ReliabilityBin
 
 DeviceName = Literal["auto", "cpu", "cuda"]
 """What computes: ``auto`` is the graphics processor if torch finds one, else the processor."""
@@ -19,18 +19,18 @@ MOST_THREADS = 2
 """More were never measured; the same on all machines that have them gives the same numbers."""
 
 
-def threads_here() -> int:
+def default_threads() -> int:
     """Return on how many threads a training computes that has the machine to itself."""
     return min(MOST_THREADS, os.cpu_count() or 1)
 
 
-class Message(BaseModel):
+class JobMessage(BaseModel):
     """Base of everything that crosses the border between the two processes."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class TrainingJob(Message):
+class TrainingJob(JobMessage):
     """Train on the episodes of ``piece`` (None: the only one) in ``data``; write to ``out``.
 
     ``data``: a dataset, of which ``labels`` says what counts, or a folder of packs.
@@ -50,7 +50,7 @@ class TrainingJob(Message):
     device: DeviceName = "auto"
 
 
-class Loaded(Message):
+class TrainingLoaded(JobMessage):
     """The data are there. ``kept_together``: what was never divided (mounting, series or grip)."""
 
     kind: Literal["loaded"] = "loaded"
@@ -64,7 +64,7 @@ class Loaded(Message):
     done: int
 
 
-class Epoch(Message):
+class TrainingEpoch(JobMessage):
     """One epoch ended; see ``EpochReport``."""
 
     kind: Literal["epoch"] = "epoch"
@@ -78,7 +78,7 @@ class Epoch(Message):
     reliability: tuple[ReliabilityBin, ...] = ()
 
 
-class Finished(Message):
+class TrainingFinished(JobMessage):
     """The model is written."""
 
     kind: Literal["finished"] = "finished"
@@ -90,7 +90,7 @@ class Finished(Message):
     seconds: float
 
 
-class Cancelled(Message):
+class TrainingCancelled(JobMessage):
     """Stopped on request after ``done`` whole epochs; ``state`` resumes it."""
 
     kind: Literal["cancelled"] = "cancelled"
@@ -98,7 +98,7 @@ class Cancelled(Message):
     state: Path
 
 
-class Refused(Message):
+class TrainingRefused(JobMessage):
     """Bad input, in the words of ``InputError``."""
 
     kind: Literal["refused"] = "refused"
@@ -107,5 +107,10 @@ class Refused(Message):
     fix: str
 
 
-Report = Annotated[Loaded | Epoch | Finished | Cancelled | Refused, Field(discriminator="kind")]
-REPORT: TypeAdapter[Loaded | Epoch | Finished | Cancelled | Refused] = TypeAdapter(Report)
+TrainingReport = Annotated[
+    TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled | TrainingRefused,
+    Field(discriminator="kind"),
+]
+TRAINING_REPORT: TypeAdapter[
+    TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled | TrainingRefused
+] = TypeAdapter(TrainingReport)

@@ -1,7 +1,7 @@
-"""The child process of a training: ``python -m backend.learning.process``.
+"""Child process of a training: ``python -m touchdown.backend.learning.process``.
 
-Takes one JSON line with the job on standard input, writes JSON lines to standard output. Any
-further line, or the end of the input (the parent is gone), cancels it.
+Takes one JSON line with the job on standard input, writes JSON lines to standard output. A further
+line, or the end of the input (the parent is gone), cancels it.
 """
 
 from __future__ import annotations
@@ -13,10 +13,9 @@ import traceback
 
 from pydantic import BaseModel, ValidationError
 
-from backend.core.faults import InputError
-from backend.core.niceness import step_back
-from backend.learning.fitting import fit
-from backend.learning.job import Refused, TrainingJob
+from touchdown.backend.core import InputError, lower_priority
+from touchdown.backend.learning.fitting import fit_model
+from touchdown.backend.learning.job import TrainingJob, TrainingRefused
 
 
 def _tell(message: BaseModel) -> None:
@@ -30,7 +29,7 @@ def main() -> int:
     try:
         job = TrainingJob.model_validate_json(sys.stdin.readline())
     except ValidationError as error:
-        _tell(Refused(what=f"Bad job: {error}", where="job", fix="Correct the job."))
+        _tell(TrainingRefused(what=f"Bad job: {error}", where="job", fix="Correct the job."))
         return 2
 
     def listen() -> None:
@@ -38,11 +37,11 @@ def main() -> int:
         cancelled.set()
 
     threading.Thread(target=listen, name="listen", daemon=True).start()
-    step_back()
+    lower_priority()
     try:
-        fit(job, _tell, cancelled.is_set)
+        fit_model(job, _tell, cancelled.is_set)
     except InputError as error:
-        _tell(Refused(what=error.what, where=error.where, fix=error.fix))
+        _tell(TrainingRefused(what=error.what, where=error.where, fix=error.fix))
         return 2
     return 0
 

@@ -1,8 +1,7 @@
-"""Which model of each piece is in use: a history that only grows, and copies of the models.
+"""Model registry: the model in use for each piece, its history, and its clearance for a bench.
 
-``<folder>/in-use.jsonl`` has one line per change; the weights lie in ``<folder>/<piece>/`` under
-their hash, so that training anew over a file changes nothing that is in use. ``pre-label.jsonl``
-says which models label episodes together.
+The history only grows; models are copied into the registry. A model decides without confirmation
+only where no field of its card contradicts the bench.
 """
 
 from __future__ import annotations
@@ -17,9 +16,84 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from backend.core.faults import InputError
-from backend.core.files import sync_folder, write_atomically
-from backend.learning.checkpoint import Card, load_card, load_checkpoint, save_card
+from touchdown.backend.config import BenchDescription
+from touchdown.backend.core import InputError, sync_folder, write_atomically
+from touchdown.backend.learning.checkpoint import ModelCard, load_card, load_checkpoint, save_card
+
+HARDWARE_PROBES = 50
+"""A model trained on simulation alone needs so many evaluated hardware probes."""
+
+
+@dataclass(frozen=True, slots=True)
+class CardMismatch:
+    """A field of the card that the bench contradicts."""
+
+    field: str
+    card: str
+    bench: str
+
+    def __str__(self) -> str:
+        return f"{self.field}: the model {self.card}, the bench {self.bench}"
+
+
+def card_mismatches(
+    card: ModelCard, bench: BenchDescription, piece: str, grid_mm: float, hardware_probes: int
+) -> tuple[CardMismatch, ...]:
+    """Return what keeps a model from running alone; what either side does not tell is passed over.
+
+    ``piece`` is the hash of the grasped piece, ``grid_mm`` the pitch of its face points,
+    ``hardware_probes`` on how many the model was evaluated.
+    """
+    found = []
+    if card.geometry != piece:
+        found.append(CardMismatch("piece hash", _short(card.geometry), _short(piece)))
+    if card.grid_mm != grid_mm:
+        found.append(CardMismatch("grid", f"{card.grid_mm:g} mm", f"{grid_mm:g} mm"))
+    # An emulated bench rehearses a day on hardware: the same rule holds there.
+    transfer = card.simulated and bench.mode in ("hardware", "emulated")
+    if transfer and hardware_probes < HARDWARE_PROBES:
+        evaluated = f"{hardware_probes} of {HARDWARE_PROBES} hardware probes evaluated"
+        found.append(CardMismatch("bench mode", "simulated only", f"{bench.mode}, {evaluated}"))
+    names = {"mm_per_px": "mm/px", "ft_frame": "F/T frame"}
+    if not transfer:
+        # A simulated bench and a real one never have these in common.
+        names = {"mode": "bench mode", "sha256": "bench hash", **names}
+    found += [
+        m for name, text in names.items() if (m := _compared(card.benches, bench, name, text))
+    ]
+    return tuple(found)
+
+
+def check_autonomous(card: ModelCard, found: Sequence[CardMismatch], where: str) -> None:
+    """Raise ``InputError`` naming the fields that do not fit."""
+    if found:
+        fields = "; ".join(str(one) for one in found)
+        raise InputError(
+            f"The model of '{card.piece}' must not run in auto mode here: {fields}.",
+            where,
+            "Choose approve or step mode, or a model trained for this bench.",
+        )
+
+
+def _compared(
+    benches: Sequence[BenchDescription], bench: BenchDescription, name: str, text: str
+) -> CardMismatch | None:
+    """Compare one field with those of all benches that the training data came from."""
+    told = [value for one in benches if (value := getattr(one, name))]
+    here = getattr(bench, name)
+    if not told or not here or here in told:
+        return None
+    return CardMismatch(text, " or ".join(sorted({_short(v) for v in told})), _short(here))
+
+
+def _short(value: object) -> str:
+    """Write a value as short as it is still told apart."""
+    if isinstance(value, tuple):
+        return " / ".join(f"{v:g}" for v in value)
+    text = str(value)
+    hexadecimal = len(text) == 64 and all(c in "0123456789abcdef" for c in text)
+    return text[:12] if hexadecimal else f"'{text}'"
+
 
 HISTORY, EVALUATIONS, ENSEMBLES = "in-use.jsonl", "hardware.jsonl", "pre-label.jsonl"
 SHIPPED = ""
@@ -28,7 +102,7 @@ _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True, slots=True)
-class Use:
+class ModelUse:
     """One change. ``weights_sha256`` is in use since; ``run`` is the training that made it."""
 
     piece: str
@@ -39,7 +113,7 @@ class Use:
     run: str = ""
 
 
-class Registry:
+class ModelRegistry:
     """The models in use. Reads the files anew at every question: others may change them."""
 
     def __init__(self, folder: Path) -> None:
@@ -56,12 +130,12 @@ class Registry:
         stack = self._stack(piece)
         return stack[-2] if len(stack) > 1 else None
 
-    def history(self, piece: str | None = None) -> list[Use]:
+    def history(self, piece: str | None = None) -> list[ModelUse]:
         """Return all changes, oldest first; raises ``InputError`` for a damaged line."""
         uses = [_use(line, self.folder / HISTORY) for line in _lines(self.folder / HISTORY)]
         return [use for use in uses if piece is None or use.piece == piece]
 
-    def promote(self, model: Path, person: str = "", run: str = "") -> Use:
+    def promote(self, model: Path, person: str = "", run: str = "") -> ModelUse:
         """Check ``model``, copy it and put it in use for its piece; in use already: no change."""
         card = load_checkpoint(model).card
         with self._lock:
@@ -70,9 +144,11 @@ class Registry:
             copy = self._weights(card.piece, card.weights_sha256)
             write_atomically(copy, model.read_bytes())
             save_card(copy, card)
-            return self._append(Use(card.piece, "promote", card.weights_sha256, 0, person, run))
+            return self._append(
+                ModelUse(card.piece, "promote", card.weights_sha256, 0, person, run)
+            )
 
-    def roll_back(self, piece: str, person: str = "") -> Use:
+    def roll_back(self, piece: str, person: str = "") -> ModelUse:
         """Put the model before in use again; raises ``InputError`` if there is none."""
         with self._lock:
             before = self.before(piece)
@@ -82,7 +158,7 @@ class Registry:
                     str(self.folder / HISTORY),
                     "Promote another model first.",
                 )
-            return self._append(Use(piece, "roll back", before, 0, person))
+            return self._append(ModelUse(piece, "roll back", before, 0, person))
 
     def ensemble(self, piece: str) -> tuple[Path, ...]:
         """Return the models that pre-label ``piece`` together; none where none were chosen."""
@@ -124,7 +200,7 @@ class Registry:
         counts = [e.get("probes") for e in lines if e.get("weights_sha256") == weights_sha256]
         return max((n for n in counts if isinstance(n, int)), default=0)
 
-    def card(self, piece: str) -> Card | None:
+    def card(self, piece: str) -> ModelCard | None:
         """Return the card of the model in use, None for the shipped one."""
         path = self.in_use(piece)
         return None if path is None else load_card(path)
@@ -142,7 +218,7 @@ class Registry:
                 stack.pop()
         return stack
 
-    def _append(self, use: Use) -> Use:
+    def _append(self, use: ModelUse) -> ModelUse:
         line = {**asdict(use), "at_ns": time.time_ns()}
         _append_line(self.folder / HISTORY, line)
         return _use(line, self.folder / HISTORY)
@@ -194,9 +270,9 @@ def _lines(path: Path) -> list[dict[str, Any]]:
     return found
 
 
-def _use(line: dict[str, Any], path: Path) -> Use:
+def _use(line: dict[str, Any], path: Path) -> ModelUse:
     try:
-        use = Use(**line)
+        use = ModelUse(**line)
     except TypeError as error:
         raise _damaged(path) from error
     known = use.weights_sha256 == SHIPPED or _SHA256.fullmatch(use.weights_sha256)

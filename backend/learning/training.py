@@ -1,28 +1,183 @@
-"""Train one model: a generator of epochs, with a state that resumes exactly."""
+"""Training of the patch network in torch: model, Adam, device, resumable state.
+
+Adam: Kingma and Ba 2015, arXiv 1412.6980. The network has two LSTM layers; the last time step gives
+one logit per face point. A training is a generator of epochs whose saved state resumes exactly.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import math
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save as save_tensors
+from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
+from torch.optim.adam import adam
 
-from backend.config.method import TrainingSettings
-from backend.core.faults import InputError
-from backend.dataset.rows import TrainingRows
-from backend.dataset.splits import Split, split_rows
-from backend.learning.adam import Adam
-from backend.learning.device import computes_bfloat16
-from backend.learning.features import columns, fit_in_parts
-from backend.learning.metrics import LEVEL, ReliabilityBin, iou, point_accuracy, reliability
-from backend.learning.model import PatchNet, new_model
-from backend.learning.shape import Shape
+from touchdown.backend.config import TrainingSettings
+from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.episodes import Split, TrainingRows, split_rows
+from touchdown.backend.learning.checkpoint import Checkpoint
+from touchdown.backend.learning.inference import (
+    NetworkShape,
+    Normaliser,
+    fit_normaliser_in_parts,
+    modality_columns,
+)
+from touchdown.backend.learning.job import DeviceName
+from touchdown.backend.learning.metrics import (
+    LEVEL,
+    ReliabilityBin,
+    iou,
+    point_accuracy,
+    reliability,
+)
+
+
+def select_device(asked: DeviceName) -> torch.device:
+    """Return the device that was ``asked`` for, ``auto`` the first graphics processor if any.
+
+    Raises ``InputError`` for ``cuda`` where torch finds none.
+    """
+    found = torch.cuda.is_available()
+    if asked == "cuda" and not found:
+        raise InputError(
+            "There is no graphics processor that torch can use here.",
+            "device",
+            "Train on --device cpu, or install its driver and a torch that is built for it.",
+        )
+    return torch.device("cuda" if found and asked != "cpu" else "cpu")
+
+
+def device_name(device: torch.device) -> str:
+    """Return what a card tells of the device."""
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
+
+
+def computes_bfloat16(device: torch.device) -> bool:
+    """Whether an LSTM can be trained with bfloat16 products there.
+
+    On a processor oneDNN wants AVX-512 for it.
+    """
+    if device.type == "cuda":
+        return bool(torch.cuda.is_bf16_supported())
+    return "AVX512" in torch.backends.cpu.get_cpu_capability()
+
+
+def use_deterministic_algorithms(threads: int) -> None:
+    """Let this process compute on so many threads, by algorithms that repeat their results.
+
+    Call it before anything is computed on a graphics processor: its library of products repeats
+    itself only with a workspace of a fixed size (cuBLAS manual, "Results reproducibility").
+    """
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+    torch.set_num_threads(threads)
+    # ``use_deterministic_algorithms`` would also load torch's compiler, to set an option of it.
+    torch.set_deterministic_debug_mode("error")
+
+
+def use_one_thread() -> None:
+    """Let this process train and predict on one thread, the same on every machine."""
+    use_deterministic_algorithms(1)
+
+
+class PatchNet(nn.Module):
+    """(B, 20, inputs) raw channels to (B, points) logits; standardises inside."""
+
+    mean: Tensor
+    scale: Tensor
+
+    def __init__(self, shape: NetworkShape) -> None:
+        super().__init__()
+        self.shape = shape
+        self.register_buffer("mean", torch.zeros(shape.inputs))
+        self.register_buffer("scale", torch.ones(shape.inputs))
+        self.lstm = nn.LSTM(shape.inputs, shape.hidden, shape.layers, batch_first=True)
+        self.head = nn.Linear(shape.hidden, shape.points)
+
+    def set_normaliser(self, normaliser: Normaliser) -> None:
+        """Take over mean and scale."""
+        self.mean.copy_(torch.from_numpy(normaliser.mean))
+        self.scale.copy_(torch.from_numpy(normaliser.scale))
+
+    def arrays(self) -> dict[str, NDArray[np.float32]]:
+        """Return the weights by name, as a checkpoint keeps them."""
+        return {name: tensor.numpy(force=True) for name, tensor in self.state_dict().items()}
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Return logits (B, points)."""
+        states, _ = self.lstm((observation - self.mean) / self.scale)
+        return cast("Tensor", self.head(states[:, -1]))
+
+
+def new_model(shape: NetworkShape, seed: int) -> PatchNet:
+    """Return a freshly initialised network, the same for the same seed."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return PatchNet(shape)
+
+
+def load_network(checkpoint: Checkpoint) -> PatchNet:
+    """Return the network of a loaded model, ready to use (evaluation mode)."""
+    with torch.device("meta"):
+        model = PatchNet(NetworkShape(**checkpoint.card.hyper.model_dump()))
+    tensors = {name: torch.from_numpy(array.copy()) for name, array in checkpoint.arrays.items()}
+    model.load_state_dict(tensors, strict=True, assign=True)
+    model.requires_grad_(False)
+    return model.eval()
+
+
+MOMENTS = ("exp_avg", "exp_avg_sq", "step")
+"""What is kept of a weight: mean gradient, mean square of it (as the weight), steps so far ()."""
+
+
+class Adam:
+    """Moments of ``parameters``, and the ``rate`` of the next step."""
+
+    def __init__(self, parameters: Iterable[Tensor], rate: float) -> None:
+        self.rate = rate
+        self._parameters = list(parameters)
+        self.moments: list[dict[str, Tensor]] = [
+            {
+                "exp_avg": torch.zeros_like(parameter),
+                "exp_avg_sq": torch.zeros_like(parameter),
+                "step": torch.zeros((), device=parameter.device),
+            }
+            for parameter in self._parameters
+        ]
+
+    def zero_grad(self) -> None:
+        """Forget the gradients."""
+        for parameter in self._parameters:
+            parameter.grad = None
+
+    @torch.no_grad()
+    def step(self) -> None:
+        """Move every weight against its gradient; all of them must have one."""
+        means, squares, steps = ([kept[name] for kept in self.moments] for name in MOMENTS)
+        gradients = [p.grad for p in self._parameters if p.grad is not None]
+        # Fused: one pass over the weights, a quarter of the time of a step on a CPU.
+        adam(
+            self._parameters, gradients, means, squares, [], steps, fused=True, amsgrad=False,
+            beta1=0.9, beta2=0.999, lr=self.rate, weight_decay=0.0, eps=1e-8, maximize=False,
+        )  # fmt: skip
+
+    def take_up(self, moments: Iterable[Mapping[str, Tensor]]) -> None:
+        """Go on with ``moments``; raises ``KeyError`` or ``RuntimeError`` if they do not fit."""
+        for kept, given in zip(self.moments, moments, strict=True):
+            for name in MOMENTS:
+                kept[name].copy_(given[name])
+
 
 CPU = torch.device("cpu")
 PART = 4096
@@ -80,14 +235,14 @@ class Trainer:
             settings.seed,
             divide_series=settings.divide_series,
         )
-        self._rows, self._seen = rows, columns(settings.modality)
+        self._rows, self._seen = rows, modality_columns(settings.modality)
         train = self.split.train
         self._targets = torch.from_numpy(rows.patch.astype(np.float32))
         inputs = self._seen.stop - self._seen.start
-        shape = Shape(inputs, settings.hidden, settings.layers, rows.patch.shape[1])
+        shape = NetworkShape(inputs, settings.hidden, settings.layers, rows.patch.shape[1])
         self.model: PatchNet = new_model(shape, settings.seed).to(device)
-        parts = (rows.inputs(index) for index in in_parts(train))
-        self.model.set_normaliser(fit_in_parts(parts, settings.modality))
+        parts = (rows.inputs(index) for index in in_batches(train))
+        self.model.set_normaliser(fit_normaliser_in_parts(parts, settings.modality))
         self.optimiser = Adam(self.model.parameters(), settings.learning_rate)
         self.base_rate = float(rows.patch[train].mean())
         self.done = 0
@@ -118,7 +273,7 @@ class Trainer:
 
     def predict_held_out(self) -> NDArray[np.float32]:
         """(n, N) probabilities of the kept weights for the validation side."""
-        parts = in_parts(self.split.held_out)
+        parts = in_batches(self.split.held_out)
         model = self.best_model().to(self.device)
         logits = [predict_logits(model, self._inputs(index)).cpu() for index in parts]
         return np.asarray(torch.sigmoid(torch.cat(logits)).numpy(), dtype=np.float32)
@@ -130,13 +285,13 @@ class Trainer:
         self.model.train()
         coarse = self.settings.precision == "bfloat16"
         total = 0.0
-        for batch in in_parts(order, self.settings.batch):
+        for batch in in_batches(order, self.settings.batch):
             if cancelled():
                 return None
             self.optimiser.zero_grad()
             with torch.autocast(self.device.type, torch.bfloat16, enabled=coarse):
                 logits = self.model(self._inputs(batch))
-            loss = bce(logits.float(), self._targets[batch].to(self.device))
+            loss = binary_cross_entropy(logits.float(), self._targets[batch].to(self.device))
             loss.backward()  # type: ignore[no-untyped-call]
             self.optimiser.step()
             total += float(loss.detach()) * len(batch)
@@ -151,9 +306,9 @@ class Trainer:
 
     def _validate(self, train_loss: float) -> EpochReport:
         model, held_out = self.model.eval(), self.split.held_out
-        parts = [predict_logits(model, self._inputs(index)).cpu() for index in in_parts(held_out)]
+        parts = [predict_logits(model, self._inputs(index)).cpu() for index in in_batches(held_out)]
         logits, targets = torch.cat(parts), self._targets[held_out]
-        loss = float(bce(logits, targets))
+        loss = float(binary_cross_entropy(logits, targets))
         probability = torch.sigmoid(logits).numpy()
         predicted = probability > LEVEL
         truth = targets.numpy() > LEVEL
@@ -181,12 +336,12 @@ class Trainer:
         return {name: tensor.to("cpu", copy=True) for name, tensor in state.items()}
 
 
-def in_parts(index: NDArray[np.int64], size: int = PART) -> list[NDArray[np.int64]]:
+def in_batches(index: NDArray[np.int64], size: int = PART) -> list[NDArray[np.int64]]:
     """Return ``index`` in pieces of at most ``size``."""
     return [index[start : start + size] for start in range(0, len(index), size)]
 
 
-def bce(logits: Tensor, targets: Tensor) -> Tensor:
+def binary_cross_entropy(logits: Tensor, targets: Tensor) -> Tensor:
     """Mean binary cross-entropy over samples and points, from logits (B, N)."""
     return binary_cross_entropy_with_logits(logits, targets)
 
@@ -202,3 +357,78 @@ def predict(model: PatchNet, observation: NDArray[np.float32], part: slice) -> N
     inputs = torch.from_numpy(np.ascontiguousarray(observation[:, :, part]))
     probability: NDArray[np.float32] = torch.sigmoid(predict_logits(model, inputs)).numpy()
     return probability
+
+
+FORMAT = "touchdown-resume/1"
+FIX = "Start again without --resume."
+
+
+def resume_path(model_path: Path) -> Path:
+    """Return where the state of the training of ``model_path`` is kept."""
+    return model_path.with_suffix(".resume.safetensors")
+
+
+def save_training_state(path: Path, trainer: Trainer, data: str) -> None:
+    """Keep everything that the next epoch depends on; ``data`` is the data's fingerprint."""
+    tensors: dict[str, Tensor] = {}
+    tensors |= {f"model.{k}": v.contiguous() for k, v in trainer.model.state_dict().items()}
+    tensors |= {f"best.{k}": v.contiguous() for k, v in trainer.best_state.items()}
+    for number, moments in enumerate(trainer.optimiser.moments):
+        tensors |= {f"adam.{number}.{k}": v.contiguous() for k, v in moments.items()}
+    facts = {
+        "data": data,
+        "settings": trainer.settings.model_dump(),
+        "done": trainer.done,
+        "best_epoch": trainer.best_epoch,
+        "best_loss": trainer.best_loss,
+        "best_figures": trainer.best_figures,
+    }
+    header = {"format": FORMAT, "facts": json.dumps(facts)}
+    write_atomically(path, save_tensors(tensors, metadata=header))
+
+
+def load_training_state(path: Path, trainer: Trainer, data: str) -> None:
+    """Bring ``trainer`` to where the saved training stopped; raises ``InputError`` if it differs.
+
+    Data and settings must be the same: the learning rate depends on the number of epochs.
+    """
+    try:
+        facts, tensors = _read(path)
+        settings = TrainingSettings.model_validate(facts["settings"])
+        if settings != trainer.settings or facts["data"] != data:
+            raise InputError("The saved training used other data or settings.", str(path), FIX)
+        _restore(trainer, tensors)
+        trainer.done, trainer.best_epoch = int(facts["done"]), int(facts["best_epoch"])
+        trainer.best_loss = float(facts["best_loss"])
+        trainer.best_figures = (float(facts["best_figures"][0]), float(facts["best_figures"][1]))
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        raise InputError("There is no usable training to resume.", str(path), FIX) from error
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    with safe_open(str(path), framework="pt") as file:
+        header = file.metadata() or {}
+        if header.get("format") != FORMAT:
+            raise ValueError("foreign file")
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    return json.loads(header["facts"]), tensors
+
+
+def _restore(trainer: Trainer, tensors: dict[str, Tensor]) -> None:
+    trainer.model.load_state_dict(_under("model.", tensors))
+    trainer.best_state = _under("best.", tensors)
+    count = len(trainer.optimiser.moments)
+    trainer.optimiser.take_up(_under(f"adam.{n}.", tensors) for n in range(count))
+
+
+def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {
+        name.removeprefix(prefix): torch.clone(tensor)
+        for name, tensor in tensors.items()
+        if name.startswith(prefix)
+    }
+
+
+def delete_training_state(path: Path) -> None:
+    """Delete the saved state, if any."""
+    path.unlink(missing_ok=True)

@@ -1,18 +1,152 @@
-"""The trainings that were made on a dataset, read from their folders."""
+"""Trainings of a dataset, each in a child process and recorded as a run.
+
+The parent process writes the record: parameters, curves, model.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
-from collections.abc import Callable, Mapping
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
-from backend.catalogue.run_folder import METRICS, RUNS, About, is_alive, read_about
-from backend.core.faults import InputError
-from backend.learning.checkpoint import Card, load_card
-from backend.learning.metrics import ReliabilityBin
+from touchdown.backend.annotations import (
+    METRICS,
+    RUNS,
+    ActiveRun,
+    Dataset,
+    LabelChoice,
+    NotWritableError,
+    RunInfo,
+    hardware_info,
+    is_dataset,
+    is_run_alive,
+    package_versions,
+    read_run_info,
+    uuid7,
+)
+from touchdown.backend.config import TrainingSettings
+from touchdown.backend.core import Fault, FaultError, InputError, program_stamp
+from touchdown.backend.learning.checkpoint import ModelCard, load_card
+from touchdown.backend.learning.job import (
+    TRAINING_REPORT,
+    TrainingCancelled,
+    TrainingEpoch,
+    TrainingFinished,
+    TrainingJob,
+    TrainingLoaded,
+    TrainingRefused,
+)
+from touchdown.backend.learning.metrics import ReliabilityBin, calibration_error
+
+EXIT_WAIT_S = 10.0
+IDLE_THREADS = {"OMP_WAIT_POLICY": "PASSIVE"}
+"""Threads sleep while they wait for each other. Spinning, as is usual, two of them took 9 times the
+processor time of one beside other work; asleep 1.04 times."""
+
+
+class TrainingProcess:
+    """Runs one job at low priority; leave the ``with`` block and the child is gone.
+
+    ``reports`` may be read on one thread while ``cancel`` is called on another.
+    """
+
+    def __init__(self, job: TrainingJob) -> None:
+        self._complaints = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
+        environment = IDLE_THREADS | os.environ
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", "touchdown.backend.learning.process"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._complaints,
+            env=environment,
+            text=True,
+            encoding="utf-8",
+        )
+        self._send(job.model_dump_json())
+
+    @property
+    def number(self) -> int:
+        """Number of the process."""
+        return self._child.pid
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def reports(
+        self,
+    ) -> Iterator[TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled]:
+        """Yield what the child says until it ends.
+
+        Raises ``InputError`` for what it refused, ``FaultError`` if it died.
+        """
+        assert self._child.stdout is not None
+        last: object = None
+        for line in self._child.stdout:
+            report = TRAINING_REPORT.validate_json(line)
+            if isinstance(report, TrainingRefused):
+                raise InputError(report.what, report.where, report.fix)
+            last = report
+            yield report
+        self._child.wait(EXIT_WAIT_S)
+        if not isinstance(last, TrainingFinished | TrainingCancelled):
+            raise FaultError(self._death())
+
+    def cancel(self) -> None:
+        """Ask the child to stop after the present batch; whole epochs are kept for a resume."""
+        self._send("cancel")
+
+    def kill(self) -> None:
+        """End the child at once: what it does since the last whole epoch is lost."""
+        self._child.kill()
+
+    def close(self) -> None:
+        """End the child, whatever it does, and wait for it."""
+        for pipe in (self._child.stdin, self._child.stdout):
+            if pipe is not None:
+                with contextlib.suppress(BrokenPipeError):
+                    pipe.close()
+        try:
+            self._child.wait(EXIT_WAIT_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+        self._complaints.close()
+
+    def _send(self, line: str) -> None:
+        assert self._child.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._child.stdin.write(line + "\n")
+            self._child.stdin.flush()
+
+    def _death(self) -> Fault:
+        self._complaints.seek(0)
+        said = self._complaints.read().decode("utf-8", "replace").strip().splitlines()
+        why = said[-1] if said else f"exit code {self._child.returncode}"
+        return Fault(
+            "TRAINING-DIED",
+            f"The training process ended early: {why}.",
+            "There is no new model; whole epochs are kept.",
+            "Free memory if it ran short, then train again with --resume.",
+        )
+
 
 KIND = "train"
 MODEL, RESUME, RELIABILITY = "model.safetensors", "model.resume.safetensors", "reliability.jsonl"
@@ -29,11 +163,11 @@ class TrainingRun:
     """
 
     folder: Path
-    about: About
+    about: RunInfo
     state: str
     curves: Mapping[str, Curve] = field(default_factory=dict)
     reliability: Mapping[int, tuple[ReliabilityBin, ...]] = field(default_factory=dict)
-    card: Card | None = None
+    card: ModelCard | None = None
     can_resume: bool = False
 
     @property
@@ -57,7 +191,7 @@ class TrainingRun:
         return dict(self.curves.get(name, ())).get(epoch, math.nan)
 
 
-def training_runs(data: Path) -> list[TrainingRun]:
+def list_training_runs(data: Path) -> list[TrainingRun]:
     """Return the trainings on ``data``, the newest first; a folder that is none is passed over."""
     runs = data / RUNS
     folders = (
@@ -76,9 +210,9 @@ def training_runs(data: Path) -> list[TrainingRun]:
 
 def read_training_run(folder: Path) -> TrainingRun:
     """Read one run; raises ``InputError`` if its ``run.json`` cannot be read."""
-    about = read_about(folder)
+    about = read_run_info(folder)
     state: str = about.state
-    if state == "running" and not is_alive(folder):
+    if state == "running" and not is_run_alive(folder):
         state = "interrupted"
     made = TrainingRun(folder, about, state, _curves(folder / METRICS), _bins(folder / RELIABILITY))
     if state == "finished":
@@ -86,7 +220,7 @@ def read_training_run(folder: Path) -> TrainingRun:
     return replace(made, can_resume=state in UNFINISHED and (folder / RESUME).is_file())
 
 
-def _card(model: Path) -> Card | None:
+def _card(model: Path) -> ModelCard | None:
     try:
         return load_card(model)
     except InputError:
@@ -126,3 +260,224 @@ def _read_lines(path: Path, take: Callable[[Mapping[str, Any]], None]) -> None:
             take(json.loads(raw))
         except (ValueError, KeyError, TypeError):
             continue
+
+
+CURVES = ("train_loss", "validation_loss", "iou", "point_accuracy")
+"""Fields of ``Epoch`` that are kept as metrics, a value per epoch."""
+CALIBRATION = "calibration_error"
+
+
+def begin_training(dataset: Dataset, job: TrainingJob) -> ActiveRun:
+    """Begin the run of ``job``; its params are what the job asks for."""
+    asked = job.model_dump(mode="json", include={"piece", "out", "labels", "resume", "threads"})
+    settings = asked | job.settings.model_dump(mode="json")
+    return dataset.runs.begin(KIND, seed=job.settings.seed, settings=settings)
+
+
+def job_in_run(run: ActiveRun | None, job: TrainingJob) -> TrainingJob:
+    """Return ``job`` that leaves its manifest and samples in the folder of its run, if any."""
+    return job if run is None else job.model_copy(update={"keep": run.folder})
+
+
+def record_report(
+    run: ActiveRun, report: TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled
+) -> None:
+    """Keep what the training said; its last word ends the run."""
+    match report:
+        case TrainingLoaded():
+            facts = report.model_dump(mode="json", include={"episodes", "held_out", "base_rate"})
+            for name, value in facts.items():
+                run.metric(name, 0, value)
+        case TrainingEpoch():
+            for name in CURVES:
+                run.metric(name, report.epoch, getattr(report, name))
+            run.metric(CALIBRATION, report.epoch, calibration_error(report.reliability))
+            record_reliability(run, report.epoch, report.reliability)
+            run.end_epoch()
+        case TrainingFinished():
+            for name, path in (("model", report.out), ("card", report.out.with_suffix(".json"))):
+                run.artifact(name, path)
+            run.name_data(load_card(report.out).manifest_sha256)
+            run.finish()
+        case TrainingCancelled():
+            run.cancel()
+
+
+def record_reliability(run: ActiveRun, epoch: int, bins: object) -> None:
+    """Append the reliability bins of an epoch."""
+    with (run.folder / RELIABILITY).open("a", encoding="utf-8") as file:
+        file.write(json.dumps({"epoch": epoch, "bins": bins}) + "\n")
+
+
+@contextmanager
+def record_training(job: TrainingJob, say: Callable[[str], None]) -> Iterator[ActiveRun | None]:
+    """Record ``job`` in the dataset ``job.data``, which may be open elsewhere; None for packs.
+
+    An error ends the run as failed, and goes on. Afterwards the catalogue is brought up to date,
+    and ``say`` gets what a start says; where another program has it open, that one does it.
+    """
+    if not is_dataset(job.data):
+        yield None
+        return
+    try:
+        with Dataset.open(job.data, create=False, write=False) as dataset:
+            run = begin_training(dataset, job)
+    except OSError as error:
+        raise InputError(
+            f"No run can be kept there: {error.strerror or error}.",
+            str(job.data),
+            "Make room, or give the account the right to write there.",
+        ) from error
+    try:
+        with run:
+            yield run
+    finally:
+        with suppress(NotWritableError), Dataset.open(job.data, create=False) as dataset:
+            for notice in dataset.notices:
+                say(notice)
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingRequest:
+    """Train on the episodes of ``piece`` in ``data``; ``labels``: which ones count in a dataset.
+
+    ``goes_on``: an unfinished run with the same data and settings, whose epochs are kept.
+    """
+
+    data: Path
+    piece: str
+    settings: TrainingSettings
+    labels: LabelChoice = "approved"
+    goes_on: TrainingRun | None = None
+
+    def params(self) -> dict[str, Any]:
+        """Return what the run depends on, JSON-ready."""
+        resumed = {} if self.goes_on is None else {"resumed": self.goes_on.uuid}
+        kept = {"piece": self.piece, "labels": self.labels, **self.settings.model_dump(mode="json")}
+        return kept | resumed
+
+
+def resume_request(run: TrainingRun, data: Path) -> TrainingRequest:
+    """Return the request that goes on with ``run``; raises ``InputError`` if it cannot."""
+    if not run.can_resume:
+        raise InputError(
+            "There is nothing to go on with: no whole epoch was kept.",
+            str(run.folder),
+            "Start a new training.",
+        )
+    params: Mapping[str, Any] = run.about.params
+    known = {name: params[name] for name in TrainingSettings.model_fields if name in params}
+    settings = TrainingSettings.model_validate(known)
+    return TrainingRequest(data, str(params["piece"]), settings, params["labels"], run)
+
+
+class RecordedTraining:
+    """One training. ``reports`` runs on one thread; ``cancel`` may come from any."""
+
+    def __init__(self, request: TrainingRequest) -> None:
+        self._request = request
+        self._run = _begin(request)
+        self._child: TrainingProcess | None = None
+        self._cancelled = self._killed = False
+        self._lock = threading.Lock()
+
+    @property
+    def uuid(self) -> str:
+        """Id of the run."""
+        return self._run.uuid
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the run."""
+        return self._run.folder
+
+    @property
+    def number(self) -> int | None:
+        """Number of the child process, None while there is none."""
+        with self._lock:
+            return None if self._child is None else self._child.number
+
+    def reports(
+        self,
+    ) -> Iterator[TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled]:
+        """Train, and yield what is told once it is kept.
+
+        Raises ``InputError`` for what the child refused, ``FaultError`` if it died.
+        """
+        with self._run as run:
+            job = self._job()
+            with TrainingProcess(job) as child:
+                with self._lock:
+                    self._child = child
+                    if self._cancelled:
+                        child.cancel()
+                try:
+                    for report in child.reports():
+                        record_report(run, report)
+                        yield report
+                except FaultError:
+                    # One that had to be killed to end is a cancelled one.
+                    if not self._killed:
+                        raise
+                finally:
+                    with self._lock:
+                        self._child = None
+
+    def cancel(self) -> None:
+        """Stop after the present batch; whole epochs are kept for a resume."""
+        with self._lock:
+            self._cancelled = True
+            if self._child is not None:
+                self._child.cancel()
+
+    def kill(self) -> None:
+        """Cancel one that does not react: whole epochs are kept, the present one is lost."""
+        self.cancel()
+        with self._lock:
+            self._killed = True
+            if self._child is not None:
+                self._child.kill()
+
+    def _job(self) -> TrainingJob:
+        request, out = self._request, self._run.folder / MODEL
+        if request.goes_on is not None:
+            shutil.copyfile(request.goes_on.folder / RESUME, self._run.folder / RESUME)
+            _repeat(self._run, request.goes_on)
+        return TrainingJob(
+            data=request.data,
+            piece=request.piece,
+            out=out,
+            settings=request.settings,
+            labels=request.labels,
+            resume=request.goes_on is not None,
+            keep=self._run.folder,
+        )
+
+
+def _begin(request: TrainingRequest) -> ActiveRun:
+    seed, params = request.settings.seed, request.params()
+    try:
+        if is_dataset(request.data):
+            with Dataset.open(request.data, write=False) as dataset:
+                return dataset.runs.begin(KIND, seed=seed, settings=params)
+        about = RunInfo(
+            uuid7(), KIND, "running", time.time_ns(), seed, program_stamp(), params,
+            hardware=hardware_info(), environment=package_versions(),
+        )  # fmt: skip
+        return ActiveRun(request.data, about)
+    except OSError as error:
+        raise InputError(
+            f"No run can be kept there: {error.strerror or error}.",
+            str(request.data),
+            "Make room, or give the account the right to write there.",
+        ) from error
+
+
+def _repeat(run: ActiveRun, former: TrainingRun) -> None:
+    """Begin the curves with those of the run that is gone on with."""
+    for name, values in former.curves.items():
+        for step, value in values:
+            run.metric(name, step, value)
+    for epoch, bins in former.reliability.items():
+        record_reliability(run, epoch, bins)
+    run.end_epoch()

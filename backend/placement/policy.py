@@ -1,27 +1,169 @@
-"""What to do next: release, shift towards the middle of the support, or give up (method 10)."""
+"""Policy of the paper: judge stability, then release, shift, or give up (methods 9, 10)."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import count
+from typing import Literal
 
-from backend.config.method import PolicySettings, StabilitySettings
-from backend.core.flow import PlaceAction, Stability, SupportKind
-from backend.placement.belief import Belief
-from backend.placement.targets import best_cells, hull_centre, next_on_spiral
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.config import PolicySettings, StabilitySettings
+from touchdown.backend.core import ContactPatch, FloatArray, PlaceAction, Stability, SupportKind
+from touchdown.backend.placement.belief import (
+    Belief,
+    CellGrid,
+    cover_cells,
+    face_lattice,
+    is_finite,
+)
+from touchdown.backend.placement.equilibrium import convex_hull, inside_hull, signed_margin_mm
+
+KINDS = (SupportKind.NONE, SupportKind.POINT, SupportKind.LINE)
+
+
+def judge_stability(
+    belief: Belief,
+    patch: ContactPatch,
+    com_xy_mm: tuple[float, float],
+    offset_mm: tuple[float, float],
+    settings: StabilitySettings,
+) -> Stability:
+    """Judge the piece at ``offset_mm`` (frame of the map).
+
+    ``patch`` is the latest estimate; its points are the face. ``com_xy_mm`` is the centre of mass
+    in ``F``. Only support under the present face counts: a cell beside the piece carries nothing.
+    """
+    centre = (offset_mm[0] + com_xy_mm[0], offset_mm[1] + com_xy_mm[1])
+    finite = is_finite(patch) and bool(np.isfinite(belief.map.log_odds).all())
+    if not finite or not all(map(math.isfinite, centre)):
+        return Stability(
+            False, math.nan, SupportKind.NO_ESTIMATE, np.zeros((0, 2)), centre, settings.judge_from
+        )
+    if settings.judge_from == "belief":
+        hull = _hull_on_map(belief, patch, offset_mm, settings.delta)
+    else:
+        hull = _hull_on_face(belief, patch, offset_mm, settings.delta)
+    margin_mm = signed_margin_mm(hull, centre)
+    support = KINDS[len(hull)] if len(hull) < 3 else SupportKind.AREA
+    stable = support is SupportKind.AREA and margin_mm >= settings.margin_mm
+    return Stability(stable, margin_mm, support, hull, centre, settings.judge_from)
+
+
+def confident_cells(belief: Belief, delta: float) -> NDArray[np.bool_]:
+    """(ny, nx) cells whose probability of support exceeds ``delta``."""
+    return np.asarray(belief.map.log_odds > log_odds_threshold(delta), dtype=np.bool_)
+
+
+def log_odds_threshold(delta: float) -> float:
+    """Return the log odds of ``delta``; 2.1972 for 0.9."""
+    return math.log(delta / (1.0 - delta))
+
+
+def support_hull_mm(belief: Belief, cells: NDArray[np.bool_]) -> FloatArray:
+    """(k, 2) hull in mm of the centres of the marked ``cells`` (ny, nx)."""
+    rows, columns = np.nonzero(cells)
+    # Cell indices are whole numbers: collinear cells are found exactly.
+    hull = convex_hull(np.stack((columns, rows), axis=1))
+    return CellGrid.of(belief.map).to_mm(hull)
+
+
+def _hull_on_map(
+    belief: Belief, patch: ContactPatch, offset_mm: tuple[float, float], delta: float
+) -> FloatArray:
+    last = belief.evidence[-1] if belief.evidence else None
+    if last is None or last.offset_mm != offset_mm:
+        last = cover_cells(CellGrid.of(belief.map), patch.points_mm, patch.probability, offset_mm)
+    under = last.covered
+    return support_hull_mm(belief, confident_cells(belief, delta) & under)
+
+
+def _hull_on_face(
+    belief: Belief, patch: ContactPatch, offset_mm: tuple[float, float], delta: float
+) -> FloatArray:
+    """Hull of the latest patch alone, on the points of the face itself."""
+    face = face_lattice(patch.points_mm, belief.map.pitch_mm)
+    hull = convex_hull(face.index[belief.log_odds(patch.probability) > log_odds_threshold(delta)])
+    corner = np.add(face.corner_mm, offset_mm)
+    return np.asarray(corner + face.pitch_mm * hull, dtype=np.float64)
+
 
 XY = tuple[float, float]
+BEST_PERCENTILE = 95.0
+
+
+def hull_centre(
+    belief: Belief, delta: float, what: Literal["area", "cells", "vertices"]
+) -> XY | None:
+    """Return the middle of the confident support on the whole map, None without any.
+
+    The paper divides a sum over the hull's points by their number; the readings are all cells
+    inside the hull ("area"), the confident cells, or the hull's vertices.
+    """
+    cells = confident_cells(belief, delta)
+    hull = support_hull_mm(belief, cells)
+    if not len(hull):
+        return None
+    if what == "vertices" or (what == "area" and len(hull) < 3):
+        return _mean(hull)
+    # Every cell inside the hull lies in the box round the confident ones.
+    rows, columns = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
+    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    centres = belief.map.cell_centres_mm()[box]
+    return _mean(centres[cells[box] if what == "cells" else inside_hull(hull, centres)])
+
+
+def best_cells(belief: Belief) -> XY | None:
+    """Return the mean of the covered cells from the 95th percentile of probability upwards.
+
+    "From" and not "above": where many cells share the highest value none lies above it.
+    """
+    covered: NDArray[np.bool_] = belief.map.covered
+    if not covered.any():
+        return None
+    least = np.percentile(belief.map.log_odds[covered], BEST_PERCENTILE)
+    chosen = covered & (belief.map.log_odds >= least)
+    return _mean(belief.map.cell_centres_mm()[chosen])
+
+
+def next_on_spiral(centre_mm: XY, belief: Belief, settings: PolicySettings) -> XY:
+    """Return the first place on a square spiral round ``centre_mm`` that was not yet probed."""
+    step = settings.longest_step_mm
+    for column, row in _spiral():
+        place = (centre_mm[0] + step * column, centre_mm[1] + step * row)
+        if not any(math.dist(place, visit) < 0.5 * step for visit in belief.visits):
+            return place
+    raise AssertionError("unreachable: the spiral does not end")
+
+
+def _spiral() -> Iterator[tuple[int, int]]:
+    """Whole places outwards from (0, 0), neighbours at distance 1: right, up, left, down."""
+    x, y = 0, 0
+    yield x, y
+    for turn in count():
+        dx, dy = ((1, 0), (0, 1), (-1, 0), (0, -1))[turn % 4]
+        for _ in range(turn // 2 + 1):
+            x, y = x + dx, y + dy
+            yield x, y
+
+
+def _mean(points: FloatArray) -> XY:
+    x, y = points.reshape(-1, 2).mean(axis=0)
+    return float(x), float(y)
 
 
 @dataclass(frozen=True, slots=True)
-class Aim:
+class ShiftTarget:
     """Where the policy wants the face centre to be, and the words why."""
 
     target_mm: XY
     why: str
 
 
-def choose(
+def choose_action(
     stability: Stability,
     belief: Belief,
     offset_mm: XY,
@@ -33,21 +175,23 @@ def choose(
     ``belief.visits`` is the history of probes; their number counts against ``max_probes``.
     """
     if stability.stable:
-        return PlaceAction("release", (0.0, 0.0), None, False, f"{situation(stability)}: release.")
+        return PlaceAction(
+            "release", (0.0, 0.0), None, False, f"{describe_situation(stability)}: release."
+        )
     if stability.support is SupportKind.NO_ESTIMATE:
         return give_up("The model returned no usable estimate: giving up without a release.")
     probes = len(belief.visits)
     if probes >= settings.max_probes:
-        return give_up(f"{situation(stability, judged_by.margin_mm)} after {probes} probes, "
+        return give_up(f"{describe_situation(stability, judged_by.margin_mm)} after {probes} probes, "
                         "the most allowed: giving up.")  # fmt: skip
     aim = _aim(stability, belief, offset_mm, settings, judged_by.delta)
     if aim is None:
-        return give_up(f"{situation(stability, judged_by.margin_mm)} and no better place is "
+        return give_up(f"{describe_situation(stability, judged_by.margin_mm)} and no better place is "
                         "known: giving up.")  # fmt: skip
-    return towards(stability, aim, offset_mm, settings.longest_step_mm, judged_by.margin_mm)
+    return shift_towards(stability, aim, offset_mm, settings.longest_step_mm, judged_by.margin_mm)
 
 
-def situation(stability: Stability, required_mm: float = 0.0) -> str:
+def describe_situation(stability: Stability, required_mm: float = 0.0) -> str:
     """Say where the centre of mass is, with its distance."""
     margin_mm = stability.margin_mm
     if stability.support is SupportKind.AREA:
@@ -64,7 +208,7 @@ def situation(stability: Stability, required_mm: float = 0.0) -> str:
 
 def _aim(
     stability: Stability, belief: Belief, here: XY, settings: PolicySettings, delta: float
-) -> Aim | None:
+) -> ShiftTarget | None:
     """Return the greedy target; where there is none, or it is here, the fallback; None to stop."""
     # The centre of mass, not the face centre, must come over the middle of the support.
     com = (stability.centre_mm[0] - here[0], stability.centre_mm[1] - here[1])
@@ -74,18 +218,20 @@ def _aim(
     if centre is not None:
         target = (centre[0] - com[0], centre[1] - com[1])
         if _moves(here, target, nearest):
-            return Aim(target, "")
+            return ShiftTarget(target, "")
         why = "already over the middle of the support"
     if settings.fallback == "stop":
         return None
     if settings.fallback == "spiral":
         start = belief.visits[0] if belief.visits else here
-        return Aim(next_on_spiral(start, belief, settings), f"{why}: next place on the spiral")
+        return ShiftTarget(
+            next_on_spiral(start, belief, settings), f"{why}: next place on the spiral"
+        )
     best = best_cells(belief)
     target = here if best is None else (best[0] - com[0], best[1] - com[1])
     if _moves(here, target, nearest):
-        return Aim(target, f"{why}: towards the most probable cells")
-    return Aim(next_on_spiral(here, belief, settings), f"{why}: looking around")
+        return ShiftTarget(target, f"{why}: towards the most probable cells")
+    return ShiftTarget(next_on_spiral(here, belief, settings), f"{why}: looking around")
 
 
 def _moves(here: XY, target: XY, nearest_mm: float) -> bool:
@@ -93,8 +239,8 @@ def _moves(here: XY, target: XY, nearest_mm: float) -> bool:
     return math.dist(here, target) >= max(nearest_mm, 1e-6)
 
 
-def towards(
-    stability: Stability, aim: Aim, here: XY, longest_mm: float, required_mm: float
+def shift_towards(
+    stability: Stability, aim: ShiftTarget, here: XY, longest_mm: float, required_mm: float
 ) -> PlaceAction:
     """Return the shift from ``here`` towards the aim, at most ``longest_mm`` long."""
     away = (aim.target_mm[0] - here[0], aim.target_mm[1] - here[1])
@@ -103,7 +249,7 @@ def towards(
     part = longest_mm / distance_mm if clipped else 1.0
     step = (away[0] * part, away[1] * part)
     degrees = math.degrees(math.atan2(step[1], step[0])) % 360.0
-    reason = f"{situation(stability, required_mm)}"
+    reason = f"{describe_situation(stability, required_mm)}"
     reason += f" ({aim.why})" if aim.why else ""
     reason += f": move {math.hypot(*step):.1f} mm towards {degrees:.0f}°"
     reason += f", {distance_mm:.1f} mm wanted." if clipped else "."

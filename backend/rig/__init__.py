@@ -1,1 +1,15 @@
-"""The devices of a bench file, put together."""
+"""The real-time process that owns the links to the devices, and its client."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend.rig import (
+        connection,
+        flight_recorder,
+        link,
+        timing,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

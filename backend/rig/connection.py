@@ -1,21 +1,42 @@
-"""Connects the devices of a bench in the order that is safe, one by one, and tells how far it is.
-
-Nothing moves: the arm is switched on last and stands. All orders return at once; one thread works.
-"""
+"""Connection of all devices of a laboratory."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-from backend.core.faults import Fault, FaultError, InputError, RefusedError, TouchdownError
-from backend.devices.homing import Homing
-from backend.devices.protocols import Device, DeviceState, Identity
-from backend.devices.reconnect import require_serial
-from backend.devices.steps import STEPS, Stepwise
+from touchdown.backend.config import HardwareSettings
+from touchdown.backend.core import (
+    FINGERS,
+    Fault,
+    FaultError,
+    Finger,
+    InputError,
+    RefusedError,
+    SampleStream,
+    Stream,
+    TactileFrame,
+    TouchdownError,
+)
+from touchdown.backend.devices import (
+    STEPS,
+    Device,
+    DeviceState,
+    Homing,
+    Identity,
+    Interlock,
+    Stepwise,
+    require_serial,
+)
+from touchdown.backend.devices.cameras import make_tactile
+from touchdown.backend.devices.melfa import PLACE_LATE_S, MelfaArm
+from touchdown.backend.rig.link import RigLink
+from touchdown.backend.rig.process import make_devices
+from touchdown.backend.rig.remote import RigArm, RigForceTorque, RigGripper
 
 CONNECT_S = 10.0
 JOIN_S = 15.0
@@ -294,3 +315,121 @@ NOT_HOMED = Fault(
     "Look at the jaws, then home again.",
     "gripper",
 )
+
+
+WAIT_S = 0.01
+
+
+class WiredDevices:
+    """Drivers by a bench file; they put what they sense into the given streams.
+
+    ``now_s`` runs in step with the computer's own monotonic clock. ``interlock`` permits motion:
+    its lease, its latch and its limits reach the rig. Raises ``InputError`` for bad settings.
+    """
+
+    def __init__(
+        self,
+        settings: HardwareSettings,
+        now_s: Callable[[], float],
+        frames: Mapping[Finger, Stream[TactileFrame]],
+        samples: SampleStream,
+        poses: SampleStream,
+        interlock: Interlock,
+    ) -> None:
+        make_devices(settings, now_s)  # what the settings lack is told now, not in the rig
+        self.link = RigLink(settings, now_s, samples, poses, interlock)
+        open_ones: set[str] = set()
+        self.force_torque = RigForceTorque("force_torque", self.link, now_s, open_ones)
+        self.gripper = RigGripper("gripper", self.link, now_s, open_ones)
+        self.tactile = {
+            finger: make_tactile(finger, settings, now_s, frames[finger]) for finger in FINGERS
+        }
+        self.arm = RigArm("arm", self.link, now_s, open_ones)
+        if settings.melfa.stiffness_mode == "controller":
+            self.arm.place_late_s = PLACE_LATE_S
+
+    @property
+    def devices(self) -> Mapping[str, Device]:
+        """All five by name, sensors first and the arm last: as they are connected."""
+        cameras = {camera.name: camera for camera in self.tactile.values()}
+        ordered: dict[str, Device] = {"force_torque": self.force_torque, **cameras}
+        return {**ordered, "gripper": self.gripper, "arm": self.arm}
+
+    def connect(
+        self,
+        cancel: threading.Event,
+        tell: Callable[[str], None] = lambda name: None,
+        limit_s: float = CONNECT_S,
+    ) -> None:
+        """Connect all, each within ``limit_s``; ``tell`` hears the name of each before.
+
+        Raises the first ``FaultError``.
+
+        The arm moves on what the wrist feels, so it comes last; what is connected stays so.
+        """
+        for name, device in self.devices.items():
+            tell(name)
+            device.connect(limit_s, cancel)
+
+    def home(self) -> None:
+        """Home the gripper if it needs it; raises ``FaultError``.
+
+        On the operator's word only: with a piece between the jaws the origin would be wrong.
+        """
+        if self.gripper.homed:
+            return
+        motion, never = self.gripper.home(), threading.Event()
+        while not motion.done:
+            never.wait(WAIT_S)
+        motion.result()
+
+    def close(self) -> None:
+        """Close all, the arm first, then the rig process."""
+        for device in reversed(tuple(self.devices.values())):
+            device.close()
+        self.link.close()
+
+
+LIMIT_S = 5.0
+LISTEN_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a device answered; ``fix`` says what to do where it did not."""
+
+    device: str
+    ok: bool
+    detail: str
+    fix: str
+
+
+def examine(settings: HardwareSettings) -> Iterator[Finding]:
+    """Yield a finding per device; each is closed again. Raises ``InputError`` for bad settings."""
+    made = make_devices(settings, time.monotonic)
+    cameras = [
+        make_tactile(finger, settings, time.monotonic, Stream(f"tactile_{finger}", 8))
+        for finger in FINGERS
+    ]
+    for device in (made.force_torque, *cameras, made.gripper, made.arm):
+        name = device.name
+        try:
+            detail = _asked(device)
+        except FaultError as error:
+            yield Finding(name, False, error.fault.what, error.fault.next_step)
+        else:
+            yield Finding(name, True, detail, "")
+
+
+def _asked(device: Device) -> str:
+    if isinstance(device, MelfaArm):
+        who = device.examine()
+        return f"{who.maker} {who.model}, {who.firmware}; not switched on"
+    try:
+        device.connect(LIMIT_S, threading.Event())
+        threading.Event().wait(LISTEN_S)
+        identity, health = device.identity, device.health
+    finally:
+        device.close()
+    named = "" if identity is None else f"{identity.maker} {identity.model}, {identity.serial}; "
+    return f"{named}{health.received / LISTEN_S:.0f} Hz"

@@ -1,23 +1,12 @@
-"""What the rig does when something falls silent or STOP is asked: ``step(now, inbox) -> outbox``.
-
-Pure: no clock, no thread, no wire, so that every row of its table is tested in virtual time.
-
-    backend's heartbeat older than 250 ms    HOLD; a motion under way is a fault until reset
-    motion lease not renewed for 2 s         HOLD; a new order is needed (jogs end before)
-    STOP asked                               STOP, latched until reset
-    backend gone (pipe closed, no parent)    STOP, then the process ends
-    error of this program                    STOP and a fault
-
-The loss ladder and the contact law have cores of their own, stepped at every cycle of the stream.
-"""
+"""Core of the real-time process."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from backend.core.faults import Fault, RefusedError
-from backend.devices.interlock import LEASE_S, Limits
+from touchdown.backend.core import Fault, RefusedError
+from touchdown.backend.devices import LEASE_S, Limits
 
 BACKEND_SILENT_S = 0.25
 """The backend beats at least every 50 ms."""

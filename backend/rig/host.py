@@ -1,45 +1,253 @@
-"""One rig: arm, gripper and wrist sensor with the core that watches over them.
-
-``round`` is called every 4 ms by whoever owns the time: the rig process, or a test with a clock of
-its own. ``take`` hears messages, on another thread; orders that may last wait on a thread for each
-device, STOP never waits.
-"""
+"""Host of devices in the real-time process."""
 
 from __future__ import annotations
 
+import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from backend.core.faults import Fault, FaultError, TouchdownError
-from backend.core.stream import Samples, SampleStream
-from backend.devices.at_rest import last_places_mm, travelled_mm
-from backend.devices.held import Right
-from backend.devices.homing import Homing
-from backend.devices.interlock import Limits
-from backend.devices.protocols import (
+from touchdown.backend.core import (
+    Fault,
+    FaultError,
+    Pose,
+    RefusedError,
+    Samples,
+    SampleStream,
+    TouchdownError,
+)
+from touchdown.backend.devices import (
+    MAX_WIDTH_CHANGE_MM,
+    STATIONARY_MM,
+    UNLOADED_N,
     Arm,
+    ByHand,
     Device,
     DeviceState,
     ForceTorqueSensor,
     Gripper,
+    Homing,
+    JigEvidence,
+    Limits,
     Motion,
+    PressCommand,
+    ReleaseEvidence,
+    Retreating,
+    Right,
+    Traced,
+    jig_refusal,
+    last_places_mm,
+    refuse_outside,
+    release_refusal,
+    travelled_mm,
 )
-from backend.devices.retreating import Retreating
-from backend.devices.traced import Traced
-from backend.rig.core import Inbox, Outbox, RigCore
-from backend.rig.memory import RIG_BEAT, Ring, SharedMemory
-from backend.rig.messages import Message, error_row, failed, fault_row
-from backend.rig.orders import JAWS, MOVES, Orders
-from backend.rig.release import Measured, refuse_opening
-from backend.rig.rows import Row, arm_row, gripper_row, sensor_row, slow_row
-from backend.rig.workers import Workers
+from touchdown.backend.rig.core import Inbox, Outbox, RigCore
+from touchdown.backend.rig.memory import RIG_BEAT, Ring, SharedMemory
+from touchdown.backend.rig.messages import (
+    Message,
+    Row,
+    Workers,
+    arm_row,
+    error_row,
+    failed,
+    fault_row,
+    gripper_row,
+    sensor_row,
+    slow_row,
+)
+
+Arguments = Mapping[str, Any]
+RIGHTS: dict[str, type[ReleaseEvidence] | type[JigEvidence] | type[ByHand]] = {
+    right.__name__: right for right in (ReleaseEvidence, JigEvidence, ByHand)
+}
+MOVES = frozenset(
+    {"arm.move_to", "arm.jog", "arm.jog_joints", "arm.move_joints", "arm.press", "arm.unload"}
+)
+"""What moves the arm: only with a lease, without latch, beside a wrist sensor that is felt."""
+JAWS = frozenset({"gripper.grip", "gripper.open_to", "gripper.open_held"})
+"""What moves the jaws in a run: only with a lease and without latch."""
+
+
+@dataclass(frozen=True, slots=True)
+class Orders:
+    """What arm and gripper can be told; ``open_held`` asks the release table first."""
+
+    arm: Arm
+    gripper: Gripper
+    may_open: Callable[[Right], None]
+
+    def give(self, name: str, arguments: Arguments, limits: Limits) -> Motion | list[float] | None:
+        """Carry order ``name`` out; return its motion, a value, or None."""
+        known = {
+            "arm.servo": self._servo,
+            "arm.move_to": self._move_to,
+            "arm.jog": self._jog,
+            "arm.jog_joints": self._jog_joints,
+            "arm.move_joints": self._move_joints,
+            "arm.press": self._press,
+            "arm.unload": self._unload,
+            "arm.halt": self._halt,
+            "arm.place_of": self._place_of,
+            "gripper.home": self._home,
+            "gripper.acknowledge": self._acknowledge,
+            "gripper.grip": self._grip,
+            "gripper.open_to": self._open_to,
+            "gripper.open_held": self._open_held,
+        }
+        if name not in known:
+            raise ValueError(f"there is no order {name!r}")
+        return known[name](arguments, limits)
+
+    # -- arm --------------------------------------------------------------------------------------
+
+    def _servo(self, given: Arguments, limits: Limits) -> None:
+        self.arm.servo(bool(given["on"]))
+
+    def _move_to(self, given: Arguments, limits: Limits) -> Motion:
+        target = Pose(*given["target"])
+        refuse_outside(target, limits)
+        _refuse_fast("SPEED", given["speed_mm_s"], limits.speed_mm_s)
+        _refuse_fast("TURN-SPEED", given["turn_rad_s"], limits.turn_rad_s)
+        return self.arm.move_to(target, given["speed_mm_s"], given["turn_rad_s"])
+
+    def _jog(self, given: Arguments, limits: Limits) -> Motion:
+        velocity, turning = given["velocity_mm_s"], given["turn_rad_s"]
+        _refuse_fast("SPEED", math.hypot(*velocity), limits.jog_mm_s)
+        _refuse_fast("TURN-SPEED", math.hypot(*turning), limits.turn_rad_s)
+        return self.arm.jog(tuple(velocity), given["for_s"], tuple(turning))
+
+    def _jog_joints(self, given: Arguments, limits: Limits) -> Motion:
+        speeds = tuple(given["speeds_rad_s"])
+        _refuse_fast("TURN-SPEED", max(map(abs, speeds)), limits.turn_rad_s)
+        return self.arm.jog_joints(speeds, given["for_s"])
+
+    def _move_joints(self, given: Arguments, limits: Limits) -> Motion:
+        _refuse_fast("TURN-SPEED", given["speed_rad_s"], limits.turn_rad_s)
+        return self.arm.move_joints(tuple(given["target_rad"]), given["speed_rad_s"])
+
+    def _press(self, given: Arguments, limits: Limits) -> Motion:
+        stiffness = tuple(given["stiffness_n_mm"])
+        command = PressCommand(**{**given, "stiffness_n_mm": stiffness})
+        nominal_n = stiffness[2] * command.depth_mm
+        if not nominal_n <= limits.probe_n:
+            raise RefusedError("PRESS-FORCE", f"Nominal {nominal_n:.1f} N is over the limit.")
+        _refuse_fast("APPROACH-SPEED", command.approach_mm_s, limits.contact_speed_mm_s)
+        return self.arm.press(command)
+
+    def _unload(self, given: Arguments, limits: Limits) -> Motion:
+        _refuse_fast("SPEED", given["speed_mm_s"], limits.speed_mm_s)
+        return self.arm.unload(given["force_n"], given["speed_mm_s"])
+
+    def _halt(self, given: Arguments, limits: Limits) -> None:
+        self.arm.halt()
+
+    def _place_of(self, given: Arguments, limits: Limits) -> list[float]:
+        place = self.arm.place_of(tuple(given["joints_rad"]))
+        return [place.x_mm, place.y_mm, place.z_mm, place.rx_rad, place.ry_rad, place.rz_rad]
+
+    # -- gripper ----------------------------------------------------------------------------------
+
+    def _home(self, given: Arguments, limits: Limits) -> Motion:
+        return self._homing().home()
+
+    def _acknowledge(self, given: Arguments, limits: Limits) -> None:
+        self._homing().acknowledge()
+
+    def _homing(self) -> Homing:
+        if not isinstance(self.gripper, Homing):
+            raise RefusedError("NO-HOMING", "This gripper is not homed from here.")
+        return self.gripper
+
+    def _grip(self, given: Arguments, limits: Limits) -> Motion:
+        return self.gripper.grip(given["force_n"])
+
+    def _open_to(self, given: Arguments, limits: Limits) -> Motion:
+        if self.gripper.status().holding:
+            raise RefusedError("HOLDING", "A piece is held: it is let go by a right only.")
+        return self.gripper.open_to(given["width_mm"], given["speed_mm_s"])
+
+    def _open_held(self, given: Arguments, limits: Limits) -> Motion:
+        right = RIGHTS[given["right"]](**given["evidence"])
+        self.may_open(right)
+        return self.gripper.open_to(given["width_mm"], given["speed_mm_s"])
+
+
+def _refuse_fast(name: str, speed: float, most: float) -> None:
+    """Raise ``RefusedError`` unless ``speed`` is within 0 to ``most``; NaN refuses."""
+    if not 0.0 <= speed <= most * (1.0 + 1e-9):
+        raise RefusedError(name, f"A speed of {speed:.3g} is not within 0 to {most:.3g}.")
+
+
+OLD_S = 0.05
+"""A wrench older than this is no evidence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What the rig itself measures: NaN where it does not know.
+
+    ``press_n``: by the contact law's own zero; ``moved_mm``: largest travel of the arm as it
+    stands (``travelled_mm``); ``width_change_mm`` since the piece was gripped; ``devices_ready``:
+    all of them.
+    """
+
+    press_n: float
+    wrench_age_s: float
+    moved_mm: float
+    width_change_mm: float
+    holding: bool
+    devices_ready: bool
+
+
+def refuse_opening(right: Right, measured: Measured) -> None:
+    """Raise ``RefusedError`` with the name of the first condition that does not hold."""
+    refusal = next(_rows(right, measured), None)
+    if refusal is not None:
+        raise RefusedError(*refusal)
+
+
+def _rows(right: Right, m: Measured) -> Iterator[tuple[str, str]]:
+    if isinstance(right, ByHand):
+        if not right.confirmed:
+            yield "NOT-CONFIRMED", "A piece is held: opening drops it. Confirm first."
+    else:
+        release = isinstance(right, ReleaseEvidence)
+        told = release_refusal(right) if release else jig_refusal(right)  # type: ignore[arg-type]
+        if told is not None:
+            yield told
+        yield from _ready_rows(m)
+    if not 0 <= m.moved_mm <= STATIONARY_MM:
+        yield "RIG-ARM-MOVING", "The rig measures that the arm is not standing still."
+    if isinstance(right, ReleaseEvidence):
+        yield from _pressed_rows(m)
+
+
+def _ready_rows(m: Measured) -> Iterator[tuple[str, str]]:
+    if not m.devices_ready:
+        yield "RIG-DEVICES", "Arm, wrist sensor and gripper are not all ready."
+    if not m.holding:
+        yield "RIG-NOT-HOLDING", "The gripper tells that it holds no piece."
+    if not abs(m.width_change_mm) <= MAX_WIDTH_CHANGE_MM:
+        change_mm = m.width_change_mm
+        yield "RIG-WIDTH", f"The jaws moved by {change_mm:.2f} mm since the piece was gripped."
+
+
+def _pressed_rows(m: Measured) -> Iterator[tuple[str, str]]:
+    if not 0 <= m.wrench_age_s <= OLD_S:
+        yield "RIG-WRENCH-OLD", "The rig has no fresh wrench."
+    if not UNLOADED_N[0] <= m.press_n <= UNLOADED_N[1]:
+        yield (
+            "RIG-NOT-UNLOADED",
+            f"The rig feels {m.press_n:.2f} N: not {UNLOADED_N[0]} to {UNLOADED_N[1]} N.",
+        )
+
 
 STATE_ROUNDS, SLOW_ROUNDS = 5, 50
 """The state is shown every 20 ms, what a person looks at every 200 ms."""
-Found = Motion | list[float] | None
+Reply: TypeAlias = Motion | list[float] | None
 GRIP_STANDS_S = 0.3
 """The jaws stand so long after the gripper told that it holds."""
 AT_ONCE = frozenset({"arm.halt", "arm.place_of"})
@@ -295,7 +503,7 @@ class RigHost:
         else:
             self._reply(message, found)
 
-    def _obey(self, message: Message) -> Found:
+    def _obey(self, message: Message) -> Reply:
         name, given = message["order"], message["args"]
         self._note(self._now_s(), f"order {message['id']} {name} {given}")
         device, _, verb = name.partition(".")
@@ -325,7 +533,7 @@ class RigHost:
                 if self._core.stops > stops:
                     self._stop(self._now_s(), "stop")
 
-    def _reply(self, message: Message, found: Found = None, error: Exception | None = None) -> None:
+    def _reply(self, message: Message, found: Reply = None, error: Exception | None = None) -> None:
         number = message["id"]
         answer: Message = {"kind": "reply", "id": number, "motion": None}
         # In one piece: the end of a motion is never told before its beginning.

@@ -1,9 +1,4 @@
-"""The backend's end of the rig: starts the process, gives it orders, notices when it is gone.
-
-One thread beats, hands over the lease and copies the shared rings into the session's streams, every
-5 ms. A rig that is silent for 250 ms, or whose pipe has closed, is lost: every motion ends with
-CONTROL LOST, and it starts again only with a new connection.
-"""
+"""Link from the application to the real-time process."""
 
 from __future__ import annotations
 
@@ -17,16 +12,17 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from backend.config.hardware import HardwareSettings
-from backend.core.doing import doing
-from backend.core.faults import Fault, FaultError
-from backend.core.realtime import prefer
-from backend.core.stream import SampleStream
-from backend.devices.interlock import Interlock, Limits
-from backend.devices.motion import CommandedMotion
-from backend.rig.channel import Channel
-from backend.rig.memory import BACKEND_BEAT, STOPS, SharedMemory, drop, make
-from backend.rig.messages import Message, read_error, read_fault
+from touchdown.backend.config import HardwareSettings
+from touchdown.backend.core import (
+    Fault,
+    FaultError,
+    SampleStream,
+    blocking_section,
+    set_realtime_priority,
+)
+from touchdown.backend.devices import CommandedMotion, Interlock, Limits
+from touchdown.backend.rig.memory import BACKEND_BEAT, STOPS, SharedMemory, drop, make
+from touchdown.backend.rig.messages import Channel, Message, read_error, read_fault
 
 BEAT_S = 0.005
 PRIORITY = 40
@@ -131,7 +127,7 @@ class RigLink:
         self._rows, self._seen = {}, 0
         memory.beat(BACKEND_BEAT)
         self._child = child = subprocess.Popen(
-            [sys.executable, "-m", "backend.rig.process"],
+            [sys.executable, "-m", "touchdown.backend.rig.process"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
@@ -267,7 +263,7 @@ class RigLink:
             # Lost just now: nobody may be left to end this order.
             self._answers.pop(number, None)
             raise FaultError(GONE)
-        with doing("waits for the devices", 2.0 * ORDER_S):
+        with blocking_section("waits for the devices", 2.0 * ORDER_S):
             if not answer.came.wait(ORDER_S):
                 raise FaultError(NO_ANSWER)
         if "error" in answer.message:
@@ -313,7 +309,7 @@ class RigLink:
     # -- the beating thread -----------------------------------------------------------------------
 
     def _keep_time(self, memory: SharedMemory, ended: threading.Event) -> None:
-        prefer(min(PRIORITY, self._settings.melfa.realtime_priority))
+        set_realtime_priority(min(PRIORITY, self._settings.melfa.realtime_priority))
         beats, beat_s = memory.rig_beats, time.monotonic()
         while not ended.wait(BEAT_S):
             memory.permit(self._interlock.lease_until_s)

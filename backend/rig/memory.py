@@ -1,8 +1,4 @@
-"""Memory that backend and rig process share: words that decide, rings of samples, one state.
-
-Neither side ever waits for the other. A record carries its number in front and behind: a reader
-takes it only if both are the expected one, so that nothing torn is ever read. One writer each.
-"""
+"""Shared memory between the processes."""
 
 from __future__ import annotations
 
@@ -18,8 +14,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.core.flow import FloatArray
-from backend.devices.traced import TRACE
+from touchdown.backend.core import FloatArray
+from touchdown.backend.devices import TRACE
 
 PREFIX = "touchdown-rig-"
 FILE = "memory"

@@ -1,18 +1,35 @@
-"""What crosses the pipe between the backend and the rig process: JSON with its length before it.
-
-Known kinds only, at most 64 KiB, never pickle. Numbers keep every digit, NaN included.
-"""
+"""Messages between the processes."""
 
 from __future__ import annotations
 
 import json
+import queue
 import struct
-from collections.abc import Mapping
-from dataclasses import asdict
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import asdict, astuple
 from typing import IO, Any
 
-from backend.core.faults import Fault, FaultError, InputError, RefusedError, StaleSampleError
-from backend.devices.protocols import Identity
+from touchdown.backend.core import (
+    Fault,
+    FaultError,
+    InputError,
+    RefusedError,
+    StaleSampleError,
+    TouchdownError,
+)
+from touchdown.backend.devices import (
+    Arm,
+    Device,
+    DeviceState,
+    ForceTorqueSensor,
+    Gripper,
+    Homing,
+    Identity,
+    Steps,
+    TellsSlow,
+)
 
 Message = dict[str, Any]
 MOST_BYTES = 65_536
@@ -113,3 +130,169 @@ def failed(what: str) -> Fault:
         "Copy the details for the maintainers, then press Reset.",
         "arm",
     )
+
+
+Row = dict[str, Any]
+POSE_AGE_S = 0.2
+
+
+def device_row(device: Device) -> Row:
+    """Return what changes quickly, of any device."""
+    fault, steps = getattr(device, "fault", None), getattr(device, "steps", None)
+    return {
+        "state": device.state.value,
+        "steps": steps.done if isinstance(steps, Steps) else 0,
+        "fault": fault_row(fault if isinstance(fault, Fault) else None),
+    }
+
+
+def arm_row(arm: Arm) -> Row:
+    """Return the status words, the turn of the hand and the joints; None where not known."""
+    status = arm.status()
+    row = {
+        **device_row(arm),
+        "status": [
+            status.robot_mode.value,
+            status.safety_mode.value,
+            status.override,
+            status.error,
+        ],
+        "turn": None,
+        "joints": None,
+    }
+    if arm.state is DeviceState.READY:
+        try:
+            pose = arm.pose(POSE_AGE_S)
+            row["turn"] = [pose.rx_rad, pose.ry_rad, pose.rz_rad]
+            row["joints"] = list(arm.joints_rad(POSE_AGE_S)) if arm.rotates else None
+        except (StaleSampleError, TouchdownError):
+            # The place is not known at present: a reader's own age limit says so.
+            return row
+    return row
+
+
+def gripper_row(gripper: Gripper, homing: Homing | None) -> Row:
+    """Return width, force, whether a piece is held, and what the operator has to do.
+
+    ``homing``: the gripper again if it is one that is homed.
+    """
+    return {
+        **device_row(gripper),
+        "grip": list(astuple(gripper.status())),
+        "homed": homing is None or homing.homed,
+        "lost_holding": homing is not None and homing.lost_holding,
+    }
+
+
+def sensor_row(sensor: ForceTorqueSensor) -> Row:
+    """Return the rated range as well, and since when it has been slow."""
+    slow_s = sensor.slow_since_s if isinstance(sensor, TellsSlow) else None
+    return {**device_row(sensor), "rated": sensor.rated.tolist(), "slow_since_s": slow_s}
+
+
+def slow_row(device: Device, now_s: float) -> Row:
+    """Return what a person looks at: identity, health with its time, fields of the inspector."""
+    health = device.health
+    fields: Mapping[str, str | float] = device.describe()
+    return {
+        "identity": identity_row(device.identity),
+        "health": [health.rate_hz, now_s - health.age_s, health.received, health.lost],
+        "fields": dict(fields),
+    }
+
+
+WAITING = 512
+
+
+class Channel:
+    """``take`` hears each message, ``ended`` once that no more come, both on the same thread."""
+
+    def __init__(
+        self,
+        source: IO[bytes],
+        sink: IO[bytes],
+        take: Callable[[Message], None],
+        ended: Callable[[], None],
+    ) -> None:
+        self._source, self._sink = source, sink
+        self._take, self._ended = take, ended
+        self._waiting: queue.Queue[bytes | None] = queue.Queue(WAITING)
+        self._speaker = threading.Thread(target=self._speak, name="rig speaker", daemon=True)
+        self._listener = threading.Thread(target=self._listen, name="rig listener", daemon=True)
+
+    def start(self) -> None:
+        """Begin to listen."""
+        self._speaker.start()
+        self._listener.start()
+
+    def say(self, message: Message) -> bool:
+        """Send a message in its turn; False if the other side does not take any more."""
+        try:
+            self._waiting.put_nowait(pack(message))
+        except queue.Full:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Say no more: the other side sees the end once all before has been sent."""
+        with suppress(queue.Full):
+            self._waiting.put_nowait(None)
+
+    def join(self, limit_s: float) -> None:
+        """Wait for both threads; the listener ends with the other side."""
+        for thread in (self._speaker, self._listener):
+            thread.join(limit_s)
+
+    def _speak(self) -> None:
+        with suppress(OSError, ValueError):
+            while (content := self._waiting.get()) is not None:
+                self._sink.write(content)
+                self._sink.flush()
+        with suppress(OSError):
+            self._sink.close()
+
+    def _listen(self) -> None:
+        try:
+            while (message := receive(self._source)) is not None:
+                self._take(message)
+        except Exception:  # noqa: BLE001 - who tells nonsense, of whatever kind, is as good as gone
+            return
+        finally:
+            self._ended()
+
+
+class Workers:
+    """``carry_out`` is called for one order after the other, on the thread of its device."""
+
+    def __init__(self, names: Iterable[str], carry_out: Callable[[Message], None]) -> None:
+        self._carry_out, self._gone = carry_out, False
+        self._waiting: dict[str, queue.SimpleQueue[Message | None]] = {}
+        self._threads: dict[str, threading.Thread] = {}
+        for name in names:
+            self._waiting[name] = queue.SimpleQueue()
+            self._threads[name] = threading.Thread(
+                target=self._work, args=(self._waiting[name],), name=f"rig {name}", daemon=True
+            )
+            self._threads[name].start()
+
+    def give(self, name: str, order: Message) -> bool:
+        """Let the thread of a device do this next; False if there is no such device."""
+        if name not in self._waiting:
+            return False
+        self._waiting[name].put(order)
+        return True
+
+    def leave(self) -> None:
+        """Begin nothing more: what is under way is the last."""
+        self._gone = True
+        for waiting in self._waiting.values():
+            waiting.put(None)
+
+    def idle(self, name: str, limit_s: float) -> bool:
+        """After ``leave``: wait until nobody is at work with a device; False if it takes longer."""
+        self._threads[name].join(limit_s)
+        return not self._threads[name].is_alive()
+
+    def _work(self, waiting: queue.SimpleQueue[Message | None]) -> None:
+        while (order := waiting.get()) is not None and not self._gone:
+            self._carry_out(order)

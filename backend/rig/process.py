@@ -1,10 +1,4 @@
-"""The rig process: ``python -m backend.rig.process``, started by the backend with a pipe each way.
-
-The first message names settings, limits, clock and shared memory; the answer says who runs or what
-is refused. From then on a round every 4 ms, at real-time priority where the user may have it. A
-pipe that closes, a parent that is dying or SIGTERM end all motion, then the process. No Qt, no
-torch, no OpenCV.
-"""
+"""The real-time process: ``python -m touchdown.backend.rig.process``."""
 
 from __future__ import annotations
 
@@ -19,20 +13,14 @@ from pathlib import Path
 from types import FrameType
 from typing import IO
 
-from backend.config.hardware import HardwareSettings
-from backend.core.faults import InputError
-from backend.core.realtime import prefer
-from backend.core.stream import SampleStream
-from backend.devices.arms import make_arm
-from backend.devices.force_torque.making import make_force_torque
-from backend.devices.interlock import Limits
-from backend.devices.wsg.making import make_gripper
-from backend.rig.channel import Channel
-from backend.rig.host import Devices, RigHost
-from backend.rig.memory import SharedMemory, attach
-from backend.rig.messages import Message, error_row, pack, receive
-from backend.rig.parent import Parent
-from backend.rig.resident import lock_memory
+from touchdown.backend.config import HardwareSettings
+from touchdown.backend.core import InputError, SampleStream, set_realtime_priority
+from touchdown.backend.devices import Limits, make_arm, make_force_torque
+from touchdown.backend.devices.wsg import make_gripper
+from touchdown.backend.rig.host import Devices, RigHost
+from touchdown.backend.rig.memory import SharedMemory, attach
+from touchdown.backend.rig.messages import Channel, Message, error_row, pack, receive
+from touchdown.backend.rig.residence import Parent, lock_memory
 
 ROUND_S = 0.004
 END_S = 0.03
@@ -100,7 +88,7 @@ def _serve(
         return taken
 
     # Before there are threads: all of them inherit it, or one without it would hold up the others.
-    realtime = prefer(priority)
+    realtime = set_realtime_priority(priority)
     parent = Parent()
     host = RigHost(devices, Limits(**begin["limits"]), now_s, memory, say)
     channel = Channel(*pipes, host.take, host.abandon)

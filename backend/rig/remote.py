@@ -1,8 +1,4 @@
-"""Arm, gripper and wrist sensor as the rest of the backend sees them: the rig's, over the link.
-
-Measured positions and wrenches lie in the session's own streams; everything else is asked of the
-state that the rig shows every 20 ms, or told by an order.
-"""
+"""Devices of the real-time process, as seen by the application."""
 
 from __future__ import annotations
 
@@ -14,11 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from backend.core.faults import Fault
-from backend.core.flow import FloatArray, Pose
-from backend.core.stream import SampleStream
-from backend.devices.held import Right
-from backend.devices.protocols import (
+from touchdown.backend.core import Fault, FloatArray, Pose, SampleStream
+from touchdown.backend.devices import (
     STILL,
     TURN_RAD_S,
     ArmStatus,
@@ -28,13 +21,14 @@ from backend.devices.protocols import (
     Identity,
     Joints,
     PressCommand,
+    Right,
     RobotMode,
     SafetyMode,
+    Steps,
     Vector,
 )
-from backend.devices.steps import Steps
-from backend.rig.link import RigLink, RigMotion
-from backend.rig.messages import read_fault, read_identity
+from touchdown.backend.rig.link import RigLink, RigMotion
+from touchdown.backend.rig.messages import read_fault, read_identity
 
 
 class _Remote:

@@ -1,8 +1,4 @@
-"""How well the sensors of a bench go together in time: what each delivers while all stand still.
-
-All stamps are on one clock, that of this computer. A wrist sensor is stamped by its own count along
-the line of least delay, a picture and a place of the arm when they arrive.
-"""
+"""Timing of the real-time loop."""
 
 from __future__ import annotations
 
@@ -12,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.core.flow import FloatArray
+from touchdown.backend.core import FloatArray
 
 LOOK_S = 0.002
 LEAST = 5

@@ -1,1 +1,24 @@
-"""What the operator starts: plans, the engine that drives them, the journal."""
+"""Requests, plans, the engine that runs them, and the event log."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend.runs import (
+        bench,
+        calibrations,
+        campaign,
+        collector,
+        engine,
+        event_log,
+        manual_control,
+        messages,
+        outcome,
+        plan,
+        plans,
+        recorder,
+        requests,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,8 +1,9 @@
-"""The record of everything a plan works with: guarded devices, sensing, model, store."""
+"""Bench of a trial as seen by a plan: guarded devices, sensing, estimator, operator prompt, store."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -10,22 +11,121 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.calibration.applied import NOWHERE, Placed
-from backend.config.method import StackSettings
-from backend.core.faults import Fault, InputError
-from backend.core.flow import ContactPatch, Episode, Fall, ImageArray, Pose
-from backend.core.hush import Hush
-from backend.devices.guarded import GuardedArm, GuardedGripper
-from backend.devices.interlock import Interlock
-from backend.objects.catalogue import Piece
-from backend.objects.shapes import Outline
-from backend.placement.below import Below
-from backend.runs.gate import Gate
-from backend.sensing.board import Homography
-from backend.sensing.live import LiveSensing
+from touchdown.backend.annotations import Dataset
+from touchdown.backend.calibration import UNCALIBRATED, CalibratedPositions
+from touchdown.backend.config import BenchDescription, StackSettings
+from touchdown.backend.core import (
+    Clock,
+    ContactPatch,
+    Episode,
+    EpisodeDecision,
+    Fall,
+    Fault,
+    FloatArray,
+    ImageArray,
+    InputError,
+    Outcome,
+    PlaceAction,
+    Pose,
+    RepaintHold,
+    Stability,
+)
+from touchdown.backend.devices import Arm, Device, Gripper, GuardedArm, GuardedGripper, Interlock
+from touchdown.backend.geometry import Outline, Piece
+from touchdown.backend.placement import SupportTower
+from touchdown.backend.runs.requests import SceneChoice
+from touchdown.backend.sensing import Homography, LiveSensing, RawStreams
 
 
-class Estimate(Protocol):
+class PendingDecision:
+    """Holds the latest decision about the latest episode, whether it was asked for or not."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._decision: EpisodeDecision | None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether a decision waits to be carried out."""
+        return self._decision is not None
+
+    def give(self, decision: EpisodeDecision) -> None:
+        """Decide; a later word replaces an earlier one that was not carried out yet."""
+        with self._lock:
+            self._decision = decision
+
+    def take(self) -> EpisodeDecision | None:
+        """Return the decision, if there is one, and forget it."""
+        with self._lock:
+            decision, self._decision = self._decision, None
+            return decision
+
+
+class OperatorPrompt:
+    """Holds one answer. The plan asks and looks; the operator answers from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._asked = False
+        self._answer: bool | None = None
+        self._seen: tuple[Outcome, str] | None = None
+
+    def ask(self) -> None:
+        """Forget an old answer and wait for a new one."""
+        with self._lock:
+            self._asked, self._answer, self._seen = True, None, None
+
+    def answer(self, yes: bool) -> None:
+        """Answer the open question; without one this does nothing."""
+        with self._lock:
+            if self._asked:
+                self._asked, self._answer = False, yes
+
+    def see(self, outcome: Outcome, reason: str) -> None:
+        """Say what became of a piece; without an open question this does nothing."""
+        with self._lock:
+            if self._asked:
+                self._asked, self._seen = False, (outcome, reason)
+
+    @property
+    def seen(self) -> tuple[Outcome, str] | None:
+        """What the operator saw, and the reason they gave; None before they said it."""
+        return self._seen
+
+    @property
+    def answered(self) -> bool:
+        """Whether the last question has an answer."""
+        return self._answer is not None
+
+    @property
+    def yes(self) -> bool:
+        """Whether the answer was yes."""
+        return self._answer is True
+
+
+@dataclass(frozen=True, slots=True)
+class PressedProbe:
+    """A probe as felt: ``ended_s`` bench time of its last sample, ``sampled_s`` the wall clock then
+    (for the decision latency only).
+    """
+
+    episode: Episode
+    probe: int
+    ended_s: float
+    sampled_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedProbe:
+    """A felt probe with the conclusion, reached at bench time ``at_s`` while still pressed."""
+
+    felt: PressedProbe
+    stability: Stability
+    action: PlaceAction
+    at_s: float
+
+
+class PatchEstimator(Protocol):
     """What the method needs of a trained model."""
 
     @property
@@ -39,7 +139,7 @@ class Estimate(Protocol):
         """Return the contact patch of one episode."""
 
 
-class NoModel:
+class NoEstimator:
     """Stands in where a run needs no model, such as collecting the data that trains one."""
 
     base_rate: float | None = None
@@ -99,7 +199,7 @@ class ReleaseVerdict:
     contradicted: bool | None = None
 
 
-class Scoring(Protocol):
+class GroundTruth(Protocol):
     """The truth of a simulated bench, for scoring only: the method never sees it."""
 
     def start_mm(self) -> tuple[float, float]:
@@ -130,17 +230,17 @@ class Bench:
     gripper: GuardedGripper
     interlock: Interlock
     sensing: LiveSensing
-    estimator: Estimate
+    estimator: PatchEstimator
     piece: Piece
     bottom: str
     store: EpisodeStore
-    gate: Gate
+    gate: OperatorPrompt
     settings: StackSettings
-    scoring: Scoring | None
+    scoring: GroundTruth | None
     wall_s: Callable[[], float]
     probe_count: Callable[[], int]
     felt_count: Callable[[], int]
-    hush: Hush
+    hush: RepaintHold
     outline: Outline
     jig: Pose | None
     scene_view: SceneView | None = None
@@ -148,8 +248,75 @@ class Bench:
     wrench_late_s: float = 0.0
     calibrations: tuple[tuple[str, str], ...] = ()
     sensor_height_mm: float | None = None
-    below: Below | None = None
-    placed: Placed = NOWHERE
+    below: SupportTower | None = None
+    placed: CalibratedPositions = UNCALIBRATED
     """What board and tool say of places."""
     real_time: bool = False
     """Time passes by itself: who waits for something else must let the sensors be read."""
+
+
+SET_S = 120.0
+"""Setting a scene takes so long at most: emulated devices are made and connected anew."""
+SceneCheck = Callable[[SceneChoice], Mapping[str, object]]
+"""Raises ``InputError`` before anything is written or moved; else returns what a run on the scene
+depends on beside request and method, JSON-ready: bench settings, model, program."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneDevices:
+    """Unguarded devices of one scene. ``advance`` moves the bench's time by so many microseconds.
+
+    ``devices`` names all five for the chips; ``scoring`` is None where the truth is unknown;
+    ``payload`` (6,) is the calibrated weight below the sensor, N and N·m. ``jig``: taught pose of
+    ``G`` with the piece in its jig, None where there is no jig. ``outline`` of the touched face.
+    ``wrench_late_s``: age of a wrench sample when it comes. ``real_time``: time passes by itself.
+    """
+
+    clock: Clock
+    devices: Mapping[str, Device]
+    arm: Arm
+    gripper: Gripper
+    piece: Piece
+    bottom: str
+    advance: Callable[[int], None]
+    scoring: GroundTruth | None
+    estimator: PatchEstimator
+    payload: FloatArray
+    outline: Outline
+    jig: Pose | None = None
+    scene_view: SceneView | None = None
+    wrench_late_s: float = 0.0
+    real_time: bool = False
+
+
+class SceneFactory(Protocol):
+    """Builds a scene on the streams of a session."""
+
+    def __call__(self, choice: SceneChoice, raw: RawStreams) -> SceneDevices:
+        """Return the stage; raises ``InputError`` for an unknown piece, bottom or model."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunContext:
+    """A bench to be set and used. All calls come from the plan, on the bench's own time.
+
+    ``check`` raises ``InputError`` for a scene that cannot be set, else returns what a run on it
+    depends on beside request and method, JSON-ready. ``open`` begins journal and episode store.
+    ``set_scene`` builds the scene anew, its clock starts at zero; ``present`` takes it as it is
+    (``RefusedError`` if there is none yet). Episode files keep ``mode`` and ``facts``;
+    ``dataset`` takes what is collected, ``decisions`` says which of it to keep; ``piece`` knows
+    pieces by name.
+    """
+
+    run_id: str
+    simulated: bool
+    mode: str
+    facts: BenchDescription
+    dataset: Dataset | None
+    decisions: PendingDecision
+    piece: Callable[[str], Piece]
+    method: StackSettings
+    check: Callable[[SceneChoice], Mapping[str, object]]
+    open: Callable[[], None]
+    set_scene: Callable[[SceneChoice, StackSettings], Bench]
+    present: Callable[[StackSettings], Bench]

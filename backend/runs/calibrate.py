@@ -1,27 +1,432 @@
-"""A run that calibrates: it measures, tells the estimate with its residual, and changes nothing."""
+"""Calibration runs: board, payload, wrist, tool, cameras.
+
+A run measures and reports the estimate with its residual; it changes nothing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
-from backend.calibration.estimate import Estimate
-from backend.calibration.kinds import ON, What
-from backend.core.facts import RunFinished, RunStarted
-from backend.runs.bench import Bench
-from backend.runs.calibrate_board import measure_board
-from backend.runs.calibrate_payload import measure_payload, measure_wrist
-from backend.runs.calibrate_pushes import measure_cameras
-from backend.runs.calibrate_tool import measure_tool
-from backend.runs.host import RunHost
-from backend.runs.jig import handed
-from backend.runs.motions import rest
-from backend.runs.orderly import orderly
-from backend.runs.plan import Plan
-from backend.runs.record import record_of
-from backend.runs.requests import CalibrateRequest
+import numpy as np
 
-Measure = Callable[[Bench, CalibrateRequest], Plan[Estimate]]
-MEASURES: dict[What, Measure] = {
+from touchdown.backend.calibration import (
+    ON_BOTTOM,
+    PAYLOAD_POSES,
+    SIDES,
+    TOOL_GRIPS,
+    CalibrationEstimate,
+    CalibrationName,
+    Side,
+    SidePress,
+    TouchedEdge,
+    YawOf,
+    dots_to_numbers,
+    estimate_board,
+    estimate_cameras,
+    estimate_level_payload,
+    estimate_payload,
+    estimate_tool,
+    estimate_wrist,
+    fingers_distinguishable,
+)
+from touchdown.backend.core import (
+    FINGERS,
+    Fault,
+    FloatArray,
+    PhaseEntered,
+    Pose,
+    Progress,
+    RefusedError,
+    RunFinished,
+    RunStarted,
+    Said,
+    pose_rotation,
+)
+from touchdown.backend.devices import PressCommand
+from touchdown.backend.geometry import Outline
+from touchdown.backend.runs import messages
+from touchdown.backend.runs.bench import Bench, RunContext
+from touchdown.backend.runs.jig import pick_piece, return_piece, with_handed_piece
+from touchdown.backend.runs.motions import (
+    MOVE_S,
+    middle_of_overlap,
+    move_to,
+    retry_if_void,
+    run_to_end,
+    wait,
+    zero_sensors,
+    zero_wrench,
+)
+from touchdown.backend.runs.plan import PausePoint, Plan, Wait
+from touchdown.backend.runs.requests import CalibrateRequest, request_record
+from touchdown.backend.runs.touch_probing import (
+    BELOW_MM,
+    FINE_MM,
+    edge_mm,
+    find_height,
+    rise_from_contact,
+    touch_height_mm,
+)
+from touchdown.backend.sensing import take_reference
+
+INSET_MM = 2.0
+"""An edge is felt this far from its ends."""
+CORNERS = ((0.0, 0.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+BOARD_REACH = 0.6
+"""The piece touches so far out, as a share of the half width of the bottom."""
+EDGES = tuple((axis, side, way) for axis in range(2) for side in (-1.0, 1.0) for way in (-1.0, 1.0))
+BOARD_STEPS = len(CORNERS) + len(EDGES)
+BOARD_ROUNDS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeOffsets:
+    """How far off the middle each edge is felt (across x, across y), and whose yaw that tells."""
+
+    mm: tuple[float, float]
+    yaw_of: YawOf
+
+
+def measure_board(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
+    """Return where the bottom is for the arm with the piece as it is held."""
+    yield from pick_piece(bench)
+    centre = np.array(request.origin_mm)
+    contact_mm = yield from find_height(bench, centre)
+    start_mm = contact_mm + bench.settings.probe.start_height_mm
+    along = along_edges(bench.piece.face, bench.outline)
+    touches, edges = np.empty((0, 3)), list[TouchedEdge]()
+    for before in range(BOARD_ROUNDS):
+        touches = np.vstack([touches, (yield from _touches(bench, centre, start_mm, before))])
+        edges += yield from _edges(bench, centre, start_mm, along, before)
+        found = estimate_board(touches, edges, along.yaw_of)
+        if found.residual <= found.limit:
+            break
+        if before + 1 < BOARD_ROUNDS:
+            yield Said(bench.now_s(), messages.repeated_board_message(found.residual, found.limit))
+    yield _progress(bench, before, BOARD_STEPS, "back to the jig")
+    yield from return_piece(bench)
+    return found
+
+
+def _edges(
+    bench: Bench, centre: FloatArray, start_mm: float, along: EdgeOffsets, before: int
+) -> Plan[list[TouchedEdge]]:
+    """Return all edges, felt round ``centre`` (2,) after ``before`` rounds."""
+    edges = []
+    for at, (axis, side, way) in enumerate(EDGES):
+        yield PausePoint()
+        yield _progress(bench, before, len(CORNERS) + at, f"edge {at + 1} of {len(EDGES)}")
+        off = along.mm[axis] * way
+        edges.append((yield from felt_edge(bench, centre, (axis, side, off), start_mm)))
+    return edges
+
+
+def felt_edge(
+    bench: Bench, centre: FloatArray, where: tuple[int, float, float], start_mm: float
+) -> Plan[TouchedEdge]:
+    """Feel one edge round ``centre`` (2,). ``where``: axis across, side, mm off along the edge."""
+    axis, side, off_mm = where
+    from_mm = centre.copy()
+    from_mm[1 - axis] += off_mm
+    reach = np.add(bench.piece.face.half_extents_mm, bench.outline.half_extents_mm)
+    at = yield from edge_mm(bench, from_mm, axis, side * float(reach[axis]), start_mm, FINE_MM)
+    return TouchedEdge(axis, side, off_mm, float(centre[axis]) + at)
+
+
+def along_edges(face: Outline, bottom: Outline) -> EdgeOffsets:
+    """Return where edges are felt so that one part of the piece, or of the bottom, stays in touch.
+
+    A straight edge of the bottom tells its yaw along the stretch where a round face, or the corner
+    of a shorter one, runs on it; a longer face on a smaller bottom tells its own.
+    """
+    longer, shorter = _half_lengths(bottom), _half_lengths(face)
+    round_face, round_bottom = face.kind == "circle", bottom.kind == "circle"
+    if longer is not None and (round_face or shorter is not None):
+        least = (0.0, 0.0) if round_face or shorter is None else shorter
+        room = tuple(longer[1 - k] - least[1 - k] - INSET_MM for k in range(2))
+        if min(room) >= INSET_MM:
+            return EdgeOffsets((room[0], room[1]), "board")
+    if shorter is not None and (round_bottom or longer is not None):
+        least = (0.0, 0.0) if round_bottom or longer is None else longer
+        room = tuple(shorter[1 - k] - least[1 - k] - INSET_MM for k in range(2))
+        if min(room) >= INSET_MM:
+            return EdgeOffsets((room[0], room[1]), "piece")
+    return EdgeOffsets((0.0, 0.0), "")
+
+
+def _half_lengths(outline: Outline) -> tuple[float, float] | None:
+    """Return the half sides of a rectangle along the axes, None for any other outline."""
+    if outline.kind == "circle" or len(outline.vertices_mm) != 4:
+        return None
+    x_mm, y_mm = outline.half_extents_mm
+    if all(math.isclose(abs(x), x_mm) and math.isclose(abs(y), y_mm) for x, y in
+           outline.vertices_mm):  # fmt: skip
+        return x_mm, y_mm
+    return None
+
+
+def _touches(bench: Bench, centre: FloatArray, start_mm: float, before: int) -> Plan[FloatArray]:
+    """Return (5, 3): middle of the overlap and height of contact, for the arm."""
+    out_mm = BOARD_REACH * np.array(bench.outline.half_extents_mm)
+    found = []
+    for at, corner in enumerate(CORNERS):
+        yield PausePoint()
+        yield _progress(bench, before, at, f"touch {at + 1} of {len(CORNERS)}")
+        off = out_mm * corner
+        height_mm = yield from touch_height_mm(bench, centre + off, start_mm, BELOW_MM)
+        if height_mm is None:
+            raise RefusedError("NO-TOUCH", "A touch on the bottom met nothing: check the origin.")
+        middle = middle_of_overlap(bench.piece.face, bench.outline, off)
+        found.append([*(centre + middle), height_mm])
+    return np.array(found)
+
+
+def _progress(bench: Bench, before: int, done: int, text: str) -> Progress:
+    """Say how far it is after ``before`` rounds and ``done`` steps; a second one is as long."""
+    steps = BOARD_STEPS * (before + 1)
+    return Progress(bench.now_s(), BOARD_STEPS * before + done, steps, text)
+
+
+TOOL_SIDES = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0))
+TOOL_STEPS = TOOL_GRIPS * len(TOOL_SIDES)
+
+
+def measure_tool(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
+    """Return the centre of the face from the axis of the tool."""
+    bottom = np.array(request.origin_mm)
+    felt = []
+    for grip in range(TOOL_GRIPS):
+        yield from pick_piece(bench)
+        contact_mm = yield from find_height(bench, bottom)
+        start_mm = contact_mm + bench.settings.probe.start_height_mm
+        centre = yield from _felt_centre(bench, bottom, start_mm, grip)
+        felt.append(centre)
+        yield from return_piece(bench)
+    yield Progress(bench.now_s(), TOOL_STEPS, TOOL_STEPS, "done")
+    sigma_mm = bench.settings.collect.origin_sigma_mm
+    return estimate_tool(bottom, sigma_mm, np.stack(felt))
+
+
+def _felt_centre(bench: Bench, bottom: FloatArray, start_mm: float, grip: int) -> Plan[FloatArray]:
+    """Return where the hand stands with the face over the centre of the bottom (2,)."""
+    between = np.zeros(2)
+    for at, (axis, side) in enumerate(TOOL_SIDES):
+        yield PausePoint()
+        yield Progress(
+            bench.now_s(),
+            grip * len(TOOL_SIDES) + at,
+            TOOL_STEPS,
+            f"grip {grip + 1} of {TOOL_GRIPS}",
+        )
+        edge = yield from felt_edge(bench, bottom, (axis, side, 0.0), start_mm)
+        between[axis] += 0.5 * edge.at_mm
+    return between
+
+
+RAISE_MM = 60.0
+"""The hand leans only this far above where it is."""
+LEAN = math.radians(14.0)
+LEANS = (
+    (0.0, 0.0), (LEAN, 0.0), (-LEAN, 0.0), (0.0, LEAN), (0.0, -LEAN), (0.7 * LEAN, 0.7 * LEAN),
+)  # fmt: skip
+"""Turns about x and y, rad."""
+LEVEL_MM = ((0.0, 0.0), (30.0, 0.0), (-30.0, 0.0), (0.0, 30.0), (0.0, -30.0), (0.0, 0.0))
+"""Places of a hand that stays level: cables pull differently at each."""
+SETTLE_S, WEIGH_S = 0.5, 1.0
+
+
+def measure_payload(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
+    """Return what hangs below the sensor; refused while a piece is held.
+
+    An arm that cannot turn its hand stays level: mass and place in the plane only.
+    """
+    turns, wrenches = yield from _weighed(bench)
+    if bench.arm.rotates:
+        return estimate_payload(turns, wrenches)
+    return estimate_level_payload(wrenches)
+
+
+def measure_wrist(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
+    """Return how the wrist sensor is turned; refused where the hand cannot lean."""
+    if not bench.arm.rotates:
+        raise RefusedError("CANNOT-TURN", "This arm keeps its hand level: the yaw shows no weight.")
+    turns, wrenches = yield from _weighed(bench)
+    return estimate_wrist(turns, wrenches)
+
+
+def _weighed(bench: Bench) -> Plan[tuple[FloatArray, FloatArray]]:
+    """Return turns (6, 3, 3) and mean untared wrenches (6, 6); refused while a piece is held."""
+    if bench.gripper.status().holding:
+        raise RefusedError("HOLDING", "A piece is held: put it away, the gripper is weighed empty.")
+    # What leaning changes must not look like a contact.
+    yield from zero_wrench(bench)
+    here = bench.arm.pose(max_age_s=0.2)
+    turns, wrenches = [], []
+    for at, place in enumerate(_poses(here, rotates=bench.arm.rotates)):
+        yield PausePoint()
+        yield Progress(bench.now_s(), at, PAYLOAD_POSES, f"pose {at + 1} of {PAYLOAD_POSES}")
+        yield PhaseEntered(bench.now_s(), "shift", 0)
+        yield from move_to(bench, place, "the hand to lean")
+        yield from wait(bench, SETTLE_S + WEIGH_S)
+        turns.append(pose_rotation(bench.arm.pose(max_age_s=0.2)))
+        wrenches.append(_mean(bench))
+    yield Progress(bench.now_s(), PAYLOAD_POSES, PAYLOAD_POSES, "back to level")
+    high = Pose(here.x_mm, here.y_mm, here.z_mm + RAISE_MM)
+    yield from move_to(bench, high, "the hand to level")
+    return np.stack(turns), np.stack(wrenches)
+
+
+def _poses(here: Pose, *, rotates: bool) -> list[Pose]:
+    high_mm = here.z_mm + RAISE_MM
+    if rotates:
+        return [Pose(here.x_mm, here.y_mm, high_mm, rx, ry) for rx, ry in LEANS]
+    return [Pose(here.x_mm + x, here.y_mm + y, high_mm) for x, y in LEVEL_MM]
+
+
+def _mean(bench: Bench) -> FloatArray:
+    """Return the mean untared wrench (6,) of the last ``WEIGH_S``; NaN without samples."""
+    now_s = bench.now_s()
+    window = bench.sensing.raw.samples.window(now_s - WEIGH_S, now_s)
+    if not len(window.t_s):
+        return np.full(6, np.nan)
+    return np.asarray(window.values.mean(axis=0), dtype=np.float64)
+
+
+PUSH_REACH = 0.7
+"""The axis of the tool goes beyond the rim of the bottom by this share of the half width of the
+face: nearer to the middle the face lies flat, and the piece does not lean."""
+ACROSS: tuple[Side, Side] = ("+y", "-y")
+"""The sides on which one finger feels more than the other."""
+PUSH_ROUNDS, MOST_PUSH_ROUNDS = 3, 10
+MOST_PUSHES = len(SIDES) + len(ACROSS) * (MOST_PUSH_ROUNDS - 1)
+REST_S, LOOKS = 0.8, 8
+DEPTH_MM, RAMP_S, HOLD_S, MEAN_S = 1.2, 0.8, 1.4, 0.4
+
+
+def measure_cameras(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
+    """Return the scale of both cameras; an obstacle if a finger or a mirror is set wrongly."""
+    gels_px, why = yield from _gels_at_rest(bench)
+    pushed = yield from _pushes(bench, request)
+    found = estimate_cameras(pushed, request.pitch_mm)
+    known = "The gels are known again by their dots." if gels_px else f"No fingerprint: {why}"
+    return replace(found, gels_px=gels_px, note=f"{found.note} {known}")
+
+
+def _gels_at_rest(bench: Bench) -> Plan[tuple[tuple[float, ...], str]]:
+    """Return the resting dots of both gels while the hand is still empty, or none and why.
+
+    A dot that is not seen for a moment is waited for: without it the gels are not known again.
+    """
+    numbers, why = tuple[float, ...](), ""
+    for _ in range(LOOKS):
+        yield from wait(bench, REST_S)
+        numbers, why = _dots_at_rest(bench)
+        if numbers:
+            break
+    return numbers, why
+
+
+def _dots_at_rest(bench: Bench) -> tuple[tuple[float, ...], str]:
+    now_s = bench.now_s()
+    numbers: list[float] = []
+    for finger in FINGERS:
+        fields = bench.sensing.fields[finger].between(now_s - REST_S, now_s)
+        try:
+            numbers += dots_to_numbers(take_reference(fields).position_px)
+        except RefusedError as error:
+            return (), f"{finger}: {error.detail}"
+    return tuple(numbers), ""
+
+
+def _pushes(bench: Bench, request: CalibrateRequest) -> Plan[list[SidePress]]:
+    yield from pick_piece(bench)
+    sigma_mm = bench.settings.collect.origin_sigma_mm
+    centre = bench.placed.origin(request.origin_mm, sigma_mm, request.bottom)
+    origin = np.array([centre.x_mm, centre.y_mm])
+    contact_mm = yield from find_height(bench, origin)
+    start_mm = contact_mm + bench.settings.probe.start_height_mm
+    out_mm = np.array(bench.outline.half_extents_mm) + PUSH_REACH * np.array(
+        bench.piece.face.half_extents_mm
+    )
+    pushed: list[SidePress] = []
+    while (side := next_side(pushed)) is not None:
+        yield PausePoint()
+        yield Progress(bench.now_s(), len(pushed), MOST_PUSHES, f"press at the rim, {side}")
+        x_mm, y_mm = (origin + out_mm * _towards(side)).tolist()
+        yield from move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
+        push, after_void = partial(_push, bench, side), partial(_after_void, bench, start_mm)
+        each = yield from retry_if_void(bench, push, after_void)
+        pushed.append(each)
+        yield from rise_from_contact(bench, start_mm)
+    yield Progress(bench.now_s(), MOST_PUSHES, MOST_PUSHES, "back to the jig")
+    yield from return_piece(bench)
+    return pushed
+
+
+def next_side(pushed: Sequence[SidePress]) -> Side | None:
+    """Return where to press next, None for enough: once to each side, then to both sides of y until
+    the fingers are told apart by more than the gels creep, ``ROUNDS`` times or more.
+    """
+    if len(pushed) < len(SIDES):
+        return SIDES[len(pushed)]
+    if pushed[-1].side == ACROSS[0]:
+        return ACROSS[1]
+    rounds = sum(push.side == ACROSS[1] for push in pushed)
+    if rounds >= PUSH_ROUNDS and (fingers_distinguishable(pushed) or rounds >= MOST_PUSH_ROUNDS):
+        return None
+    return ACROSS[0]
+
+
+def _after_void(bench: Bench, start_mm: float, fault: Fault) -> Plan[None]:
+    yield Said(bench.now_s(), messages.void_touch_message(fault))
+    yield from rise_from_contact(bench, start_mm)
+
+
+def _push(bench: Bench, side: Side) -> Plan[SidePress]:
+    """Press here and stay pressed."""
+    yield from zero_sensors(bench, 0)
+    yield PhaseEntered(bench.now_s(), "press", 0)
+    probe = bench.settings.probe
+    press = bench.arm.press(
+        PressCommand(
+            depth_mm=DEPTH_MM,
+            ramp_s=RAMP_S,
+            hold_s=HOLD_S,
+            approach_mm_s=probe.approach_mm_s,
+            threshold_n=probe.threshold_n,
+            max_travel_mm=probe.start_height_mm + probe.max_travel_mm,
+            stiffness_n_mm=probe.stiffness_n_mm,
+        )
+    )
+    yield Wait(lambda: press.done, MOVE_S, "the press to end")
+    press.result()
+    return _felt(bench, side)
+
+
+def _felt(bench: Bench, side: Side) -> SidePress:
+    """Return the means of the end of the press."""
+    now_s = bench.now_s()
+    at_rest, moved = [], []
+    for finger in FINGERS:
+        fields = bench.sensing.fields[finger].between(now_s - MEAN_S, now_s)
+        if not fields:
+            raise RefusedError("NO-SAMPLES", f"The {finger} camera was silent.")
+        at_rest.append(bench.sensing.references[finger].position_px)
+        moved.append(np.mean([field.displacement_px for field in fields], axis=0))
+    return SidePress(side, np.stack(at_rest), np.stack(moved))
+
+
+def _towards(side: Side) -> FloatArray:
+    way = np.zeros(2)
+    way["xy".index(side[1])] = 1.0 if side[0] == "+" else -1.0
+    return way
+
+
+Measure = Callable[[Bench, CalibrateRequest], Plan[CalibrationEstimate]]
+MEASURES: dict[CalibrationName, Measure] = {
     "payload": measure_payload,
     "board": measure_board,
     "tool": measure_tool,
@@ -32,27 +437,27 @@ FIRST_POSES_S = 0.1
 """A scene that was just set has no pose of the arm yet."""
 
 
-def calibrate_run(host: RunHost, request: CalibrateRequest) -> Plan[None]:
+def calibrate_run(host: RunContext, request: CalibrateRequest) -> Plan[None]:
     """Measure what was asked for; a person accepts the result afterwards, or does not."""
     choice = request.scene()
-    settings = record_of(request, host.method, host.check(choice))
+    settings = request_record(request, host.method, host.check(choice))
     host.open()
     yield RunStarted(
         0.0, host.run_id, request.piece, request.bottom, request.what, request.seed, 1,
         host.simulated, settings, activity="calibrate",
     )  # fmt: skip
     bench = host.set_scene(choice, host.method)
-    ended = yield from orderly(bench, _measured(bench, request))
+    ended = yield from run_to_end(bench, _measured(bench, request))
     if ended.value is not None:
-        about = f"{request.piece}{ON}{request.bottom}" if request.what == "board" else ""
+        about = f"{request.piece}{ON_BOTTOM}{request.bottom}" if request.what == "board" else ""
         yield ended.value.told(bench.now_s(), request.what, about)
     ending = ended.run_ending or ("failed" if ended.value is None else "finished")
     reason = ended.reason or f"The {request.what} is measured."
     yield RunFinished(bench.now_s(), host.run_id, ending, reason)
 
 
-def _measured(bench: Bench, request: CalibrateRequest) -> Plan[Estimate]:
-    yield from rest(bench, FIRST_POSES_S)
+def _measured(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
+    yield from wait(bench, FIRST_POSES_S)
     if request.takes_piece and (request.hand_over or bench.jig is None):
-        bench = handed(bench)
+        bench = with_handed_piece(bench)
     return (yield from MEASURES[request.what](bench, request))

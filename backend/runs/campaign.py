@@ -1,25 +1,148 @@
-"""A campaign on disk: what was planned, so that it goes on after a restart.
+"""Campaign of data collection: planned displacements, file on disk, progress report.
 
-One JSON file per campaign beside the episodes. What is done is not written here: it is what the
-dataset holds, minus what was discarded. What was skipped the episodes tell as well, so that a disk
-with no room for the file loses no decision.
+A campaign continues after a restart.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import lru_cache
 from pathlib import Path
+from typing import Literal
 
-from backend.catalogue.campaigns import items_deleted
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.uuid7 import uuid7
-from backend.catalogue.values import EpisodeEntry
-from backend.core.faults import InputError
-from backend.core.files import write_atomically
-from backend.runs.collect_plan import PATTERNS, Pattern
-from backend.runs.words import DECIDED
+import numpy as np
+
+from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, items_deleted, uuid7
+from touchdown.backend.core import FloatArray, InputError, read_only, write_atomically
+from touchdown.backend.episodes import (
+    OBS,
+    Coverage,
+    ExaminedEpisode,
+    count_coverage,
+    input_errors,
+    read_first,
+    unpack_observation,
+)
+from touchdown.backend.geometry import (
+    COARSE_SEGMENTS,
+    MIN_OVERLAP_MM2,
+    Outline,
+    draw_offset,
+    overlap_area_mm2,
+)
+from touchdown.backend.runs.messages import DECIDED
+
+Pattern = Literal["random", "grid", "adaptive"]
+PATTERNS: tuple[Pattern, ...] = ("random", "grid", "adaptive")
+TRIES = 2000
+FINEST_MM, HALVINGS = 0.05, 12
+_ITEM = 88
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeTarget:
+    """What is probed: two faces, and the largest displacement wanted along x and y (mm)."""
+
+    face: Outline
+    bottom: Outline
+    within_mm: float | None = None
+
+    def allows(self, offsets_mm: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        """Return (n,) which of ``offsets_mm`` (n, 2) overlap enough and lie within the range."""
+        area = overlap_area_mm2(self.face, offsets_mm, self.bottom, segments=COARSE_SEGMENTS)
+        enough = area >= MIN_OVERLAP_MM2
+        if self.within_mm is not None:
+            enough &= (np.abs(offsets_mm) <= self.within_mm).all(axis=1)
+        return np.asarray(enough)
+
+    @property
+    def reach_mm(self) -> float:
+        """Largest displacement along x or y that could count."""
+        reach = float(max(np.add(self.face.half_extents_mm, self.bottom.half_extents_mm)))
+        return reach if self.within_mm is None else min(reach, self.within_mm)
+
+
+def planned_displacement_mm(
+    pattern: Pattern, target: ProbeTarget, seed: int, item: int, count: int, seen: Coverage
+) -> tuple[float, float]:
+    """Return the displacement of item 0, 1, ... of ``count``; raises ``InputError`` if none fits.
+
+    ``seen``: what has been recorded so far; only the adaptive pattern looks at it.
+    """
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, _ITEM, item])))
+    if pattern == "grid":
+        return _pair(grid_displacements_mm(target, count)[item])
+    if pattern == "adaptive":
+        return _into_a_hole(rng, target, seen)
+    for _ in range(TRIES):
+        tried = draw_offset(rng, target.face, target.bottom, 8)
+        fitting = tried[target.allows(tried)]
+        if len(fitting):
+            return _pair(fitting[0])
+    raise _nothing_fits(target)
+
+
+@lru_cache(maxsize=4)
+def grid_displacements_mm(target: ProbeTarget, count: int) -> FloatArray:
+    """Return (count, 2) places on the widest square lattice that holds so many, there and back."""
+    coarse_mm = target.reach_mm / 40
+    pitch_mm = coarse_mm * float(np.sqrt(len(_lattice(target, coarse_mm)) / count))
+    if not pitch_mm >= FINEST_MM:
+        raise _nothing_fits(target)
+    fine, wide = 0.5 * pitch_mm, 2.0 * pitch_mm
+    for _ in range(HALVINGS):
+        middle = 0.5 * (fine + wide)
+        if len(_lattice(target, middle)) >= count:
+            fine = middle
+        else:
+            wide = middle
+    places = _lattice(target, fine)
+    chosen = np.asarray(places[np.linspace(0, len(places) - 1, count).round().astype(int)])
+    read_only(chosen)
+    return chosen
+
+
+def _lattice(target: ProbeTarget, pitch_mm: float) -> FloatArray:
+    """Return the lattice points (n, 2) that the target allows, row by row, to and fro."""
+    count = int(target.reach_mm / pitch_mm)
+    steps = pitch_mm * np.arange(-count, count + 1)
+    rows = [
+        np.stack([steps[:: 1 if k % 2 == 0 else -1], np.full(len(steps), y)], axis=1)
+        for k, y in enumerate(steps)
+    ]
+    places = np.concatenate(rows)
+    return np.asarray(places[target.allows(places)])
+
+
+def _into_a_hole(
+    rng: np.random.Generator, target: ProbeTarget, seen: Coverage
+) -> tuple[float, float]:
+    """Draw a place in one of the emptiest bins that can be reached."""
+    rows, columns = np.nonzero(seen.possible)
+    order = np.lexsort((rng.random(len(rows)), seen.counts[rows, columns]))
+    for k in order:
+        centre = np.array(seen.centre_mm(int(rows[k]), int(columns[k])))
+        tried = centre + seen.bin_mm * (rng.random((16, 2)) - 0.5)
+        fitting = tried[target.allows(tried)]
+        if len(fitting):
+            return _pair(fitting[0])
+    raise _nothing_fits(target)
+
+
+def _pair(place: FloatArray) -> tuple[float, float]:
+    return float(place[0]), float(place[1])
+
+
+def _nothing_fits(target: ProbeTarget) -> InputError:
+    within = "" if target.within_mm is None else f" within {target.within_mm:g} mm"
+    return InputError(
+        f"Not enough displacements{within} overlap by {MIN_OVERLAP_MM2:g} mm².",
+        "piece, bottom, range and count",
+        "Choose larger faces, a wider range or fewer probes.",
+    )
+
 
 FOLDER = "campaigns"
 FORMAT = 1
@@ -90,7 +213,7 @@ def read_campaign(dataset: Path, uuid: str) -> Campaign:
         ) from error
 
 
-def campaign_now(dataset: Dataset, uuid: str) -> Campaign:
+def current_campaign(dataset: Dataset, uuid: str) -> Campaign:
     """Return a campaign as it goes on: without what its file or its episodes say was skipped."""
     plan = read_campaign(dataset.folder, uuid)
     skipped = items_deleted(dataset.database, uuid, DECIDED["skip"])
@@ -105,3 +228,62 @@ def newest_campaign(dataset: Path) -> str | None:
 
 def _path(dataset: Path, uuid: str) -> Path:
     return dataset / FOLDER / f"{uuid}.json"
+
+
+def labelled_coverage(
+    dataset: Dataset, entries: Sequence[EpisodeEntry], face: Outline, bottom: Outline
+) -> Coverage:
+    """Count the labelled displacements of those ``entries`` of one pair that count."""
+    kept = [entry.uuid for entry in entries if counts_for_coverage(entry)]
+    return count_coverage(dataset.labels.offsets_mm(kept), face, bottom)
+
+
+def counts_for_coverage(entry: EpisodeEntry) -> bool:
+    """Whether a probe covers its place: an observation that nobody discarded or rejected."""
+    return entry.quality.accepted and not entry.deleted and entry.state != "rejected"
+
+
+def pair_coverage(dataset: Dataset, campaign: Campaign, target: ProbeTarget) -> Coverage:
+    """Count what there is for ``campaign`` to fill up: its own probes, and all others of its pair
+    that somebody stands for (submitted or approved).
+    """
+    entries = dataset.episodes(EpisodeFilter(piece=campaign.piece, bottom=campaign.bottom))
+    stood_for = [
+        entry
+        for entry in entries
+        if entry.campaign == campaign.uuid or entry.state in ("submitted", "approved")
+    ]
+    return labelled_coverage(dataset, stood_for, target.face, target.bottom)
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeSummary:
+    """What is looked at of a probe: for the checks, and where it was meant to go (mm)."""
+
+    examined: ExaminedEpisode
+    commanded_mm: tuple[float, float]
+
+
+def read_probe_summary(dataset: Dataset, entry: EpisodeEntry) -> ProbeSummary:
+    """Read one probe without its pictures; raises ``InputError`` naming a damaged file."""
+    label_mm = dataset.labels.head(entry.uuid).label.offset_mm
+    if entry.mode == "mass":
+        episode = dataset.read(entry.uuid)
+        observation, commanded_mm = episode.observation, episode.offset_mm.tolist()
+    else:
+        path = dataset.folder / entry.path
+        contents = read_first(path)
+        with input_errors(path):
+            observation = unpack_observation(contents.messages[OBS.name])
+            commanded_mm = json.loads(contents.metadata["episode"]["offset_mm"])
+    x_mm, y_mm = commanded_mm
+    return ProbeSummary(
+        ExaminedEpisode(entry.uuid, observation, label_mm, entry.quality), (x_mm, y_mm)
+    )
+
+
+def read_examined_episodes(
+    dataset: Dataset, entries: Sequence[EpisodeEntry]
+) -> list[ExaminedEpisode]:
+    """Read what the health checks look at; raises ``InputError`` naming a damaged file."""
+    return [read_probe_summary(dataset, entry).examined for entry in entries]

@@ -1,33 +1,94 @@
-"""A run that collects: mounting after mounting until the plan of the campaign is done."""
+"""Collecting run: mounting after mounting until the plan of the campaign is done."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.diskspace import NO_ROOM, room_for
-from backend.catalogue.uuid7 import follow, uuid7
-from backend.catalogue.values import EpisodeContext, EpisodeEntry, EpisodeFilter
-from backend.core.facts import CampaignBegan, RunFinished, RunStarted
-from backend.core.faults import FaultError, InputError, RefusedError
-from backend.runs.bench import Bench
-from backend.runs.campaign import Campaign, campaign_now, new_campaign, newest_campaign
-from backend.runs.collect_plan import Target, planned_mm
-from backend.runs.collect_report import pair_coverage
-from backend.runs.collected import EpisodeRecorder, Origin
-from backend.runs.collecting import Collector
-from backend.runs.host import RunHost
-from backend.runs.jig import fitted_anew
-from backend.runs.mounting import NEW, Mounting, mounting_id, mounting_to_go_on
-from backend.runs.orderly import Ended, orderly
-from backend.runs.plan import Plan
-from backend.runs.record import record_of
-from backend.runs.requests import CollectRequest
-from backend.runs.room import no_plan_saved, saved
+from touchdown.backend.annotations import (
+    NO_ROOM,
+    Dataset,
+    EpisodeContext,
+    EpisodeEntry,
+    EpisodeFilter,
+    follow_uuid,
+    free_space_for,
+    uuid7,
+)
+from touchdown.backend.core import (
+    CampaignBegan,
+    FaultError,
+    InputError,
+    MountingAwaited,
+    RefusedError,
+    RunFinished,
+    RunStarted,
+    Said,
+)
+from touchdown.backend.runs import messages
+from touchdown.backend.runs.bench import Bench, RunContext
+from touchdown.backend.runs.campaign import (
+    Campaign,
+    ProbeTarget,
+    current_campaign,
+    new_campaign,
+    newest_campaign,
+    pair_coverage,
+    planned_displacement_mm,
+)
+from touchdown.backend.runs.collector import BottomOrigin, Collector, EpisodeRecorder
+from touchdown.backend.runs.jig import wait_for_refit
+from touchdown.backend.runs.motions import PlanEnd, run_to_end
+from touchdown.backend.runs.plan import Plan, Wait
+from touchdown.backend.runs.recorder import plan_not_saved_fault, save_or_wait
+from touchdown.backend.runs.requests import CollectRequest, request_record
+
+OPERATOR_S = 24 * 3600.0
 
 
-def collect_run(host: RunHost, request: CollectRequest) -> Plan[None]:
+@dataclass(frozen=True, slots=True)
+class MountingProgress:
+    """What a mounting that ``goes_on`` holds so far: ``series`` ("" for none), and ``grips``."""
+
+    goes_on: bool = False
+    series: str = ""
+    grips: int = 0
+
+
+NEW_MOUNTING = MountingProgress()
+
+
+def newest_mounting_id(campaign: Campaign) -> str:
+    """Return the id of the mounting that was begun last."""
+    return f"{campaign.uuid}/mounting-{campaign.mountings}"
+
+
+def ask_mounting(bench: Bench, dataset: Dataset, campaign: Campaign) -> Plan[MountingProgress]:
+    """Ask whether bottom or gels were fitted anew; return the last mounting if not, else ``NEW``.
+
+    Nothing moves meanwhile.
+    """
+    bench.gate.ask()
+    yield MountingAwaited(bench.now_s(), bench.bottom, campaign.mountings)
+    yield Wait(lambda: bench.gate.answered, OPERATOR_S, "word on the mounting")
+    if bench.gate.yes:
+        return NEW_MOUNTING
+    found = _last(dataset, campaign)
+    yield Said(bench.now_s(), messages.same_mounting_message(campaign.mountings, found.grips))
+    return found
+
+
+def _last(dataset: Dataset, campaign: Campaign) -> MountingProgress:
+    """Return what the dataset holds of the last mounting, discarded probes as well."""
+    wanted, series, grips = newest_mounting_id(campaign), "", 0
+    for entry in dataset.episodes(EpisodeFilter(campaign=campaign.uuid, deleted=None)):
+        if entry.mounting_id == wanted:
+            series = entry.series
+            grips = max(grips, int(entry.grip_id.rpartition("-")[2]))
+    return MountingProgress(True, series, grips)
+
+
+def collect_run(host: RunContext, request: CollectRequest) -> Plan[None]:
     """Collect what the plan still lacks; every episode is durable before the next press."""
     dataset = _dataset(host, request)
     campaign = _begun(dataset, request)
@@ -37,9 +98,9 @@ def collect_run(host: RunHost, request: CollectRequest) -> Plan[None]:
         campaign=campaign.uuid,
     )  # fmt: skip
     host = replace(host, method=request.method(host.method))
-    settings = record_of(request, host.method, host.check(request.scene()))
+    settings = request_record(request, host.method, host.check(request.scene()))
     entries = dataset.episodes(EpisodeFilter(campaign=campaign.uuid))
-    room_for(dataset.folder, len(campaign.todo(entries)))
+    free_space_for(dataset.folder, len(campaign.todo(entries)))
     host.open()
     yield RunStarted(
         0.0, host.run_id, request.piece, request.bottom, request.pattern, request.seed, 1,
@@ -53,17 +114,17 @@ def collect_run(host: RunHost, request: CollectRequest) -> Plan[None]:
 
 
 def _mountings(
-    host: RunHost,
+    host: RunContext,
     request: CollectRequest,
     campaign: Campaign,
     entries: list[EpisodeEntry],
     recorder: EpisodeRecorder,
 ) -> Plan[None]:
     bench = host.set_scene(request.scene(campaign.mountings), host.method)
-    target = Target(bench.piece.face, bench.outline, request.within_mm)
+    target = ProbeTarget(bench.piece.face, bench.outline, request.within_mm)
     collector = _collector(host, request, campaign, entries, recorder, target)
-    begun = yield from orderly(bench, _mounting(bench, request, recorder.dataset, campaign))
-    ended: Ended[bool] = Ended(None, begun.run_ending, begun.reason)
+    begun = yield from run_to_end(bench, _mounting(bench, request, recorder.dataset, campaign))
+    ended: PlanEnd[bool] = PlanEnd(None, begun.run_ending, begun.reason)
     mounting = begun.value
     if mounting is not None and mounting.goes_on:
         bench = host.set_scene(request.scene(campaign.mountings - 1), host.method)
@@ -73,10 +134,10 @@ def _mountings(
             break
         if _by_hand(request, bench):
             # No simulation does it: two mountings are two only if somebody fitted them.
-            ended = yield from orderly(bench, fitted_anew(bench))
+            ended = yield from run_to_end(bench, wait_for_refit(bench))
             if ended.value is None:
                 break
-        mounting = NEW
+        mounting = NEW_MOUNTING
         bench = host.set_scene(request.scene(collector.campaign.mountings), host.method)
     ending = ended.run_ending or ("finished" if ended.value else "failed")
     reason = ended.reason or _summary(collector)
@@ -84,16 +145,16 @@ def _mountings(
 
 
 def _collector(
-    host: RunHost,
+    host: RunContext,
     request: CollectRequest,
     campaign: Campaign,
     entries: list[EpisodeEntry],
     recorder: EpisodeRecorder,
-    target: Target,
+    target: ProbeTarget,
 ) -> Collector:
     """Return what works off the campaign; raises ``InputError`` where nothing can be probed."""
     seen = pair_coverage(recorder.dataset, campaign, target)
-    planned_mm(campaign.pattern, target, campaign.seed, 0, campaign.count, seen)
+    planned_displacement_mm(campaign.pattern, target, campaign.seed, 0, campaign.count, seen)
     collector = Collector(campaign, recorder, host.decisions, seen, entries)
     collector.ask, collector.check_origin = request.ask, request.check_origin
     collector.hand_over = request.hand_over
@@ -107,26 +168,26 @@ def _by_hand(request: CollectRequest, bench: Bench) -> bool:
 
 def _mounting(
     bench: Bench, request: CollectRequest, dataset: Dataset, campaign: Campaign
-) -> Plan[Mounting]:
+) -> Plan[MountingProgress]:
     """Return the mounting to begin with: only one that a person fitted may be the former one."""
     if campaign.mountings and _by_hand(request, bench):
-        return (yield from mounting_to_go_on(bench, dataset, campaign))
-    return NEW
+        return (yield from ask_mounting(bench, dataset, campaign))
+    return NEW_MOUNTING
 
 
 def _one(
-    host: RunHost,
+    host: RunContext,
     request: CollectRequest,
     bench: Bench,
-    target: Target,
+    target: ProbeTarget,
     collector: Collector,
-    mounting: Mounting,
-) -> Plan[Ended[bool]]:
+    mounting: MountingProgress,
+) -> Plan[PlanEnd[bool]]:
     """Collect on one mounting, a new one or the rest of one; the campaign is saved around it."""
     dataset = collector.recorder.dataset
     if not mounting.goes_on:
         begun = collector.campaign.with_mounting()
-        kept = yield from orderly(bench, saved(lambda: begun.save(dataset.folder)))
+        kept = yield from run_to_end(bench, save_or_wait(lambda: begun.save(dataset.folder)))
         if not kept.value:
             return kept
         collector.campaign = begun
@@ -139,26 +200,26 @@ def _one(
     )  # fmt: skip
     work = collector.mounting(bench, target, origin, context, after=mounting.grips)
     try:
-        ended = yield from orderly(bench, work)
+        ended = yield from run_to_end(bench, work)
     except Exception:
         # The probe before is on its way to the disk: it is told whatever ended the run.
         yield from collector.settle(bench)
         raise
     yield from collector.settle(bench)
-    kept = yield from orderly(bench, _saved_after(collector, dataset, waits=bool(ended.value)))
+    kept = yield from run_to_end(bench, _saved_after(collector, dataset, waits=bool(ended.value)))
     return ended if kept.value else kept
 
 
 def _saved_after(collector: Collector, dataset: Dataset, *, waits: bool) -> Plan[bool]:
     """Save what a mounting left out; only a run that goes on ``waits`` for room on a full disk."""
     if waits:
-        return (yield from saved(lambda: collector.campaign.save(dataset.folder)))
+        return (yield from save_or_wait(lambda: collector.campaign.save(dataset.folder)))
     try:
         collector.campaign.save(dataset.folder)
     except OSError as error:
         if error.errno not in NO_ROOM:
             raise
-        raise FaultError(no_plan_saved(dataset.folder)) from error
+        raise FaultError(plan_not_saved_fault(dataset.folder)) from error
     return True
 
 
@@ -168,7 +229,7 @@ def _summary(collector: Collector) -> str:
     return f"{text}, {left_out} left out." if left_out else f"{text}."
 
 
-def _dataset(host: RunHost, request: CollectRequest) -> Dataset:
+def _dataset(host: RunContext, request: CollectRequest) -> Dataset:
     if host.dataset is None:
         raise RefusedError("NO-DATASET", "No dataset is open to collect into.")
     if not host.dataset.writable:
@@ -189,28 +250,28 @@ def _dataset(host: RunHost, request: CollectRequest) -> Dataset:
 
 def _begun(dataset: Dataset, request: CollectRequest) -> Campaign:
     if request.campaign:
-        return campaign_now(dataset, request.campaign)
+        return current_campaign(dataset, request.campaign)
     # Resuming takes the newest one by its id, also after the clock was set back.
-    follow(newest_campaign(dataset.folder) or "")
+    follow_uuid(newest_campaign(dataset.folder) or "")
     return new_campaign(
         request.piece, request.bottom, request.pattern, request.seed, request.count,
         request.within_mm,
     )  # fmt: skip
 
 
-def _origin(bench: Bench, request: CollectRequest) -> Origin:
+def _origin(bench: Bench, request: CollectRequest) -> BottomOrigin:
     sigma_mm = request.origin_sigma_mm
     if sigma_mm is None:
         sigma_mm = bench.settings.collect.origin_sigma_mm
     at = bench.placed.origin(request.origin_mm, sigma_mm, bench.bottom)
-    return Origin(at.x_mm, at.y_mm, at.sigma_mm)
+    return BottomOrigin(at.x_mm, at.y_mm, at.sigma_mm)
 
 
 def _context(
-    host: RunHost,
+    host: RunContext,
     request: CollectRequest,
     bench: Bench,
-    origin: Origin,
+    origin: BottomOrigin,
     campaign: Campaign,
     dataset: Dataset,
 ) -> EpisodeContext:
@@ -223,7 +284,7 @@ def _context(
         geometry=dataset.geometry.store_pair(bench.piece, bottom),
         person=request.person,
         grip_id="",
-        mounting_id=mounting_id(campaign),
+        mounting_id=newest_mounting_id(campaign),
         campaign=campaign.uuid,
         mode=host.mode,
         seed=request.seed,

@@ -1,60 +1,59 @@
-"""Drives one plan at a time: publishes its facts, waits for it, pauses, cancels, stops.
+"""Engine that runs one plan at a time, paced by a thread on a live bench.
 
-    idle -> preparing -> running <-> pausing -> paused -> running
-                         running | pausing | paused -> cancelling -> finishing -> idle
-
-STOP is out of band: it latches the interlock first and ends the run from any state. At every
-checkpoint a run stands while a sensor is degraded, and pauses by itself where that lasts.
+It publishes the events of the plan, waits for it, pauses, cancels and stops it. A watchdog reports
+a live thread that makes no step.
 """
 
 from __future__ import annotations
 
+import os
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
-from backend.core.facts import (
+from touchdown.backend.core import (
     ActionChosen,
     ApprovalAwaited,
-    Fact,
+    Event,
+    EventBus,
+    Fault,
+    FaultError,
     FaultRaised,
     HandOverAwaited,
+    InputError,
     MountingAwaited,
     OutcomeAwaited,
     PatchEstimated,
     Paused,
     PhaseEntered,
+    RefusedError,
     Released,
     RunFinished,
     RunStarted,
     Said,
     SetUpAwaited,
-    TrialStarted,
-)
-from backend.core.faults import (
-    Fault,
-    FaultError,
-    InputError,
-    RefusedError,
     StaleSampleError,
+    ThreadStallDetector,
     TouchdownError,
+    TrialStarted,
+    blocking_section_of,
 )
-from backend.core.hub import Hub
-from backend.devices.interlock import Interlock
-from backend.runs.plan import (
+from touchdown.backend.devices import Interlock
+from touchdown.backend.runs.plan import (
     CancelledError,
-    Checkpoint,
+    PausePoint,
     Plan,
     StoppedError,
-    Waiting,
-    stopped_words,
+    Wait,
+    stale_fault,
+    stopped_message,
     timeout_fault,
 )
-from backend.runs.requests import RunState, RunStatus
-from backend.runs.stale import stale_fault
+from touchdown.backend.runs.requests import RunState, RunStatus
 
-_ASKS: dict[type[Fact], str] = {
+_ASKS: dict[type[Event], str] = {
     SetUpAwaited: "set the scene",
     HandOverAwaited: "a hand at the jaws",
     MountingAwaited: "say whether it was fitted anew",
@@ -70,7 +69,7 @@ class Engine:
 
     def __init__(
         self,
-        hub: Hub,
+        hub: EventBus,
         interlock: Interlock,
         now_s: Callable[[], float],
         unwell: Callable[[], Fault | None] = lambda: None,
@@ -82,7 +81,7 @@ class Engine:
         self._lock = threading.RLock()
         self._status = RunStatus(RunState.IDLE)
         self._plan: Plan[object] | None = None
-        self._waiting: Waiting | None = None
+        self._waiting: Wait | None = None
         self._deadline_s = 0.0
         self._throw: TouchdownError | None = None
         self._result: object | None = None
@@ -225,16 +224,16 @@ class Engine:
         except (TouchdownError, ArithmeticError, ValueError, LookupError, OSError) as error:
             self._fail(error)
             return False
-        if isinstance(step, Fact):
+        if isinstance(step, Event):
             self._publish(step)
-        elif isinstance(step, Waiting):
+        elif isinstance(step, Wait):
             self._waiting = step
             self._deadline_s = self._now_s() + step.timeout_s
-        elif isinstance(step, Checkpoint):
+        elif isinstance(step, PausePoint):
             return self._checkpoint(step)
         return True
 
-    def _checkpoint(self, place: Checkpoint) -> bool:
+    def _checkpoint(self, place: PausePoint) -> bool:
         obstacle = place.obstacle
         with self._lock:
             asked = self._status.state is RunState.PAUSING
@@ -266,7 +265,7 @@ class Engine:
             self._pause(unwell)
         return False
 
-    def _publish(self, fact: Fact) -> None:
+    def _publish(self, fact: Event) -> None:
         with self._lock:
             self._status = _followed(self._status, fact)
         self._hub.publish(fact)
@@ -305,10 +304,10 @@ class Engine:
         faults = self._interlock.faults
         if faults:
             return FaultError(faults[0])
-        return StoppedError(stopped_words(self._interlock.stopped_by))
+        return StoppedError(stopped_message(self._interlock.stopped_by))
 
 
-def _followed(status: RunStatus, fact: Fact) -> RunStatus:
+def _followed(status: RunStatus, fact: Event) -> RunStatus:
     """Return the status after ``fact``."""
     if isinstance(fact, RunStarted):
         return replace(
@@ -342,3 +341,152 @@ def _fault_of(error: Exception) -> Fault:
         consequence="The run ended; the gripper was not opened.",
         next_step="Read the message, remove the cause, then press Reset.",
     )
+
+
+LOOK_S = 0.05
+STILL_S = 0.25
+"""A thread that has rested so long without a step stands still: told within 500 ms (P7)."""
+WORKS_S = 30.0
+"""One that works so long without a step makes none any more; the longest takes about 1 s."""
+
+
+class ThreadWatchdog:
+    """Looks at the thread ``number`` (of the system) every ``LOOK_S``.
+
+    ``steps`` counts what it has done, one each ``step_s`` of the wall's seconds at least; ``tell``
+    hears of its standstill at each look, as long as that lasts.
+    """
+
+    def __init__(
+        self, number: int, steps: Callable[[], int], step_s: float, tell: Callable[[Fault], None]
+    ) -> None:
+        self._number, self._steps, self._tell = number, steps, tell
+        self._rest, self._still_s = ThreadStallDetector(os.getpid(), number), STILL_S + step_s
+        self._seen, self._stepless_s = -1, 0.0
+
+    def look(self, now_s: float) -> None:
+        """Judge at ``now_s``, of ``time.monotonic``."""
+        rested_s = self._rest.look(now_s)
+        steps, said = self._steps(), blocking_section_of(self._number)
+        if steps != self._seen or said is not None:
+            self._seen, self._rest.rested_s, self._stepless_s = steps, 0.0, 0.0
+            if said is not None and now_s > said.until_s:
+                self._tell(bench_fault(f"It {said.what}, and that comes to no end"))
+            return
+        self._stepless_s += self._rest.passed_s
+        if rested_s >= self._still_s:
+            self._tell(bench_fault("It waits for what does not come"))
+        elif self._stepless_s >= WORKS_S:
+            self._tell(bench_fault("It works without an end"))
+
+
+def bench_fault(why: str) -> Fault:
+    """Return the fault of a thread that stands still; ``why`` is a sentence without its end."""
+    return Fault(
+        "BENCH-STILL",
+        f"The thread of the bench stands still. {why}.",
+        "Nothing is measured, and no run goes on; the gripper was not opened.",
+        "Copy the details for the maintainers, then start Touchdown again.",
+    )
+
+
+BEHIND_S = 0.25
+"""A live bench that is later than this against the wall clock gives up catching up."""
+JOIN_S = 5.0
+HUNG_S, HUNG_JOIN_S = 2.0, 0.5
+"""One that has made no step for so long is not waited for as others are."""
+
+
+class LiveThread:
+    """Calls ``step`` every ``step_s`` of bench time; ``failed`` hears what ended it early.
+
+    ``still`` hears, on a thread of its own, that it makes no step: every ``LOOK_S``, meanwhile.
+    """
+
+    def __init__(
+        self,
+        step: Callable[[], None],
+        step_s: float,
+        failed: Callable[[BaseException], None],
+        still: Callable[[Fault], None],
+    ) -> None:
+        self._step, self._step_s, self._failed, self._still = step, step_s, failed, still
+        self._thread: threading.Thread | None = None
+        self._closing, self._over = threading.Event(), threading.Event()
+        self._hung_at = -1
+        """The step after which it was told to stand still."""
+        self._speed, self._stepped_s, self._steps = 1.0, 0.0, 0
+        self.pace = 0.0
+        """Bench seconds per wall second, measured once a second."""
+
+    @property
+    def running(self) -> bool:
+        """Whether it was started and not closed."""
+        return self._thread is not None
+
+    @property
+    def still_s(self) -> float:
+        """For how long no step has ended; 0 while none are made."""
+        return time.monotonic() - self._stepped_s if self._thread is not None else 0.0
+
+    def open(self, speed: float) -> None:
+        """Start; ``speed`` bench seconds per wall second. A second time changes nothing."""
+        if self._thread is None:
+            self._closing.clear()
+            self._over.clear()
+            self._speed, self._stepped_s = speed, time.monotonic()
+            self._thread = threading.Thread(target=self._live, name="bench", daemon=True)
+            self._thread.start()
+            threading.Thread(
+                target=self._watch, args=(self._thread,), name="bench watch", daemon=True
+            ).start()
+
+    def close(self, settle: Callable[[], object]) -> None:
+        """End; ``settle`` is called first, while time still passes."""
+        hung = self.still_s > HUNG_S
+        thread, self._thread = self._thread, None
+        if thread is None:
+            return
+        settle()
+        self._closing.set()
+        begun_s = waited_s = time.monotonic()
+        # It may also be told only now that it stands still.
+        while waited_s - begun_s < (HUNG_JOIN_S if hung else JOIN_S) and thread.is_alive():
+            thread.join(LOOK_S)
+            waited_s, hung = time.monotonic(), hung or self._hung_at == self._steps
+        self._over.set()
+
+    def _live(self) -> None:
+        try:
+            self._keep_pace()
+        except BaseException as error:
+            # Whatever it was: latch, stop, end the run, and let the exception hooks show it.
+            self._failed(error)
+            raise
+
+    def _keep_pace(self) -> None:
+        due_s = time.monotonic()
+        measured_s, steps = due_s, 0
+        while not self._closing.is_set():
+            self._step()
+            self._steps += 1
+            steps += 1
+            due_s += self._step_s / self._speed
+            now_s = self._stepped_s = time.monotonic()
+            if now_s - measured_s >= 1.0:
+                self.pace = steps * self._step_s / (now_s - measured_s)
+                measured_s, steps = now_s, 0
+            if now_s - due_s > BEHIND_S:
+                due_s = now_s
+            self._closing.wait(max(0.0, due_s - now_s))
+
+    def _watch(self, thread: threading.Thread) -> None:
+        assert thread.native_id is not None
+        step_s = self._step_s / self._speed
+        watch = ThreadWatchdog(thread.native_id, lambda: self._steps, step_s, self._hangs)
+        while thread.is_alive() and not self._over.wait(LOOK_S):
+            watch.look(time.monotonic())
+
+    def _hangs(self, fault: Fault) -> None:
+        self._hung_at = self._steps
+        self._still(fault)

@@ -1,4 +1,4 @@
-"""Take the piece from its jig, weigh it, and put it back; without a jig, from hand to hand."""
+"""Piece hand-over: take from the jig, weigh, put back; by hand where there is no jig."""
 
 from __future__ import annotations
 
@@ -7,15 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from backend.core.facts import HandOverAwaited, PhaseEntered, Said
-from backend.core.faults import Fault, FaultError, RefusedError
-from backend.core.flow import Pose
-from backend.devices.at_rest import last_places_mm, travelled_mm
-from backend.devices.putting_back import JigEvidence
-from backend.runs.bench import Bench
-from backend.runs.motions import MOVE_S, go, rest, take_piece
-from backend.runs.plan import CancelledError, Plan, Waiting, motion_done
-from backend.sensing.tare import STANDARD_GRAVITY_M_S2
+from touchdown.backend.core import (
+    Fault,
+    FaultError,
+    HandOverAwaited,
+    PhaseEntered,
+    Pose,
+    RefusedError,
+    Said,
+)
+from touchdown.backend.devices import JigEvidence, last_places_mm, travelled_mm
+from touchdown.backend.runs.bench import Bench
+from touchdown.backend.runs.motions import MOVE_S, move_to, take_piece, wait
+from touchdown.backend.runs.plan import CancelledError, Plan, Wait, motion_done
+from touchdown.backend.sensing import STANDARD_GRAVITY_M_S2
 
 WEIGH_S = 0.5
 """Time over which the wrench is averaged; the mean of 500 samples errs by 5 mN."""
@@ -23,7 +28,7 @@ SETTLE_S = 0.3
 OPERATOR_S = 24 * 3600.0
 
 
-def handed(bench: Bench) -> Bench:
+def with_handed_piece(bench: Bench) -> Bench:
     """Return the bench with the piece handed over where the arm is now.
 
     A hand holds a piece less well than a jig: labels are worth less.
@@ -34,7 +39,7 @@ def handed(bench: Bench) -> Bench:
     return replace(bench, jig=bench.arm.pose(max_age_s=0.2), handed=True, settings=settings)
 
 
-def pick(bench: Bench) -> Plan[float]:
+def pick_piece(bench: Bench) -> Plan[float]:
     """Take the piece from the jig, or from the operator, and raise it; returns its mass in g.
 
     Raises ``RefusedError`` if something is held already, ``FaultError`` "WRONG-WEIGHT" if what is
@@ -45,22 +50,22 @@ def pick(bench: Bench) -> Plan[float]:
     if bench.gripper.status().holding:
         raise RefusedError("HOLDING", "A piece is held already: put it back into its jig first.")
     yield PhaseEntered(bench.now_s(), "shift", 0)
-    yield from rest(bench, SETTLE_S)
+    yield from wait(bench, SETTLE_S)
     yield from _go(bench, jig)
-    yield from rest(bench, SETTLE_S + WEIGH_S)
+    yield from wait(bench, SETTLE_S + WEIGH_S)
     empty_n = _vertical_n(bench)
     bench.sensing.forget_references()
     if bench.handed:
         yield from _hand_at_the_jaws(bench, gives=True)
     yield from take_piece(bench)
     yield from _go(bench, _above(bench, jig))
-    yield from rest(bench, SETTLE_S + WEIGH_S)
+    yield from wait(bench, SETTLE_S + WEIGH_S)
     weight_n = empty_n - _vertical_n(bench)
     yield from _weighed(bench, weight_n)
     return 1e3 * weight_n / STANDARD_GRAVITY_M_S2
 
 
-def put_back(bench: Bench) -> Plan[None]:
+def return_piece(bench: Bench) -> Plan[None]:
     """Carry the piece back and let it go in the jig, or in the operator's hand.
 
     Refused where it does not sit freely in the jig.
@@ -72,7 +77,7 @@ def put_back(bench: Bench) -> Plan[None]:
     yield from _go(bench, Pose(here.x_mm, here.y_mm, high.z_mm))
     yield from _go(bench, high)
     yield from _go(bench, jig)
-    yield from rest(bench, SETTLE_S)
+    yield from wait(bench, SETTLE_S)
     yield PhaseEntered(bench.now_s(), "release", 0)
     width_mm = bench.gripper.status().width_mm + bench.settings.collect.open_mm
     speed_mm_s = bench.settings.release.open_mm_s
@@ -82,10 +87,10 @@ def put_back(bench: Bench) -> Plan[None]:
     else:
         opening = bench.gripper.put_back(_evidence(bench, jig), width_mm, speed_mm_s)
     yield from motion_done(opening, MOVE_S, "the gripper to open")
-    yield from rest(bench, SETTLE_S)
+    yield from wait(bench, SETTLE_S)
 
 
-def approach(bench: Bench, place: Pose) -> Plan[None]:
+def approach_with_piece(bench: Bench, place: Pose) -> Plan[None]:
     """Carry the held piece over ``place``: up, across, and down to it."""
     high_mm = _above(bench, _jig(bench)).z_mm
     here = bench.arm.pose(max_age_s=0.2)
@@ -94,11 +99,11 @@ def approach(bench: Bench, place: Pose) -> Plan[None]:
     yield from _go(bench, place)
 
 
-def fitted_anew(bench: Bench) -> Plan[bool]:
+def wait_for_refit(bench: Bench) -> Plan[bool]:
     """Wait until the operator has fitted bottom and gels anew; ``CancelledError`` on a no."""
     bench.gate.ask()
     yield HandOverAwaited(bench.now_s(), bench.bottom, gives=False, anew=True)
-    yield Waiting(lambda: bench.gate.answered, OPERATOR_S, "a new mounting")
+    yield Wait(lambda: bench.gate.answered, OPERATOR_S, "a new mounting")
     if not bench.gate.yes:
         raise CancelledError("bottom and gels were not fitted anew")
     return True
@@ -108,7 +113,7 @@ def _hand_at_the_jaws(bench: Bench, *, gives: bool) -> Plan[None]:
     """Wait until the operator's hand is where it should be; raises ``CancelledError`` on a no."""
     bench.gate.ask()
     yield HandOverAwaited(bench.now_s(), bench.piece.name, gives)
-    yield Waiting(lambda: bench.gate.answered, OPERATOR_S, "the operator's hand")
+    yield Wait(lambda: bench.gate.answered, OPERATOR_S, "the operator's hand")
     if not bench.gate.yes:
         raise CancelledError("the piece was not handed over")
 
@@ -166,4 +171,4 @@ def _above(bench: Bench, jig: Pose) -> Pose:
 
 
 def _go(bench: Bench, place: Pose) -> Plan[None]:
-    yield from go(bench, place, "the arm to arrive")
+    yield from move_to(bench, place, "the arm to arrive")

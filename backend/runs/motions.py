@@ -1,21 +1,78 @@
-"""The moves a run is made of. Each is a plan: it yields facts and waits, and never sleeps."""
+"""Motions that plans are made of, and the end of a plan after cancel, stop, refusal or fault.
+
+Motions are plans themselves: they yield events and waits, and never sleep. Cancel and refusal lift
+the arm; stop and fault leave it where it is. A press made void by a short silence of arm or wrist
+is repeated.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 
-from backend.core.facts import PhaseEntered
-from backend.core.faults import Fault, FaultError, RefusedError
-from backend.core.flow import Pose
-from backend.devices.at_rest import last_places_mm, travelled_mm
-from backend.devices.interlock import STATIONARY_MM, ReleaseEvidence
-from backend.runs.bench import Bench
-from backend.runs.judged import Judged
-from backend.runs.plan import Plan, Waiting, motion_done
-from backend.sensing.loading import slip_since_loading
+from touchdown.backend.core import (
+    Fault,
+    FaultError,
+    FaultRaised,
+    FloatArray,
+    PhaseEntered,
+    Pose,
+    RefusedError,
+    Said,
+    StaleSampleError,
+)
+from touchdown.backend.devices import (
+    STATIONARY_MM,
+    VOID_PRESS,
+    ReleaseEvidence,
+    last_places_mm,
+    travelled_mm,
+)
+from touchdown.backend.geometry import Outline, overlap_polygon
+from touchdown.backend.runs.bench import Bench, JudgedProbe
+from touchdown.backend.runs.plan import (
+    CancelledError,
+    Plan,
+    StoppedError,
+    Wait,
+    motion_done,
+    stale_fault,
+    stopped_message,
+)
+from touchdown.backend.sensing import slip_since_loading
+
+
+def descent_start(bench: Bench, at_mm: tuple[float, float]) -> Pose:
+    """Return where descents to (x, y) begin: the usual way above where contact should be.
+
+    The height of contact is that of the board, at the middle of what touches there, where it was
+    felt with this piece on this bottom; else that of the file of the piece.
+    """
+    contact_mm = bench.piece.grip_height_mm or 0.0
+    board = bench.placed.board
+    if board is not None and board.is_of(bench.piece.name, bench.bottom):
+        off_mm = np.array([at_mm[0] - board.place.x_mm, at_mm[1] - board.place.y_mm])
+        contact_mm = board.contact_at(middle_of_overlap(bench.piece.face, bench.outline, off_mm))
+    return Pose(*at_mm, contact_mm + bench.settings.probe.start_height_mm)
+
+
+def middle_of_overlap(face: Outline, bottom: Outline, offset_mm: FloatArray) -> FloatArray:
+    """Return the centroid (2,) of the overlap of ``face`` at ``offset_mm`` (2,) with ``bottom``.
+
+    Faces that do not overlap have the middle of the bottom.
+    """
+    x_mm, y_mm = offset_mm.tolist()
+    ring = overlap_polygon(face, (x_mm, y_mm), bottom)
+    if len(ring) < 3:
+        return np.zeros(2)
+    after = np.roll(ring, -1, axis=0)
+    cross = ring[:, 0] * after[:, 1] - after[:, 0] * ring[:, 1]
+    return np.asarray(((ring + after) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
+
 
 SETTLE_S = 0.3
 """Vibration of the arm dies out before reference and tare are taken."""
@@ -40,13 +97,13 @@ NO_PIECE = (
 """Such as after a run that let its piece go."""
 
 
-def rest(bench: Bench, seconds: float) -> Plan[None]:
+def wait(bench: Bench, seconds: float) -> Plan[None]:
     """Let ``seconds`` of bench time pass."""
     until_s = bench.now_s() + seconds
-    yield Waiting(lambda: bench.now_s() >= until_s, seconds + 1.0, "a pause to end")
+    yield Wait(lambda: bench.now_s() >= until_s, seconds + 1.0, "a pause to end")
 
 
-def go(bench: Bench, place: Pose, what: str) -> Plan[None]:
+def move_to(bench: Bench, place: Pose, what: str) -> Plan[None]:
     """Move straight to ``place`` in air, as fast as the override lets it.
 
     Where time passes by itself, what kept this program busy may have left the wrench too old for a
@@ -55,7 +112,7 @@ def go(bench: Bench, place: Pose, what: str) -> Plan[None]:
     """
     for left in reversed(range(LEASE_TRIES)):
         if bench.real_time:
-            yield from fresh_wrench(bench)
+            yield from wait_fresh_wrench(bench)
         try:
             motion = bench.arm.move_to(place, bench.settings.probe.travel_mm_s)
             yield from motion_done(motion, MOVE_S / bench.interlock.override, what)
@@ -63,7 +120,7 @@ def go(bench: Bench, place: Pose, what: str) -> Plan[None]:
             code = cause.reason if isinstance(cause, RefusedError) else cause.fault.code
             if code not in UNLEASED or not left or bench.interlock.latched:
                 raise
-            yield from rest(bench, AGAIN_S)
+            yield from wait(bench, AGAIN_S)
         else:
             return
 
@@ -75,7 +132,7 @@ def take_piece(bench: Bench) -> Plan[None]:
     yield PhaseEntered(bench.now_s(), "grip", 0)
     grip = bench.gripper.grip(bench.settings.probe.grip_force_n)
     yield from motion_done(grip, GRIP_S, "the gripper to hold the piece")
-    yield from rest(bench, SETTLE_S)
+    yield from wait(bench, SETTLE_S)
     if not bench.gripper.status().holding:
         raise RefusedError("NO-PIECE", NO_PIECE)
 
@@ -88,7 +145,7 @@ def zero_sensors(bench: Bench, probe: int) -> Plan[None]:
     """
     yield PhaseEntered(bench.now_s(), "reference", probe)
     count = bench.settings.probe.reference_frames
-    yield from rest(bench, SETTLE_S + count / 25.0)
+    yield from wait(bench, SETTLE_S + count / 25.0)
 
     def take() -> None:
         bench.sensing.zero_wrench(bench.now_s())
@@ -102,7 +159,7 @@ def zero_sensors(bench: Bench, probe: int) -> Plan[None]:
 
 def zero_wrench(bench: Bench) -> Plan[None]:
     """In air, at rest: take the tare alone; tried again as with the references."""
-    yield from rest(bench, SETTLE_S)
+    yield from wait(bench, SETTLE_S)
     yield from _until_still(bench, lambda: bench.sensing.zero_wrench(bench.now_s()))
 
 
@@ -117,7 +174,7 @@ def _until_still(bench: Bench, take: Callable[[], object]) -> Plan[None]:
                 raise
         else:
             return
-        yield from rest(bench, 0.1)
+        yield from wait(bench, 0.1)
 
 
 def _no_reference(cause: FaultError | RefusedError) -> FaultError:
@@ -139,18 +196,18 @@ def lift(bench: Bench, probe: int) -> Plan[None]:
     yield PhaseEntered(bench.now_s(), "lift", probe)
     here = bench.arm.pose(max_age_s=0.2)
     up = Pose(here.x_mm, here.y_mm, here.z_mm + bench.settings.probe.start_height_mm)
-    yield from go(bench, up, "the arm to lift")
+    yield from move_to(bench, up, "the arm to lift")
 
 
-def shift(bench: Bench, step_mm: tuple[float, float], probe: int) -> Plan[None]:
+def shift_piece(bench: Bench, step_mm: tuple[float, float], probe: int) -> Plan[None]:
     """Move sideways by ``step_mm``; the arm has been lifted before."""
     yield PhaseEntered(bench.now_s(), "shift", probe)
     here = bench.arm.pose(max_age_s=0.2)
     there = Pose(here.x_mm + step_mm[0], here.y_mm + step_mm[1], here.z_mm)
-    yield from go(bench, there, "the arm to shift")
+    yield from move_to(bench, there, "the arm to shift")
 
 
-def release(bench: Bench, judged: Judged, *, approved: bool) -> Plan[None]:
+def release_piece(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[None]:
     """Unload, settle, check slip again, open slowly, rise (rulings 5).
 
     Raises ``RefusedError`` if the interlock finds a release condition that does not hold.
@@ -161,10 +218,10 @@ def release(bench: Bench, judged: Judged, *, approved: bool) -> Plan[None]:
     width_mm = bench.gripper.status().width_mm
     unload = bench.arm.unload(settings.unload_n, bench.settings.probe.approach_mm_s)
     yield from motion_done(unload, MOVE_S, "the arm to unload")
-    yield from rest(bench, settings.settle_s)
-    yield from at_rest(bench)
+    yield from wait(bench, settings.settle_s)
+    yield from wait_at_rest(bench)
     yield PhaseEntered(bench.now_s(), "release", probe)
-    yield from fresh_wrench(bench)
+    yield from wait_fresh_wrench(bench)
     evidence = release_evidence(bench, judged, width_mm, approved=approved)
     yield from open_and_rise(bench, probe, evidence, width_mm)
 
@@ -177,14 +234,14 @@ def open_and_rise(
     open_mm = width_mm + 2.0 * settings.clearance_mm
     opening = bench.gripper.release(evidence, open_mm, settings.open_mm_s)
     yield from motion_done(opening, MOVE_S, "the gripper to open")
-    yield from rest(bench, 0.5)
+    yield from wait(bench, 0.5)
     yield PhaseEntered(bench.now_s(), "rise", probe)
     here = bench.arm.pose(max_age_s=0.2)
     up = Pose(here.x_mm, here.y_mm, here.z_mm + settings.rise_mm)
-    yield from go(bench, up, "the arm to rise")
+    yield from move_to(bench, up, "the arm to rise")
 
 
-def at_rest(bench: Bench) -> Plan[None]:
+def wait_at_rest(bench: Bench) -> Plan[None]:
     """Wait until the arm stands by the places that it tells, ``REST_S`` at most."""
     until_s = bench.now_s() + REST_S
 
@@ -192,14 +249,14 @@ def at_rest(bench: Bench) -> Plan[None]:
         places_mm = last_places_mm(bench.arm.poses, bench.now_s())
         return travelled_mm(places_mm) <= STATIONARY_MM or bench.now_s() >= until_s
 
-    yield Waiting(stands, 2.0 * REST_S, "the arm to stand still")
+    yield Wait(stands, 2.0 * REST_S, "the arm to stand still")
 
 
-def fresh_wrench(bench: Bench) -> Plan[None]:
+def wait_fresh_wrench(bench: Bench) -> Plan[None]:
     """Wait for the next sample where the newest is too old, ``FRESH_S`` at most."""
     until_s = bench.now_s() + FRESH_S
     if not _wrench_is_fresh(bench):
-        yield Waiting(
+        yield Wait(
             lambda: _wrench_is_fresh(bench) or bench.now_s() >= until_s,
             2.0 * FRESH_S,
             "a fresh wrench",
@@ -213,7 +270,7 @@ def _wrench_is_fresh(bench: Bench) -> bool:
 
 
 def release_evidence(
-    bench: Bench, judged: Judged, width_mm: float, *, approved: bool
+    bench: Bench, judged: JudgedProbe, width_mm: float, *, approved: bool
 ) -> ReleaseEvidence:
     """Read the bench's own sensors again and gather the release conditions."""
     now_s = bench.now_s()
@@ -242,3 +299,96 @@ def release_evidence(
         holding=status.holding,
         approved=approved,
     )
+
+
+VOID_TRIES = 3
+"""So many presses, while each is void because something was silent for a moment."""
+TOUCH_TRIES = 6
+"""So many touches: a calibration is made of dozens, a touch is short, and no label hangs on it."""
+VOID = (VOID_PRESS, "FT-STALE")
+"""Replies of the arm, or samples of the wrist, stayed away for less than makes a latched fault."""
+T = TypeVar("T")
+
+
+def retry_if_void(
+    bench: Bench,
+    attempt: Callable[[], Plan[T]],
+    after_void: Callable[[Fault], Plan[None]],
+    tries: int = VOID_TRIES,
+) -> Plan[T]:
+    """Return what ``attempt`` came to, tried ``tries`` times in all while its press is void.
+
+    ``after_void`` says so and draws the arm back, once the wrist is heard again. The last void
+    press is raised, as is any other fault, and any that latched the interlock.
+    """
+    for left in reversed(range(tries)):
+        try:
+            return (yield from attempt())
+        except FaultError as error:
+            if error.fault.code not in VOID or not left:
+                raise
+            yield from wait_fresh_wrench(bench)
+            if bench.interlock.latched:
+                raise
+            yield from after_void(error.fault)
+    raise AssertionError("unreachable: the loop returns or raises")
+
+
+RunEnding = Literal["finished", "cancelled", "stopped", "failed"]
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, slots=True)
+class PlanEnd(Generic[R]):
+    """``value`` of a plan that came to its end, else None and the ``reason``.
+
+    ``run_ending``: how the whole run ends with it, None where the run may go on.
+    """
+
+    value: R | None
+    run_ending: RunEnding | None = None
+    reason: str = ""
+
+
+def run_to_end(bench: Bench, plan: Plan[R]) -> Plan[PlanEnd[R]]:
+    """Drive ``plan``; lift off after a cancel or a refusal, never move after a stop or a fault."""
+    try:
+        value = yield from plan
+    except CancelledError as cause:
+        yield from _retreat(bench)
+        return PlanEnd(None, "cancelled", str(cause))
+    except StoppedError as cause:
+        return PlanEnd(None, "stopped", str(cause))
+    except RefusedError as cause:
+        faults = bench.interlock.faults
+        if faults:
+            # The order met the latch of a fault that nobody has told this run yet.
+            yield FaultRaised(bench.now_s(), faults[0])
+            return PlanEnd(None, "failed", str(FaultError(faults[0])))
+        if bench.interlock.latched:
+            return PlanEnd(None, "stopped", _stop_reason(bench))
+        yield Said(bench.now_s(), f"Refused: {cause}")
+        yield from _retreat(bench)
+        return PlanEnd(None, None, str(cause))
+    except (FaultError, StaleSampleError) as cause:
+        if bench.interlock.stopped_by and not bench.interlock.faults:
+            # The motion was interrupted by STOP: that is no fault of a device.
+            return PlanEnd(None, "stopped", _stop_reason(bench))
+        # A fault that stopped the arm comes back as an interrupted motion: name the first cause.
+        faults = bench.interlock.faults
+        found = stale_fault(cause) if isinstance(cause, StaleSampleError) else cause.fault
+        first = FaultError(faults[0] if faults else found)
+        bench.interlock.raise_fault(first.fault)
+        yield FaultRaised(bench.now_s(), first.fault)
+        return PlanEnd(None, "failed", str(first))
+    return PlanEnd(value)
+
+
+def _stop_reason(bench: Bench) -> str:
+    return stopped_message(bench.interlock.stopped_by)
+
+
+def _retreat(bench: Bench) -> Plan[None]:
+    """Lift straight off if the bench may still move; the piece stays in the gripper."""
+    if bench.gripper.status().holding and not bench.interlock.latched:
+        yield from lift(bench, bench.probe_count())

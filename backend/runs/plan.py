@@ -1,4 +1,4 @@
-"""What a plan is: a generator that announces facts and says what it waits for.
+"""Plan of a run: a generator that yields events and waits.
 
 A plan never sleeps, never touches a thread and never reads a wall clock. Each ``yield`` is a point
 where the engine publishes, pauses or cancels; a test drives a plan with ``next``.
@@ -10,9 +10,24 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import TypeVar
 
-from backend.core.facts import Fact
-from backend.core.faults import Fault, FaultError, TouchdownError
-from backend.devices.protocols import Motion
+from touchdown.backend.core import Event, Fault, FaultError, StaleSampleError, TouchdownError
+from touchdown.backend.devices import Motion
+
+CODES = {"arm": "ARM-STALE", "force_torque": "FT-STALE"}
+SAYS = {"arm": "The arm does not tell where it is"}
+
+
+def stale_fault(error: StaleSampleError) -> Fault:
+    """Return the fault of ``error``, which begins with the name of the stream."""
+    name, _, detail = str(error).partition(": ")
+    says = SAYS.get(name, f"No fresh sample of '{name}'")
+    return Fault(
+        CODES.get(name, "SAMPLE-STALE"),
+        f"{says}: {detail or name}.",
+        "Nothing was moved on it; the gripper was not opened.",
+        "Check the device and its cable, press Reset, then connect it again.",
+        name if name in CODES else "",
+    )
 
 
 class CancelledError(TouchdownError):
@@ -23,13 +38,13 @@ class StoppedError(TouchdownError):
     """Thrown into a plan by the engine after STOP: end without any motion."""
 
 
-def stopped_words(who: str) -> str:
+def stopped_message(who: str) -> str:
     """Say who stopped a run; ``who`` is empty where a reset came before anybody could ask."""
     return f"stopped by {who}" if who else "stopped"
 
 
 @dataclass(frozen=True, slots=True)
-class Waiting:
+class Wait:
     """The plan goes on when ``until()`` is true; after ``timeout_s`` it fails with a fault."""
 
     until: Callable[[], bool]
@@ -38,7 +53,7 @@ class Waiting:
 
 
 @dataclass(frozen=True, slots=True)
-class Checkpoint:
+class PausePoint:
     """A safe place to pause: the arm is lifted and nothing moves.
 
     ``obstacle``: the run pauses here by itself until the operator has removed it and resumes.
@@ -48,17 +63,17 @@ class Checkpoint:
 
 
 R = TypeVar("R")
-Step = Fact | Waiting | Checkpoint
+Step = Event | Wait | PausePoint
 Plan = Generator[Step, None, R]
 
 
 def motion_done(motion: Motion, timeout_s: float, what: str) -> Plan[None]:
     """Wait for ``motion``; raises its cause if it failed."""
-    yield Waiting(lambda: motion.done, timeout_s, what)
+    yield Wait(lambda: motion.done, timeout_s, what)
     motion.result()
 
 
-def timeout_fault(waiting: Waiting) -> FaultError:
+def timeout_fault(waiting: Wait) -> FaultError:
     """Return the fault of a wait that took too long."""
     return FaultError(
         Fault(

@@ -1,24 +1,79 @@
-"""Which plan each request means: the one table to extend for a new activity of the bench."""
+"""Plans by request: the table to extend for a new activity of the bench."""
 
 from __future__ import annotations
 
-from backend.runs.calibrate import calibrate_run
-from backend.runs.collect import collect_run
-from backend.runs.host import RunHost
-from backend.runs.plan import Plan
-from backend.runs.requests import (
+from dataclasses import replace
+
+from touchdown.backend.core import EpisodeRecorded, PatchEstimated, RunFinished, RunStarted, Said
+from touchdown.backend.runs import messages
+from touchdown.backend.runs.bench import Bench, NoEstimator, RunContext
+from touchdown.backend.runs.calibrate import calibrate_run
+from touchdown.backend.runs.collect import collect_run
+from touchdown.backend.runs.motions import lift, run_to_end, take_piece
+from touchdown.backend.runs.plan import Plan
+from touchdown.backend.runs.probe import press_once
+from touchdown.backend.runs.recorder import wait_while_writing
+from touchdown.backend.runs.requests import (
     CalibrateRequest,
     CollectRequest,
     ProbeRequest,
     Request,
     SetRequest,
+    request_record,
 )
-from backend.runs.set_scene import set_run
-from backend.runs.single_probe import probe_run
-from backend.runs.trials import stack_run
+from touchdown.backend.runs.stack import stack_run
 
 
-def plan_of(request: Request, host: RunHost) -> Plan[None]:
+def set_scene_run(host: RunContext, request: SetRequest) -> Plan[None]:
+    """Set the scene and say so; nothing moves."""
+    host.check(request.choice)
+    bench = host.set_scene(request.choice, host.method)
+    yield Said(bench.now_s(), f"The bench is set: {bench.piece.name} above {bench.bottom}.")
+
+
+def probe_run(host: RunContext, request: ProbeRequest) -> Plan[None]:
+    """Probe once where the arm is, tell what was felt, and lift."""
+    bench = host.present(host.method)
+    host.open()
+    yield RunStarted(
+        bench.now_s(),
+        host.run_id,
+        bench.piece.name,
+        bench.bottom,
+        "",
+        0,
+        1,
+        host.simulated,
+        request_record(request, host.method, {}),
+        activity="probe",
+    )
+    ended = yield from run_to_end(bench, _probe(bench))
+    ending = ended.run_ending or ("finished" if ended.value else "failed")
+    reason = ended.reason or "The probe is done."
+    yield RunFinished(bench.now_s(), host.run_id, ending, reason)
+
+
+def _probe(bench: Bench) -> Plan[bool]:
+    if not bench.gripper.status().holding:
+        yield from take_piece(bench)
+    felt = yield from press_once(bench, 1)
+    episode = felt.episode
+    bench.store.keep(episode)
+    if not episode.quality.accepted:
+        yield Said(bench.now_s(), messages.rejected_message(1, episode.quality.reasons))
+    elif not isinstance(bench.estimator, NoEstimator):
+        patch = bench.estimator.estimate(episode)
+        x_mm, y_mm = episode.offset_mm.tolist()
+        yield PatchEstimated(bench.now_s(), patch, (x_mm, y_mm), 1)
+    yield from lift(bench, 1)
+    yield from wait_while_writing(bench, lambda: bench.store.written)
+    path = bench.store.settle()
+    name = "" if path is None else path.name
+    yield EpisodeRecorded(bench.now_s(), replace(episode, recording=None), 1, name)
+    return True
+
+
+def plan_of(request: Request, host: RunContext) -> Plan[None]:
     """Return the plan of ``request``; nothing happens until it is driven."""
     if isinstance(request, CollectRequest):
         return collect_run(host, request)
@@ -27,5 +82,5 @@ def plan_of(request: Request, host: RunHost) -> Plan[None]:
     if isinstance(request, ProbeRequest):
         return probe_run(host, request)
     if isinstance(request, SetRequest):
-        return set_run(host, request)
+        return set_scene_run(host, request)
     return stack_run(host, request)

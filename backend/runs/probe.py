@@ -1,4 +1,4 @@
-"""One probe: zero the sensors, press, and assemble what was felt into an episode."""
+"""Probe: zero the sensors, press, and assemble the signals into an episode."""
 
 from __future__ import annotations
 
@@ -8,21 +8,15 @@ from functools import partial
 
 import numpy as np
 
-from backend.config.method import EARLY_TICKS, SAMPLES_PER_PROBE, TICK_S
-from backend.core.facts import PhaseEntered, Said
-from backend.core.faults import Fault, FaultError
-from backend.core.flow import FloatArray, ScenePicture
-from backend.devices.protocols import PressCommand
-from backend.runs import words
-from backend.runs.again import again_if_void
-from backend.runs.bench import Bench
-from backend.runs.judged import Felt
-from backend.runs.motions import go, lift, zero_sensors
-from backend.runs.plan import Plan, Waiting
-from backend.runs.room import durable
-from backend.sensing.episode import assemble
-from backend.sensing.synchroniser import synchronise
-from backend.sensing.torsion_slip import TorsionSlip
+from touchdown.backend.config import EARLY_TICKS, SAMPLES_PER_PROBE, TICK_S
+from touchdown.backend.core import Fault, FaultError, FloatArray, PhaseEntered, Said, ScenePicture
+from touchdown.backend.devices import PressCommand
+from touchdown.backend.runs import messages
+from touchdown.backend.runs.bench import Bench, PressedProbe
+from touchdown.backend.runs.motions import lift, move_to, retry_if_void, zero_sensors
+from touchdown.backend.runs.plan import Plan, Wait
+from touchdown.backend.runs.recorder import wait_until_durable
+from touchdown.backend.sensing import TorsionSlipDetector, assemble_episode, synchronise
 
 BEFORE_ONSET_S = 0.3
 LEVEL_S = 0.2
@@ -54,7 +48,7 @@ def press_command(bench: Bench) -> PressCommand:
 
 def press_once(
     bench: Bench, probe: int, offset_mm: FloatArray | None = None, *, decides: bool = False
-) -> Plan[Felt]:
+) -> Plan[PressedProbe]:
     """Press and stay pressed; return what was felt, accepted or not.
 
     ``offset_mm`` (2,): commanded displacement (None: where the arm is, in its own frame).
@@ -63,33 +57,35 @@ def press_once(
     """
 
     def after_void(fault: Fault) -> Plan[None]:
-        yield Said(bench.now_s(), words.void_press(probe, fault))
+        yield Said(bench.now_s(), messages.void_press_message(probe, fault))
         yield from lift(bench, probe)
 
     press = partial(_press, bench, probe, offset_mm, decides=decides)
-    return (yield from again_if_void(bench, press, after_void))
+    return (yield from retry_if_void(bench, press, after_void))
 
 
-def _press(bench: Bench, probe: int, offset_mm: FloatArray | None, *, decides: bool) -> Plan[Felt]:
+def _press(
+    bench: Bench, probe: int, offset_mm: FloatArray | None, *, decides: bool
+) -> Plan[PressedProbe]:
     yield from zero_sensors(bench, probe)
     yield PhaseEntered(bench.now_s(), "approach", probe)
     here = bench.arm.pose(max_age_s=0.2)
     motion = bench.arm.press(press_command(bench))
     limit_s = 60.0
-    yield Waiting(lambda: motion.done or motion.onset_s is not None, limit_s, "contact")
+    yield Wait(lambda: motion.done or motion.onset_s is not None, limit_s, "contact")
     if motion.onset_s is not None:
         yield PhaseEntered(bench.now_s(), "press", probe)
     level_s = bench.now_s() + LEVEL_S
-    yield Waiting(lambda: motion.done or bench.now_s() >= level_s, limit_s, "the faces to meet")
-    turning = TorsionSlip(bench.sensing.fields)
-    yield Waiting(lambda: motion.done or turning.seen(), limit_s, "the press to end")
+    yield Wait(lambda: motion.done or bench.now_s() >= level_s, limit_s, "the faces to meet")
+    turning = TorsionSlipDetector(bench.sensing.fields)
+    yield Wait(lambda: motion.done or turning.seen(), limit_s, "the press to end")
     _refuse_turned(bench, turning)
     try:
         motion.result()
     except FaultError as cause:
         if cause.fault.code == "NO-CONTACT":
             # It stands lower than it should ever be: back to where the press began.
-            yield from go(bench, here, "the arm to go back up")
+            yield from move_to(bench, here, "the arm to go back up")
         raise
     onset_s = motion.onset_s
     if onset_s is None:
@@ -105,27 +101,27 @@ def _press(bench: Bench, probe: int, offset_mm: FloatArray | None, *, decides: b
     yield PhaseEntered(bench.now_s(), "hold", probe)
     end_s = onset_s + SAMPLES_PER_PROBE * TICK_S + AFTER_LAST_TICK_S
     scene = scene_pictures(bench)
-    yield Waiting(lambda: bench.now_s() >= end_s - EARLY_S or turning.seen(), 5.0, "the last ticks")
+    yield Wait(lambda: bench.now_s() >= end_s - EARLY_S or turning.seen(), 5.0, "the last ticks")
     _refuse_turned(bench, turning)
     so_far = bench.sensing.recording(onset_s - BEFORE_ONSET_S, bench.now_s())
     bench.estimator.prepare(synchronise(so_far, onset_s).observation()[:EARLY_TICKS])
-    yield Waiting(lambda: bench.now_s() >= end_s - HUSH_S, 5.0, "the last frames")
+    yield Wait(lambda: bench.now_s() >= end_s - HUSH_S, 5.0, "the last frames")
     if decides:
         bench.hush.begin(LONGEST_HUSH_S)
-    yield Waiting(lambda: bench.now_s() >= end_s, 5.0, "the last frames")
+    yield Wait(lambda: bench.now_s() >= end_s, 5.0, "the last frames")
     _refuse_turned(bench, turning)
     sampled_s = bench.wall_s()
-    episode = assemble(
+    episode = assemble_episode(
         replace(bench.sensing.recording(onset_s - BEFORE_ONSET_S, end_s), scene=scene),
         onset_s=onset_s,
         offset_mm=np.array([here.x_mm, here.y_mm]) if offset_mm is None else offset_mm,
         piece=bench.piece.name,
         metadata=_calibration(bench),
     )
-    return Felt(episode, probe, end_s, sampled_s)
+    return PressedProbe(episode, probe, end_s, sampled_s)
 
 
-def _refuse_turned(bench: Bench, turning: TorsionSlip) -> None:
+def _refuse_turned(bench: Bench, turning: TorsionSlipDetector) -> None:
     """Latch and raise the fault of a piece that turned in the grasp, if it did."""
     if not turning.seen():
         return
@@ -166,7 +162,7 @@ def _calibration(bench: Bench) -> tuple[tuple[str, str], ...]:
     return (*board, *rest, *drifted, *bench.calibrations)
 
 
-def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]:
+def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[PressedProbe]:
     """Probe; a rejected episode is no observation: lift and press again, at most ``tries`` times.
 
     Rejected episodes are kept in the store as well, with their reasons.
@@ -177,10 +173,10 @@ def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]
             return felt
         bench.hush.end()
         reasons = "; ".join(felt.episode.quality.reasons)
-        yield Said(bench.now_s(), words.rejected(probe, felt.episode.quality.reasons))
+        yield Said(bench.now_s(), messages.rejected_message(probe, felt.episode.quality.reasons))
         bench.store.keep(felt.episode)
         yield from lift(bench, probe)
-        yield from durable(bench)
+        yield from wait_until_durable(bench)
         if attempt + 1 == tries:
             raise FaultError(
                 Fault(

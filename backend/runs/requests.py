@@ -1,17 +1,19 @@
-"""What the operator asks for, and how a run stands: frozen values between window and engine."""
+"""Requests of the operator and status of a run: frozen values between window and engine."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Literal
 
-from backend.calibration.kinds import What
-from backend.config.method import StackSettings, StrategyName
-from backend.core.flow import PlaceAction
+from touchdown.backend.calibration import CalibrationName
+from touchdown.backend.config import StackSettings, StrategyName
+from touchdown.backend.core import PlaceAction
 
-Strategy = StrategyName
-Mode = Literal["auto", "approve", "step"]
+StrategyChoice = StrategyName
+DecisionMode = Literal["auto", "approve", "step"]
 GRIPS = 3
 """So many grips at least does a campaign make by default: fewer do not show what a grip does."""
 MOUNTINGS = 3
@@ -51,8 +53,8 @@ class StackRequest:
     bottoms: tuple[str, ...] = ("short",)
     seed: int = 0
     trials: int = 1
-    strategy: Strategy = "paper"
-    mode: Mode = "auto"
+    strategy: StrategyChoice = "paper"
+    mode: DecisionMode = "auto"
     model: str | None = None
     origin_mm: tuple[float, float] = (0.0, 0.0)
 
@@ -138,7 +140,7 @@ class CalibrateRequest:
     ``CollectRequest``. ``pitch_mm`` of the dots of the gel.
     """
 
-    what: What
+    what: CalibrationName
     piece: str = "pot"
     bottom: str = "square15"
     seed: int = 0
@@ -159,7 +161,7 @@ class CalibrateRequest:
 
 
 Request = StackRequest | ProbeRequest | CollectRequest | SetRequest | CalibrateRequest
-"""Everything that a session can run; ``backend.runs.plans`` knows the plan of each."""
+"""Everything that a session can run; ``touchdown.backend.runs.plans`` knows the plan of each."""
 
 
 class RunState(Enum):
@@ -192,3 +194,10 @@ class RunStatus:
     awaiting: PlaceAction | None = None
     text: str = ""
     asks: str = ""
+
+
+def request_record(request: Request, method: StackSettings, bench: Mapping[str, object]) -> str:
+    """Return request, method and ``bench`` (what the host's check told) as JSON."""
+    return json.dumps(
+        {"request": asdict(request), "method": method.model_dump(mode="json"), **bench}
+    )

@@ -1,57 +1,126 @@
-"""The autonomous loop: probe, believe, judge, and release only where the piece will stand."""
+"""Stacking run: trials of one strategy, each on a scene of its own with one outcome.
+
+The autonomous loop probes, updates the belief, judges, and releases only where the piece will
+stand. Pick-and-place is the baseline without probing.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
-from backend.core.facts import (
+from touchdown.backend.core import (
     ActionChosen,
     ApprovalAwaited,
     BeliefUpdated,
     EpisodeRecorded,
+    FaultError,
     FaultRaised,
+    Outcome,
     PatchEstimated,
+    PhaseEntered,
+    PlaceAction,
+    RunFinished,
+    RunStarted,
     Said,
     StabilityJudged,
+    TrialStarted,
 )
-from backend.core.faults import FaultError
-from backend.core.flow import Outcome, PlaceAction
-from backend.placement.strategies import begin
-from backend.placement.strategy import Held, Reasoner, SeekingReasoner, Touched
-from backend.runs import words
-from backend.runs.bench import Bench
-from backend.runs.ending import Ending
-from backend.runs.judged import Felt, Judged
-from backend.runs.motions import lift, release, shift, take_piece
-from backend.runs.outcome import after_release
-from backend.runs.plan import Checkpoint, Plan, Waiting
-from backend.runs.probe import probe_until_accepted
-from backend.runs.room import durable, room_awaited
+from touchdown.backend.devices import ReleaseEvidence
+from touchdown.backend.placement import (
+    GraspedPiece,
+    ProbeObservation,
+    SearchingStrategy,
+    Strategy,
+    make_strategy,
+)
+from touchdown.backend.runs import messages, outcome
+from touchdown.backend.runs.bench import Bench, JudgedProbe, PressedProbe, RunContext
+from touchdown.backend.runs.motions import (
+    MOVE_S,
+    RunEnding,
+    lift,
+    open_and_rise,
+    release_piece,
+    run_to_end,
+    shift_piece,
+    take_piece,
+    wait,
+    zero_sensors,
+)
+from touchdown.backend.runs.outcome import TrialResult, judge_release, trial_finished
+from touchdown.backend.runs.plan import CancelledError, PausePoint, Plan, Wait, motion_done
+from touchdown.backend.runs.probe import press_command, probe_until_accepted
+from touchdown.backend.runs.recorder import wait_for_space, wait_until_durable
+from touchdown.backend.runs.requests import StackRequest, request_record
+
+
+def pick_and_place(bench: Bench) -> Plan[TrialResult]:
+    """Release at the first place; what the paper compares with. Simulated benches only."""
+    yield from take_piece(bench)
+    yield from zero_sensors(bench, 1)
+    yield PhaseEntered(bench.now_s(), "approach", 1)
+    motion = bench.arm.press(press_command(bench))
+    yield Wait(lambda: motion.done or motion.onset_s is not None, 60.0, "contact")
+    if motion.onset_s is None:
+        motion.result()
+    yield Said(bench.now_s(), "Pick and place: touched, now letting go without a test.")
+    settings = bench.settings.release
+    yield PhaseEntered(bench.now_s(), "unload", 1)
+    unload = bench.arm.unload(settings.unload_n, bench.settings.probe.approach_mm_s)
+    yield from motion_done(unload, MOVE_S, "the arm to unload")
+    yield from wait(bench, settings.settle_s)
+    yield PhaseEntered(bench.now_s(), "release", 1)
+    width_mm = bench.gripper.status().width_mm
+    yield from open_and_rise(bench, 1, _evidence(bench, width_mm), width_mm)
+    return (yield from judge_release(bench, 1))
+
+
+def _evidence(bench: Bench, width_mm: float) -> ReleaseEvidence:
+    now_s = bench.now_s()
+    status = bench.gripper.status()
+    return ReleaseEvidence(
+        verdict_stable=False,
+        verdict_of_last_probe=False,
+        verdict_age_s=math.nan,
+        margin_mm=math.nan,
+        required_margin_mm=0.0,
+        quality_accepted=False,
+        slip_mm=0.0,
+        press_n=bench.sensing.press_n(now_s, 0.1),
+        wrench_age_s=0.0,
+        wrench_age_limit_s=0.0,
+        moved_mm=0.0,
+        width_change_mm=status.width_mm - width_mm,
+        holding=status.holding,
+        approved=True,
+    )
+
 
 OPERATOR_S = 24 * 3600.0
 DECLINED = "The operator declined the next move."
 
 
-def stack(bench: Bench) -> Plan[Ending]:
+def place_piece(bench: Bench) -> Plan[TrialResult]:
     """Place the piece by the chosen strategy; ends placed, fell, knocked over or gave up."""
     yield from take_piece(bench)
     here = bench.arm.pose(max_age_s=0.2)
-    reasoner = begin(held_by(bench), bench.settings, (here.x_mm, here.y_mm))
+    reasoner = make_strategy(grasped_piece(bench), bench.settings, (here.x_mm, here.y_mm))
     approved = bench.settings.mode == "auto"
     probe = 0
     while True:
-        yield Checkpoint()
-        yield from room_awaited(bench.store.obstacle)
+        yield PausePoint()
+        yield from wait_for_space(bench.store.obstacle)
         probe += 1
         felt = yield from _felt(bench, probe, reasoner)
         if isinstance(felt, PlaceAction):
             yield Said(bench.now_s(), f"Probe {probe}: {felt.reason}")
             yield from lift(bench, probe)
             if felt.kind == "give_up":
-                return Ending(Outcome.GAVE_UP, felt.reason, probe)
+                return TrialResult(Outcome.GAVE_UP, felt.reason, probe)
             if not (yield from _asked(bench, felt, probe)):
-                return Ending(Outcome.ABORTED, DECLINED, probe)
-            yield from shift(bench, felt.step_mm, probe)
+                return TrialResult(Outcome.ABORTED, DECLINED, probe)
+            yield from shift_piece(bench, felt.step_mm, probe)
             continue
         judged = yield from _conclude(bench, felt, reasoner)
         bench.store.keep(felt.episode)
@@ -62,26 +131,26 @@ def stack(bench: Bench) -> Plan[Ending]:
         yield from lift(bench, probe)
         yield from _recorded(bench, felt)
         if late:
-            yield Said(bench.now_s(), words.late(held_s))
+            yield Said(bench.now_s(), messages.late_verdict_message(held_s))
             continue
         if judged.action.kind == "give_up":
-            return Ending(Outcome.GAVE_UP, judged.action.reason, probe)
+            return TrialResult(Outcome.GAVE_UP, judged.action.reason, probe)
         if not (yield from _asked(bench, judged.action, probe)):
-            return Ending(Outcome.ABORTED, DECLINED, probe)
+            return TrialResult(Outcome.ABORTED, DECLINED, probe)
         if judged.action.kind == "release":
             # An approval covers piece, pose and run: press and judge again, then release.
             approved = True
             probe -= 1
         else:
             approved = bench.settings.mode == "auto"
-            yield from shift(bench, judged.action.step_mm, probe)
+            yield from shift_piece(bench, judged.action.step_mm, probe)
 
 
-def held_by(bench: Bench) -> Held:
+def grasped_piece(bench: Bench) -> GraspedPiece:
     """Return what a strategy may know of the piece in the hand."""
     piece = bench.piece
     assert piece.grip_height_mm is not None
-    return Held(
+    return GraspedPiece(
         piece.com_xy_mm,
         piece.grip_height_mm,
         bench.estimator.base_rate,
@@ -90,12 +159,12 @@ def held_by(bench: Bench) -> Held:
     )
 
 
-def _conclude(bench: Bench, felt: Felt, reasoner: Reasoner) -> Plan[Judged]:
+def _conclude(bench: Bench, felt: PressedProbe, reasoner: Strategy) -> Plan[JudgedProbe]:
     """Estimate, then conclude; announced only when the action is chosen."""
     episode = felt.episode
     here = (float(episode.offset_mm[0]), float(episode.offset_mm[1]))
     patch = bench.estimator.estimate(episode)
-    concluded = reasoner.conclude(Touched(episode.observation, patch, here))
+    concluded = reasoner.conclude(ProbeObservation(episode.observation, patch, here))
     stability, action = concluded.stability, concluded.action
     latency_ms = 1e3 * (bench.wall_s() - felt.sampled_s)
     bench.hush.end()
@@ -104,16 +173,16 @@ def _conclude(bench: Bench, felt: Felt, reasoner: Reasoner) -> Plan[Judged]:
     yield BeliefUpdated(now_s, concluded.map, felt.probe)
     yield StabilityJudged(now_s, stability, felt.probe)
     yield ActionChosen(now_s, action, felt.probe, latency_ms)
-    yield Said(now_s, words.decision(felt.probe, patch, stability, action))
-    return Judged(felt, stability, action, now_s)
+    yield Said(now_s, messages.decision_message(felt.probe, patch, stability, action))
+    return JudgedProbe(felt, stability, action, now_s)
 
 
-def _let_go(bench: Bench, judged: Judged, *, approved: bool) -> Plan[Ending]:
+def _let_go(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[TrialResult]:
     """Release here and see how the piece does."""
     probe = judged.felt.probe
-    yield from release(bench, judged, approved=approved)
+    yield from release_piece(bench, judged, approved=approved)
     # What became of the piece is told first: a disk that refuses the episode must not hide it.
-    ending = yield from after_release(bench, probe)
+    ending = yield from judge_release(bench, probe)
     try:
         yield from _recorded(bench, judged.felt)
     except FaultError as cause:
@@ -123,12 +192,12 @@ def _let_go(bench: Bench, judged: Judged, *, approved: bool) -> Plan[Ending]:
     return ending
 
 
-def _felt(bench: Bench, probe: int, reasoner: Reasoner) -> Plan[Felt | PlaceAction]:
+def _felt(bench: Bench, probe: int, reasoner: Strategy) -> Plan[PressedProbe | PlaceAction]:
     """Probe; without a contact a strategy that asks for it says where to go instead."""
     try:
         return (yield from probe_until_accepted(bench, probe))
     except FaultError as cause:
-        if cause.fault.code != "NO-CONTACT" or not isinstance(reasoner, SeekingReasoner):
+        if cause.fault.code != "NO-CONTACT" or not isinstance(reasoner, SearchingStrategy):
             raise
     here = bench.arm.pose(max_age_s=0.2)
     return reasoner.missed((here.x_mm, here.y_mm))
@@ -140,12 +209,70 @@ def _asked(bench: Bench, action: PlaceAction, probe: int) -> Plan[bool]:
         return True
     bench.gate.ask()
     yield ApprovalAwaited(bench.now_s(), action, probe)
-    yield Waiting(lambda: bench.gate.answered, OPERATOR_S, "the operator")
+    yield Wait(lambda: bench.gate.answered, OPERATOR_S, "the operator")
     return bench.gate.yes
 
 
-def _recorded(bench: Bench, felt: Felt) -> Plan[None]:
+def _recorded(bench: Bench, felt: PressedProbe) -> Plan[None]:
     """Announce the episode without its native-rate signals: 25 MB that live in its file."""
-    path = yield from durable(bench)
+    path = yield from wait_until_durable(bench)
     episode = replace(felt.episode, recording=None)
     yield EpisodeRecorded(bench.now_s(), episode, felt.probe, "" if path is None else path.name)
+
+
+def stack_run(host: RunContext, request: StackRequest) -> Plan[None]:
+    """Run all trials; ends early when cancelled, stopped or on a fault."""
+    method = request.method(host.method)
+    settings = request_record(request, method, host.check(request.scene()))
+    host.open()
+    yield RunStarted(
+        0.0,
+        host.run_id,
+        request.piece,
+        "+".join(request.bottoms),
+        request.strategy,
+        request.seed,
+        request.trials,
+        host.simulated,
+        settings,
+    )
+    for trial in range(request.trials):
+        bench = host.set_scene(request.scene(trial), method)
+        seed = request.seed + trial
+        start_mm = None if bench.scoring is None else bench.scoring.start_mm()
+        yield TrialStarted(bench.now_s(), trial + 1, seed, start_mm)
+        at_mm = None if bench.scoring is not None else outcome.trial_start_mm(host, request, trial)
+        ending, run_ending = yield from _one_trial(bench, request, at_mm)
+        yield trial_finished(bench, trial + 1, seed, ending)
+        if run_ending is not None:
+            reason = ending.reason if ending.fault is None else ending.fault.what
+            yield RunFinished(bench.now_s(), host.run_id, run_ending, reason)
+            return
+    try:
+        yield from wait_for_space(bench.store.obstacle)
+    except CancelledError as cause:
+        yield RunFinished(bench.now_s(), host.run_id, "cancelled", str(cause))
+        return
+    yield RunFinished(bench.now_s(), host.run_id, "finished", "All trials are done.")
+
+
+def _one_trial(
+    bench: Bench, request: StackRequest, at_mm: tuple[float, float] | None
+) -> Plan[tuple[TrialResult, RunEnding | None]]:
+    """Return how the trial ended and, if the whole run ends with it, how the run ended.
+
+    ``at_mm``: start of a trial that an operator sets up.
+    """
+    ended = yield from run_to_end(bench, _placing(bench, request, at_mm))
+    if ended.value is not None:
+        return ended.value, None if ended.value.fault is None else "failed"
+    return TrialResult(Outcome.ABORTED, ended.reason, bench.felt_count()), ended.run_ending
+
+
+def _placing(
+    bench: Bench, request: StackRequest, at_mm: tuple[float, float] | None
+) -> Plan[TrialResult]:
+    if at_mm is not None:
+        yield from outcome.set_up_scene(bench, request, at_mm)
+    plan = pick_and_place if request.strategy == "pick-and-place" else place_piece
+    return (yield from plan(bench))

@@ -1,4 +1,10 @@
-"""A recorded probe becomes an episode: common clock, quality verdict, identity."""
+"""Assembly of an episode from a recorded probe: common clock, quality verdict, identity.
+
+Ticks are at 0.1, 0.2 ... 2.0 s after the onset, on one 10 Hz clock with a skew report (rulings 4).
+The wrench of a tick is the mean of the 100 ms before it; the markers are linearly interpolated
+between the two frames around it. Values that were not measured are NaN: nothing is extrapolated,
+repeated or filled in.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +12,209 @@ import hashlib
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from backend.config.method import SAMPLES_PER_PROBE, TICK_S
-from backend.core.flow import FINGERS, MARKERS, Episode, EpisodeQuality, FloatArray, Recording
-from backend.sensing.press_slip import press_slip_mm
-from backend.sensing.synchroniser import (
-    ROUNDING_S,
-    FingerTicks,
-    Synchronised,
-    SyncLimits,
-    synchronise,
+from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S
+from touchdown.backend.core import (
+    CHANNELS,
+    FINGERS,
+    GRID_COLS,
+    GRID_ROWS,
+    MARKERS,
+    WRENCH_CHANNELS,
+    Episode,
+    EpisodeQuality,
+    Finger,
+    FloatArray,
+    MarkerField,
+    MarkerState,
+    Recording,
+    read_only,
 )
+from touchdown.backend.sensing.slip import press_slip_mm
+
+ROUNDING_S = 1e-7
+"""Clock stamps are whole microseconds: closer times are equal."""
+
+
+@dataclass(frozen=True, slots=True)
+class SyncLimits:
+    """How near a measurement must be to stand for a tick."""
+
+    nearest_frame_s: float = 0.060
+    """A tick whose nearest frame is farther away lies in a hole and is marked (reliability C5)."""
+    longest_hole_s: float = 0.200
+    """Frames farther apart than this are not interpolated between at all (reliability C5)."""
+    wrench_share: float = 0.8
+    """Least share of the samples expected in the 100 ms before a tick."""
+
+
+@dataclass(frozen=True, slots=True)
+class FingerTicks:
+    """One finger on the ticks.
+
+    ``displacement_px``: (20, 63, 2), NaN where not measured. ``near``: (20,) whether a frame lies
+    within 60 ms. ``inferred``, ``lost``: (20, 63) marker not seen, or given up, in a frame used.
+    ``skew_s``: (20,) distance of the nearest frame, inf without frames. ``hole_s``: longest time
+    without a frame inside the probe.
+    """
+
+    displacement_px: FloatArray
+    near: NDArray[np.bool_]
+    inferred: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
+    skew_s: FloatArray
+    hole_s: float
+    dropped: int
+
+    def __post_init__(self) -> None:
+        for array in (self.displacement_px, self.near, self.inferred, self.lost, self.skew_s):
+            read_only(array)
+
+
+@dataclass(frozen=True, slots=True)
+class SynchronisedProbe:
+    """A probe on the common clock: ``tick_s`` (20,), ``wrench`` (20, 6) with NaN where missing."""
+
+    tick_s: FloatArray
+    wrench: FloatArray
+    left: FingerTicks
+    right: FingerTicks
+
+    def __post_init__(self) -> None:
+        read_only(self.tick_s)
+        read_only(self.wrench)
+
+    @property
+    def fingers(self) -> tuple[FingerTicks, FingerTicks]:
+        """Left, right."""
+        return self.left, self.right
+
+    @property
+    def skew_s(self) -> float:
+        """Largest distance between a tick and the nearest frame of either finger."""
+        return float(max(finger.skew_s.max() for finger in self.fingers))
+
+    def observation(self) -> NDArray[np.float32]:
+        """Return (20, 258): [finger][axis][row][col] in px, then the wrench; NaN where missing."""
+        both = np.stack([finger.displacement_px for finger in self.fingers], axis=1)
+        tactile = both.reshape(SAMPLES_PER_PROBE, 2, GRID_ROWS, GRID_COLS, 2)
+        flat = np.moveaxis(tactile, -1, 2).reshape(SAMPLES_PER_PROBE, -1)
+        rows = np.concatenate((flat, self.wrench), axis=1).astype(np.float32)
+        assert rows.shape == (SAMPLES_PER_PROBE, CHANNELS)
+        return rows
+
+
+def synchronise(
+    recording: Recording, onset_s: float, limits: SyncLimits | None = None
+) -> SynchronisedProbe:
+    """Bring ``recording`` onto the ticks after ``onset_s``; never raises on missing data."""
+    limits = limits or SyncLimits()
+    steps = np.arange(1, SAMPLES_PER_PROBE + 1, dtype=np.float64)
+    tick_s = np.asarray(onset_s + TICK_S * steps, dtype=np.float64)
+    by_finger = {finger: _on_ticks(recording.fields, finger, tick_s, limits) for finger in FINGERS}
+    wrench = wrench_on_ticks(recording.wrench_t_s, recording.wrench, tick_s, limits.wrench_share)
+    return SynchronisedProbe(tick_s, wrench, by_finger["left"], by_finger["right"])
+
+
+def wrench_on_ticks(
+    t_s: FloatArray, wrench: FloatArray, tick_s: FloatArray, least_share: float
+) -> FloatArray:
+    """Return (20, 6): the mean over (tick - 100 ms, tick] of ``wrench`` (n, 6) at ``t_s`` (n,).
+
+    NaN for a tick with fewer than ``least_share`` of the expected samples, or with one that is not
+    finite. The expected number follows from the median distance of the samples.
+    """
+    means = np.full((len(tick_s), WRENCH_CHANNELS), np.nan)
+    if len(t_s) < 2:
+        return means
+    expected = TICK_S / max(float(np.median(np.diff(t_s))), ROUNDING_S)
+    first = np.searchsorted(t_s, tick_s - TICK_S + ROUNDING_S, side="right")
+    last = np.searchsorted(t_s, tick_s + ROUNDING_S, side="right")
+    # Sums from each first to its last sample; those in between are thrown away. The row of zeros
+    # is there because no start may lie behind the end.
+    padded = np.concatenate((wrench, np.zeros((1, WRENCH_CHANNELS))))
+    sums = np.add.reduceat(padded, np.stack((first, last), axis=1).ravel(), axis=0)[::2]
+    count = last - first
+    whole = (count > 0) & (count >= least_share * expected) & np.isfinite(sums).all(axis=1)
+    means[whole] = sums[whole] / count[whole, None]
+    return means
+
+
+def _on_ticks(
+    fields: tuple[MarkerField, ...], finger: Finger, tick_s: FloatArray, limits: SyncLimits
+) -> FingerTicks:
+    own = [field for field in fields if field.finger == finger]
+    dropped = _missing_numbers(own, tick_s)
+    frame_s = np.array([field.t_s for field in own])
+    moved = np.array([field.displacement_px for field in own]).reshape(-1, MARKERS, 2)
+    state = np.array([field.state for field in own], dtype=np.uint8).reshape(-1, MARKERS)
+    # A field with NaN is not an observation: it counts as a frame that never came.
+    whole = np.isfinite(moved).all(axis=(1, 2))
+    frame_s, moved, state = frame_s[whole], moved[whole], state[whole]
+    before, after, part, measured = _around(frame_s, tick_s, limits.longest_hole_s)
+    values = np.full((len(tick_s), MARKERS, 2), np.nan)
+    worst = np.zeros((len(tick_s), MARKERS), dtype=np.uint8)
+    share = part[measured, None, None]
+    values[measured] = (1.0 - share) * moved[before[measured]] + share * moved[after[measured]]
+    worst[measured] = np.maximum(state[before[measured]], state[after[measured]])
+    skew_s = _nearest(frame_s, tick_s)
+    near = (skew_s <= limits.nearest_frame_s + ROUNDING_S) & measured
+    inferred, lost = worst >= int(MarkerState.INFERRED), worst == int(MarkerState.LOST)
+    return FingerTicks(values, near, inferred, lost, skew_s, _hole(frame_s, tick_s), dropped)
+
+
+def _around(
+    frame_s: FloatArray, tick_s: FloatArray, longest_hole_s: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, NDArray[np.bool_]]:
+    """Return per tick the frames before and after it, the part of the way, and whether measured.
+
+    A tick without a frame on both sides, or between frames farther apart than ``longest_hole_s``,
+    is not measured; a frame exactly on the tick needs no other.
+    """
+    if not len(frame_s):
+        nothing = np.zeros(len(tick_s), dtype=np.intp)
+        return nothing, nothing, np.zeros(len(tick_s)), np.zeros(len(tick_s), dtype=np.bool_)
+    last = len(frame_s) - 1
+    found = np.searchsorted(frame_s, tick_s - ROUNDING_S, side="left")
+    after = np.minimum(found, last)
+    exact = np.abs(frame_s[after] - tick_s) <= ROUNDING_S
+    before = np.where(exact, after, np.maximum(found - 1, 0))
+    gap_s = frame_s[after] - frame_s[before]
+    way_s = tick_s - frame_s[before]
+    part = np.where(exact | (gap_s <= 0), 0.0, way_s / np.where(gap_s > 0, gap_s, 1.0))
+    both_sides = (found > 0) & (found <= last)
+    measured = exact | (both_sides & (gap_s <= longest_hole_s + ROUNDING_S))
+    return before, after, np.asarray(part, dtype=np.float64), measured
+
+
+def _nearest(frame_s: FloatArray, tick_s: FloatArray) -> FloatArray:
+    if not len(frame_s):
+        return np.full(len(tick_s), np.inf)
+    after = np.searchsorted(frame_s, tick_s)
+    neighbours = np.stack((np.maximum(after - 1, 0), np.minimum(after, len(frame_s) - 1)))
+    return np.asarray(np.abs(frame_s[neighbours] - tick_s).min(axis=0), dtype=np.float64)
+
+
+def _hole(frame_s: FloatArray, tick_s: FloatArray) -> float:
+    """Return the longest time without a frame between the onset and the last tick."""
+    start, end = float(tick_s[0] - TICK_S), float(tick_s[-1])
+    before = frame_s[frame_s <= start + ROUNDING_S]
+    after = frame_s[frame_s >= end - ROUNDING_S]
+    edges = [float(before[-1]) if len(before) else start, float(after[0]) if len(after) else end]
+    inner = frame_s[(frame_s > start + ROUNDING_S) & (frame_s < end - ROUNDING_S)]
+    return float(np.diff(np.concatenate((edges[:1], inner, edges[1:]))).max())
+
+
+def _missing_numbers(fields: list[MarkerField], tick_s: FloatArray) -> int:
+    """Count frames that the sequence numbers say are missing within the probe."""
+    start, end = tick_s[0] - TICK_S, tick_s[-1]
+    numbers = [field.sequence for field in fields]
+    missing = 0
+    for i in range(1, len(fields)):
+        if fields[i].t_s >= start and fields[i - 1].t_s <= end:
+            missing += max(0, numbers[i] - numbers[i - 1] - 1)
+    return missing
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +236,7 @@ class EpisodeLimits:
     sync: SyncLimits = field(default_factory=SyncLimits)
 
 
-def assemble(
+def assemble_episode(
     recording: Recording,
     *,
     onset_s: float,
@@ -74,7 +272,9 @@ def assemble(
     )
 
 
-def judge_quality(ticks: Synchronised, slip_mm: float, limits: EpisodeLimits) -> EpisodeQuality:
+def judge_quality(
+    ticks: SynchronisedProbe, slip_mm: float, limits: EpisodeLimits
+) -> EpisodeQuality:
     """Say whether a probe on the common clock is an observation, with the reasons in words."""
     inferred = float(np.mean([finger.inferred for finger in ticks.fingers]))
     lost = sum(int(finger.lost.any(axis=0).sum()) for finger in ticks.fingers)
@@ -139,7 +339,7 @@ def _refused(quality: EpisodeQuality, reason: str) -> EpisodeQuality:
     )
 
 
-def _bridged(ticks: Synchronised) -> str:
+def _bridged(ticks: SynchronisedProbe) -> str:
     """Name the ticks that lie in a hole and were interpolated across it: nothing in silence."""
     return " ".join(
         f"{name}:{number + 1}"

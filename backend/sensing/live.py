@@ -1,7 +1,7 @@
-"""Turns raw samples into marker fields and tared wrenches as they arrive.
+"""Live conversion of raw samples into marker fields and tared wrenches.
 
-One object serves every bench: the stepped one calls ``update`` after each advance, a real one from
-a thread of its own. It holds the tare and the tactile references of the probe in progress.
+One object serves every bench: the stepped bench calls ``update`` after each advance, a real one
+from a thread of its own. It holds the tare and the tactile references of the probe in progress.
 """
 
 from __future__ import annotations
@@ -11,21 +11,26 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from backend.core.faults import RefusedError
-from backend.core.flow import (
+from touchdown.backend.core import (
     FINGERS,
     WRENCH_CHANNELS,
     Finger,
     FloatArray,
     MarkerField,
     Recording,
+    RefusedError,
+    SampleStream,
+    Stream,
     TactileFrame,
 )
-from backend.core.stream import SampleStream, Stream
-from backend.sensing.checked import CheckedTracker
-from backend.sensing.drift import Drift
-from backend.sensing.reference import Reference, take_reference
-from backend.sensing.tare import Tare, take_tare
+from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker
+from touchdown.backend.sensing.zeroing import (
+    TactileReference,
+    Tare,
+    WrenchDrift,
+    take_reference,
+    take_tare,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,15 +60,15 @@ class LiveSensing:
         payload: FloatArray,
     ) -> None:
         self.raw, self.fields, self.wrench = raw, fields, wrench
-        self._trackers = {finger: CheckedTracker(finger) for finger in FINGERS}
-        self._in_air: dict[Finger, Reference] = {}
+        self._trackers = {finger: DamageCheckingTracker(finger) for finger in FINGERS}
+        self._in_air: dict[Finger, TactileReference] = {}
         self._frame_cursor = {finger: raw.frames[finger].count for finger in FINGERS}
         self._sample_cursor = raw.samples.count
         self._payload = payload
         self._tare = Tare(payload, np.zeros(WRENCH_CHANNELS))
         self.tare_s = float("-inf")
         """Bench time of the last tare: a verdict reached before it belongs to a former probe."""
-        self.drift: Drift | None = None
+        self.drift: WrenchDrift | None = None
         """What is known of the wrist sensor's, for any thread; None while that is too little."""
 
     @property
@@ -97,14 +102,14 @@ class LiveSensing:
         self.tare_s = now_s
         return self._tare
 
-    def take_references(self, count: int) -> Mapping[Finger, Reference]:
+    def take_references(self, count: int) -> Mapping[Finger, TactileReference]:
         """Take the tactile reference of both fingers from the newest ``count`` fields each.
 
         The first ones, in air right after gripping, are the shape that all later ones must have:
         a piece that touches something is refused (``RefusedError``), and so is a gel of another
         grid, which is named.
         """
-        taken: dict[Finger, Reference] = {}
+        taken: dict[Finger, TactileReference] = {}
         for finger in FINGERS:
             stream = self.fields[finger]
             newest, _, _ = stream.since(stream.count - count)
@@ -118,7 +123,7 @@ class LiveSensing:
         return taken
 
     @property
-    def references(self) -> Mapping[Finger, Reference]:
+    def references(self) -> Mapping[Finger, TactileReference]:
         """The references in use, of the fingers that have one."""
         found = {finger: one.tracker.reference for finger, one in self._trackers.items()}
         return {finger: reference for finger, reference in found.items() if reference is not None}

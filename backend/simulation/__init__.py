@@ -1,1 +1,23 @@
-"""Physics of the simulated bench: functions of state, no thread, no wall clock."""
+"""The simulated bench: contact physics, gel, sensors, and its batch version."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend.simulation import (
+        arm,
+        batch,
+        conditions,
+        contact,
+        finger_camera,
+        gripper,
+        mechanics,
+        pressing,
+        release_mujoco,
+        scene,
+        supports,
+        world,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,29 +1,36 @@
-"""What the simulated arm is told: straight moves, presses and unloading, in cycles of 10 ms.
+"""Motion programs of the simulated arm, in cycles of 10 ms.
 
-A program gives the commanded position of ``G`` at the end of each cycle from what was felt until
-its beginning. Measured position and forces are the business of the world.
+A program computes the commanded position of ``G`` at the end of each cycle from the forces measured
+before it; programs with rotation ask before every cycle whether the next pose is allowed, and stop
+where it is not. ``simulation.world`` computes measured position and forces.
 """
 
 from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from backend.core.faults import Fault
-from backend.core.flow import FloatArray
-from backend.core.onset import OnsetDetector, OnsetRule
-from backend.core.turning import UNTURNED
+from touchdown.backend.core import (
+    IDENTITY_ROTATION,
+    Fault,
+    FloatArray,
+    OnsetDetector,
+    OnsetRule,
+    rotation_from_vector,
+    rotation_vector,
+)
 
 ACCELERATION_MM_S2 = 500.0
-_HELD = "The arm stands still; the gripper was not opened."
+_NOT_OPENED = "The arm stands still; the gripper was not opened."
 
 
 @dataclass(frozen=True, slots=True)
-class Cycle:
+class ArmCycle:
     """One cycle: its beginning and end (bench clock), and the wrist samples of the cycle before.
 
     ``heard_t_s`` (n,), ``heard_n`` (n,): untared Fz as delivered, empty if the sensor is silent.
@@ -35,7 +42,7 @@ class Cycle:
     heard_n: FloatArray
 
 
-class Program(Protocol):
+class SimProgram(Protocol):
     """One command in progress."""
 
     @property
@@ -50,7 +57,7 @@ class Program(Protocol):
     def turn(self) -> FloatArray | None:
         """Turn (3, 3) of the hand after the last cycle; None: it stays as it is."""
 
-    def next_mm(self, command_mm: FloatArray, cycle: Cycle) -> FloatArray:
+    def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return the command (3,) at the end of ``cycle``."""
 
 
@@ -72,7 +79,7 @@ def travelled_mm(
     return speed * (elapsed_s - 0.5 * rise_s)
 
 
-class Travel:
+class SimTravel:
     """A straight move with a trapezoidal speed profile."""
 
     failure: Fault | None = None
@@ -84,7 +91,7 @@ class Travel:
         self._speed_mm_s, self._elapsed_s = speed_mm_s, 0.0
         self.done = False
 
-    def next_mm(self, command_mm: FloatArray, cycle: Cycle) -> FloatArray:
+    def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return the next point of the line."""
         self._elapsed_s += cycle.end_s - cycle.start_s
         way = travelled_mm(self._elapsed_s, self._length_mm, self._speed_mm_s, ACCELERATION_MM_S2)
@@ -95,7 +102,7 @@ class Travel:
         return np.asarray(self._start_mm + share * (self._target_mm - self._start_mm))
 
 
-class Jog:
+class SimJog:
     """Follows a velocity until its time is up, then brakes. Renewed in place: it never jerks."""
 
     failure: Fault | None = None
@@ -110,7 +117,7 @@ class Jog:
         """Take another velocity (3,), good until ``until_s`` on the bench clock."""
         self._asked = (velocity_mm_s.copy(), until_s)
 
-    def next_mm(self, command_mm: FloatArray, cycle: Cycle) -> FloatArray:
+    def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return the next point; the velocity changes by the acceleration at most."""
         asked, until_s = self._asked
         over = cycle.start_s >= until_s
@@ -137,7 +144,7 @@ class PressLaw:
     max_travel_mm: float
 
 
-class Press:
+class SimPress:
     """Down at constant speed until contact is declared, then the ramp from the back-dated onset.
 
     The command never rises: what the descent overshot before contact was declared is kept until
@@ -169,7 +176,7 @@ class Press:
         """Back-dated time of first contact."""
         return self._detector.onset_s
 
-    def next_mm(self, command_mm: FloatArray, cycle: Cycle) -> FloatArray:
+    def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return the next command of the press."""
         law, after = self._law, command_mm.copy()
         if cycle.start_s > self._way[0][0] and len(cycle.heard_n):
@@ -195,13 +202,13 @@ class Press:
         self.failure = Fault(
             "NO-CONTACT",
             f"No contact on {self._law.max_travel_mm:.1f} mm of descent.",
-            _HELD,
+            _NOT_OPENED,
             "Check the height of the support and the force/torque sensor.",
             "arm",
         )
 
 
-class Unload:
+class SimUnload:
     """Rises while pressing until the force over ``tare_n`` has fallen to ``force_n``."""
 
     LONGEST_MM = 10.0
@@ -214,7 +221,7 @@ class Unload:
         self._speed_mm_s, self._start_z_mm = speed_mm_s, start_z_mm
         self.done = False
 
-    def next_mm(self, command_mm: FloatArray, cycle: Cycle) -> FloatArray:
+    def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return the next command; stands still while nothing is heard."""
         if not len(cycle.heard_n) or not np.isfinite(cycle.heard_n).all():
             return command_mm
@@ -229,7 +236,7 @@ class Unload:
             self.failure = Fault(
                 "NOT-UNLOADED",
                 f"{press_n:.1f} N press force after rising {self.LONGEST_MM:.0f} mm.",
-                _HELD,
+                _NOT_OPENED,
                 "Check the force/torque sensor.",
                 "arm",
             )
@@ -241,9 +248,9 @@ class ArmDrive:
 
     def __init__(self, command_mm: FloatArray) -> None:
         self._command_mm = command_mm.copy()
-        self.turn: FloatArray = UNTURNED
+        self.turn: FloatArray = IDENTITY_ROTATION
         """(3, 3) commanded turn of the hand."""
-        self._program: Program | None = None
+        self._program: SimProgram | None = None
         self._lock = threading.Lock()
 
     @property
@@ -256,7 +263,7 @@ class ArmDrive:
         """Whether a program is under way."""
         return self._program is not None
 
-    def run(self, program: Program) -> None:
+    def run(self, program: SimProgram) -> None:
         """Take ``program`` from the next cycle on, in place of any other."""
         with self._lock:
             self._program = program
@@ -266,7 +273,7 @@ class ArmDrive:
         with self._lock:
             self._program = None
 
-    def step(self, cycle: Cycle, *, stalled: bool) -> FloatArray:
+    def step(self, cycle: ArmCycle, *, stalled: bool) -> FloatArray:
         """Return the command (3,) at the end of ``cycle``; ``stalled``: motors do not follow."""
         with self._lock:
             program = self._program
@@ -277,3 +284,153 @@ class ArmDrive:
                 if program.done:
                     self._program = None
             return self._command_mm.copy()
+
+
+ACCELERATION_RAD_S2 = 2.0
+HandPlace = tuple[FloatArray, FloatArray]
+"""Position (3,) of ``G``, mm, and turn (3, 3) of the hand."""
+PlaceCheck = Callable[[HandPlace], Fault | None]
+ForwardKinematics = Callable[[FloatArray], HandPlace]
+"""From joints (6,), rad, to the place of the hand."""
+
+
+def limit_change(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
+    """Return the velocity of the next cycle: ``wanted``, changed by ``most`` at the most."""
+    change = wanted - now
+    size = float(np.linalg.norm(change))
+    return wanted.copy() if size <= most else np.asarray(now + change * (most / size))
+
+
+@dataclass(frozen=True, slots=True)
+class JointKinematics:
+    """How joints become places, and which places are allowed."""
+
+    chain: ForwardKinematics
+    allowed: PlaceCheck
+
+
+class _SimRotation:
+    """What the programs share: where they are, and how they end where they may not go on."""
+
+    def __init__(self, start: HandPlace, allowed: PlaceCheck) -> None:
+        self.turn: FloatArray | None = start[1]
+        self.failure: Fault | None = None
+        self.done = False
+        self._allowed = allowed
+
+    def _go(self, command_mm: FloatArray, place: HandPlace) -> FloatArray:
+        """Return the command of ``place``, or stand still for good where it is not allowed."""
+        self.failure = self._allowed(place)
+        if self.failure is not None:
+            self.done = True
+            return command_mm
+        self.turn = place[1]
+        return place[0]
+
+
+class SimRotationTravel(_SimRotation):
+    """Straight to a place while the hand turns evenly: neither goes faster than its speed."""
+
+    def __init__(
+        self, start: HandPlace, end: HandPlace, speeds: tuple[float, float], allowed: PlaceCheck
+    ) -> None:
+        """``speeds``: mm/s and rad/s."""
+        super().__init__(start, allowed)
+        self._start, self._end = start, end
+        self._way_mm = end[0] - start[0]
+        self._way_rad = rotation_vector(end[1] @ start[1].T)
+        ways = (float(np.linalg.norm(self._way_mm)), float(np.linalg.norm(self._way_rad)))
+        accelerations = (ACCELERATION_MM_S2, ACCELERATION_RAD_S2)
+        self._per_s = min((v / w for v, w in zip(speeds, ways, strict=True) if w), default=math.inf)
+        self._per_s2 = min(
+            (a / w for a, w in zip(accelerations, ways, strict=True) if w), default=math.inf
+        )
+        self._elapsed_s = 0.0
+
+    def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
+        """Return the next point of the way."""
+        self._elapsed_s += cycle.end_s - cycle.start_s
+        share = 1.0
+        if math.isfinite(self._per_s):
+            share = travelled_mm(self._elapsed_s, 1.0, self._per_s, self._per_s2)
+        if share >= 1.0:
+            command = self._go(command_mm, self._end)
+            self.done = True
+            return command.copy()
+        turn = rotation_from_vector(share * self._way_rad) @ self._start[1]
+        return self._go(command_mm, (self._start[0] + share * self._way_mm, turn))
+
+
+class SimRotationJog(_SimRotation):
+    """Follows a velocity and a turn until its time is up, then brakes. Renewed in place."""
+
+    def __init__(self, start: HandPlace, allowed: PlaceCheck) -> None:
+        super().__init__(start, allowed)
+        self._asked: tuple[FloatArray, FloatArray, float] = (np.zeros(3), np.zeros(3), -math.inf)
+        self._mm_s, self._rad_s = np.zeros(3), np.zeros(3)
+
+    def renew(self, velocity_mm_s: FloatArray, turn_rad_s: FloatArray, until_s: float) -> None:
+        """Take another velocity (3,) and turn (3,), good until ``until_s`` on the bench clock."""
+        self._asked = (velocity_mm_s.copy(), turn_rad_s.copy(), until_s)
+
+    def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
+        """Return the next point; the velocities change by the accelerations at most."""
+        velocity, turning, until_s = self._asked
+        over, dt_s = cycle.start_s >= until_s, cycle.end_s - cycle.start_s
+        rest = np.zeros(3)
+        self._mm_s = limit_change(self._mm_s, rest if over else velocity, ACCELERATION_MM_S2 * dt_s)
+        self._rad_s = limit_change(
+            self._rad_s, rest if over else turning, ACCELERATION_RAD_S2 * dt_s
+        )
+        self.done = over and not self._mm_s.any() and not self._rad_s.any()
+        assert self.turn is not None
+        turn = rotation_from_vector(self._rad_s * dt_s) @ self.turn
+        return self._go(command_mm, (command_mm + self._mm_s * dt_s, turn))
+
+
+class SimJointTravel(_SimRotation):
+    """All joints to their ends at once; the one with the longest way sets the pace."""
+
+    def __init__(
+        self, start_rad: FloatArray, end_rad: FloatArray, speed_rad_s: float, how: JointKinematics
+    ) -> None:
+        super().__init__(how.chain(start_rad), how.allowed)
+        self._start, self._way, self._how = start_rad, end_rad - start_rad, how
+        self._speed_rad_s, self._elapsed_s = speed_rad_s, 0.0
+
+    def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
+        """Return where the next joints put ``G``."""
+        self._elapsed_s += cycle.end_s - cycle.start_s
+        longest = float(np.abs(self._way).max())
+        gone = travelled_mm(self._elapsed_s, longest, self._speed_rad_s, ACCELERATION_RAD_S2)
+        share = 1.0 if longest == 0.0 else gone / longest
+        after = self._go(command_mm, self._how.chain(self._start + share * self._way))
+        self.done = self.done or share >= 1.0
+        return after
+
+
+class SimJointJog(_SimRotation):
+    """Turns joints until its time is up, then brakes. Renewed in place."""
+
+    def __init__(self, start_rad: FloatArray, how: JointKinematics) -> None:
+        super().__init__(how.chain(start_rad), how.allowed)
+        self._joints, self._how = start_rad.copy(), how
+        self._asked: tuple[FloatArray, float] = (np.zeros(6), -math.inf)
+        self._rad_s = np.zeros(6)
+
+    def renew(self, speeds_rad_s: FloatArray, until_s: float) -> None:
+        """Take other joint speeds (6,), good until ``until_s`` on the bench clock."""
+        self._asked = (speeds_rad_s.copy(), until_s)
+
+    def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
+        """Return where the next joints put ``G``."""
+        asked, until_s = self._asked
+        over, dt_s = cycle.start_s >= until_s, cycle.end_s - cycle.start_s
+        wanted = np.zeros(6) if over else asked
+        self._rad_s = limit_change(self._rad_s, wanted, ACCELERATION_RAD_S2 * dt_s)
+        self.done = over and not self._rad_s.any()
+        joints = self._joints + self._rad_s * dt_s
+        after = self._go(command_mm, self._how.chain(joints))
+        if self.failure is None:
+            self._joints = joints
+        return after

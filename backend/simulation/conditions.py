@@ -1,13 +1,20 @@
-"""Everything one probe of the simulated bench depends on, batched over B probes."""
+"""Physical conditions of a probe, drawn per mounting, per grip and per probe.
+
+Source: bench reference 6. Each scope has its own generator, derived from the seed and its place
+(mounting, grip, probe), so that a draw never depends on how the work was split or ordered.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.core.flow import FloatArray
+from touchdown.backend.config import ProbeSettings, SimulationSettings
+from touchdown.backend.core import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,3 +79,137 @@ def true_offset_mm(
     if slip is not None:
         moved[:, 0] += slip[:, :, 0].mean(axis=1)
     return np.asarray(moved, dtype=np.float64)
+
+
+class SeedScope(IntEnum):
+    """What a generator belongs to (part of its seed)."""
+
+    MOUNTING = 1
+    GRIPPING = 2
+    PROBE = 3
+
+
+def scoped_generator(seed: int, scope: SeedScope, *place: int) -> np.random.Generator:
+    """Return the generator of one ``place``: (mounting), (mounting, grip), (..., probe)."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, scope, *place])))
+
+
+@dataclass(frozen=True, slots=True)
+class MountingDraw:
+    """A bottom on the bench: tilt (rad), position error (mm), stiffness of the pair (N/mm³)."""
+
+    tilt_rad: tuple[float, float]
+    print_offset_mm: tuple[float, float]
+    foundation_n_mm3: float
+
+
+@dataclass(frozen=True, slots=True)
+class GripDraw:
+    """A piece between the fingers, until the gripper opens again."""
+
+    gel_factor: float
+    mu_grip: float
+    grip_force_n: float
+    grasp_offset_mm: tuple[float, float]
+    yaw_rad: float
+    gain: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeDraw:
+    """What belongs to one probe; arrays ``bias_px`` (2, 2), ``ft_offset`` (6,) in N and N·m."""
+
+    mu: float
+    label_error_mm: tuple[float, float]
+    bias_px: FloatArray
+    ft_offset: FloatArray
+
+
+def _limited(rng: np.random.Generator, mean: float, sd: float, low: float, high: float) -> float:
+    return float(np.clip(mean + sd * rng.standard_normal(), low, high))
+
+
+def draw_mounting(settings: SimulationSettings, rng: np.random.Generator) -> MountingDraw:
+    """Draw what stays while a bottom is mounted."""
+    spread = settings.spread
+    tilt = np.clip(spread.tilt_rad * rng.standard_normal(2), -0.02, 0.02)
+    print_offset = np.clip(spread.print_offset_mm * rng.standard_normal(2), -0.5, 0.5)
+    foundation = settings.face.foundation_n_mm3
+    if settings.face.foundation_range_n_mm3 is not None:
+        low, high = np.log(settings.face.foundation_range_n_mm3)
+        foundation = float(np.exp(rng.uniform(low, high)))
+    return MountingDraw(_pair(tilt), _pair(print_offset), foundation)
+
+
+def draw_gripping(
+    settings: SimulationSettings, grip_force_n: float, rng: np.random.Generator
+) -> GripDraw:
+    """Draw what stays while a piece is gripped with the commanded force per finger."""
+    spread = settings.spread
+    offset = np.clip(spread.grasp_offset_mm * rng.standard_normal(2), -2.0, 2.0)
+    gain = np.clip(1.0 + spread.gain * rng.standard_normal(2), 0.8, 1.2)
+    return GripDraw(
+        gel_factor=_limited(rng, 1.0, spread.gel, 0.7, 1.3),
+        mu_grip=_limited(rng, settings.mu_grip, settings.mu_grip * spread.mu_grip, 0.35, 1.1),
+        grip_force_n=_limited(rng, grip_force_n, spread.grip_force_n, 4.0, 15.0),
+        grasp_offset_mm=_pair(offset),
+        yaw_rad=spread.yaw_rad * float(rng.standard_normal()),
+        gain=_pair(gain),
+    )
+
+
+def draw_probe(settings: SimulationSettings, rng: np.random.Generator) -> ProbeDraw:
+    """Draw what changes with every probe."""
+    spread, wrist = settings.spread, settings.wrist
+    label_error = np.clip(spread.label_error_mm * rng.standard_normal(2), -0.3, 0.3)
+    scale = np.repeat([wrist.offset_n, wrist.offset_nm], 3)
+    return ProbeDraw(
+        mu=_limited(rng, settings.mu, settings.mu * spread.mu, 0.2, 0.6),
+        label_error_mm=_pair(label_error),
+        bias_px=np.clip(settings.tactile.bias_px * rng.standard_normal((2, 2)), -1.0, 1.0),
+        ft_offset=scale * rng.standard_normal(6),
+    )
+
+
+def conditions_from_draws(
+    settings: SimulationSettings,
+    probe: ProbeSettings,
+    grip_height_mm: float,
+    width_mm: float,
+    draws: Sequence[tuple[MountingDraw, GripDraw, ProbeDraw]],
+) -> Conditions:
+    """Join the draws of B probes with the fixed settings."""
+    mounting, gripping, each = zip(*draws, strict=True)
+    count = len(draws)
+    ones = np.ones(count)
+    grasp = settings.grasp
+    gel = np.array([g.gel_factor for g in gripping])
+    return Conditions(
+        shear_n_mm=grasp.shear_n_mm * gel,
+        normal_n_mm=grasp.normal_n_mm * gel,
+        torsion_nmm=grasp.torsion_nmm_rad * gel,
+        width_mm=width_mm * ones,
+        robot_n_mm=np.tile(np.array(probe.stiffness_n_mm), (count, 1)),
+        grip_height_mm=grip_height_mm * ones,
+        grip_force_n=np.array([g.grip_force_n for g in gripping]),
+        mu_grip=np.array([g.mu_grip for g in gripping]),
+        limit_radius_mm=grasp.limit_radius_mm * ones,
+        slips=np.full(count, grasp.slip),
+        grasp_offset_mm=np.array([g.grasp_offset_mm for g in gripping]),
+        yaw_rad=np.array([g.yaw_rad for g in gripping]),
+        alpha=(grasp.hysteresis_share if grasp.hysteresis else 0.0) * ones,
+        relax_s=grasp.hysteresis_s * ones,
+        mu=np.array([p.mu for p in each]),
+        foundation_n_mm3=np.array([m.foundation_n_mm3 for m in mounting]),
+        tangential_n_mm3=settings.face.tangential_n_mm3 * ones,
+        tilt_rad=np.array([m.tilt_rad for m in mounting]),
+        print_offset_mm=np.array([m.print_offset_mm for m in mounting]),
+        label_error_mm=np.array([p.label_error_mm for p in each]),
+        gain=np.array([g.gain for g in gripping]),
+        bias_px=np.stack([p.bias_px for p in each]),
+        ft_offset=np.stack([p.ft_offset for p in each]),
+    )
+
+
+def _pair(values: FloatArray) -> tuple[float, float]:
+    return float(values[0]), float(values[1])

@@ -1,24 +1,30 @@
-"""Face contact: elastic foundation on the true overlap, sliders with memory for friction.
+"""Batched equilibrium of an elastic face contact, solved by a damped Newton method.
 
-Source: bench reference 3.3 and 3.4. With the constant height r_z of the face below the pivot the
-six motions q act on the face through three in the plane (p, t, rotation about z) and three out of
-it (q_z, rot_x, rot_y); all sums over cells are moments of {1, x, y, x², xy, y²}.
+Elastic foundation on the true overlap, with sliders that remember friction (bench reference 3.3
+and 3.4). The face below the pivot has the constant height r_z, so the six motions q act on it
+through three in the plane (p, t, rotation about z) and three out of it (q_z, rot_x, rot_y); all
+sums over cells are moments of {1, x, y, x², xy, y²}. Newton's method solves R(q) = contact wrench
+- K (q - q°) = 0. Each probe takes the first halving of its step that lowers its residual. Probes
+that have one are not tried again, and for the few that are left several halvings are tried at
+once; the result does not depend on how many are tried together.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.core.flow import FloatArray
+from touchdown.backend.core import FloatArray
 
 TINY = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class Cells:
+class ContactCells:
     """Overlap cells of B probes, packed to the widest of them (n), absent ones with area 0.
 
     ``x``, ``y`` (B, n): lever arms r_x, r_y from the pivot, mm; ``gap_mm`` z0 (B, n);
@@ -36,9 +42,9 @@ class Cells:
     mu: FloatArray
     count: NDArray[np.intp]
 
-    def take(self, index: NDArray[np.intp]) -> Cells:
+    def take(self, index: NDArray[np.intp]) -> ContactCells:
         """Return the probes ``index``."""
-        return Cells(
+        return ContactCells(
             self.x[index],
             self.y[index],
             self.gap_mm[index],
@@ -52,7 +58,7 @@ class Cells:
 
 
 @dataclass(frozen=True, slots=True)
-class Touch:
+class ContactForces:
     """Motion (mm) and forces (N) of the cells at one trial, all (B, n); their resultant (B, 6)."""
 
     u_x: FloatArray
@@ -64,17 +70,19 @@ class Touch:
     share: FloatArray
     wrench: FloatArray
 
-    def take(self, rows: NDArray[np.intp]) -> Touch:
+    def take(self, rows: NDArray[np.intp]) -> ContactForces:
         """Return the probes ``rows``."""
-        return Touch(*(getattr(self, name)[rows] for name in self.__slots__))
+        return ContactForces(*(getattr(self, name)[rows] for name in self.__slots__))
 
-    def put(self, rows: NDArray[np.intp], by: Touch) -> None:
+    def put(self, rows: NDArray[np.intp], by: ContactForces) -> None:
         """Overwrite the probes ``rows``."""
         for name in self.__slots__:
             getattr(self, name)[rows] = getattr(by, name)
 
 
-def pack(points_mm: FloatArray, inside: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.bool_]]:
+def pack_cells(
+    points_mm: FloatArray, inside: NDArray[np.bool_]
+) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Move the cells that are ``inside`` (B, N) to the front; return (B, n, 2) and which exist."""
     count = inside.sum(axis=1)
     width = max(int(count.max(initial=0)), 1)
@@ -83,7 +91,7 @@ def pack(points_mm: FloatArray, inside: NDArray[np.bool_]) -> tuple[FloatArray, 
     return packed, np.arange(width) < count[:, None]
 
 
-def surface_motion(cells: Cells, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def surface_motion(cells: ContactCells, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return u_x, u_y, u_z (B, n) of every cell."""
     p = (q[:, 0] + q[:, 4] * cells.r_z)[:, None]
     t = (q[:, 1] - q[:, 3] * cells.r_z)[:, None]
@@ -93,7 +101,7 @@ def surface_motion(cells: Cells, q: FloatArray) -> tuple[FloatArray, FloatArray,
     return u_x, u_y, u_z
 
 
-def touch(cells: Cells, anchor: FloatArray, q: FloatArray) -> Touch:
+def contact_forces(cells: ContactCells, anchor: FloatArray, q: FloatArray) -> ContactForces:
     """Return the cell forces for motion ``q`` (B, 6) with slider anchors ``anchor`` (2, B, n)."""
     u_x, u_y, u_z = surface_motion(cells, q)
     normal_n = cells.normal * np.maximum(cells.gap_mm - u_z, 0.0)
@@ -112,10 +120,10 @@ def touch(cells: Cells, anchor: FloatArray, q: FloatArray) -> Touch:
     wrench[:, 3] = sums[:, 2, 2] - cells.r_z * f_y
     wrench[:, 4] = cells.r_z * f_x - sums[:, 2, 1]
     wrench[:, 5] = sums[:, 1, 1] - sums[:, 0, 2]
-    return Touch(u_x, u_y, normal_n, pull_x, pull_y, size, share, wrench)
+    return ContactForces(u_x, u_y, normal_n, pull_x, pull_y, size, share, wrench)
 
 
-def tangent(cells: Cells, now: Touch) -> FloatArray:
+def tangent_stiffness(cells: ContactCells, now: ContactForces) -> FloatArray:
     """Return d(wrench)/dq (B, 6, 6), the unsymmetric friction-normal coupling included."""
     slides = now.share < 1.0
     touching = now.normal_n > 0.0
@@ -162,7 +170,164 @@ def _assemble(m: FloatArray, r_z: FloatArray) -> FloatArray:
     return j
 
 
-def moved_anchor(cells: Cells, now: Touch) -> FloatArray:
+def updated_anchor(cells: ContactCells, now: ContactForces) -> FloatArray:
     """Return the anchors (2, B, n) after the step: dragged where sliding, free where lifted."""
     back = now.share / np.maximum(cells.tangential, TINY)
     return np.stack([now.u_x - back * now.pull_x, now.u_y - back * now.pull_y])
+
+
+TRIALS_PER_CALL = 48
+"""So many trials are worth one call: below that its fixed cost outweighs what it computes."""
+
+
+class BatchTrial(Protocol):
+    """Trial solutions of B probes, each with its own ``size`` (B,) of what is missing."""
+
+    @property
+    def size(self) -> FloatArray:
+        """(B,) residual."""
+
+    def take(self, rows: NDArray[np.intp], /) -> Self:
+        """Return the trials ``rows``."""
+
+    def put(self, rows: NDArray[np.intp], by: Self, /) -> None:
+        """Overwrite the trials ``rows``."""
+
+
+AnyTrial = TypeVar("AnyTrial", bound=BatchTrial)
+
+
+def halve_steps(
+    now: AnyTrial,
+    before: FloatArray,
+    rows: NDArray[np.intp],
+    most: int,
+    at: Callable[[NDArray[np.intp], FloatArray], AnyTrial],
+) -> None:
+    """Replace in ``now`` what full steps gave for ``rows``, none of which lowered its residual.
+
+    ``before`` (B,): residuals to fall below. ``at``: tries shares (k,) of the steps of the probes
+    (k,). Steps are tried ``most`` times, the full one included; where even the last is no better
+    that one stays.
+    """
+    done = 1
+    while len(rows) and done < most:
+        count = min(most - done, max(1, TRIALS_PER_CALL // len(rows)))
+        each = np.repeat(rows, count)
+        tried = at(each, np.tile(0.5 ** np.arange(done, done + count), len(rows)))
+        better = (tried.size < before[each]).reshape(-1, count)
+        fell = better.any(axis=1)
+        first = np.where(fell, better.argmax(axis=1), count - 1)
+        now.put(rows, tried.take(first + count * np.arange(len(rows))))
+        rows = rows[~fell]
+        done += count
+
+
+SCALE = np.array([1.0, 1.0, 1.0, 1 / 20.0, 1 / 20.0, 1 / 20.0])
+"""Residual scale: forces in N, moments divided by 20 mm."""
+TOLERANCE = 1e-6
+RESIDUAL_LIMIT = 1e-4
+"""Largest scaled residual of a usable step."""
+MAX_ITERATIONS = 60
+HALVINGS = 10
+COMPRESS_BELOW_SHARE = 0.6
+"""Below this share of unfinished probes it pays to pick them out."""
+
+
+def solve_equilibrium(
+    cells: ContactCells,
+    anchor: FloatArray,
+    start: FloatArray,
+    zero: FloatArray,
+    stiffness: FloatArray,
+    iterations: int = MAX_ITERATIONS,
+) -> tuple[FloatArray, ContactForces, FloatArray]:
+    """Return (q (B, 6), cell forces there, scaled residual (B,)).
+
+    ``start`` (B, 6): first guess; ``zero`` q° (B, 6); ``stiffness`` (B, 6): diagonal of K.
+    Steps that do not lower the residual of a probe are halved for that probe alone.
+    """
+    spring = _SpringLoad(cells, anchor, zero, stiffness)
+    now = spring.at(start)
+    for done in range(iterations):
+        busy = now.size > TOLERANCE
+        if not busy.any():
+            break
+        few = np.flatnonzero(busy)
+        if len(few) <= COMPRESS_BELOW_SHARE * len(start):
+            # Every probe for itself: the others would only be computed again.
+            q, size = now.q + 0.0, now.size
+            q[few], _, size[few] = solve_equilibrium(
+                cells.take(few),
+                anchor[:, few],
+                q[few],
+                zero[few],
+                stiffness[few],
+                iterations - done,
+            )
+            return q, contact_forces(cells, anchor, q), size
+        matrix = tangent_stiffness(cells, now.touch)
+        matrix[:, _DIAGONAL, _DIAGONAL] -= stiffness
+        step = np.asarray(np.linalg.solve(matrix, -now.left[:, :, None])[:, :, 0], np.float64)
+        step[~busy] = 0.0
+        now = _stepped(spring, now, step, busy)
+    return now.q, now.touch, now.size
+
+
+@dataclass(frozen=True, slots=True)
+class _MotionTrial:
+    """Motion ``q`` (B, 6), the forces there, and what is ``left`` (B, 6), as one ``size`` (B,)."""
+
+    q: FloatArray
+    touch: ContactForces
+    left: FloatArray
+    size: FloatArray
+
+    def take(self, rows: NDArray[np.intp]) -> _MotionTrial:
+        return _MotionTrial(self.q[rows], self.touch.take(rows), self.left[rows], self.size[rows])
+
+    def put(self, rows: NDArray[np.intp], by: _MotionTrial) -> None:
+        self.q[rows], self.left[rows], self.size[rows] = by.q, by.left, by.size
+        self.touch.put(rows, by.touch)
+
+
+@dataclass(frozen=True, slots=True)
+class _SpringLoad:
+    """What pulls on the cells, as given to ``balance``."""
+
+    cells: ContactCells
+    anchor: FloatArray
+    zero: FloatArray
+    stiffness: FloatArray
+
+    def take(self, rows: NDArray[np.intp]) -> _SpringLoad:
+        return _SpringLoad(
+            self.cells.take(rows), self.anchor[:, rows], self.zero[rows], self.stiffness[rows]
+        )
+
+    def at(self, q: FloatArray) -> _MotionTrial:
+        there = contact_forces(self.cells, self.anchor, q)
+        left = there.wrench - self.stiffness * (q - self.zero)
+        return _MotionTrial(q, there, left, _size(left))
+
+
+def _stepped(
+    spring: _SpringLoad, now: _MotionTrial, step: FloatArray, busy: NDArray[np.bool_]
+) -> _MotionTrial:
+    """Go one Newton step, halved for each probe until its residual falls."""
+    after = spring.at(now.q + step)
+
+    def at(rows: NDArray[np.intp], share: FloatArray) -> _MotionTrial:
+        return spring.take(rows).at(now.q[rows] + share[:, None] * step[rows])
+
+    worse = np.flatnonzero(busy & ~(after.size < now.size))
+    halve_steps(after, now.size, worse, HALVINGS, at)
+    return after
+
+
+_DIAGONAL = np.arange(6)
+
+
+def _size(residual: FloatArray) -> FloatArray:
+    scaled = residual * SCALE
+    return np.asarray(np.sqrt((scaled * scaled).sum(axis=1)), dtype=np.float64)

@@ -1,10 +1,37 @@
-"""The jaws of the simulated gripper: width, force, and whether the piece is between them."""
+"""The simulated gripper: jaws, and the piece that they hold.
+
+Applies the batched mechanics to a single piece over many probes. Random conditions are drawn for
+the mounting, for every grip and for every probe; slip and gel state carry over from probe to probe
+until the jaws open.
+"""
 
 from __future__ import annotations
 
 import math
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from touchdown.backend.config import ProbeSettings
+from touchdown.backend.core import FloatArray
+from touchdown.backend.geometry import Tower, face_points
+from touchdown.backend.simulation import mechanics
+from touchdown.backend.simulation.conditions import (
+    Conditions,
+    MountingDraw,
+    SeedScope,
+    conditions_from_draws,
+    draw_gripping,
+    draw_mounting,
+    draw_probe,
+    scoped_generator,
+    true_offset_mm,
+)
+from touchdown.backend.simulation.pressing import TIMELINE_VALUES, pack_equilibrium
+from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.supports import slide_bottoms, support_stack
+from touchdown.backend.simulation.wrist_sensor import held_piece_load
 
 CLOSING_S = 0.5
 """Time to reach the piece from the open position."""
@@ -15,14 +42,14 @@ LET_GO_MM = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class JawEvents:
     """What happened to the piece during a cycle."""
 
     taken: bool = False
     let_go: bool = False
 
 
-class Jaws:
+class SimulatedJaws:
     """Moves in cycles; ``halt`` may come from any thread. Widths in mm, force per finger in N."""
 
     def __init__(self, open_mm: float, piece_mm: float) -> None:
@@ -66,38 +93,221 @@ class Jaws:
         with self._lock:
             self._target_mm = None
 
-    def step(self, dt_s: float) -> Change:
+    def step(self, dt_s: float) -> JawEvents:
         """Move for ``dt_s``."""
         with self._lock:
             if self._slips_out:
                 self._slips_out = self.holding = False
                 self._target_mm, self.force_n = None, 0.0
-                return Change(let_go=True)
+                return JawEvents(let_go=True)
             target = self._target_mm
             if target is None:
-                return Change()
+                return JawEvents()
             step = self._speed_mm_s * dt_s
             arrived = abs(target - self.width_mm) <= abs(step)
             self.width_mm = target if arrived else self.width_mm + step
             if self.asked_n > 0.0:
-                return self._squeeze(dt_s) if arrived else Change()
+                return self._squeeze(dt_s) if arrived else JawEvents()
             if arrived:
                 self._target_mm = None
             return self._loosen()
 
-    def _squeeze(self, dt_s: float) -> Change:
+    def _squeeze(self, dt_s: float) -> JawEvents:
         if not self.piece_present:
             self._target_mm = None
-            return Change()
+            return JawEvents()
         self.force_n = min(self.force_n + self.asked_n * dt_s / SQUEEZE_S, self.asked_n)
         if self.force_n < self.asked_n:
-            return Change()
+            return JawEvents()
         self._target_mm = None
         taken, self.holding = not self.holding, True
-        return Change(taken=taken)
+        return JawEvents(taken=taken)
 
-    def _loosen(self) -> Change:
+    def _loosen(self) -> JawEvents:
         if self.width_mm <= self._piece_mm + LET_GO_MM:
-            return Change()
+            return JawEvents()
         let_go, self.holding, self.force_n = self.holding, False, 0.0
-        return Change(let_go=let_go)
+        return JawEvents(let_go=let_go)
+
+
+NEAR_MM = 1.0
+"""Below this height over first touch the contact is solved; above it the piece is in air."""
+
+
+class HeldPiece:
+    """One gripping of the piece. Positions are commands of ``G`` (3,), mm in ``O``."""
+
+    def __init__(
+        self, scene: Scene, grip: int, force_n: float, bottoms: Tower | None = None
+    ) -> None:
+        """``grip``: number of this gripping; ``force_n``: what was asked of each finger.
+
+        ``bottoms``: those of the scene, where they have slid to by now.
+        """
+        self._scene, self._grip = scene, grip
+        self._bottoms = bottoms or scene.bottoms
+        self.mounting = scene_mounting(scene)
+        rng = scoped_generator(scene.seed, SeedScope.GRIPPING, scene.mounting, grip)
+        self.gripping = draw_gripping(scene.settings, force_n, rng)
+        self.probe = 0
+        self.conditions = self._draw(ProbeSettings())
+        self._points_mm = face_points(scene.piece.face, scene.settings.face.lattice_mm)
+        self._state: mechanics.ContactState | None = None
+        self._base_mm = np.zeros(2)
+        self._fresh = True
+        self.air = np.zeros(TIMELINE_VALUES)
+        self.air[12:] = self.gripping.grip_force_n
+        self._values = self.air
+        self.weight = held_piece_load(
+            scene.piece.mass_g,
+            (*scene.piece.com_xy_mm, scene.piece.com_height_mm),
+            scene.grip_height_mm,
+            self.gripping.grasp_offset_mm,
+        )
+        self.weight_g = self.weight.wrench_g()
+        """(6,) weight of the piece at ``G``, N and N·mm."""
+        self.sensed = False
+        """Whether the sensor errors of the probe apply: from its press until it is lifted off."""
+        self._lowered = False
+
+    def begin_probe(self, probe: ProbeSettings) -> None:
+        """Draw the nuisances of the next probe; they hold until the one after it."""
+        self.probe += 1
+        self.conditions = self._draw(probe)
+        self.sensed = True
+        self._fresh = True
+
+    def solve(self, command_mm: FloatArray, dt_s: float) -> FloatArray:
+        """Return (14,) of a timeline: contact wrench at ``G``, gel strain, pad forces."""
+        height = command_mm[2] - self.touch_height_mm
+        near = bool(height <= NEAR_MM)
+        if near:
+            self._lowered = True
+        elif self._lowered:
+            self.sensed = self._lowered = False
+        relaxing = self._state is not None and bool(self.conditions.alpha[0] > 0.0)
+        if not near and not relaxing:
+            self._values = self.air
+            return self._values
+        state = self._contact(command_mm)
+        relative = np.array([[*(command_mm[:2] - self._base_mm), height]])
+        self._state, solved = mechanics.advance_probes(state, relative, dt_s)
+        self._values = pack_equilibrium(solved)[0]
+        return self._values
+
+    def turn(self, angle_rad: float) -> None:
+        """Turn the piece between the pads: as a torsion slip of both, felt in contact alone."""
+        if self._state is not None:
+            slip = self._state.slip + np.array([0.0, 0.0, angle_rad])
+            self._state = replace(self._state, slip=slip)
+
+    @property
+    def touch_height_mm(self) -> float:
+        """Command at which the face first touches while nothing has slipped."""
+        return self._scene.grip_height_mm + self.gripping.grasp_offset_mm[1]
+
+    @property
+    def press_n(self) -> float:
+        """Present true press force."""
+        return float(self._values[2])
+
+    @property
+    def residual(self) -> float:
+        """Worst scaled residual since the contact began, see ``mechanics.RESIDUAL_LIMIT``."""
+        return 0.0 if self._state is None else float(self._state.residual[0])
+
+    @property
+    def bottoms(self) -> Tower:
+        """The tower below where it is by now: free bottoms stay where they slid to."""
+        if self._state is None or not self._state.pose.slide_mm.any():
+            return self._bottoms
+        return slide_bottoms(self._bottoms, self._state.pose.slide_mm[0])
+
+    @property
+    def toppled(self) -> bool:
+        """Whether the press has tipped the bottoms so far that they will not come back."""
+        return self._state is not None and bool(self._state.toppled[0])
+
+    @property
+    def slip_mm(self) -> float:
+        """Largest slip of a pad in this gripping."""
+        if self._state is None:
+            return 0.0
+        return float(np.hypot(self._state.slip[0, :, 0], self._state.slip[0, :, 1]).max())
+
+    def dragged_mm(self, command_mm: FloatArray) -> float:
+        """Return how far the arm went sideways since the contact began, 0 in air."""
+        if self._state is None or self.press_n <= 0.0:
+            return 0.0
+        return float(np.hypot(*(command_mm[:2] - self._base_mm)))
+
+    def offset_mm(self, command_mm: FloatArray) -> tuple[float, float]:
+        """Return the true displacement of the face in ``O`` for a command."""
+        true = true_offset_mm(command_mm[None, :2], self.conditions)[0]
+        now, first = self.bottoms.bodies[-1].at_mm, self._scene.bottoms.bodies[-1].at_mm
+        x, y = now[0] - first[0], now[1] - first[1]
+        return float(true[0] + self._slip_x_mm() - x), float(true[1] - y)
+
+    def gap_mm(self, command_mm: FloatArray) -> float:
+        """Return how high the face is over first touch, 0 while pressing."""
+        if self.press_n > 0.0:
+            return 0.0
+        return max(float(command_mm[2]) - self.touch_height_mm, 0.0)
+
+    def _slip_x_mm(self) -> float:
+        return 0.0 if self._state is None else float(self._state.slip[0, :, 0].mean())
+
+    def _contact(self, command_mm: FloatArray) -> mechanics.ContactState:
+        """Return the contact at this place; in air it may be a new place."""
+        state, here = self._state, command_mm[:2]
+        moved = bool(np.abs(here - self._base_mm).max() > 1e-6)
+        settled = self.press_n > 0.0 or not moved
+        if state is not None and settled and not self._fresh:
+            return state
+        self._base_mm = here.copy()
+        self._fresh = False
+        offset = np.array([self.offset_mm(command_mm)])
+        self._bottoms = self.bottoms
+        return mechanics.begin_probes(
+            self._points_mm,
+            self._scene.surface,
+            offset,
+            self.conditions,
+            previous=state,
+            pitch_mm=self._scene.settings.face.lattice_mm,
+        ).on(support_stack(self._bottoms, self._scene.settings.support))
+
+    def _draw(self, probe: ProbeSettings) -> Conditions:
+        scene = self._scene
+        rng = scoped_generator(scene.seed, SeedScope.PROBE, scene.mounting, self._grip, self.probe)
+        draw = draw_probe(scene.settings, rng)
+        if self.probe == 0:
+            # Before the first press the piece is where the scene says.
+            draw = replace(draw, label_error_mm=(0.0, 0.0))
+        return conditions_from_draws(
+            scene.settings,
+            probe,
+            scene.grip_height_mm,
+            scene.piece.width_mm,
+            [(self.mounting, self.gripping, draw)],
+        )
+
+
+def scene_mounting(scene: Scene) -> MountingDraw:
+    """Return the draw of the scene's mounting."""
+    return draw_mounting(
+        scene.settings, scoped_generator(scene.seed, SeedScope.MOUNTING, scene.mounting)
+    )
+
+
+def start_command_mm(scene: Scene) -> FloatArray:
+    """Return the command (3,) of ``G`` that puts the first gripping of the piece at the start.
+
+    A jig is where it was taught, whatever the errors of this gripping.
+    """
+    if scene.jig:
+        return np.array([*scene.start_mm, scene.grip_height_mm + scene.start_height_mm])
+    holding = HeldPiece(scene, 0, ProbeSettings().grip_force_n)
+    true = true_offset_mm(np.zeros((1, 2)), holding.conditions)[0]
+    x, y = scene.start_mm
+    return np.array([x - true[0], y - true[1], scene.grip_height_mm + scene.start_height_mm])

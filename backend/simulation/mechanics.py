@@ -1,7 +1,13 @@
-"""Quasi-static equilibrium of a held piece pressed on a bottom, batched over probes.
+"""Quasi-static equilibrium of grasped pieces pressed on a bottom, batched over probes.
 
-Source: bench reference 3.7. One call of ``advance`` is one time step: Newton with step halving per
-probe, grip slip by return mapping round it, then the slider anchors move.
+Source: bench reference 3.1, 3.2, 3.5 to 3.7. The grasp has series springs, an elastic zero, a limit
+surface and an optional Maxwell branch. One call of ``advance_probes`` is one time step: Newton with
+step halving per probe, return mapping of the grip slip around it, then the slider anchors move. On
+rigid supports all probes of a batch take equally many passes; where supports give way a pass costs
+far more, and each probe ends with its own last one.
+
+Finger index 0 is left (y = +w/2), 1 is right. Axes of ``slip`` and ``strain``: x (mm), z (mm),
+rotation about the jaw axis (rad).
 """
 
 from __future__ import annotations
@@ -12,12 +18,313 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.core.flow import FloatArray
-from backend.simulation import contact, grasp
-from backend.simulation.conditions import Conditions
-from backend.simulation.equilibrium import RESIDUAL_LIMIT
-from backend.simulation.slipping import Grip, Step, gripped
-from backend.simulation.support import Pose, Stand, topples
+from touchdown.backend.core import FloatArray
+from touchdown.backend.simulation import contact
+from touchdown.backend.simulation.conditions import Conditions
+from touchdown.backend.simulation.contact import (
+    RESIDUAL_LIMIT,
+    ContactCells,
+    ContactForces,
+    contact_forces,
+    solve_equilibrium,
+)
+from touchdown.backend.simulation.moving_supports import (
+    SolutionInputs,
+    carried_motion,
+    solve_on_supports,
+)
+from touchdown.backend.simulation.supports import SupportMotion, SupportStack, topples
+
+SIGN = np.array([1.0, -1.0])
+
+
+@dataclass(frozen=True, slots=True)
+class Springs:
+    """Stiffness during one time step of B grasps, and where the springs are unloaded.
+
+    ``finger`` (B, 4): x, z, torsion, y of one finger, Maxwell branch included. ``series`` (B, 3)
+    k̄ and ``matrix_diagonal`` (B, 6) of K. ``give`` (B, 3) = k̄ / K_r. ``hidden`` (B, 2, 4): shift
+    of the unloaded position that the Maxwell branches add to the slip.
+    """
+
+    finger: FloatArray
+    series: FloatArray
+    matrix_diagonal: FloatArray
+    give: FloatArray
+    hidden: FloatArray
+
+    def take(self, rows: NDArray[np.intp]) -> Springs:
+        """Return the grasps ``rows``."""
+        return Springs(
+            self.finger[rows],
+            self.series[rows],
+            self.matrix_diagonal[rows],
+            self.give[rows],
+            self.hidden[rows],
+        )
+
+
+def springs(conditions: Conditions, relaxed: FloatArray, dt_s: float | FloatArray) -> Springs:
+    """Return the equivalent springs of one implicit step of ``dt_s``.
+
+    ``relaxed`` (B, 2, 4): inner states v of the Maxwell branches (x, z, torsion, y).
+    """
+    b = 1.0 / (1.0 + dt_s / conditions.relax_s)
+    share = conditions.alpha * b
+    stiffer = 1.0 + share
+    shear, normal = conditions.shear_n_mm * stiffer, conditions.normal_n_mm * stiffer
+    torsion = conditions.torsion_nmm * stiffer
+    finger = np.stack([shear, shear, torsion, normal], axis=1)
+    both = 2.0 * np.stack([shear, normal, shear], axis=1)
+    series = both * conditions.robot_n_mm / (both + conditions.robot_n_mm)
+    lever = 2.0 * shear * (0.5 * conditions.width_mm) ** 2
+    rotation = np.stack([lever, 2.0 * torsion, lever], axis=1)
+    hidden = (share / stiffer)[:, None, None] * relaxed
+    return Springs(
+        finger,
+        series,
+        np.concatenate([series, rotation], axis=1),
+        series / conditions.robot_n_mm,
+        hidden,
+    )
+
+
+def elastic_zero(
+    commanded_mm: FloatArray, unloaded: FloatArray, width_mm: FloatArray
+) -> FloatArray:
+    """Return q° (B, 6). ``unloaded`` (B, 2, 4): slip plus hidden shift (x, z, torsion, y)."""
+    mean = 0.5 * (unloaded[:, 0] + unloaded[:, 1])
+    difference = (unloaded[:, 0] - unloaded[:, 1]) / width_mm[:, None]
+    zero = np.empty((len(commanded_mm), 6))
+    zero[:, 0] = commanded_mm[:, 0] + mean[:, 0]
+    zero[:, 1] = commanded_mm[:, 1] + mean[:, 3]
+    zero[:, 2] = commanded_mm[:, 2] + mean[:, 1]
+    zero[:, 3] = difference[:, 1]
+    zero[:, 4] = mean[:, 2]
+    zero[:, 5] = -difference[:, 0]
+    return zero
+
+
+def pad_motion(
+    q: FloatArray,
+    zero: FloatArray,
+    commanded_mm: FloatArray,
+    give: FloatArray,
+    width_mm: FloatArray,
+) -> FloatArray:
+    """Return d (B, 2, 4): motion of the piece relative to each pad (x, z, torsion, y)."""
+    body = commanded_mm + give * (q - zero)[:, :3]
+    moved = q[:, :3] - body
+    swing = 0.5 * width_mm[:, None] * SIGN
+    d = np.empty((len(q), 2, 4))
+    d[:, :, 0] = moved[:, :1] - q[:, 5:6] * swing
+    d[:, :, 1] = moved[:, 2:3] + q[:, 3:4] * swing
+    d[:, :, 2] = q[:, 4:5]
+    d[:, :, 3] = moved[:, 1:2]
+    return d
+
+
+def normal_force_n(d: FloatArray, spring: Springs, grip_force_n: FloatArray) -> FloatArray:
+    """Return N_i (B, 2), the force that presses each pad on the piece (not below zero)."""
+    push = spring.finger[:, 3:4] * (d[:, :, 3] - spring.hidden[:, :, 3]) * SIGN
+    return np.asarray(np.maximum(grip_force_n[:, None] + push, 0.0), dtype=np.float64)
+
+
+def returned_slip(
+    slip: FloatArray, d: FloatArray, spring: Springs, normal_n: FloatArray, conditions: Conditions
+) -> FloatArray:
+    """Return the slip (B, 2, 3) after mapping the pad forces back onto the limit surface."""
+    strain = d[:, :, :3] - slip - spring.hidden[:, :, :3]
+    force = spring.finger[:, None, :3] * strain
+    limit = np.maximum(conditions.mu_grip[:, None] * normal_n, 1e-9)
+    phi = (force[..., 0] ** 2 + force[..., 1] ** 2) / limit**2
+    phi += (force[..., 2] / (limit * conditions.limit_radius_mm[:, None])) ** 2
+    excess = np.where(
+        (phi > 1.0) & conditions.slips[:, None], 1.0 - 1.0 / np.sqrt(np.maximum(phi, 1.0)), 0.0
+    )
+    return np.asarray(slip + excess[..., None] * strain, dtype=np.float64)
+
+
+def relax(
+    relaxed: FloatArray, strain: FloatArray, conditions: Conditions, dt_s: float | FloatArray
+) -> FloatArray:
+    """Return the Maxwell states v (B, 2, 4) after an implicit step of ``dt_s``."""
+    b = (1.0 / (1.0 + dt_s / conditions.relax_s))[:, None, None]
+    return np.asarray(b * relaxed + (1.0 - b) * strain, dtype=np.float64)
+
+
+SLIP_TOLERANCE = 1e-5
+SLIP_PASSES = 200
+
+
+@dataclass(frozen=True, slots=True)
+class TimeStep:
+    """What a time step of B probes is given.
+
+    ``commanded_mm`` (B, 3); ``stand``: what carries the touched face, None if that is rigid;
+    ``pivot_mm`` (B, 2): ``G`` over ``O``; ``pose`` of the supports at its beginning. ``last``: the
+    step is not split any further.
+    """
+
+    cells: ContactCells
+    anchor: FloatArray
+    conditions: Conditions
+    spring: Springs
+    commanded_mm: FloatArray
+    stand: SupportStack | None
+    pivot_mm: FloatArray
+    pose: SupportMotion
+    last: bool
+
+    def take(self, rows: NDArray[np.intp]) -> TimeStep:
+        """Return the probes ``rows``."""
+        return TimeStep(
+            self.cells.take(rows),
+            self.anchor[:, rows],
+            self.conditions.take(rows),
+            self.spring.take(rows),
+            self.commanded_mm[rows],
+            None if self.stand is None else self.stand.take(rows),
+            self.pivot_mm[rows],
+            self.pose.take(rows),
+            self.last,
+        )
+
+    def held(self, zero: FloatArray, stand: SupportStack) -> SolutionInputs:
+        """Return the grasp with the elastic zero ``zero`` (B, 6) on ``stand``."""
+        return SolutionInputs(
+            self.cells,
+            self.anchor,
+            zero,
+            self.spring.matrix_diagonal,
+            stand,
+            self.pivot_mm,
+            self.pose.slide_mm,
+            self.pose.rock_rad,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class GripSolution:
+    """A trial solution of B probes.
+
+    ``q`` (B, 6); ``pose`` of the supports; ``slip`` (B, 2, 3), for which everything is in balance;
+    ``d`` (B, 2, 4): motion relative to the pads; ``normal_n`` (B, 2); ``residual`` (B,);
+    ``alive`` (B,): probes whose supports have found their balance so far.
+    """
+
+    q: FloatArray
+    pose: SupportMotion
+    slip: FloatArray
+    d: FloatArray
+    normal_n: FloatArray
+    residual: FloatArray
+    alive: NDArray[np.bool_]
+
+    @classmethod
+    def begun(
+        cls, q: FloatArray, pose: SupportMotion, slip: FloatArray, alive: NDArray[np.bool_]
+    ) -> GripSolution:
+        """Return where to begin the search."""
+        count = len(q)
+        return cls(
+            q, pose, slip, np.zeros((count, 2, 4)), np.zeros((count, 2)), np.zeros(count), alive
+        )
+
+    def take(self, rows: NDArray[np.intp]) -> GripSolution:
+        """Return the probes ``rows``."""
+        return GripSolution(
+            self.q[rows],
+            self.pose.take(rows),
+            self.slip[rows],
+            self.d[rows],
+            self.normal_n[rows],
+            self.residual[rows],
+            self.alive[rows],
+        )
+
+    def replaced(self, rows: NDArray[np.intp], by: GripSolution) -> GripSolution:
+        """Return a copy in which the probes ``rows`` are those of ``by``."""
+        parts = {}
+        for name in ("q", "slip", "d", "normal_n", "residual", "alive"):
+            parts[name] = getattr(self, name).copy()
+            parts[name][rows] = getattr(by, name)
+        return GripSolution(pose=self.pose.replaced(rows, by.pose), **parts)
+
+
+def solve_with_slip(step: TimeStep, start: GripSolution) -> tuple[GripSolution, ContactForces]:
+    """Return the equilibrium near ``start`` in which no pad slips any more, and its cell forces.
+
+    Never raises for lack of convergence: the residual is infinite then.
+    """
+    if step.stand is None:
+        return _together(step, start)
+    return _each_for_itself(step, step.stand, start)
+
+
+def _together(step: TimeStep, start: GripSolution) -> tuple[GripSolution, ContactForces]:
+    now = start
+    for _ in range(SLIP_PASSES):
+        zero = _zero(step, now.slip)
+        q, there, residual = solve_equilibrium(
+            step.cells, step.anchor, now.q, zero, step.spring.matrix_diagonal
+        )
+        now, mapped = _mapped(step, replace(now, q=q, residual=residual), zero)
+        if np.abs(mapped - now.slip).max(initial=0.0) < SLIP_TOLERANCE:
+            return now, there
+        now = replace(now, slip=mapped)
+    return replace(now, residual=np.full_like(now.residual, np.inf)), there
+
+
+def _each_for_itself(
+    step: TimeStep, stand: SupportStack, start: GripSolution
+) -> tuple[GripSolution, ContactForces]:
+    rows = np.arange(len(start.q))
+    ends, part, now = start, step, start
+    for _ in range(SLIP_PASSES):
+        assert part.stand is not None
+        zero = _zero(part, now.slip)
+        held = part.held(zero, part.stand)
+        settled = solve_on_supports(held, now.q, now.pose, now.alive, eased=step.last)
+        now = replace(
+            now,
+            q=settled.q,
+            pose=settled.pose,
+            residual=settled.residual,
+            alive=now.alive & (settled.residual <= RESIDUAL_LIMIT),
+        )
+        now, mapped = _mapped(part, now, zero)
+        ends = ends.replaced(rows, now)
+        change = np.abs(mapped - now.slip).max(axis=(1, 2), initial=0.0)
+        slipping = np.flatnonzero(now.alive & ~(change < SLIP_TOLERANCE))
+        if not len(slipping):
+            break
+        if len(slipping) < len(rows):
+            rows, part = rows[slipping], part.take(slipping)
+            now, mapped = now.take(slipping), mapped[slipping]
+        now = replace(now, slip=mapped)
+    else:
+        residual = ends.residual.copy()
+        residual[rows] = np.inf
+        ends = replace(ends, residual=residual)
+    ride = carried_motion(step.held(np.zeros_like(ends.q), stand), ends.pose)
+    return ends, contact_forces(step.cells, step.anchor, ends.q - ride)
+
+
+def _zero(step: TimeStep, slip: FloatArray) -> FloatArray:
+    unloaded = step.spring.hidden.copy()
+    unloaded[:, :, :3] += slip
+    return elastic_zero(step.commanded_mm, unloaded, step.conditions.width_mm)
+
+
+def _mapped(step: TimeStep, now: GripSolution, zero: FloatArray) -> tuple[GripSolution, FloatArray]:
+    """Return ``now`` with the motion of the pads, and the slip mapped back."""
+    conditions, spring = step.conditions, step.spring
+    d = pad_motion(now.q, zero, step.commanded_mm, spring.give, conditions.width_mm)
+    normal_n = normal_force_n(d, spring, conditions.grip_force_n)
+    mapped = returned_slip(now.slip, d, spring, normal_n, conditions)
+    return replace(now, d=d, normal_n=normal_n), mapped
+
 
 SPLITS = 2
 """A step without balance is gone again in halves, and these again, so many times."""
@@ -25,33 +332,33 @@ _MOVING = ("q", "slip", "relaxed", "residual", "depth_mm", "slope", "toppled")
 
 
 class Region(Protocol):
-    """A flat outline (``backend.objects.shapes.Outline`` is one)."""
+    """A flat outline (``touchdown.backend.geometry.outlines.Outline`` is one)."""
 
     def contains(self, points_mm: FloatArray, /) -> NDArray[np.bool_]:
         """Return which points (..., 2) lie inside."""
 
 
 @dataclass(frozen=True, slots=True)
-class Carried:
+class GraspHistory:
     """What a gripping takes from probe to probe: ``slip`` (B, 2, 3) and ``relaxed`` (B, 2, 4)."""
 
     slip: FloatArray
     relaxed: FloatArray
 
     @classmethod
-    def fresh(cls, count: int) -> Carried:
+    def fresh(cls, count: int) -> GraspHistory:
         """Return ``count`` grippings that have not slipped."""
         return cls(np.zeros((count, 2, 3)), np.zeros((count, 2, 4)))
 
-    def take(self, index: NDArray[np.intp]) -> Carried:
+    def take(self, index: NDArray[np.intp]) -> GraspHistory:
         """Return the grippings ``index``."""
-        return Carried(self.slip[index], self.relaxed[index])
+        return GraspHistory(self.slip[index], self.relaxed[index])
 
-    def replaced(self, index: NDArray[np.intp], by: Carried) -> Carried:
+    def replaced(self, index: NDArray[np.intp], by: GraspHistory) -> GraspHistory:
         """Return a copy in which the grippings ``index`` are those of ``by``."""
         slip, relaxed = self.slip.copy(), self.relaxed.copy()
         slip[index], relaxed[index] = by.slip, by.relaxed
-        return Carried(slip, relaxed)
+        return GraspHistory(slip, relaxed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +373,7 @@ class ContactState:
     which moving supports find no balance is gone again in halves.
     """
 
-    cells: contact.Cells
+    cells: contact.ContactCells
     conditions: Conditions
     q: FloatArray
     slip: FloatArray
@@ -76,16 +383,16 @@ class ContactState:
     depth_mm: FloatArray
     slope: FloatArray
     pivot_mm: FloatArray
-    stand: Stand | None
-    pose: Pose
+    stand: SupportStack | None
+    pose: SupportMotion
     toppled: NDArray[np.bool_]
     splits: int = SPLITS
 
-    def on(self, stand: Stand | None, splits: int = SPLITS) -> ContactState:
+    def on(self, stand: SupportStack | None, splits: int = SPLITS) -> ContactState:
         """Return the state on supports that can rock and slide, upright by now; None: rigid."""
         if stand is None:
             return self
-        pose = Pose.upright(len(self.q), stand.interfaces)
+        pose = SupportMotion.upright(len(self.q), stand.interfaces)
         return replace(self, stand=stand, pose=pose, splits=splits)
 
     def take(self, rows: NDArray[np.intp]) -> ContactState:
@@ -110,7 +417,7 @@ class ContactState:
 
 
 @dataclass(frozen=True, slots=True)
-class Solved:
+class ProbeEquilibrium:
     """Equilibrium of B probes.
 
     ``q`` (B, 6); ``wrench_g`` (B, 6): contact forces on the piece, N and N·mm at the pivot ``G``;
@@ -127,10 +434,10 @@ class Solved:
     residual: FloatArray
     cop_mm: FloatArray
 
-    def replaced(self, rows: NDArray[np.intp], by: Solved) -> Solved:
+    def replaced(self, rows: NDArray[np.intp], by: ProbeEquilibrium) -> ProbeEquilibrium:
         """Return a copy in which the probes ``rows`` are those of ``by``."""
         names = [f.name for f in fields(self)]
-        return Solved(**{n: _put(getattr(self, n), rows, getattr(by, n)) for n in names})
+        return ProbeEquilibrium(**{n: _put(getattr(self, n), rows, getattr(by, n)) for n in names})
 
     @property
     def pressing_n(self) -> FloatArray:
@@ -138,12 +445,12 @@ class Solved:
         return np.asarray(self.wrench_g[:, 2], dtype=np.float64)
 
 
-def begin(
+def begin_probes(
     face_points_mm: FloatArray,
     outline: Region,
     offset_mm: FloatArray,
     conditions: Conditions,
-    previous: ContactState | Carried | None = None,
+    previous: ContactState | GraspHistory | None = None,
     pitch_mm: float = 1.0,
 ) -> ContactState:
     """Start B probes at the true displacements ``offset_mm`` (B, 2) above one bottom ``outline``.
@@ -156,14 +463,14 @@ def begin(
     s_x = cos * face_points_mm[:, 0] - sin * face_points_mm[:, 1]
     s_y = sin * face_points_mm[:, 0] + cos * face_points_mm[:, 1]
     s = np.stack([s_x, s_y], axis=-1)
-    packed, exists = contact.pack(s, outline.contains(s + offset_mm[:, None, :]))
+    packed, exists = contact.pack_cells(s, outline.contains(s + offset_mm[:, None, :]))
     x = packed[..., 0] - conditions.grasp_offset_mm[:, :1]
     y = packed[..., 1]
     tilt = conditions.tilt_rad
     gap = tilt[:, 1:] * packed[..., 0] - tilt[:, :1] * packed[..., 1]
     gap -= np.where(exists, gap, -np.inf).max(axis=1, initial=-1e9)[:, None]
     area = np.where(exists, pitch_mm**2, 0.0)
-    cells = contact.Cells(
+    cells = contact.ContactCells(
         x=x,
         y=y,
         gap_mm=gap,
@@ -175,7 +482,7 @@ def begin(
         count=exists.sum(axis=1),
     )
     count = conditions.count
-    kept = Carried.fresh(count) if previous is None else previous
+    kept = GraspHistory.fresh(count) if previous is None else previous
     return ContactState(
         cells=cells,
         conditions=conditions,
@@ -188,14 +495,14 @@ def begin(
         slope=np.zeros((count, 6)),
         pivot_mm=offset_mm + np.stack([conditions.grasp_offset_mm[:, 0], np.zeros(count)], axis=1),
         stand=None,
-        pose=Pose.upright(count, 0),
+        pose=SupportMotion.upright(count, 0),
         toppled=np.zeros(count, dtype=np.bool_),
     )
 
 
-def advance(
+def advance_probes(
     state: ContactState, commanded_mm: FloatArray, dt_s: float | FloatArray
-) -> tuple[ContactState, Solved]:
+) -> tuple[ContactState, ProbeEquilibrium]:
     """Solve the next time step of ``dt_s`` for the command ``commanded_mm`` (B, 3).
 
     The command is relative to the height of first touch (z below it is negative) and to the probing
@@ -212,18 +519,18 @@ def advance(
     half_s = 0.5 * np.broadcast_to(np.asarray(dt_s, dtype=np.float64), alive.shape)[lost]
     middle_mm = end_mm.copy()
     middle_mm[:, 2] = 0.5 * (part.depth_mm + end_mm[:, 2])
-    part, _ = advance(part, middle_mm, half_s)
-    part, found = advance(part, end_mm, half_s)
+    part, _ = advance_probes(part, middle_mm, half_s)
+    part, found = advance_probes(part, end_mm, half_s)
     return after.replaced(lost, part), solved.replaced(lost, found)
 
 
 def _advanced(
     state: ContactState, commanded_mm: FloatArray, dt_s: float | FloatArray
-) -> tuple[ContactState, Solved]:
+) -> tuple[ContactState, ProbeEquilibrium]:
     conditions = state.conditions
-    spring = grasp.springs(conditions, state.relaxed, dt_s)
+    spring = springs(conditions, state.relaxed, dt_s)
     travel = commanded_mm[:, 2] - state.depth_mm
-    step = Step(
+    step = TimeStep(
         state.cells,
         state.anchor,
         conditions,
@@ -234,13 +541,13 @@ def _advanced(
         state.pose,
         not state.splits,
     )
-    start = Grip.begun(
+    start = GripSolution.begun(
         state.q + travel[:, None] * state.slope,
         state.pose,
         state.slip,
         state.residual <= RESIDUAL_LIMIT,
     )
-    found, now = gripped(step, start)
+    found, now = solve_with_slip(step, start)
     q, slip, pose, residual = found.q, found.slip, found.pose, found.residual
     elastic = found.d.copy()
     elastic[:, :, :3] -= slip
@@ -250,15 +557,15 @@ def _advanced(
         state,
         q=q,
         slip=slip,
-        anchor=contact.moved_anchor(state.cells, now),
-        relaxed=grasp.relax(state.relaxed, elastic, conditions, dt_s),
+        anchor=contact.updated_anchor(state.cells, now),
+        relaxed=relax(state.relaxed, elastic, conditions, dt_s),
         residual=np.maximum(state.residual, residual),
         depth_mm=commanded_mm[:, 2],
         slope=np.where(moved, (q - state.q) / way, state.slope),
         pose=pose,
         toppled=state.toppled | _toppled(state, pose, residual),
     )
-    solved = Solved(
+    solved = ProbeEquilibrium(
         q=q,
         wrench_g=now.wrench,
         strain=elastic[:, :, :3],
@@ -277,7 +584,7 @@ def _put(values: Any, rows: NDArray[np.intp], by: Any) -> Any:
     return changed
 
 
-def _toppled(state: ContactState, pose: Pose, residual: FloatArray) -> NDArray[np.bool_]:
+def _toppled(state: ContactState, pose: SupportMotion, residual: FloatArray) -> NDArray[np.bool_]:
     if state.stand is None:
         return np.zeros_like(state.toppled)
     return topples(state.stand, pose) & (residual <= RESIDUAL_LIMIT)

@@ -10,17 +10,60 @@ Times count from an instant less than one cycle before the true first touch.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.config.method import SAMPLES_PER_PROBE, TICK_S, ProbeSettings
-from backend.core.flow import FloatArray
-from backend.core.onset import OnsetRule, back_date, detect, over_baseline
-from backend.simulation.contact import surface_motion
-from backend.simulation.mechanics import ContactState, advance
-from backend.simulation.support import Pose
-from backend.simulation.timeline import Timeline, packed
+from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S, ProbeSettings
+from touchdown.backend.core import (
+    FloatArray,
+    OnsetRule,
+    back_date_onset,
+    detect_contact,
+    force_over_baseline,
+)
+from touchdown.backend.simulation.contact import surface_motion
+from touchdown.backend.simulation.mechanics import ContactState, ProbeEquilibrium, advance_probes
+from touchdown.backend.simulation.supports import SupportMotion
+
+TIMELINE_VALUES = 14
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """``t_s`` (B, M), never falling; ``values`` (B, M, 14): wrench at ``G``, strain, pad forces."""
+
+    t_s: FloatArray
+    values: FloatArray
+
+    def at(self, t_s: FloatArray) -> FloatArray:
+        """Return (B, Q, 14) at the times (B, Q); constant before the first and after the last."""
+        last = self.t_s.shape[1] - 1
+        after = (self.t_s[:, None, :] <= t_s[:, :, None]).sum(axis=-1)
+        right = np.clip(after, 0, last)
+        left = np.clip(after - 1, 0, last)
+        rows = np.arange(len(t_s))[:, None]
+        t_left = self.t_s[rows, left]
+        gap = self.t_s[rows, right] - t_left
+        share = np.where(gap > 0.0, (t_s - t_left) / np.where(gap > 0.0, gap, 1.0), 0.0)
+        low = self.values[rows, left]
+        high = self.values[rows, right]
+        return np.asarray(low + share[..., None] * (high - low), dtype=np.float64)
+
+    def followed_by(self, later: Self) -> Timeline:
+        """Join two stretches."""
+        return Timeline(
+            np.concatenate([self.t_s, later.t_s], axis=1),
+            np.concatenate([self.values, later.values], axis=1),
+        )
+
+
+def pack_equilibrium(solved: ProbeEquilibrium) -> FloatArray:
+    """Return (B, 14) of one equilibrium."""
+    flat = solved.strain.reshape(len(solved.strain), 6)
+    return np.concatenate([solved.wrench_g, flat, solved.normal_n], axis=1)
+
 
 AIR_MARGIN = 20
 """Samples in air beyond what the running baseline needs."""
@@ -31,7 +74,7 @@ FIRST_BLOCK, NEXT_BLOCK, LONGEST = 15, 3, 60
 
 
 @dataclass(frozen=True, slots=True)
-class Pressed:
+class PressBatch:
     """B presses. ``onset_s`` (B,) back-dated; ``detected`` (B,): contact was found in time.
 
     ``touch_s`` (B,): when the faces really met; ``ticks_s`` (B, 20); ``air`` (B, 14): values before
@@ -72,14 +115,14 @@ def noise_samples(rule: OnsetRule, cycle_s: float) -> int:
     return air_samples(rule) + LONGEST * round(cycle_s * rule.rate_hz)
 
 
-def press(
+def press_batch(
     state: ContactState,
     phase_s: FloatArray,
     noise_n: FloatArray,
     probe: ProbeSettings,
     rule: OnsetRule,
     cycle_s: float,
-) -> Pressed:
+) -> PressBatch:
     """Press B probes.
 
     ``phase_s`` (B,) in [0, cycle): where the cycle boundaries lie relative to the contact.
@@ -91,15 +134,15 @@ def press(
     while True:
         _descend(descent, end, cycle_s, speed)
         force = _sampled_force(descent, noise_n, rule, cycle_s)
-        over = over_baseline(force, rule)
-        found = detect(over, rule)
+        over = force_over_baseline(force, rule)
+        found = detect_contact(over, rule)
         if ((found >= 0) | (state.cells.count == 0)).all() or end >= LONGEST:
             break
         end = min(end + NEXT_BLOCK, LONGEST)
     air = air_samples(rule)
     sample_s = np.arange(force.shape[1]) + 1.0 - air
     sample_t = sample_s / rule.rate_hz - phase_s[:, None]
-    onset = back_date(sample_t, over, found, rule)
+    onset = back_date_onset(sample_t, over, found, rule)
     detected = (found >= air) & np.isfinite(onset)
     onset = np.where(detected, onset, 0.0)
     per_cycle = round(cycle_s * rule.rate_hz)
@@ -109,7 +152,7 @@ def press(
     chosen = _state_at(descent.states, acted)
     command = _Ramp(probe, onset, first.t_s[:, -1], descent.lead_mm)
     later, chosen = _follow(chosen, command, ticks)
-    return Pressed(
+    return PressBatch(
         timeline=first.followed_by(later),
         onset_s=onset,
         touch_s=descent.touch_s,
@@ -125,13 +168,13 @@ def _in_air(
 ) -> _Descent:
     command = np.zeros((len(phase_s), 3))
     command[:, 2] = AIR_MM
-    settled, solved = advance(state, command, AIR_S)
+    settled, solved = advance_probes(state, command, AIR_S)
     _, _, u_z = surface_motion(state.cells, settled.q)
     gap = np.where(state.cells.normal > 0.0, u_z - state.cells.gap_mm, np.inf).min(axis=1)
     touch_s = (np.where(np.isfinite(gap), gap, AIR_MM) - AIR_MM) / speed_mm_s
     start_s = cycle_s * np.floor(touch_s / cycle_s + 1e-9)
     return _Descent(
-        [settled], [packed(solved)], [-phase_s], touch_s - start_s, speed_mm_s * start_s
+        [settled], [pack_equilibrium(solved)], [-phase_s], touch_s - start_s, speed_mm_s * start_s
     )
 
 
@@ -141,9 +184,9 @@ def _descend(descent: _Descent, cycles: int, cycle_s: float, speed_mm_s: float) 
         t_s = descent.t_s[-1] + cycle_s
         command = np.zeros((len(t_s), 3))
         command[:, 2] = -descent.lead_mm - speed_mm_s * t_s
-        after, solved = advance(descent.states[-1], command, cycle_s)
+        after, solved = advance_probes(descent.states[-1], command, cycle_s)
         descent.states.append(after)
-        descent.values.append(packed(solved))
+        descent.values.append(pack_equilibrium(solved))
         descent.t_s.append(t_s)
 
 
@@ -187,7 +230,7 @@ def _state_at(states: list[ContactState], acted: NDArray[np.intp]) -> ContactSta
         residual=own("residual"),
         depth_mm=own("depth_mm"),
         slope=own("slope"),
-        pose=Pose(
+        pose=SupportMotion(
             np.stack([state.pose.rock_rad for state in used])[acted, rows],
             np.stack([state.pose.slide_mm for state in used])[acted, rows],
         ),
@@ -234,8 +277,8 @@ def _follow(state: ContactState, ramp: _Ramp, ticks_s: FloatArray) -> tuple[Time
     ends = np.sort(np.maximum(ends, ramp.start_s[:, None]), axis=1)
     times, values, now = [], [], ramp.start_s
     for end in ends.T:
-        state, solved = advance(state, ramp.command_mm(end), end - now)
+        state, solved = advance_probes(state, ramp.command_mm(end), end - now)
         times.append(end)
-        values.append(packed(solved))
+        values.append(pack_equilibrium(solved))
         now = end
     return Timeline(np.stack(times, axis=1), np.stack(values, axis=1)), state

@@ -1,9 +1,9 @@
-"""Optional second judge that also animates the fall: MuJoCo with rim spheres.
+"""Release of a tower simulated with MuJoCo, as a second opinion and for the animation of a fall.
 
-Shapes do not touch each other. Every flat face carries tiny massless spheres, centred over its
-outline and tangent to the face from inside, and only spheres touch shapes. The built-in contact
-between cylinders (MuJoCo 4.0) misplaces the toppling edge by up to 1.3 mm on a radius of 7.5 mm;
-this model by 0.06 mm. It never replaces the exact judge of ``objects.tower``.
+Optional. Shapes do not touch each other. Every flat face carries tiny massless spheres, centred
+over its outline and tangent to the face from inside, and only spheres touch shapes. The built-in
+contact between cylinders (MuJoCo 4.0) misplaces the toppling edge by up to 1.3 mm on a radius of
+7.5 mm; this model by 0.06 mm. It never replaces the exact analysis of ``geometry.tower``.
 """
 
 from __future__ import annotations
@@ -15,10 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from backend.core.faults import InputError
-from backend.core.flow import Fall, FloatArray
-from backend.objects.shapes import Outline, Point, turned
-from backend.objects.tower import Body, Tower, Verdict
+from touchdown.backend.core import Fall, FloatArray, InputError
+from touchdown.backend.geometry import Body, Outline, Point, Tower, TowerVerdict, rotated
 
 SPHERES_PER_FACE = 32
 SPHERE_RADIUS_MM = 0.05
@@ -58,7 +56,7 @@ def simulate_release(
     per body the centre of its lower face (m; z = 0 where the topmost body rests) and quaternion.
     Raises ``InputError`` if the optional package is missing.
     """
-    mujoco = engine()
+    mujoco = import_mujoco()
     model = mujoco.MjModel.from_xml_string(model_xml(_kicked(tower, disturbance_mm)))
     data = mujoco.MjData(model)
     rest_m = _heights_mm(tower)[-1] * 1e-3
@@ -78,7 +76,7 @@ def simulate_release(
     return fallen, Fall(np.arange(frames) / frame_hz, poses, names)
 
 
-def differs(verdict: Verdict, fallen: bool) -> bool:
+def contradicts_analysis(verdict: TowerVerdict, fallen: bool) -> bool:
     """Return whether the engine contradicts the exact judge beyond its own error.
 
     That is 0.2 mm of margin, and 0.25 mm in towers of three and more bodies.
@@ -87,16 +85,16 @@ def differs(verdict: Verdict, fallen: bool) -> bool:
     return fallen == verdict.stands and abs(verdict.margin_mm) > band_mm
 
 
-def available() -> bool:
+def mujoco_available() -> bool:
     """Return whether the optional package is installed."""
     try:
-        engine()
+        import_mujoco()
     except InputError:
         return False
     return True
 
 
-def engine() -> Any:
+def import_mujoco() -> Any:
     """Return the optional package; raises ``InputError`` if it is missing."""
     try:
         return import_module("mujoco")
@@ -111,7 +109,7 @@ def engine() -> Any:
 def _kicked(tower: Tower, disturbance_mm: Point) -> Tower:
     """Shift the centre of mass of the topmost body."""
     top = tower.bodies[-1]
-    shift = turned(np.asarray(disturbance_mm, dtype=np.float64), -top.yaw_rad)
+    shift = rotated(np.asarray(disturbance_mm, dtype=np.float64), -top.yaw_rad)
     x, y = (np.asarray(top.com_xy_mm) + shift).tolist()
     return Tower((*tower.bodies[:-1], replace(top, com_xy_mm=(x, y))))
 
@@ -143,7 +141,7 @@ def model_xml(tower: Tower) -> str:
 
 
 def _body_xml(body: Body, tag: str, height_mm: float, meshes: list[str]) -> str:
-    at = metres(*body.at_mm, height_mm)
+    at = format_metres(*body.at_mm, height_mm)
     quat = f"{cos(body.yaw_rad / 2)!r} 0 0 {sin(body.yaw_rad / 2)!r}"
     parts = [_rim_xml(body.lower, SPHERE_RADIUS_MM)]
     if body.upper is None or body.upper == body.lower:
@@ -158,7 +156,7 @@ def _body_xml(body: Body, tag: str, height_mm: float, meshes: list[str]) -> str:
     return f'<body pos="{at}" quat="{quat}">{free}{"".join(parts)}</body>'
 
 
-def metres(*lengths_mm: float) -> str:
+def format_metres(*lengths_mm: float) -> str:
     """Write lengths in SI units, with a space between."""
     return " ".join(repr(float(length) * 1e-3) for length in lengths_mm)
 
@@ -170,7 +168,7 @@ def inertia_xml(body: Body) -> str:
     share = 1 / 4 if body.lower.kind == "circle" else 1 / 3
     height2 = (body.height_mm * 1e-3) ** 2 / 12
     ix, iy, iz = share * y**2 + height2, share * x**2 + height2, share * (x**2 + y**2)
-    at = metres(*body.com_xy_mm, body.com_height_mm)
+    at = format_metres(*body.com_xy_mm, body.com_height_mm)
     moments = " ".join(repr(mass * value) for value in (ix, iy, iz))
     return f'<inertial pos="{at}" mass="{mass!r}" diaginertia="{moments}"/>'
 
@@ -182,13 +180,13 @@ def shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes:
     """
     middle, half = (low_mm + high_mm) / 2, (high_mm - low_mm) / 2
     if outline.kind == "circle":
-        size = metres(outline.radius_mm, half)
-        return f'<geom type="cylinder" pos="{metres(0, 0, middle)}" size="{size}"/>'
+        size = format_metres(outline.radius_mm, half)
+        return f'<geom type="cylinder" pos="{format_metres(0, 0, middle)}" size="{size}"/>'
     x, y = outline.half_extents_mm
     if {(abs(a), abs(b)) for a, b in outline.vertices_mm} == {(x, y)}:
-        return f'<geom type="box" pos="{metres(0, 0, middle)}" size="{metres(x, y, half)}"/>'
+        return f'<geom type="box" pos="{format_metres(0, 0, middle)}" size="{format_metres(x, y, half)}"/>'
     corners = " ".join(
-        metres(a, b, height) for height in (low_mm, high_mm) for a, b in outline.vertices_mm
+        format_metres(a, b, height) for height in (low_mm, high_mm) for a, b in outline.vertices_mm
     )
     meshes.append(f'<mesh name="{tag}" vertex="{corners}"/>')
     return f'<geom type="mesh" mesh="{tag}"/>'
@@ -197,7 +195,8 @@ def shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes:
 def _rim_xml(outline: Outline, height_mm: float) -> str:
     """Write the spheres along the outline."""
     return "".join(
-        f'<geom class="rim" pos="{metres(x, y, height_mm)}"/>' for x, y in rim_points(outline)
+        f'<geom class="rim" pos="{format_metres(x, y, height_mm)}"/>'
+        for x, y in rim_points(outline)
     )
 
 

@@ -1,13 +1,23 @@
-"""What a simulated trial is set up with."""
+"""Scene of a simulated trial: set-up and ground truth.
+
+The ground truth serves scoring and display after the trial only.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
-from backend.config.simulation import SimulationSettings
-from backend.objects.catalogue import Piece
-from backend.objects.shapes import Outline
-from backend.objects.tower import Tower
+import numpy as np
+
+from touchdown.backend.config import SimulationSettings
+from touchdown.backend.core import Fall
+from touchdown.backend.geometry import Outline, Piece, Tower, judge_tower
+from touchdown.backend.simulation.release_mujoco import (
+    contradicts_analysis,
+    mujoco_available,
+    simulate_release,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,3 +58,71 @@ class Scene:
         upper = self.bottoms.bodies[-1].upper
         assert upper is not None
         return upper
+
+
+DROP_MM = 2.0
+"""Let go higher than this above the support the piece is counted as fallen."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneTruth:
+    """How things really are.
+
+    ``offset_mm``: displacement of the face from ``O``. ``margin_mm``: signed margin of the whole
+    tower, as if released here; after the release the one that decided. ``stands``: None before the
+    release. ``slip_mm``: largest slip of a pad in the present gripping. ``contradicted``: whether
+    the physics engine disagrees with the exact judge beyond its own error, None if not asked.
+    """
+
+    offset_mm: tuple[float, float]
+    yaw_rad: float
+    margin_mm: float
+    stands: bool | None
+    fall: Fall | None
+    slip_mm: float
+    knocked_over: bool
+    contradicted: bool | None = None
+
+
+def tower_with_piece(scene: Scene, offset_mm: tuple[float, float], yaw_rad: float) -> Tower:
+    """Return the tower with the piece at ``offset_mm`` from its topmost bottom."""
+    carrier = scene.bottoms.bodies[-1]
+    at_mm = (carrier.at_mm[0] + offset_mm[0], carrier.at_mm[1] + offset_mm[1])
+    return scene.bottoms.with_top(scene.piece.body(at_mm, yaw_rad))
+
+
+def true_margin_mm(
+    scene: Scene,
+    offset_mm: tuple[float, float],
+    yaw_rad: float,
+    kick_mm: tuple[float, float] = (0.0, 0.0),
+) -> float:
+    """Return the signed margin of the whole tower; ``kick_mm`` moves the top's centre of mass."""
+    return judge_tower(tower_with_piece(scene, offset_mm, yaw_rad), kick_mm).margin_mm
+
+
+def release_kick_mm(scene: Scene, release: int) -> tuple[float, float]:
+    """Return the kick of the opening fingers, normal per axis (settings: equivalent CoM shift)."""
+    sigma = scene.settings.release_disturbance_mm
+    seed = np.random.SeedSequence([scene.seed, 5, release])
+    x, y = sigma * np.random.Generator(np.random.PCG64(seed)).standard_normal(2)
+    return float(x), float(y)
+
+
+def falls_on_release(gap_mm: float) -> bool:
+    """Return whether a piece let go at this height counts as fallen."""
+    return not (math.isfinite(gap_mm) and gap_mm <= DROP_MM)
+
+
+def mujoco_opinion(
+    scene: Scene, offset_mm: tuple[float, float], yaw_rad: float, kick_mm: tuple[float, float]
+) -> tuple[Fall | None, bool] | None:
+    """Ask the physics engine: (motion if the piece fell, whether it contradicts the exact judge).
+
+    None where the optional engine is not installed.
+    """
+    if not mujoco_available():
+        return None
+    tower = tower_with_piece(scene, offset_mm, yaw_rad)
+    fallen, motion = simulate_release(tower, disturbance_mm=kick_mm)
+    return (motion if fallen else None), contradicts_analysis(judge_tower(tower, kick_mm), fallen)

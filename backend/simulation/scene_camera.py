@@ -1,6 +1,6 @@
-"""The picture of a camera beside the bench: board with dots, tower, and the piece above it.
+"""Rendered picture of the scene camera: board with dots, tower, and the piece above it.
 
-A pinhole without distortion; bodies are drawn as prisms, fingers and arm are left out.
+A pinhole camera without distortion; bodies are drawn as prisms, fingers and arm are left out.
 """
 
 from __future__ import annotations
@@ -8,10 +8,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from backend.core.flow import FloatArray, ImageArray
-from backend.objects.board import DOT_RADIUS_MM, DOTS_MM
-from backend.objects.shapes import Outline, turned
-from backend.simulation.scene import Scene
+from touchdown.backend.core import FloatArray, ImageArray
+from touchdown.backend.geometry import BOARD_DOT_RADIUS_MM, BOARD_DOTS_MM, Outline, rotated
+from touchdown.backend.simulation.scene import Scene
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 640, 480, 760.0
 EYE_MM = np.array([-70.0, -130.0, 150.0])
@@ -37,7 +36,7 @@ def camera_matrix() -> FloatArray:
     return np.asarray(inner @ np.column_stack([turn, -turn @ EYE_MM]))
 
 
-def picture(
+def render_scene(
     scene: Scene, offset_mm: tuple[float, float], yaw_rad: float, height_mm: float
 ) -> ImageArray:
     """Return (480, 640, 3) BGR with the face of the piece at ``offset_mm``, ``height_mm`` up."""
@@ -69,13 +68,13 @@ def _board(image: ImageArray) -> None:
     corners = BOARD_MM * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     _fill(image, corners, 0.0, BOARD)
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-    ring = DOT_RADIUS_MM * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    for dot in DOTS_MM:
+    ring = BOARD_DOT_RADIUS_MM * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    for dot in BOARD_DOTS_MM:
         _fill(image, dot + ring, 0.0, DOT)
 
 
 def _placed(outline: Outline, at_mm: tuple[float, float], yaw_rad: float) -> FloatArray:
-    return np.asarray(turned(outline.polygon(64), yaw_rad) + at_mm)
+    return np.asarray(rotated(outline.polygon(64), yaw_rad) + at_mm)
 
 
 def _prism(

@@ -1,7 +1,7 @@
 """The simulated bench as a world in cycles of 10 ms: arm, jaws, piece, contact, sensors.
 
-Everything random comes from the scene's seed, everything else from the commands and the cycles in
-which they came: the same scene and commands give the same bytes however time is wound.
+All randomness comes from the seed of the scene, everything else from the commands and the cycles in
+which they came: the same scene and commands give the same bytes for any division of time.
 """
 
 from __future__ import annotations
@@ -13,22 +13,32 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from backend.config.method import ProbeSettings
-from backend.core.flow import FINGERS, Finger, FloatArray
-from backend.core.turning import UNTURNED
-from backend.simulation import scoring
-from backend.simulation.arm import ArmDrive, Cycle, Press, PressLaw, Program, Travel, Unload
-from backend.simulation.disturbances import Script
-from backend.simulation.finger_camera import FingerCamera, Shot, Sight
-from backend.simulation.gel import build_gel
-from backend.simulation.gel_look import load_look, mirrored
-from backend.simulation.gripper import Jaws
-from backend.simulation.holding import Holding, start_command_mm
-from backend.simulation.optics import FingerOptics
-from backend.simulation.scene import Scene
-from backend.simulation.scoring import Truth
-from backend.simulation.timeline import VALUES
-from backend.simulation.wrist import Strain, Wrist
+from touchdown.backend.config import ProbeSettings
+from touchdown.backend.core import FINGERS, IDENTITY_ROTATION, Finger, FloatArray
+from touchdown.backend.emulation import DisturbanceScript
+from touchdown.backend.simulation import scene as scoring
+from touchdown.backend.simulation.arm import (
+    ArmCycle,
+    ArmDrive,
+    PressLaw,
+    SimPress,
+    SimProgram,
+    SimTravel,
+    SimUnload,
+)
+from touchdown.backend.simulation.finger_camera import (
+    Exposure,
+    FingerCamera,
+    MarkerMotion,
+    TactileRenderer,
+    load_gel_appearance,
+    mirror_appearance,
+)
+from touchdown.backend.simulation.gripper import HeldPiece, SimulatedJaws, start_command_mm
+from touchdown.backend.simulation.marker_fields import build_gel
+from touchdown.backend.simulation.pressing import TIMELINE_VALUES
+from touchdown.backend.simulation.scene import Scene, SceneTruth
+from touchdown.backend.simulation.wrist_sensor import WristLoad, WristSampler
 
 CLEARANCE_MM = 20.0
 """Open jaws at the start are wider than the piece by this much."""
@@ -43,13 +53,13 @@ _AIR_US = 400_000
 
 
 @dataclass(frozen=True, slots=True)
-class Sensed:
+class CycleRecord:
     """What one cycle brought: wrist samples (n,), (n, 6), pictures, and ``G`` (3,) at its end."""
 
     end_us: int
     t_s: FloatArray
     wrench: FloatArray
-    shots: Mapping[Finger, list[Shot]]
+    shots: Mapping[Finger, list[Exposure]]
     pose_mm: FloatArray
 
 
@@ -60,49 +70,49 @@ class World:
     """
 
     def __init__(
-        self, scene: Scene, script: Script | None = None, *, still_px: float = 0.0
+        self, scene: Scene, script: DisturbanceScript | None = None, *, still_px: float = 0.0
     ) -> None:
-        self.scene, self._script = scene, script or Script()
+        self.scene, self._script = scene, script or DisturbanceScript()
         settings = scene.settings
         self.cycle_us = settings.cycle_us
         self.now_us = 0
         self.drive = ArmDrive(start_command_mm(scene))
         width_mm = scene.piece.width_mm
-        self.jaws = Jaws(width_mm + CLEARANCE_MM, width_mm)
+        self.jaws = SimulatedJaws(width_mm + CLEARANCE_MM, width_mm)
         tactile = settings.tactile
         self._gel = build_gel(
             tactile.mm_per_px, tactile.pitch_mm, tactile.roll_off_mm, tactile.dilation
         )
         seeds = np.random.SeedSequence([scene.seed, 7, scene.mounting]).generate_state(3)
-        self._wrist = Wrist(settings.wrist, self.cycle_us, int(seeds[2]))
+        self._wrist = WristSampler(settings.wrist, self.cycle_us, int(seeds[2]))
         self._cameras = _cameras(scene, seeds.tolist(), still_px)
-        self._holding: Holding | None = None
+        self._holding: HeldPiece | None = None
         self._bottoms = scene.bottoms
         self._grips = 0
-        self._rest = np.zeros(VALUES)
+        self._rest = np.zeros(TIMELINE_VALUES)
         self._values = self._rest
         self._heard: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
         self._air = deque([self._heard], _AIR_US // self.cycle_us)
         self._recent_n: list[float] = []
         self._tare_n = 0.0
         self._put_down: tuple[tuple[float, float], float] | None = None
-        self._final: Truth | None = None
+        self._final: SceneTruth | None = None
         self.knocked_over = False
         self._field_px = self._field(self._values)
 
     # -- commands ---------------------------------------------------------------------------------
 
-    def travel(self, target_mm: FloatArray, speed_mm_s: float) -> Travel:
+    def travel(self, target_mm: FloatArray, speed_mm_s: float) -> SimTravel:
         """Begin a straight move of ``G`` to ``target_mm`` (3,)."""
-        program = Travel(self.drive.command_mm, target_mm, speed_mm_s)
+        program = SimTravel(self.drive.command_mm, target_mm, speed_mm_s)
         self.drive.run(program)
         return program
 
-    def follow(self, program: Program) -> None:
+    def follow(self, program: SimProgram) -> None:
         """Begin a jog, or a program that turns the hand."""
         self.drive.run(program)
 
-    def press(self, law: PressLaw, stiffness_n_mm: tuple[float, float, float]) -> Press:
+    def press(self, law: PressLaw, stiffness_n_mm: tuple[float, float, float]) -> SimPress:
         """Begin a press; a new probe starts and its nuisances are drawn."""
         if self._holding is not None:
             self._holding.begin_probe(ProbeSettings(stiffness_n_mm=stiffness_n_mm))
@@ -111,13 +121,13 @@ class World:
         start_s = self.now_us * 1e-6
         # The offset was drawn anew just now: the air of before as this one would have told it.
         air = air_s, air_n + self._sensor_offset()[2]
-        program = Press(law, float(self.drive.command_mm[2]), start_s, air)
+        program = SimPress(law, float(self.drive.command_mm[2]), start_s, air)
         self.drive.run(program)
         return program
 
-    def unload(self, force_n: float, speed_mm_s: float) -> Unload:
+    def unload(self, force_n: float, speed_mm_s: float) -> SimUnload:
         """Begin to rise until the press force over the air before the press is ``force_n``."""
-        program = Unload(force_n, self._tare_n, speed_mm_s, float(self.drive.command_mm[2]))
+        program = SimUnload(force_n, self._tare_n, speed_mm_s, float(self.drive.command_mm[2]))
         self.drive.run(program)
         return program
 
@@ -132,14 +142,14 @@ class World:
 
     # -- time -------------------------------------------------------------------------------------
 
-    def step(self, watched: Collection[Finger] = FINGERS) -> Sensed:
+    def step(self, watched: Collection[Finger] = FINGERS) -> CycleRecord:
         """Advance by one cycle and return what was sensed; pictures of ``watched`` fingers only."""
         start_us, end_us = self.now_us, self.now_us + self.cycle_us
         start_s, dt_s = start_us * 1e-6, self.cycle_us * 1e-6
         before = self._load(self._values)
         field_before = self._field_px
         command = self.drive.step(
-            Cycle(start_s, end_us * 1e-6, *self._heard),
+            ArmCycle(start_s, end_us * 1e-6, *self._heard),
             stalled=self._script.active("arm", "stall", start_s),
         )
         if not self._script.active("gripper", "stall", start_s):
@@ -151,30 +161,30 @@ class World:
         self._watch_dragging(command)
         self._field_px = self._field(self._values)
         self.now_us = end_us
-        strain = Strain(before, self._load(self._values), self._sensor_offset())
+        strain = WristLoad(before, self._load(self._values), self._sensor_offset())
         t_s, wrench = self._wrist.samples(start_us, end_us, strain)
         shots = {
             finger: self._cameras[finger].shots(
                 start_us,
                 end_us,
-                Sight(field_before[i], self._field_px[i], self._bias_px(i)),
+                MarkerMotion(field_before[i], self._field_px[i], self._bias_px(i)),
                 watched=finger in watched,
             )
             for i, finger in enumerate(FINGERS)
         }
-        return Sensed(end_us, t_s, wrench, shots, self._measured_mm(command))
+        return CycleRecord(end_us, t_s, wrench, shots, self._measured_mm(command))
 
     # -- truth ------------------------------------------------------------------------------------
 
-    def truth(self, *, animate: bool = False) -> Truth:
+    def truth(self, *, animate: bool = False) -> SceneTruth:
         """Return how things are; the engine is asked only with ``animate``, and once."""
         if self._final is not None:
             return self._with_opinion(self._final) if animate else self._final
         offset, yaw = self._placed()
-        return Truth(
+        return SceneTruth(
             offset_mm=offset,
             yaw_rad=yaw,
-            margin_mm=scoring.margin_mm(self._scene_now(), offset, yaw),
+            margin_mm=scoring.true_margin_mm(self._scene_now(), offset, yaw),
             stands=False if self.knocked_over else None,
             fall=None,
             slip_mm=0.0 if self._holding is None else self._holding.slip_mm,
@@ -182,7 +192,7 @@ class World:
         )
 
     @property
-    def holding(self) -> Holding | None:
+    def holding(self) -> HeldPiece | None:
         """The gripping in progress, None while the jaws hold nothing."""
         return self._holding
 
@@ -216,31 +226,33 @@ class World:
     def _grasp(self, dt_s: float, command: FloatArray) -> None:
         change = self.jaws.step(dt_s)
         if change.taken:
-            self._holding = Holding(self.scene, self._grips, self.jaws.force_n, self._bottoms)
+            self._holding = HeldPiece(self.scene, self._grips, self.jaws.force_n, self._bottoms)
             self._grips += 1
         elif change.let_go and self._holding is not None:
             self._bottoms = self._holding.bottoms
             self._release(self._holding, command)
 
-    def _release(self, holding: Holding, command: FloatArray) -> None:
+    def _release(self, holding: HeldPiece, command: FloatArray) -> None:
         if self.scene.jig and np.abs(command - start_command_mm(self.scene)).max() <= JIG_MM:
             self._holding = None
             return
         offset, yaw = holding.offset_mm(command), holding.gripping.yaw_rad
         kick = scoring.release_kick_mm(self.scene, self._grips)
-        margin = scoring.margin_mm(self._scene_now(), offset, yaw, kick)
-        dropped = scoring.drops(holding.gap_mm(command))
+        margin = scoring.true_margin_mm(self._scene_now(), offset, yaw, kick)
+        dropped = scoring.falls_on_release(holding.gap_mm(command))
         stands = margin > 0.0 and not dropped and not self.knocked_over
         self._put_down = (offset, yaw)
-        self._final = Truth(offset, yaw, margin, stands, None, holding.slip_mm, self.knocked_over)
+        self._final = SceneTruth(
+            offset, yaw, margin, stands, None, holding.slip_mm, self.knocked_over
+        )
         self._holding = None
         # A piece that was put down is not taken again: a trial ends with its release.
         self.jaws.piece_present = False
 
-    def _with_opinion(self, final: Truth) -> Truth:
+    def _with_opinion(self, final: SceneTruth) -> SceneTruth:
         if final.contradicted is None and not final.knocked_over:
             kick = scoring.release_kick_mm(self.scene, self._grips)
-            opinion = scoring.second_opinion(
+            opinion = scoring.mujoco_opinion(
                 self._scene_now(), final.offset_mm, final.yaw_rad, kick
             )
             if opinion is not None:
@@ -261,7 +273,7 @@ class World:
     def _load(self, values: FloatArray) -> FloatArray:
         """Return (6,) at ``G``, in the axes of the hand: contact, gripper and piece, N and N·mm."""
         turn = self.drive.turn
-        if turn is not UNTURNED:
+        if turn is not IDENTITY_ROTATION:
             # In the air only: there is no contact to turn.
             return values[:6] + self._weights_g(turn)
         load = values[:6] + self._wrist.payload_g
@@ -308,11 +320,11 @@ class World:
 def _cameras(
     scene: Scene, seeds: np.ndarray[tuple[int, ...], np.dtype[np.uint32]], still_px: float
 ) -> dict[Finger, FingerCamera]:
-    look = load_look()
-    looks = {"left": look, "right": mirrored(look)}
+    look = load_gel_appearance()
+    looks = {"left": look, "right": mirror_appearance(look)}
     return {
         finger: FingerCamera(
-            scene.settings.tactile, FingerOptics(looks[finger], seed, still_px), seed
+            scene.settings.tactile, TactileRenderer(looks[finger], seed, still_px), seed
         )
         for finger, seed in zip(FINGERS, seeds, strict=False)
     }

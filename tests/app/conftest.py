@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
 from tests.app.stand_in import StandInBench
 from tests.prompt_window import prompt
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
 
 __all__ = ["prompt"]
 

@@ -7,8 +7,9 @@ from functools import cache
 
 import numpy as np
 
-from backend.config.bench_facts import BenchFacts
-from backend.core.facts import (
+from touchdown.backend.config.bench_description import BenchDescription
+from touchdown.backend.core.event_bus import EventBus
+from touchdown.backend.core.events import (
     ActionChosen,
     BeliefUpdated,
     FaultRaised,
@@ -23,8 +24,10 @@ from backend.core.facts import (
     TrialFinished,
     TrialStarted,
 )
-from backend.core.faults import Fault, RefusedError
-from backend.core.flow import (
+from touchdown.backend.core.faults import Fault, RefusedError
+from touchdown.backend.core.scheduling import RepaintHold
+from touchdown.backend.core.streams import SampleStream, Stream
+from touchdown.backend.core.values import (
     FINGERS,
     BeliefMap,
     ContactPatch,
@@ -36,11 +39,8 @@ from backend.core.flow import (
     SupportKind,
     TactileFrame,
 )
-from backend.core.hub import Hub
-from backend.core.hush import Hush
-from backend.core.stream import SampleStream, Stream
-from backend.devices.interlock import Interlock
-from backend.devices.protocols import (
+from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.devices.protocols import (
     ArmStatus,
     DeviceState,
     GripStatus,
@@ -49,10 +49,10 @@ from backend.devices.protocols import (
     RobotMode,
     SafetyMode,
 )
-from backend.objects.catalogue import load_catalogue
-from backend.runs.gate import Gate
-from backend.runs.requests import RunState, RunStatus, SceneChoice
-from widgets.decision_panel import signed_mm
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.bench import OperatorPrompt
+from touchdown.backend.runs.requests import RunState, RunStatus, SceneChoice
+from touchdown.widgets.views.decision import signed_mm
 
 ROWS, COLS = np.mgrid[0:7, 0:9]
 REST = np.stack([34.0 + 31.5 * COLS.ravel(), 30.0 + 30.0 * ROWS.ravel()], axis=1)
@@ -106,10 +106,10 @@ class StandInEngine:
 
 
 class StandInBench:
-    """Satisfies ``app.link.Link``."""
+    """Satisfies ``touchdown.app.shell.bench_link.Link``."""
 
     simulated = True
-    facts = BenchFacts(mode="simulated")
+    facts = BenchDescription(mode="simulated")
     name, limits_source, connection = "", "the program itself", None
     usual, hand, model, dataset = SceneChoice(), None, None, None
     calibrations = None
@@ -117,8 +117,8 @@ class StandInBench:
     drift = None
 
     def __init__(self):
-        self.hub, self.interlock, self.catalogue = Hub(), Interlock(), load_catalogue()
-        self.hush, self.gate, self.run_folder = Hush(), Gate(), None
+        self.hub, self.interlock, self.catalogue = EventBus(), Interlock(), load_pieces()
+        self.hush, self.gate, self.run_folder = RepaintHold(), OperatorPrompt(), None
         self.frames = {f: Stream(f"tactile_{f}", 8) for f in FINGERS}
         self.fields = {f: Stream(f"markers_{f}", 8) for f in FINGERS}
         self.wrench = SampleStream("wrench", 6, 20_000)

@@ -7,9 +7,9 @@ from PySide6.QtCore import QObject, Qt
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QFrame, QVBoxLayout, QWidget
 
-from app import appearance
-from app.appearance import CHOICES, Appearance, system_theme
-from widgets.theme import DARK, LIGHT, Theme
+from touchdown.app.shell import window as appearance
+from touchdown.app.shell.window import CHOICES, Appearance, system_theme
+from touchdown.widgets.base.theme import DARK, LIGHT, Theme
 
 SCHEME, WISH = Qt.ColorScheme, getattr(Qt, "ContrastPreference", None)
 

@@ -4,7 +4,8 @@ import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
-from backend.core.facts import (
+from tests.app.conftest import settle
+from touchdown.backend.core.events import (
     HandOverAwaited,
     OutcomeAwaited,
     PhaseEntered,
@@ -12,9 +13,8 @@ from backend.core.facts import (
     SetUpAwaited,
     TrialFinished,
 )
-from backend.core.flow import Outcome
-from backend.runs.requests import RunState
-from tests.app.conftest import settle
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.runs.requests import RunState
 
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(40)
 ASKED = OutcomeAwaited(3.0, Outcome.FELL, "Something pushed the opening fingers with 2.4 N.")

@@ -7,18 +7,17 @@ from datetime import UTC, datetime
 
 import pytest
 
-from backend.calibration.kinds import KINDS, WHATS
-from backend.calibration.record import read_record
-from backend.calibration.store import CalibrationStore
-from backend.core.facts import (
+from tests.app.conftest import settle
+from touchdown.backend.calibration.records import CalibrationStore, read_record
+from touchdown.backend.calibration.result import CALIBRATION_KINDS, CALIBRATION_NAMES
+from touchdown.backend.core.events import (
     CalibrationMeasured,
     HandOverAwaited,
     Progress,
     RunFinished,
     RunStarted,
 )
-from backend.runs.requests import CalibrateRequest, RunState
-from tests.app.conftest import settle
+from touchdown.backend.runs.requests import CalibrateRequest, RunState
 
 GOOD = CalibrationMeasured(
     0.0, "payload",
@@ -73,7 +72,7 @@ def test_it_opens_with_what_holds_and_what_to_do(wizard) -> None:
 
 def test_measuring_asks_the_bench_for_what_is_chosen(wizard, bench) -> None:
     sheet = shown(wizard)
-    sheet.choices[WHATS.index("board")].click()
+    sheet.choices[CALIBRATION_NAMES.index("board")].click()
     assert sheet.form.isVisible()
     sheet.form.x_mm.setValue(1.5)
     sheet.form.bottom.setCurrentText("rect12x28")
@@ -151,11 +150,11 @@ def test_the_hand_over_is_confirmed_in_the_wizard(wizard, bench) -> None:
 
 
 def test_accepted_cameras_say_from_when_on_they_are_read_so(wizard, bench) -> None:
-    names = KINDS["camera"].values
+    names = CALIBRATION_KINDS["camera"].values
     found = replace(GOOD, what="camera", names=("exchanged", "left_mirror", "right_mirror", *names),
                     values=(0.0, 0.0, 0.0, 0.06, 0.06, 0.06, 0.06), sigmas=7 * (0.0,),
                     units=7 * ("",))  # fmt: skip
-    shown(wizard).choices[WHATS.index("camera")].click()
+    shown(wizard).choices[CALIBRATION_NAMES.index("camera")].click()
     sheet = told(wizard, bench, found)
     sheet.accept_it.click()
     assert "until the bench is started again" in sheet.note.text()
@@ -183,7 +182,7 @@ def test_a_page_says_when_and_by_whom_it_was_measured_last(wizard, bench) -> Non
 def test_only_the_cameras_ask_for_the_pitch_of_the_dots(wizard) -> None:
     sheet = shown(wizard)
     for what in ("board", "tool", "camera"):
-        sheet.choices[WHATS.index(what)].click()
+        sheet.choices[CALIBRATION_NAMES.index(what)].click()
         assert sheet.form.bottom.isVisible()
         assert sheet.form.pitch_mm.isVisible() == (what == "camera")
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from backend.devices.protocols import Health, SafetyMode
 from tests.app.conftest import settle
+from touchdown.backend.devices.protocols import Health, SafetyMode
 
 
 def pass_s(live, bench, seconds):

@@ -5,11 +5,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from app.collect.decide import words_of
-from app.collect.gauge import Pace, RecorderGauge, time_words
-from app.collect.harvest import Harvest, Held, grip_words, pair_words
-from app.collect.origin import OriginNote, note_of, residual_words
-from backend.objects.catalogue import load_catalogue
+from touchdown.app.collect.origin import (
+    OriginNote,
+    Pace,
+    RecorderGauge,
+    note_of,
+    residual_words,
+    time_words,
+)
+from touchdown.app.collect.probes import Harvest, Held, grip_words, pair_words
+from touchdown.app.collect.requests import words_of
+from touchdown.backend.geometry.pieces import load_pieces
 
 
 def test_the_gauge_counts_bytes_of_the_last_two_minutes(tmp_path):
@@ -36,7 +42,7 @@ def test_the_time_left_follows_the_last_probes():
 
 
 def test_a_pair_without_a_probe_has_holes_only():
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     harvest = Harvest(catalogue.piece("pot").face, catalogue.piece("circle15").face)
     assert harvest.covered.covered == 0.0
     assert harvest.newest == ""

@@ -6,18 +6,18 @@ from dataclasses import replace
 import pytest
 from PySide6.QtWidgets import QApplication
 
-from app.connect.banner import words_of
-from app.connect.limits import TITLES, rows_of, unit_of
-from app.connect.presenter import row_of
-from backend.config.bench_facts import BenchFacts
-from backend.core.faults import Fault, RefusedError
-from backend.devices.interlock import Limits
-from backend.devices.protocols import DeviceState, Identity
-from backend.rig.connection import Connection, DeviceLine
-from backend.runs.requests import SceneChoice
 from tests.app.conftest import settle
 from tests.backend.devices.waiting import until
 from tests.backend.rig.scripted import LINES, held, scripted
+from touchdown.app.connect.limits import TITLES, rows_of, unit_of
+from touchdown.app.connect.presenter import row_of
+from touchdown.app.shell.bench_text import words_of
+from touchdown.backend.config.bench_description import BenchDescription
+from touchdown.backend.core.faults import Fault, RefusedError
+from touchdown.backend.devices.interlock import Limits
+from touchdown.backend.devices.protocols import DeviceState, Identity
+from touchdown.backend.rig.connection import Connection, DeviceLine
+from touchdown.backend.runs.requests import SceneChoice
 
 FAULT = Fault("LINK", "The camera is lost.", "It stands.", "Plug it in.", "tactile_left")
 WHO = Identity("Maker", "Model", "7", "1")
@@ -32,7 +32,7 @@ def devices():
 def lab(main, bench, devices):
     """The window on the stand-in bench, as if its devices were connected by hand."""
     bench.connection, bench.name = Connection(devices), "Bench 2"
-    bench.facts, bench.simulated = BenchFacts(mode="hardware"), False
+    bench.facts, bench.simulated = BenchDescription(mode="hardware"), False
     bench.limits_source, bench.left = "lab.toml", []
     bench.usual = SceneChoice("barrel", ("long", "hex20"))
     bench.leave_scene = lambda: bench.left.append("scene")
@@ -71,7 +71,7 @@ def test_the_forms_begin_with_what_is_on_the_bench(lab):
     ],
 )
 def test_each_kind_of_bench_has_its_own_words(bench, mode, banner, striped, note):
-    bench.facts, bench.name = BenchFacts(mode=mode), "Bench 2"
+    bench.facts, bench.name = BenchDescription(mode=mode), "Bench 2"
     words = words_of(bench)
     assert (words.banner, words.striped, words.note) == (banner, striped, note)
     assert ("SIMULATED" in words.title) is (mode == "simulated")

@@ -6,18 +6,17 @@ from dataclasses import replace
 
 import pytest
 
-from app.activity import LASTING_S, why_no_run
-from app.chips import ChipsPresenter
-from app.pill import pill_of
-from backend.assembly import simulated_session
-from backend.core.faults import RefusedError
-from backend.devices.degraded import Degraded
-from backend.runs.live_thread import LiveThread
-from backend.runs.requests import ProbeRequest, RunState, SceneChoice
 from tests.app.conftest import settle
 from tests.backend.brisk import brisk_bench, brisk_method
-from widgets.theme import Theme
-from widgets.top_bar import TopBar
+from touchdown.app.shell.activity import LASTING_S, why_no_run
+from touchdown.app.shell.top_bar import ChipsPresenter, pill_of
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.devices.supervision import Degraded
+from touchdown.backend.runs.engine import LiveThread
+from touchdown.backend.runs.requests import ProbeRequest, RunState, SceneChoice
+from touchdown.widgets.base.theme import Theme
+from touchdown.widgets.shell.top_bar import TopBar
 
 
 def test_the_pill_names_the_sensor_and_since_when(live, bench):

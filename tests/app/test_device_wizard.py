@@ -9,12 +9,12 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QComboBox
 
-from app.connect.devices import FIELDS, LEFT, RIGHT
-from backend.config.bench_facts import BenchFacts
-from backend.config.lab import load_lab
-from backend.devices import found
-from backend.rig.connection import Connection
 from tests.backend.rig.scripted import scripted
+from touchdown.app.connect.devices import FIELDS, LEFT, RIGHT
+from touchdown.backend.config.bench_description import BenchDescription
+from touchdown.backend.config.lab import load_lab
+from touchdown.backend.devices import connection
+from touchdown.backend.rig.connection import Connection
 
 NUMBERS = ("2D8Y-69GR", "AAAA-1111")
 LAB = """\
@@ -52,7 +52,7 @@ def file(tmp_path):
 def wizard(main, bench, file):
     """The form of a bench whose devices are not connected, as the operator opens it."""
     bench.connection, bench.name = Connection(scripted()[0]), "Bench 2"
-    bench.facts, bench.simulated = BenchFacts(mode="hardware"), False
+    bench.facts, bench.simulated = BenchDescription(mode="hardware"), False
     bench.limits_source = str(file)
     main.attach(bench)
     main.panels.connect.sheet.devices.click()
@@ -144,7 +144,7 @@ def test_looking_opens_no_port_so_that_none_can_hold_it_up_or_answer_wrongly(
     ports = tmp_path / "by-id"
     ports.mkdir()
     os.mkfifo(ports / "usb-Silent")
-    monkeypatch.setattr(found, "choices", partial(found.choices, ports=ports))
+    monkeypatch.setattr(connection, "choices", partial(connection.choices, ports=ports))
     (tmp_path / "names" / "video0" / "name").write_bytes(b"\xff\x00GelSight?")
     wizard.look.click()
     offered = wizard.editors["ft.address"]

@@ -1,9 +1,9 @@
 """What the window shows of a wrist sensor that drifts: read-out, chip, inspector, card."""
 
-from backend.core.facts import Noticed
-from backend.runs.drifting import drift_notice
-from backend.sensing.drift import Drift
 from tests.app.conftest import settle
+from touchdown.backend.core.events import Noticed
+from touchdown.backend.runs.calibrations import drift_notice
+from touchdown.backend.sensing.zeroing import WrenchDrift
 
 
 def look(live, bench):
@@ -18,12 +18,12 @@ def test_a_little_drift_is_a_figure_and_much_is_yellow_and_named(live, bench):
     look(live, bench)
     plot, chip = live.workspaces["operate"].page.force, live.bar.chips["force_torque"]
     assert "drift" not in plot.summary()
-    bench.drift = Drift(0.12, 240.0)
+    bench.drift = WrenchDrift(0.12, 240.0)
     look(live, bench)
     assert plot.summary().endswith("; drift 0.12 N in 4 min")
     assert chip.value.state == "ready"
     assert chip.value.tip.endswith("drift 0.12 N in 4 min, in still air")
-    bench.drift = much = Drift(0.52, 11.0, named=True)
+    bench.drift = much = WrenchDrift(0.52, 11.0, named=True)
     bench.hub.publish(Noticed(bench.clock_s(), drift_notice(much)))
     look(live, bench)
     assert (chip.value.state, chip.value.detail) == ("degraded", "drift 0.52 N")

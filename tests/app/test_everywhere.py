@@ -7,9 +7,9 @@ from PySide6.QtCore import QRect, QSize
 from PySide6.QtGui import QAccessible
 from PySide6.QtWidgets import QApplication, QLabel, QPushButton
 
-from backend.runs.requests import RunState
 from tests.app.conftest import settle
-from widgets import state_pill
+from touchdown.backend.runs.requests import RunState
+from touchdown.widgets.shell import state
 
 
 @pytest.mark.parametrize("scale", [0.8, 1.0, 2.0])
@@ -70,7 +70,7 @@ def test_a_change_of_state_is_announced(live, bench, monkeypatch):
     said = []
     monkeypatch.setattr(QAccessible, "isActive", staticmethod(lambda: True))
     monkeypatch.setattr(
-        state_pill.QAccessible, "updateAccessibility",
+        state.QAccessible, "updateAccessibility",
         staticmethod(lambda event: said.append(event.message())),
     )  # fmt: skip
     bench.set_state(RunState.RUNNING)

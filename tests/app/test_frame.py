@@ -11,16 +11,16 @@ from PySide6.QtCore import QRect, Qt, qWarning
 from PySide6.QtGui import QAction, QImage
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel, QSpinBox, QWidget
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox, install, log_to
-from app.guard import bad_pair
-from app.keys import EVERYWHERE, STOP_ROWS, portable
-from app.settings import WindowSettings, load_settings, save_settings
-from app.stack.form import form_of
 from tests.app.conftest import settle
 from tests.app.stand_in import StandInBench
-from widgets.run_panel import RunForm
-from widgets.theme import THEMES
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.actions import EVERYWHERE, STOP_ROWS, portable
+from touchdown.app.shell.errors import ErrorBox, install, log_to
+from touchdown.app.shell.settings import WindowSettings, load_settings, save_settings
+from touchdown.app.stack.workspace import form_of
+from touchdown.app.start import bad_pair
+from touchdown.widgets.base.theme import THEMES
+from touchdown.widgets.forms.run_form import RunForm
 
 
 def test_no_two_commands_share_a_key_in_one_context(main):
@@ -269,7 +269,7 @@ def test_details_are_shown_and_copied(live, bench, qapp):
 
 def test_questions_do_not_block(live, qtbot):
     answered = []
-    from widgets.fault_cards import Question
+    from touchdown.widgets.shell.fault_cards import Question
 
     live.cards.ask(Question("Really?", (("Yes", lambda: answered.append(1)),)))
     button = next(b for b in live.cards.findChildren(QAbstractButton) if b.text() == "Yes")

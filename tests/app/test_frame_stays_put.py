@@ -4,19 +4,19 @@ import os
 import subprocess
 import sys
 
-from app.collect.workspace import LABEL_WORDS
-from app.error_hooks import log_to
-from backend.core.facts import Paused, PhaseEntered
-from backend.core.faults import Fault
 from tests.app.conftest import settle
-from widgets.fault_cards import CardText, Question
+from touchdown.app.collect.workspace import LABEL_WORDS
+from touchdown.app.shell.errors import log_to
+from touchdown.backend.core.events import Paused, PhaseEntered
+from touchdown.backend.core.faults import Fault
+from touchdown.widgets.shell.fault_cards import CardText, Question
 
 PAGES_TWICE_AS_FINE = """
 import sys
 from pathlib import Path
 from PySide6.QtWidgets import QApplication
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
 from tests.app.stand_in import StandInBench
 application = QApplication([])
 box, folder = ErrorBox(), Path(sys.argv[1])

@@ -3,10 +3,10 @@
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
-from app.inspect import rows_of
-from backend.devices.protocols import Identity
-from backend.runs.requests import RunState
 from tests.app.conftest import settle
+from touchdown.app.shell.activity import rows_of
+from touchdown.backend.devices.protocols import Identity
+from touchdown.backend.runs.requests import RunState
 
 
 def test_a_click_on_a_chip_opens_its_device_and_follows_it(live, bench, qtbot):

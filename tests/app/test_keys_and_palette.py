@@ -5,11 +5,11 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QAbstractSpinBox, QComboBox, QLabel, QWidget
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from app.keys import EVERYWHERE, plain, portable, refusal
 from tests.app.conftest import settle
-from widgets.command_palette import Choice, best, score
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.actions import EVERYWHERE, plain, portable, refusal
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.widgets.shell.keys import Choice, best, score
 
 
 def test_workspaces_have_their_keys_and_stand_in_the_order_of_the_rail(main):

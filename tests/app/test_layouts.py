@@ -8,11 +8,11 @@ from PySide6.QtCore import QPoint, QRect, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QWidget
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from app.layout_file import LayoutBook, load_book, save_book
-from app.on_screen import pulled_back
-from widgets.columns import Arrangement, Columns
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.app.shell.layouts import LayoutBook, load_book, save_book
+from touchdown.app.shell.window import pulled_back
+from touchdown.widgets.base.panel import Arrangement, Columns
 
 NOW = datetime(2026, 3, 4, 5, 6, 7)
 SCREEN = QRect(0, 0, 1920, 1080)

@@ -4,13 +4,12 @@ import pytest
 from PySide6.QtCore import QPoint
 from PySide6.QtWidgets import QApplication, QTableView
 
-from backend.core.flow import Outcome
 from tests.app.conftest import settle
-from widgets.elided import ElidedLabel
-from widgets.panel import Panel
-from widgets.tactile_view import TactileView
-from widgets.target_panel import TargetButtons
-from widgets.training_tables import LEAST_ROWS, FigureTable
+from touchdown.backend.core.values import Outcome
+from touchdown.widgets.base.panel import ElidedLabel, Panel
+from touchdown.widgets.forms.collect_form import TargetButtons
+from touchdown.widgets.lists.tables import LEAST_ROWS, FigureTable
+from touchdown.widgets.views.tactile import TactileView
 
 PAGES = ("operate", "collect", "train", "stack", "review")
 

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from app.live import LivePresenter, LiveViews
-from backend.core.stream import SampleStream
+from touchdown.app.shell.live import LivePresenter, LiveViews
+from touchdown.backend.core.streams import SampleStream
 
 
 class NotedPlot:

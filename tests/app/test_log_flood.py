@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.error_hooks import AGAIN_S, BOX, KEPT, ErrorBox, Repeats, log, log_to
+from touchdown.app.shell.errors import AGAIN_S, BOX, KEPT, ErrorBox, Repeats, log, log_to
 
 FRAME_S, LASTS_S = 0.016, 60.0
 

@@ -2,13 +2,13 @@
 
 import pytest
 
-from app.model_words import card_in_use, model_words, scene_words
-from backend.assembly import model_in_use
-from backend.learning.checkpoint import load_checkpoint, save_checkpoint
-from backend.learning.registry import Registry
-from backend.runs.store import models_folder
 from tests.app.conftest import settle
-from widgets.run_panel import RunForm
+from touchdown.app.shell.bench_text import card_in_use, model_words, scene_words
+from touchdown.backend.bench.assembly import model_in_use
+from touchdown.backend.learning.checkpoint import load_checkpoint, save_checkpoint
+from touchdown.backend.learning.registry import ModelRegistry
+from touchdown.backend.runs.recorder import models_folder
+from touchdown.widgets.forms.run_form import RunForm
 
 
 @pytest.fixture(autouse=True)
@@ -30,17 +30,17 @@ def test_the_words_follow_what_is_in_use(mine):
     model, card = mine
     assert model_words("pot", "paper").short.startswith("shipped, IoU ")
     assert "12,000 probes" in model_words("pot", "paper").full
-    Registry(models_folder()).promote(model)
+    ModelRegistry(models_folder()).promote(model)
     own = model_words("pot", "paper")
     assert own.short == f"yours {card.weights_sha256[:8]}, IoU 40 %, 20 probes"
     assert "promoted in Train" in own.full
     assert model_words("barrel", "paper").short.startswith("shipped")
-    Registry(models_folder()).roll_back("pot")
+    ModelRegistry(models_folder()).roll_back("pot")
     assert model_words("pot", "paper").short.startswith("shipped")
 
 
 def test_strategies_that_ask_no_promoted_model_say_so(mine):
-    Registry(models_folder()).promote(mine[0])
+    ModelRegistry(models_folder()).promote(mine[0])
     shorts = [model_words("pot", name).short for name in ("fused", "zero-wrench", "pick-and-place")]
     assert not any("yours" in short for short in shorts)
     assert shorts[0] == "its own, shipped"
@@ -57,7 +57,7 @@ def test_a_damaged_history_is_no_failure():
 def test_a_scene_keeps_its_model_and_says_who_takes_the_other(mine):
     model, card = mine
     shipped = card_in_use("pot")
-    Registry(models_folder()).promote(model)
+    ModelRegistry(models_folder()).promote(model)
     words = scene_words(shipped, "pot", simulated=True)
     assert words.short.endswith(f"; in use: yours {card.weights_sha256[:8]}")
     assert "Set (Ctrl+N)" in words.full
@@ -73,7 +73,7 @@ def test_stack_and_operate_show_it(live, bench, mine):
     run.show_form(RunForm(strategy="fused"))
     assert run._model.text() == "its own, shipped"
     run.show_form(RunForm())
-    Registry(models_folder()).promote(model)
+    ModelRegistry(models_folder()).promote(model)
     live.go("operate")
     assert (
         probe.model.text() == f"Model: none in this scene; in use: yours {card.weights_sha256[:8]}"

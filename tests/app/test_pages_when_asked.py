@@ -6,15 +6,15 @@ import time
 import pytest
 from PySide6.QtCore import QEventLoop
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from app.settings import load_settings
-from app.workspaces import WORKSPACES
 from tests.app.conftest import settle
 from tests.app.slot_watch import SLOT_S
 from tests.app.stand_in import StandInBench
 from tests.app.yardstick import Yardstick
-from widgets.fault_cards import FaultCard
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.app.shell.settings import load_settings
+from touchdown.app.workspaces import WORKSPACES
+from touchdown.widgets.shell.fault_cards import FaultCard
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.prompt_window import PACES
-from widgets.pump import BUDGET_S
+from touchdown.widgets.base.freshness import BUDGET_S
 
 APP = Path(__file__).resolve().parents[2] / "app"
 
@@ -21,8 +21,8 @@ def compared(tree):
                 yield from (right.id for right in node.comparators if isinstance(right, ast.Name))
 
 
-NO_PACE = {("app.calibrate.presenter", "STANDINGS_S"), ("app.collect.gauge", "WINDOW_S"),
-           ("app.label.looking", "PAUSE_S")}  # fmt: skip
+NO_PACE = {("touchdown.app.calibrate.presenter", "STANDINGS_S"), ("touchdown.app.collect.origin", "WINDOW_S"),
+           ("touchdown.app.label.editing", "PAUSE_S")}  # fmt: skip
 """Compared likewise, but nothing is drawn by it at once."""
 
 

@@ -14,7 +14,7 @@ ASKED = """
 import sys, threading
 from PySide6.QtCore import QMetaObject, Qt
 from PySide6.QtWidgets import QApplication, QWidget
-from app.closing import end_for_sure
+from touchdown.app.shell.cards import end_for_sure
 
 app = QApplication([])
 window = QWidget()

@@ -6,12 +6,13 @@ import json
 
 import pytest
 
-from app.review.collection import collection_of
-from app.review.stored import series_of
-from app.review.timed import trials_of
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeContext, Label
-from backend.core.facts import (
+from tests.app.label.conftest import make_episode
+from touchdown.app.review.campaign import collection_of
+from touchdown.app.review.episodes import series_of
+from touchdown.app.review.timing import trials_of
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.core.events import (
     CampaignBegan,
     EpisodeDecided,
     Gripped,
@@ -22,10 +23,9 @@ from backend.core.facts import (
     Said,
     TrialStarted,
 )
-from backend.objects.catalogue import load_catalogue
-from backend.runs.campaign import new_campaign
-from backend.runs.journal import Journal
-from tests.app.label.conftest import make_episode
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.campaign import new_campaign
+from touchdown.backend.runs.event_log import EventLog
 
 SETTINGS = json.dumps({"request": {"count": 3, "person": "ann"}})
 
@@ -82,7 +82,7 @@ def test_a_single_probe_is_a_trial_of_its_own():
 @pytest.fixture
 def filled(isolated_settings):
     """A dataset with three episodes of one campaign, and the plan of it."""
-    folder, catalogue = isolated_settings / "data" / "dataset", load_catalogue()
+    folder, catalogue = isolated_settings / "data" / "dataset", load_pieces()
     with Dataset.open(folder, person="ann") as dataset:
         campaign = new_campaign("pot", "circle15", "grid", 7, 3, None)
         campaign.save(folder)
@@ -108,7 +108,7 @@ def test_a_series_tells_what_is_known_of_it(filled):
 
 def test_the_probes_of_a_collection_are_shown(main, qtbot, tmp_path, filled):
     uuids = [entry.uuid for entry in filled.episodes()]
-    journal = Journal(tmp_path / "runs" / "20261121-041511-703")
+    journal = EventLog(tmp_path / "runs" / "20261121-041511-703")
     for fact in collected(uuids):
         journal(fact)
     journal.close()

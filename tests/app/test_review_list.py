@@ -5,23 +5,23 @@ import threading
 import pytest
 from PySide6.QtCore import Qt
 
-from app.review import recordings
-from app.review.page import QuietList
-from app.review.run_lines import read_run_line
-from backend.core.facts import PhaseEntered, RunFinished, RunStarted, TrialFinished
-from backend.core.flow import Outcome
-from backend.runs.journal import NAME, Journal
 from tests.app.stand_in import StandInBench
-from widgets.recording_list import RecordingList, RecordingRow
-from widgets.theme import Theme
-from widgets.wrapped_items import WrappedItems
+from touchdown.app.review import recordings
+from touchdown.app.review.page import QuietList
+from touchdown.app.review.recordings import read_run_line
+from touchdown.backend.core.events import PhaseEntered, RunFinished, RunStarted, TrialFinished
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.runs.event_log import EVENT_LOG_NAME, EventLog
+from touchdown.widgets.base.rows import WrappedItems
+from touchdown.widgets.base.theme import Theme
+from touchdown.widgets.lists.recordings import RecordingList, RecordingRow
 
 TIME = "2026-11-21  04:15:11 UTC"
 
 
 def record(folder, outcomes, ending="finished", piece="pot", probes=1):
     """Write a run with the journal that writes real ones."""
-    bench, journal = StandInBench(), Journal(folder)
+    bench, journal = StandInBench(), EventLog(folder)
     bench.hub.subscribe(journal)
     bench.tell_start(piece=piece, trials=max(len(outcomes), 1))
     for number, outcome in enumerate(outcomes, start=1):
@@ -67,14 +67,16 @@ def test_a_run_in_one_line(tmp_path, outcomes, ending, text):
 
 def test_a_torn_last_line_is_passed_over(tmp_path):
     run = record(tmp_path / "run", [Outcome.PLACED])
-    whole = (run / NAME).read_bytes()
-    (run / NAME).write_bytes(whole[:-9])
+    whole = (run / EVENT_LOG_NAME).read_bytes()
+    (run / EVENT_LOG_NAME).write_bytes(whole[:-9])
     assert read_run_line(run).text() == "pot on short: placed, not finished"
 
 
 def test_maps_are_not_decoded(tmp_path, monkeypatch):
     run = record(tmp_path / "run", [Outcome.PLACED, Outcome.FELL], probes=5)
-    monkeypatch.setattr("backend.runs.fact_codec._array", lambda value: pytest.fail("decoded"))
+    monkeypatch.setattr(
+        "touchdown.backend.runs.event_log._array", lambda value: pytest.fail("decoded")
+    )
     assert read_run_line(run).outcomes == (Outcome.PLACED, Outcome.FELL)
 
 
@@ -82,8 +84,8 @@ def test_the_list_fills_in_newest_first_and_survives_damage(main, qtbot, tmp_pat
     runs = tmp_path / "runs"
     record(runs / "20261121-041511-703", [Outcome.FELL], piece="barrel")
     damaged = record(runs / "20261121-041511-702", [Outcome.FELL])
-    text = (damaged / NAME).read_text().replace('"FELL"', '"FLEW"')
-    (damaged / NAME).write_text(text)
+    text = (damaged / EVENT_LOG_NAME).read_text().replace('"FELL"', '"FLEW"')
+    (damaged / EVENT_LOG_NAME).write_text(text)
     main.go("review")
     rows = main.workspaces["review"].page.runs
     described(main, qtbot)
@@ -182,12 +184,12 @@ def test_a_filter_finds_older_runs_that_were_not_described_yet(main, qtbot, tmp_
 
 def test_a_run_that_went_on_is_described_again(main, qtbot, tmp_path):
     run = record(tmp_path / "runs" / "20261121-041511-703", [Outcome.PLACED])
-    whole = (run / NAME).read_bytes()
+    whole = (run / EVENT_LOG_NAME).read_bytes()
     lines = whole.splitlines(keepends=True)
-    (run / NAME).write_bytes(b"".join(lines[:-2]))
+    (run / EVENT_LOG_NAME).write_bytes(b"".join(lines[:-2]))
     for content, text in ((None, "not finished"), (whole, "placed")):
         if content is not None:
-            (run / NAME).write_bytes(content)
+            (run / EVENT_LOG_NAME).write_bytes(content)
         main.go("review")
         described(main, qtbot)
         assert texts(main) == [f"{TIME}\npot on short: {text}"]
@@ -199,7 +201,7 @@ def test_a_run_that_went_on_is_described_again(main, qtbot, tmp_path):
      ("probe", "pot on circle15: single probe, run cancelled")],
 )  # fmt: skip
 def test_a_run_without_trials_is_named_by_what_it_was_for(tmp_path, activity, text):
-    journal = Journal(tmp_path / "run")
+    journal = EventLog(tmp_path / "run")
     journal(RunStarted(0.0, "run", "pot", "circle15", "random", 0, 1, True, "{}",
                        activity=activity))  # fmt: skip
     journal(RunFinished(0.0, "run", "cancelled", ""))
@@ -228,7 +230,7 @@ def test_only_a_device_fault_before_the_release_keeps_a_trial_out_of_the_rate(
 ):
     """Of five trials one counts as placed, one is left out: 1 of 4, by Wilson 4.6 to 69.9 %."""
     run = tmp_path / "runs" / "20261121-041511-703"
-    bench, journal = StandInBench(), Journal(run)
+    bench, journal = StandInBench(), EventLog(run)
     bench.hub.subscribe(journal)
     bench.tell_start(trials=5)
     bench.tell_end(Outcome.PLACED)

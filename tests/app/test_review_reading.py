@@ -5,12 +5,12 @@ import time
 
 import pytest
 
-from app.review import reading
-from app.review.reading import Reading
-from backend.core.flow import Outcome
-from backend.runs.journal import NAME, read_journal
 from tests.app.slot_watch import SLOT_S, SlotWatch
 from tests.app.test_review_list import record
+from touchdown.app.review import recordings
+from touchdown.app.review.recordings import Reading
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.runs.event_log import EVENT_LOG_NAME, read_events
 
 REPEATS = 30
 CHOICES = 2
@@ -20,8 +20,8 @@ CHOICES = 2
 def run(tmp_path):
     """A run whose two trials come many times over."""
     made = record(tmp_path / "runs" / "20261121-041511-703", [Outcome.FELL] * 2, probes=2)
-    first, head, *trials, end = (made / NAME).read_bytes().splitlines(keepends=True)
-    (made / NAME).write_bytes(b"".join([first, head, *trials * REPEATS, end]))
+    first, head, *trials, end = (made / EVENT_LOG_NAME).read_bytes().splitlines(keepends=True)
+    (made / EVENT_LOG_NAME).write_bytes(b"".join([first, head, *trials * REPEATS, end]))
     record(tmp_path / "runs" / "20261121-041511-702", [Outcome.FELL])
     return made
 
@@ -59,15 +59,15 @@ def test_no_turn_of_the_window_waits_for_a_long_journal(main, qtbot, run):
 def test_a_long_reading_says_how_far_it_is_and_can_be_given_up(main, qtbot, run, monkeypatch):
     workspace = opened(main, qtbot)
     page, go_on = workspace.page, threading.Event()
-    facts = list(read_journal(run))
+    facts = list(read_events(run))
 
     def halting(_folder):
         yield from facts[: len(facts) // 4]
         go_on.wait(60.0)
         yield from facts[len(facts) // 4 :]
 
-    monkeypatch.setattr(reading, "read_journal", halting)
-    monkeypatch.setattr(reading, "LONG_S", 0.0)
+    monkeypatch.setattr(recordings, "read_events", halting)
+    monkeypatch.setattr(recordings, "LONG_S", 0.0)
     page.runs.choose_row(0)
 
     def words():

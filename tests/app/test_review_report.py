@@ -6,15 +6,14 @@ import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication, QFileDialog, QWidget
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from app.review import reports
-from app.review.report_drawing import drawn, in_colours
-from backend.experiments.charts import INK, reliability_chart
-from backend.experiments.reading import read_report
-from widgets.report_grid import ReportGrid
-from widgets.report_sheet import PictureCard, ReportIntents, ReportSheet
-from widgets.theme import DARK, LIGHT, Theme, load_resources
+from touchdown.app.application import TouchdownApp
+from touchdown.app.review import reports
+from touchdown.app.review.reports import drawn, in_colours
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.backend.experiments.document import INK, reliability_chart
+from touchdown.backend.experiments.results import read_report
+from touchdown.widgets.base.theme import DARK, LIGHT, Theme, load_resources
+from touchdown.widgets.views.report import PictureCard, ReportGrid, ReportIntents, ReportSheet
 
 FULL = Path(__file__).parents[2] / "docs/results/tables-full.json"
 

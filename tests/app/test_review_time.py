@@ -16,25 +16,25 @@ from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from app.review import exports
-from app.review.timed import score_of, trials_of
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeContext, Label
-from backend.core.facts import (
+from tests.app.label.conftest import make_episode
+from tests.app.stand_in import StandInBench
+from touchdown.app.application import TouchdownApp
+from touchdown.app.review import exports
+from touchdown.app.review.timing import score_of, trials_of
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.core.events import (
     EpisodeRecorded,
     PatchEstimated,
     PhaseEntered,
     RunFinished,
     RunStarted,
 )
-from backend.core.flow import FINGERS, ContactPatch, Outcome
-from backend.dataset.episode_file import write_episode
-from backend.objects.catalogue import load_catalogue
-from backend.runs.journal import Journal
-from tests.app.label.conftest import make_episode
-from tests.app.stand_in import StandInBench
+from touchdown.backend.core.values import FINGERS, ContactPatch, Outcome
+from touchdown.backend.episodes.episode_file import write_episode
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.event_log import EventLog
 
 KEY = Qt.Key
 PROBES = 3
@@ -55,7 +55,7 @@ def shifted(episode, by_s):
 
 def make_run(folder):
     """Write a run of one trial: a probe and its decision every four seconds, then the end."""
-    bench, journal = StandInBench(), Journal(folder)
+    bench, journal = StandInBench(), EventLog(folder)
     (folder / "episodes").mkdir()
     bench.hub.subscribe(journal)
     bench.tell_start(trials=1)
@@ -222,7 +222,7 @@ def test_a_click_on_the_line_moves_the_cursor(told):
 def test_the_list_is_filtered_by_words_and_kind(start, tmp_path):
     for number, piece in ((701, "pot"), (702, "barrel")):
         folder, bench = tmp_path / "runs" / f"20261121-041511-{number}", StandInBench()
-        journal = Journal(folder)
+        journal = EventLog(folder)
         bench.hub.subscribe(journal)
         bench.tell_start(piece=piece)
         journal.close()
@@ -242,7 +242,7 @@ def test_the_list_is_filtered_by_words_and_kind(start, tmp_path):
 
 
 def test_an_episode_of_the_dataset_is_shown_with_its_label(start, isolated_settings):
-    folder, catalogue = isolated_settings / "data" / "dataset", load_catalogue()
+    folder, catalogue = isolated_settings / "data" / "dataset", load_pieces()
     with Dataset.open(folder, person="Ann") as dataset:
         pair = dataset.geometry.store_pair(catalogue.piece("pot"), catalogue.piece("circle15"))
         context = EpisodeContext("s1", "circle15", pair, "Ann", "g1", "m1")
@@ -265,7 +265,7 @@ def test_an_episode_of_the_dataset_is_shown_with_its_label(start, isolated_setti
 
 
 def test_an_estimate_against_the_truth_by_counting():
-    disc = load_catalogue().piece("circle15").face
+    disc = load_pieces().piece("circle15").face
     points = np.array([[0.0, 0.0], [5.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
     patch = ContactPatch(points, np.array([0.9, 0.2, 0.8, 0.1]))
     # Radius 7.5 mm, moved by (1, 0): the first two points touch, 10 and about 9 mm are beside it.
@@ -349,7 +349,7 @@ def test_a_damaged_episode_leaves_a_gap_and_a_sentence(start, tmp_path):
 
 
 def test_a_single_probe_tells_what_it_felt_and_that_it_ended(start, tmp_path):
-    journal = Journal(tmp_path / "runs" / "20261121-041511-703")
+    journal = EventLog(tmp_path / "runs" / "20261121-041511-703")
     head = RunStarted(68.0, "run", "pot", "short", "", 0, 1, True, "{}", activity="probe")
     patch = ContactPatch(np.zeros((4, 2)), np.array([0.9, 0.4, 0.1, 0.2]))
     felt = PatchEstimated(70.0, patch, (5.2, 12.0), 1)

@@ -1,10 +1,10 @@
 """A run takes the same course whether a window looks on or not."""
 
-from backend.config.method import PolicySettings
-from backend.core.facts import RunFinished
 from tests.app.conftest import settle
 from tests.backend.brisk import brisk_method
 from tests.backend.runs.oracle_bench import OracleSession, request
+from touchdown.backend.config.method import PolicySettings
+from touchdown.backend.core.events import RunFinished
 
 STEPS_A_DRAW = 25
 TWO_PROBES = brisk_method().model_copy(update={"policy": PolicySettings(max_probes=2)})

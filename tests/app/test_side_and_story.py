@@ -3,14 +3,20 @@
 import numpy as np
 import pytest
 
-from app.run_story import RunStory
-from app.stack.side import HOLD_S, SidePresenter
-from backend.core.facts import PhaseEntered, Released, RunStarted, StabilityJudged, TrialStarted
-from backend.core.flow import Fall
 from tests.app.conftest import settle
 from tests.app.stand_in import stability
-from widgets.panel import Panel
-from widgets.side_view import UPRIGHT, SideBody, SideView
+from touchdown.app.shell.run_story import RunStory
+from touchdown.app.stack.side import HOLD_S, SidePresenter
+from touchdown.backend.core.events import (
+    PhaseEntered,
+    Released,
+    RunStarted,
+    StabilityJudged,
+    TrialStarted,
+)
+from touchdown.backend.core.values import Fall
+from touchdown.widgets.base.panel import Panel
+from touchdown.widgets.views.scene import UPRIGHT, SideBody, SideView
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, -1.2, 1.57, 2.5])
@@ -154,7 +160,7 @@ def _draw(side):
 
 
 def _theme():
-    from widgets.theme import Theme
+    from touchdown.widgets.base.theme import Theme
 
     return Theme()
 

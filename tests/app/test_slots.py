@@ -5,13 +5,13 @@ import time
 import pytest
 from PySide6.QtCore import QEventLoop, QTimer
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from backend.assembly import simulated_session
-from backend.runs.requests import ProbeRequest, RunState, SceneChoice
-from backend.session import Keep
 from tests.app.slot_watch import SLOT_S, SlotWatch
 from tests.app.yardstick import USUAL_S, Yardstick
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import ProbeRequest, RunState, SceneChoice
 
 FASTER = 8.0
 """The bench runs this much faster than real time, or as fast as it can."""
@@ -61,7 +61,7 @@ def test_only_a_slower_computer_is_allowed_more(slower, allowed):
 @pytest.mark.slow
 @pytest.mark.usual_pace
 def test_no_slot_takes_long_while_a_probe_goes_on_and_pages_change(qapp, qtbot, tmp_path, watch):
-    session = simulated_session(keep=Keep(tmp_path / "runs"))
+    session = simulated_session(keep=RecordingOptions(tmp_path / "runs"))
     session.prepare(SceneChoice())
     opened = session.open
     session.open = lambda: opened(FASTER)

@@ -6,16 +6,16 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QPushButton
 from scipy.stats import binomtest
 
-from app.settings import load_settings
-from app.stack.presenter import request_of
-from app.tally import wilson
-from backend.core.facts import PhaseEntered, TrialFinished
-from backend.core.flow import Outcome
-from backend.runs.requests import RunState, StackRequest
 from tests.app.conftest import settle
 from tests.app.stand_in import action
-from widgets.belief_scene import NO_PROBE
-from widgets.run_panel import RunForm
+from touchdown.app.shell.run_story import wilson
+from touchdown.app.shell.settings import load_settings
+from touchdown.app.stack.presenter import request_of
+from touchdown.backend.core.events import PhaseEntered, TrialFinished
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.runs.requests import RunState, StackRequest
+from touchdown.widgets.forms.run_form import RunForm
+from touchdown.widgets.views.belief import NO_PROBE
 
 
 def told(live, bench, end=None):

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 import resources
-from app.__main__ import parser
-from app.start import bench_of
-from backend.core.faults import InputError
+from touchdown.app.__main__ import parser
+from touchdown.app.start import bench_of
+from touchdown.backend.core.faults import InputError
 
 LAB = Path(resources.__path__[0]) / "benches" / "lab.toml"
 

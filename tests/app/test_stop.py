@@ -15,9 +15,9 @@ from PySide6.QtWidgets import (
     QSpinBox,
 )
 
-from backend.devices.protocols import RobotMode
-from backend.runs.requests import RunState
 from tests.app.conftest import settle
+from touchdown.backend.devices.protocols import RobotMode
+from touchdown.backend.runs.requests import RunState
 
 PLACES = ["window", "combo", "spin box", "line edit", "combo popup", "menu", "message box",
           "file dialog"]  # fmt: skip

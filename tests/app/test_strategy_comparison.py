@@ -2,11 +2,11 @@
 
 import pytest
 
-from app.stack.rivals import MOST, Rivals, asked
-from backend.core.facts import RunFinished, RunStarted
-from backend.core.flow import Outcome
-from backend.runs.requests import RunState, StackRequest
 from tests.app.conftest import settle
+from touchdown.app.stack.comparison import MOST, Rivals, asked
+from touchdown.backend.core.events import RunFinished, RunStarted
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.runs.requests import RunState, StackRequest
 
 PAPER, BLIND = "paper", "pick-and-place"
 

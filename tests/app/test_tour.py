@@ -8,7 +8,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
 from tests.app.conftest import settle
-from widgets.tour_card import beside
+from touchdown.widgets.shell.tour import beside
 
 KEY = Qt.Key
 

@@ -2,17 +2,17 @@
 
 from dataclasses import replace
 
-from app.train.reading import Reading
-from backend.assembly import model_in_use
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Label
-from backend.learning.registry import SHIPPED, Registry
 from tests.backend.catalogue.conftest import context_for, small_episode
-from widgets.training_form import TrainingForm
+from touchdown.app.train.reading import Reading
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.bench.assembly import model_in_use
+from touchdown.backend.learning.registry import SHIPPED, ModelRegistry
+from touchdown.widgets.forms.training_form import TrainingForm
 
 
 def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
-    reading = Reading(Registry(tmp_path / "models"))
+    reading = Reading(ModelRegistry(tmp_path / "models"))
     form = replace(TrainingForm(), data=str(tmp_path / "data"), labels="approved")
 
     def told(labels="approved"):
@@ -41,7 +41,7 @@ def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
 
 
 def test_a_promoted_model_can_be_rolled_back_without_data(tmp_path):
-    registry = Registry(tmp_path / "models")
+    registry = ModelRegistry(tmp_path / "models")
     reading, form = Reading(registry), replace(TrainingForm(), data=str(tmp_path / "none"))
     assert reading.look(form, anew=True).in_use is None
     registry.promote(model_in_use("pot", None))

@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from app.train.words import alone_words, figure_rows
-from backend.learning.alone import HARDWARE_PROBES
-from widgets.theme import Theme, load_resources
-from widgets.training_tables import FigureTable
+from touchdown.app.train.text import alone_words, figure_rows
+from touchdown.backend.learning.registry import HARDWARE_PROBES
+from touchdown.widgets.base.theme import Theme, load_resources
+from touchdown.widgets.lists.tables import FigureTable
 
 
 def trained(piece, **bottoms):

@@ -11,16 +11,16 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QPushButton
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from backend.assembly import model_in_use
-from backend.learning.registry import Registry
-from backend.learning.training_runs import training_runs
-from backend.runs.store import models_folder
 from tests.app.stand_in import StandInBench
 from tests.app.tiny_packs import EPISODES, write_tiny_packs
 from tests.app.yardstick import Yardstick
-from widgets.pump import BUDGET_S
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.backend.bench.assembly import model_in_use
+from touchdown.backend.learning.registry import ModelRegistry
+from touchdown.backend.learning.training_runs import list_training_runs
+from touchdown.backend.runs.recorder import models_folder
+from touchdown.widgets.base.freshness import BUDGET_S
 
 KEY, CTRL, SHIFT = Qt.Key, Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 EPOCHS, HIDDEN = 2, 8
@@ -110,7 +110,7 @@ def test_without_data_the_page_says_how_to_get_some(qapp, qtbot, tmp_path):
 
 
 def test_a_model_of_data_that_is_gone_is_rolled_back_by_its_key(qapp, qtbot, tmp_path):
-    registry = Registry(models_folder())
+    registry = ModelRegistry(models_folder())
     mine = registry.promote(model_in_use("pot", None), "Ann").weights_sha256
     main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
     with qtbot.waitActive(main.window, timeout=60_000):
@@ -166,7 +166,7 @@ def test_train_compare_promote_and_roll_back(desk):
     page.form.modality.setCurrentIndex(2)
     desk.settle()
     desk.train()
-    wrench, both = training_runs(desk.data)
+    wrench, both = list_training_runs(desk.data)
     assert [r.card.modality for r in (wrench, both)] == ["FT", "FT+Tac"]
     assert page.runs.chosen() == (wrench.uuid,)
     assert page.iou.lines[0].points[-1] == (EPOCHS, wrench.value("iou", EPOCHS))
@@ -186,7 +186,7 @@ def test_train_compare_promote_and_roll_back(desk):
     assert [line.name for line in page.iou.lines] == ["A", "B"]
     assert not page.promote.isEnabled()
 
-    registry = Registry(models_folder())
+    registry = ModelRegistry(models_folder())
     for run in (both, wrench):
         page.runs.choose([run.uuid])
         desk.settle()
@@ -217,7 +217,7 @@ def test_cancel_is_asked_and_resume_goes_on(desk):
     next(b for b in desk.main.cards.findChildren(QPushButton)
          if b.text() == "Cancel it" and b.isVisible()).click()  # fmt: skip
     desk.ended()
-    (cut,) = training_runs(desk.data)
+    (cut,) = list_training_runs(desk.data)
     assert (cut.state, cut.can_resume, page.runs.chosen()) == ("cancelled", True, (cut.uuid,))
     assert page.form.resume.isEnabled()
     page.form.resume.click()
@@ -226,7 +226,7 @@ def test_cancel_is_asked_and_resume_goes_on(desk):
     assert live.about.params["resumed"] == cut.uuid
     desk.presenter.cancel()
     desk.ended()
-    resumed = training_runs(desk.data)[0]
+    resumed = list_training_runs(desk.data)[0]
     done = len(cut.curves["iou"])
     assert resumed.curves["iou"][:done] == cut.curves["iou"]
     assert len(resumed.curves["iou"]) > done
@@ -320,7 +320,7 @@ def test_closing_the_window_ends_the_training(desk):
     desk.press(KEY.Key_Return, CTRL)
     desk.until(lambda: len(desk.presenter._epochs_s) >= 1)
     desk.main.close()
-    (run,) = training_runs(desk.data)
+    (run,) = list_training_runs(desk.data)
     assert (run.state, run.can_resume) == ("cancelled", True)
 
 

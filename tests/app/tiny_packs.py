@@ -5,26 +5,26 @@ from pathlib import Path
 
 import numpy as np
 
-from backend.dataset.pack_file import EpisodeRow, write_packs
-from backend.dataset.rows import patch_hex
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import face_points
+from touchdown.backend.episodes.packs import PackedEpisode, write_packs
+from touchdown.backend.episodes.training_rows import patch_hex
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import load_pieces
 
 EPISODES = 100
 
 
 def write_tiny_packs(folder: Path) -> None:
     """Write 100 probes of the pot on two bottoms, five a grip and ten a mounting."""
-    pot = load_catalogue().piece("pot")
+    pot = load_pieces().piece("pot")
     points = face_points(pot.face)
 
-    def rows() -> Iterator[EpisodeRow]:
+    def rows() -> Iterator[PackedEpisode]:
         rng = np.random.default_rng(6)
         for i in range(EPISODES):
             side = 1.0 if i % 3 else -1.0
             observation = rng.normal(size=(20, 258)).astype(np.float32)
             observation[:, 256] += np.float32(8 * side)
-            yield EpisodeRow(observation, {
+            yield PackedEpisode(observation, {
                 "episode": f"e{i}", "x_um": 0, "y_um": 0, "sigma_um": 0, "source": "commanded",
                 "piece": pot.name, "bottom": ("circle15", "short")[i % 2],
                 "patch": patch_hex(points[:, 0] * side >= 0), "points": len(points),

@@ -7,9 +7,14 @@ the recordings themselves is tested on the bench as it ships.
 
 from __future__ import annotations
 
-from backend.assembly import SimulatedBenchChoice
-from backend.config.method import CollectSettings, ProbeSettings, ReleaseSettings, StackSettings
-from backend.config.simulation import SimulationSettings
+from touchdown.backend.bench.assembly import SimulatedBenchChoice
+from touchdown.backend.config.method import (
+    CollectSettings,
+    ProbeSettings,
+    ReleaseSettings,
+    StackSettings,
+)
+from touchdown.backend.config.simulation import SimulationSettings
 
 RATE_HZ = 12.5
 """Pictures a second and finger: still one in every 0.1 s between two ticks of a probe."""

@@ -11,14 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from backend.config.method import StackSettings
-from backend.config.simulation import SimulationSettings
-from backend.core.facts import EpisodeRecorded, TrialStarted
-from backend.core.flow import TACTILE_CHANNELS, FloatArray
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import face_points
-from backend.simulation import episodes, holding, nuisance
 from tests.backend.runs.oracle_bench import OracleSession, request
+from touchdown.backend.config.method import StackSettings
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.events import EpisodeRecorded, TrialStarted
+from touchdown.backend.core.values import TACTILE_CHANNELS, FloatArray
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.simulation import batch as episodes
+from touchdown.backend.simulation import conditions, gripper
 
 RMS_LIMIT_PX = 0.15
 CASES = (
@@ -28,9 +29,9 @@ CASES = (
     ("mushroom", "short", 4),
 )
 """Piece, bottom, seed."""
-MOUNTING = nuisance.Mounting((0.003, -0.004), (0.1, -0.05), 20.0)
-GRIPPING = nuisance.Gripping(0.92, 0.8, 10.2, (0.4, -0.3), 0.015, (1.03, 0.97))
-PROBE = nuisance.ProbeDraw(0.43, (0.0, 0.0), np.zeros((2, 2)), np.zeros(6))
+MOUNTING = conditions.MountingDraw((0.003, -0.004), (0.1, -0.05), 20.0)
+GRIPPING = conditions.GripDraw(0.92, 0.8, 10.2, (0.4, -0.3), 0.015, (1.03, 0.97))
+PROBE = conditions.ProbeDraw(0.43, (0.0, 0.0), np.zeros((2, 2)), np.zeros(6))
 ONE_PROBE = StackSettings().model_copy(
     update={"policy": StackSettings().policy.model_copy(update={"max_probes": 1})}
 )
@@ -54,7 +55,7 @@ class OnePress:
 
 def press_both_ways(piece: str, bottom: str, seed: int, patch: pytest.MonkeyPatch) -> OnePress:
     """Press once on the devices and once in bulk, with equal mechanical draws."""
-    for module in (holding, nuisance):
+    for module in (gripper, conditions):
         patch.setattr(module, "draw_mounting", lambda *_: MOUNTING)
         patch.setattr(module, "draw_gripping", lambda *_: GRIPPING)
         patch.setattr(module, "draw_probe", lambda *_: PROBE)
@@ -66,8 +67,8 @@ def press_both_ways(piece: str, bottom: str, seed: int, patch: pytest.MonkeyPatc
     assert isinstance(started, TrialStarted)
     assert started.start_mm is not None
     commanded = np.array(recorded.episode.offset_mm)
-    patch.setattr(episodes._Bench, "_draw_offset", lambda *_: commanded)
-    batch = next(iter(episodes.simulate(_plan(piece, bottom, seed))))
+    patch.setattr(episodes._BatchBench, "_draw_offset", lambda *_: commanded)
+    batch = next(iter(episodes.simulate_episodes(_plan(piece, bottom, seed))))
     return OnePress(
         recorded.episode.observation,
         batch.observation[0],
@@ -76,11 +77,11 @@ def press_both_ways(piece: str, bottom: str, seed: int, patch: pytest.MonkeyPatc
     )
 
 
-def _plan(piece: str, bottom: str, seed: int) -> episodes.Plan:
-    catalogue = load_catalogue()
+def _plan(piece: str, bottom: str, seed: int) -> episodes.BatchPlan:
+    catalogue = load_pieces()
     top = catalogue.top(piece)
     assert top.grip_height_mm is not None
-    return episodes.Plan(
+    return episodes.BatchPlan(
         piece=piece,
         bottom=bottom,
         face=top.face,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.core.flow import TACTILE_CHANNELS
 from tests.backend.one_press import CASES, RMS_LIMIT_PX, press_both_ways
+from touchdown.backend.core.values import TACTILE_CHANNELS
 
 
 @pytest.mark.parametrize(("piece", "bottom", "seed"), CASES)

@@ -8,19 +8,22 @@ from pathlib import Path
 
 import pytest
 
-from backend.assembly import SimulatedBenchChoice, make_scene
-from backend.config.hardware import HardwareSettings
-from backend.config.load import load
-from backend.core.faults import FaultError
-from backend.emulated_child import EmulatedProcess, serve
-from backend.emulators.faults import FaultPlan
-from backend.emulators.front import TcpFront
-from backend.emulators.joined import JoinedScene
-from backend.emulators.joined_serving import BENCH_FILE
-from backend.emulators.truth import EmulatedTruth, RemoteTruth
-from backend.objects.catalogue import load_catalogue
-from backend.runs.requests import SceneChoice
 from tests.backend.devices.waiting import until
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, make_scene
+from touchdown.backend.bench.emulated_bench import (
+    BENCH_FILE,
+    EmulatedTruth,
+    JoinedScene,
+    RemoteTruth,
+)
+from touchdown.backend.bench.emulated_process import EmulatedProcess, serve
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.config.toml_file import read_settings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.emulation.fault_plan import FaultPlan
+from touchdown.backend.emulation.servers import TcpFront
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.requests import SceneChoice
 
 SETTINGS = SimulatedBenchChoice(preset="quiet").settings()
 CHOICE = SceneChoice("pot", ("short",), 3)
@@ -39,14 +42,14 @@ def test_each_line_is_a_scene_with_a_bench_file_that_loads():
         serve([order(first), order(second)], answers)
         hosts = [json.loads(line)[0] for line in answers.getvalue().splitlines()]
         assert hosts == ["127.0.0.1"] * 2
-        hardware = load(HardwareSettings, Path(second) / BENCH_FILE)
+        hardware = read_settings(HardwareSettings, Path(second) / BENCH_FILE)
         assert hardware.ft.driver == "dynpick"
         assert hardware.gelsight.left.serial != hardware.gelsight.right.serial
         assert hardware.melfa.mxt.mxttout == 57
 
 
 def test_the_truth_is_that_of_the_scene():
-    scene = make_scene(load_catalogue(), CHOICE, SETTINGS)
+    scene = make_scene(load_pieces(), CHOICE, SETTINGS)
     joined = JoinedScene(scene, HardwareSettings().melfa)
     front = TcpFront(EmulatedTruth(joined))
     front.start()
@@ -59,7 +62,7 @@ def test_the_truth_is_that_of_the_scene():
 
 
 def test_a_bench_whose_process_is_dead_is_a_fault(monkeypatch):
-    monkeypatch.setattr("backend.emulated_child.sys.executable", "/bin/true")
+    monkeypatch.setattr("touchdown.backend.bench.emulated_process.sys.executable", "/bin/true")
     told = []
     process = EmulatedProcess(told.append)
     with pytest.raises(FaultError, match="has ended"):
@@ -75,8 +78,8 @@ def test_a_process_that_never_sets_its_scene_is_a_fault_and_the_next_scene_gets_
     silent = tmp_path / "silent"
     silent.write_text("#!/bin/sh\nexec sleep 600\n")
     silent.chmod(0o755)
-    monkeypatch.setattr("backend.emulated_child.sys.executable", str(silent))
-    monkeypatch.setattr("backend.emulated_child.REST_S", 0.1)
+    monkeypatch.setattr("touchdown.backend.bench.emulated_process.sys.executable", str(silent))
+    monkeypatch.setattr("touchdown.backend.bench.emulated_process.REST_S", 0.1)
     told = []
     process = EmulatedProcess(told.append)
     for _ in range(2):

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from backend.calibration.record import DeviceName
-from backend.config.lab import load_lab
-from backend.core.faults import InputError, RefusedError
-from backend.devices.protocols import DeviceState
-from backend.lab import LabChoice, calibrations_of, lab_session, otherwise_named
-from backend.runs.requests import ProbeRequest, SceneChoice, SetRequest, StackRequest
-from backend.session import Keep
-from backend.verbs.check_lab import looks
 from tests.backend.rig.scripted import LINES, scripted
 from tests.backend.runs.test_calibrated import SEEN
+from touchdown.backend.bench.lab import LabChoice, calibrations_of, lab_session, otherwise_named
+from touchdown.backend.calibration.records import DeviceName
+from touchdown.backend.cli.doctor.command import lab_checks
+from touchdown.backend.config.lab import load_lab
+from touchdown.backend.core.faults import InputError, RefusedError
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import ProbeRequest, SceneChoice, SetRequest, StackRequest
 
-TEMPLATE = Path(str(files("resources"))) / "benches" / "lab.toml"
+TEMPLATE = Path(str(files("touchdown.resources"))) / "benches" / "lab.toml"
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def session(tmp_path):
     text = TEMPLATE.read_text().replace("press_n = 25.0", "press_n = 20.0")
     path = tmp_path / "lab.toml"
     path.write_text(text.replace('piece = "pot"', 'piece = "mushroom"'))
-    made = lab_session(LabChoice(path), keep=Keep(tmp_path / "runs"))
+    made = lab_session(LabChoice(path), keep=RecordingOptions(tmp_path / "runs"))
     yield made
     made.close()
 
@@ -96,7 +96,7 @@ def test_a_file_with_the_cameras_exchanged_is_told_and_the_calibration_counts(tm
         {f"tactile_{f}": DeviceName(**who, serial=number) for f, number in serials.items()},
         now=datetime.now(UTC) - timedelta(days=days),
     )
-    session = lab_session(LabChoice(path), keep=Keep(tmp_path / "runs"))
+    session = lab_session(LabChoice(path), keep=RecordingOptions(tmp_path / "runs"))
     devices, _ = scripted()
     for line in LINES:
         devices[line].connect(1.0, session.connection._cancel)
@@ -105,6 +105,6 @@ def test_a_file_with_the_cameras_exchanged_is_told_and_the_calibration_counts(tm
     session.close()
     assert [name for name in LINES if notices[name]] == ["tactile_left", "tactile_right"]
     assert f"found {serials['left']} there" in notices["tactile_left"]
-    checks = [look() for look in list(looks(path))[:3]]
+    checks = [look() for look in list(lab_checks(path))[:3]]
     assert [check.word for check in checks] == ["OK", "NOTE", "NOTE"]
     assert notices["tactile_left"] == f"{checks[2].detail}. {checks[2].fix}".removesuffix(".")

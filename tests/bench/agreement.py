@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from backend.simulation.release_mujoco import (
-    PAIR_BAND_MM,
-    TOWER_BAND_MM,
-    available,
-)
 from tests.backend.one_press import CASES, RMS_LIMIT_PX, press_both_ways
 from tests.backend.simulation.release_cases import SETS, ask_both
 from tests.bench.registry import Figure, figure
+from touchdown.backend.simulation.release_mujoco import (
+    PAIR_BAND_MM,
+    TOWER_BAND_MM,
+    mujoco_available,
+)
 
 
 @figure("agreement")
@@ -30,7 +30,7 @@ def batch_against_devices() -> list[Figure]:
 @figure("agreement")
 def judge_against_engine() -> list[Figure]:
     """Random stacks on which exact judge and physics engine disagree, and how far from the edge."""
-    if not available():
+    if not mujoco_available():
         note = "needs the extra 'mujoco'"
         return [Figure("judge against MuJoCo", None, "", "0", None, note)]
     figures = []

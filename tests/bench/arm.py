@@ -14,13 +14,13 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from backend.core.faults import FaultError
-from backend.core.flow import Pose
-from backend.wire.melfa_joints import CYCLE_S
 from tests.backend.devices.emulated_arm import Rig
 from tests.backend.devices.melfa.trials import trial
 from tests.bench.arm_child import SPEED_MM_S, UP, driver, front
 from tests.bench.registry import Figure, figure
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S
 
 SECONDS, BUSY, PRIORITY = 15.0, 1, 50
 STOPS, TRIALS = 100, 500

@@ -14,16 +14,16 @@ import time
 
 import numpy as np
 
-from backend.config.hardware import MelfaSettings
-from backend.core.faults import FaultError
-from backend.core.flow import Pose
-from backend.core.stream import SampleStream
-from backend.devices.melfa.arm import MelfaArm
-from backend.devices.melfa.orders import Orders
-from backend.devices.melfa.sockets import SocketWires
-from backend.emulators.melfa import EmulatedMelfa, MelfaFront
-from backend.emulators.melfa_controller import READY_RAD
 from tests.backend.devices.emulated_arm import settings
+from touchdown.backend.config.hardware import MelfaSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.melfa.arm import MelfaArm
+from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaFront
+from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
+from touchdown.backend.devices.melfa.sockets import SocketWires
+from touchdown.backend.devices.melfa.status import Orders
 
 UP, DOWN = Pose(0.0, 0.0, 120.0), Pose(0.0, 0.0, 60.0)
 SPEED_MM_S = 20.0

@@ -14,15 +14,16 @@ from contextlib import contextmanager
 import numpy as np
 import psutil
 
-from backend.assembly import simulated_session
-from backend.core.facts import Fact, TrialFinished
-from backend.runs.requests import StackRequest
-from backend.session import Keep, Session
 from tests.backend.devices.emulated_arm import settings as melfa_settings
 from tests.backend.devices.waiting import until
 from tests.backend.rig.inline import InlineBench
 from tests.backend.rig.served import Backend, Served
 from tests.bench.registry import Figure, figure
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.bench.session import Session
+from touchdown.backend.core.events import Event, TrialFinished
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import StackRequest
 
 STOPS, KILLS, OWN_CYCLES = 100, 10, 285
 SEEDS = range(7, 13)
@@ -136,7 +137,7 @@ def outcome(session: Session, seed: int) -> str:
     """Return how a trial on ``seed`` ends."""
     ends: list[str] = []
 
-    def hear(fact: Fact) -> None:
+    def hear(fact: Event) -> None:
         if isinstance(fact, TrialFinished):
             ends.append(fact.outcome.value)
 
@@ -152,7 +153,7 @@ def trials_through_the_rig() -> list[Figure]:
 
     By the compliance over the stream, and by the force program of the controller.
     """
-    simulated = simulated_session(keep=Keep(None))
+    simulated = simulated_session(keep=RecordingOptions(None))
     try:
         usual = [outcome(simulated, seed) for seed in SEEDS]
     finally:

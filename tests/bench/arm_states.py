@@ -17,16 +17,15 @@ from socket import socket
 
 import numpy as np
 
-from backend.core.faults import Fault, FaultError, RefusedError
-from backend.core.flow import FloatArray, Pose
-from backend.devices.melfa.orders import Orders
-from backend.devices.protocols import DeviceState, PressCommand
-from backend.emulators.loads import hanging
-from backend.emulators.melfa import EmulatedMelfa, MelfaFront
-from backend.emulators.melfa_commands import EmulatedCommands
 from tests.backend.devices.waiting import until
 from tests.backend.rig.served import Backend, Served
 from tests.busy_computer import STARVED
+from touchdown.backend.core.faults import Fault, FaultError, RefusedError
+from touchdown.backend.core.values import FloatArray, Pose
+from touchdown.backend.devices.melfa.emulator import EmulatedCommands, EmulatedMelfa, MelfaFront
+from touchdown.backend.devices.melfa.status import Orders
+from touchdown.backend.devices.protocols import DeviceState, PressCommand
+from touchdown.backend.emulation.loads import hanging
 
 UP = Pose(0.0, 0.0, 150.0)
 ABOVE_MM, FLOOR_MM, GEL_N_MM = 60.0, 58.0, 5.0

@@ -6,11 +6,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from backend.assembly import simulated_session
-from backend.catalogue.dataset import Dataset
-from backend.runs.requests import CollectRequest
-from backend.session import Keep
 from tests.bench.registry import Figure, figure
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import CollectRequest
 
 PROBES = 30
 
@@ -19,7 +19,7 @@ PROBES = 30
 def collecting() -> list[Figure]:
     """Probes per second of a headless campaign, and bench seconds per probe."""
     with tempfile.TemporaryDirectory() as folder, Dataset.open(Path(folder) / "ds") as dataset:
-        session = simulated_session(keep=Keep(None))
+        session = simulated_session(keep=RecordingOptions(None))
         session.dataset = dataset
         start_s = time.perf_counter()
         session.run(CollectRequest(count=PROBES, person="bench", grips_per_mounting=10))

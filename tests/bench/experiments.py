@@ -10,26 +10,24 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from backend.assembly import make_scene, shipped_model
-from backend.config.method import StackSettings
-from backend.config.simulation import SimulationSettings
-from backend.core.facts import ActionChosen, TrialFinished
-from backend.dataset.rows import join_rows, load_rows
-from backend.experiments.closed_loop import stack_in_lockstep
-from backend.experiments.kinds import KINDS
-from backend.experiments.models import batch_model
-from backend.experiments.recipes import FULL, Recipe, Scale, paper_training
-from backend.jobs.campaign import run_campaign
-from backend.jobs.executor import LocalPool
-from backend.jobs.running import run_job
-from backend.jobs.store import JobStore
-from backend.learning.checkpoint import load_checkpoint
-from backend.learning.training import Trainer
-from backend.objects.catalogue import load_catalogue
-from backend.runs.requests import SceneChoice, StackRequest
-from backend.sensing.episode import EpisodeLimits
 from tests.backend.experiments.device_loop import run_on_devices
 from tests.bench.registry import Figure, figure
+from touchdown.backend.bench.assembly import make_scene, shipped_model
+from touchdown.backend.config.method import StackSettings
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.events import ActionChosen, TrialFinished
+from touchdown.backend.episodes.training_rows import join_rows, load_rows
+from touchdown.backend.experiments.job_kinds import KINDS
+from touchdown.backend.experiments.models import batch_model
+from touchdown.backend.experiments.tables import FULL, Recipe, Scale, paper_training
+from touchdown.backend.experiments.trials import stack_in_lockstep
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.jobs.execution import ProcessPool, run_campaign
+from touchdown.backend.jobs.job import JobStore, run_job
+from touchdown.backend.learning.checkpoint import load_checkpoint
+from touchdown.backend.learning.training import Trainer
+from touchdown.backend.runs.requests import SceneChoice, StackRequest
+from touchdown.backend.sensing.episode import EpisodeLimits
 
 HARD = SimulationSettings.model_validate({"preset": "hard"})
 SEEDS = range(500, 510)
@@ -38,7 +36,7 @@ SEEDS = range(500, 510)
 @figure("experiments")
 def trials_both_ways() -> list[Figure]:
     """Ten trials of the pot both ways, sensor noise included (drawn differently): stated."""
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     scenes = [make_scene(catalogue, SceneChoice(seed=seed), HARD) for seed in SEEDS]
     model = batch_model(load_checkpoint(shipped_model("pot")), catalogue.top("pot"))
     ends = stack_in_lockstep(scenes, model, StackSettings(), EpisodeLimits())
@@ -69,7 +67,7 @@ def second_worker() -> list[Figure]:
         with tempfile.TemporaryDirectory() as folder:
             store = JobStore(Path(folder))
             began_s = time.perf_counter()
-            results = list(run_campaign(jobs, LocalPool(KINDS, store, workers), store))
+            results = list(run_campaign(jobs, ProcessPool(KINDS, store, workers), store))
             seconds.append(time.perf_counter() - began_s)
             assert all(result.state == "done" for result in results)
     efficiency = seconds[0] / (2.0 * seconds[1])

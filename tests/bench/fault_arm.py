@@ -8,13 +8,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from backend.core.flow import Pose
-from backend.devices.protocols import DeviceState
 from tests.backend.devices.emulated_arm import Rig
 from tests.backend.devices.melfa.stop_meets import interrupted, still
 from tests.backend.devices.melfa.trials import PRESS
 from tests.bench.arm_states import STATES, TROUBLED, Bench, State, pressed_in
 from tests.bench.registry import Figure, figure
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.protocols import DeviceState
 
 STOPS, TROUBLES, WIRE_MS = 20, 26, 20.0
 MODES = ("software", "controller")

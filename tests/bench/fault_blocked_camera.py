@@ -17,16 +17,16 @@ from pathlib import Path
 
 from PySide6.QtCore import Qt, QTimer
 
-from app.closing import end_for_sure
-from app.start import SWITCH_S
-from backend.core.flow import ImageArray
-from backend.devices.cameras.driver import TactileCamera
-from backend.devices.cameras.sources import Source
 from tests.bench.fault_window import print_found
 from tests.bench.fault_workers import GONE_S, hooked
 from tests.bench.lab_window import LabWindow
 from tests.bench.registry import Figure, figure
 from tests.bench.watched_arm import watched_arm
+from touchdown.app.shell.cards import end_for_sure
+from touchdown.app.start import SWITCH_S
+from touchdown.backend.core.values import ImageArray
+from touchdown.backend.devices.cameras.driver import TactileCamera
+from touchdown.backend.devices.cameras.sources import Source
 
 BLOCKED_S, TICK_MS = 10.0, 10
 MOST_MS, LIMIT_S = 100.0, 240.0

@@ -13,21 +13,19 @@ from typing import Any
 
 import psutil
 
-from backend.assembly import SimulatedBenchChoice
-from backend.core.faults import FaultError, InputError
-from backend.emulated import EmulatedBench
-from backend.exchange.foreign import read_foreign
-from backend.jobs.executor import LocalPool
-from backend.jobs.running import Workplace
-from backend.jobs.spec import JobSpec
-from backend.jobs.store import JobStore
-from backend.runs.requests import SceneChoice
-from backend.session import Keep
 from tests.backend.devices.waiting import until
 from tests.backend.exchange.test_foreign import robomimic_file
 from tests.bench.fault_window import WAYS, failed_s
 from tests.bench.fault_workers import GONE_S, TOLD_S, hooked, worst
 from tests.bench.registry import Figure, figure
+from touchdown.backend.bench.assembly import SimulatedBenchChoice
+from touchdown.backend.bench.emulated import EmulatedBench
+from touchdown.backend.core.faults import FaultError, InputError
+from touchdown.backend.exchange.imports import read_foreign
+from touchdown.backend.jobs.execution import ProcessPool
+from touchdown.backend.jobs.job import JobContext, JobSpec, JobStore
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import SceneChoice
 
 READS = ("raises", "leaves", "killed", "crashes", "stopped", "deadlock")
 SERVES = ("raises", "leaves", "killed", "crashes", "stopped")
@@ -40,7 +38,7 @@ BEGUN_S = 0.1
 Found = dict[str, float | str]
 
 
-def work(spec: JobSpec, _: Workplace) -> Mapping[str, Any]:
+def work(spec: JobSpec, _: JobContext) -> Mapping[str, Any]:
     """Compute until there is a file that ends it."""
     end = Path(str(spec.params["end"]))
     while not end.exists():
@@ -88,7 +86,7 @@ def children() -> set[psutil.Process]:
 def emulated(way: str) -> Found:
     """The process of the emulated bench, while a live session stands on it."""
     before = children()
-    bench = EmulatedBench(SimulatedBenchChoice(preset="quiet"), keep=Keep(None))
+    bench = EmulatedBench(SimulatedBenchChoice(preset="quiet"), keep=RecordingOptions(None))
     try:
         bench.session.prepare(SceneChoice())
         bench.session.open()
@@ -108,7 +106,7 @@ def emulated(way: str) -> Found:
 def next_scene() -> Found:
     """The thread that waits for the next scene deadlocks: what asking for that comes to."""
     before = children()
-    bench = EmulatedBench(SimulatedBenchChoice(preset="quiet"), keep=Keep(None))
+    bench = EmulatedBench(SimulatedBenchChoice(preset="quiet"), keep=RecordingOptions(None))
     try:
         bench.session.prepare(SceneChoice())
         (child,) = (p for p in children() - before if "emulated_child" in p.cmdline()[-1])
@@ -163,7 +161,7 @@ def pooled(way: str) -> Found:
 
     with tempfile.TemporaryDirectory() as folder:
         end = Path(folder) / "end"
-        pool = LocalPool({"work": work}, JobStore(Path(folder) / "store"), 1, tell)
+        pool = ProcessPool({"work": work}, JobStore(Path(folder) / "store"), 1, tell)
         job = JobSpec("work", {"end": str(end)})
         pool.submit(job)
         (worker,) = children() - before - trackers()

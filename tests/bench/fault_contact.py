@@ -9,18 +9,18 @@ from contextlib import suppress
 
 import numpy as np
 
-from backend.config.method import StackSettings
-from backend.core.facts import EpisodeRecorded, Fact, FaultRaised, PhaseEntered
-from backend.core.faults import TouchdownError
-from backend.core.flow import FINGERS, Pose
-from backend.core.stream import Stream
-from backend.devices.guarded import GuardedArm
-from backend.devices.interlock import Interlock
-from backend.devices.supervision import Supervision
-from backend.runs.requests import StackRequest
 from tests.backend.devices.emulated_arm import Rig
 from tests.backend.rig.inline import InlineBench
 from tests.bench.registry import Figure, figure
+from touchdown.backend.config.method import StackSettings
+from touchdown.backend.core.events import EpisodeRecorded, Event, FaultRaised, PhaseEntered
+from touchdown.backend.core.faults import TouchdownError
+from touchdown.backend.core.streams import Stream
+from touchdown.backend.core.values import FINGERS, Pose
+from touchdown.backend.devices.guarded import GuardedArm
+from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.devices.supervision import Supervision
+from touchdown.backend.runs.requests import StackRequest
 
 MISSES, EARLY = 10, 20
 BACK_MM, ROSE_MM, SOON_MM, MOST_N = 0.1, (1.6, 2.6), 0.01, 60.0
@@ -34,10 +34,10 @@ def descents_into_nothing(misses: int = MISSES) -> list[Figure]:
     nowhere = {"max_travel_mm": 0.01, "start_height_mm": 3.0}
     probe = method.probe.model_copy(update=nowhere)
     bench = InlineBench(method.model_copy(update={"probe": probe}))
-    facts: list[Fact] = []
+    facts: list[Event] = []
     began_mm: list[float] = []
 
-    def hear(fact: Fact) -> None:
+    def hear(fact: Event) -> None:
         if isinstance(fact, PhaseEntered) and fact.phase == "approach":
             facts.clear()
             began_mm.append(height_mm())

@@ -7,14 +7,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from backend.core.faults import FaultError, RefusedError
-from backend.core.flow import FloatArray, Pose
-from backend.devices.protocols import DeviceState
-from backend.wire.melfa_joints import CYCLE_S
-from backend.wire.melfa_mxt import Command, decode_request
 from tests.backend.devices.emulated_arm import Rig
 from tests.backend.devices.melfa.test_stream import FAR, LEAD_MM, SPEED_MM_S, doing, outage
 from tests.bench.registry import Figure, figure
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.core.values import FloatArray, Pose
+from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S, Command, decode_request
+from touchdown.backend.devices.protocols import DeviceState
 
 MINUTE_S, DOUBLED, REORDERED = 60.0, 0.10, 0.05
 LATE_S = 0.5

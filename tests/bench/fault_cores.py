@@ -16,15 +16,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from backend.config.hardware import HardwareSettings
-from backend.config.lab_places import is_loopback
-from backend.core.faults import FaultError, RefusedError
-from backend.core.flow import Pose
-from backend.core.realtime import taking_turns
 from tests.backend.rig.served import Backend
 from tests.bench.logged_arm import LoggedArm, Told
 from tests.bench.registry import Figure, figure
 from tests.busy_computer import STARVED
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.config.lab import is_loopback
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.core.scheduling import round_robin_priority
+from touchdown.backend.core.values import Pose
 
 PLACES = (Pose(0.0, 0.0, 120.0), Pose(0.0, 0.0, 70.0))
 SPEED_MM_S, MOVES_S, WATCHED_S, REALTIME = 20.0, 8.0, 5.0, 50
@@ -119,7 +119,7 @@ def pin(number: int, core: int) -> None:
 
 def may_take_a_core() -> bool:
     """Whether programs of this user may run at real-time priority."""
-    with taking_turns(1) as given:
+    with round_robin_priority(1) as given:
         return given
 
 

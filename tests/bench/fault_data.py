@@ -12,13 +12,12 @@ from pathlib import Path
 import numpy as np
 from safetensors.numpy import save_file
 
-from backend.core.faults import InputError
-from backend.dataset.episode_file import write_episode
-from backend.dataset.episode_reading import read_episode
-from backend.learning.checkpoint import load_checkpoint
 from tests.backend.catalogue.test_salvage import an_episode, mutants, record_ends
 from tests.backend.learning.test_checkpoint import reseal, save_small
 from tests.bench.registry import Figure, figure
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.episodes.episode_file import read_episode, write_episode
+from touchdown.backend.learning.checkpoint import load_checkpoint
 
 MUTANTS, HANG_S = 2000, 10.0
 BLOCK = 4096

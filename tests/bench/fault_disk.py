@@ -17,12 +17,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Label
-from backend.core.faults import FaultError, TouchdownError
 from tests.backend.catalogue.conftest import context_for, small_episode
 from tests.backend.catalogue.crash_trials import Known, forked, record_one, told, verify
 from tests.bench.registry import Figure, figure
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import FaultError, TouchdownError
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = Path(__file__).with_name("disk_refusals.c")

@@ -11,15 +11,16 @@ import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from app.closing import end_for_sure
-from app.error_hooks import log_to
-from backend.core.facts import FaultRaised
-from backend.core.faults import Fault
 from tests.bench.fault_raising import Canvas
-from tests.bench.fault_slices import RATES, SWITCH_S, Slice, Sliced, together
+from tests.bench.fault_slices import RATES, Slice, Sliced, together
 from tests.bench.fault_window import print_found
 from tests.bench.fault_workers import hooked, window
 from tests.bench.registry import Figure, figure
+from touchdown.app.shell.cards import end_for_sure
+from touchdown.app.shell.errors import log_to
+from touchdown.app.start import SWITCH_S
+from touchdown.backend.core.events import FaultRaised
+from touchdown.backend.core.faults import Fault
 
 SLICE_S, TURNS, LIMIT_S = 5.0, 12, 600.0
 """Of each kind 60 s with the error and 60 s without. What an error costs is the same in each frame:

@@ -11,14 +11,14 @@ from contextlib import suppress
 from multiprocessing import get_context
 from pathlib import Path
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeFilter
-from backend.core.facts import Fact, FaultRaised, PhaseEntered
-from backend.core.faults import TouchdownError
-from backend.simulation.world import World
 from tests.backend.devices.trials import Ended
 from tests.backend.runs.test_collect_faults import Failing
 from tests.bench.registry import Figure, figure
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import EpisodeFilter
+from touchdown.backend.core.events import Event, FaultRaised, PhaseEntered
+from touchdown.backend.core.faults import TouchdownError
+from touchdown.backend.simulation.world import World
 
 COUNT, SEEN_S = 200, 0.2
 PHASES = ("approach", "press", "hold")
@@ -46,7 +46,7 @@ class _Struck(Failing):
 
         self.session.advance = advance
 
-    def _take(self, fact: Fact) -> None:
+    def _take(self, fact: Event) -> None:
         super()._take(fact)
         if isinstance(fact, PhaseEntered) and fact.phase == self._phase:
             self._due_s = min(self._due_s, fact.t_s + self._after_s)

@@ -8,14 +8,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from backend.core.flow import FloatArray
-from backend.devices.force_torque.dynpick import PERIOD_S, DynpickLanguage
-from backend.devices.force_torque.readout import Readout
-from backend.wire.dynpick import Record, encode_record
 from tests.backend.wire.codecs import CODECS, IN
 from tests.backend.wire.vectors import VECTORS, data
 from tests.bench.registry import Figure, figure
+from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from touchdown.backend.core.values import FloatArray
+from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickLanguage
+from touchdown.backend.devices.dynpick.protocol import Record, encode_record
+from touchdown.backend.devices.force_torque.reader import Readout
 
 FRAMED = (
     "dynpick", "leptrino", "robotiq-ft300", "bota", "optoforce", "wsg-binary", "wsg-gcl",

@@ -17,14 +17,15 @@ from typing import Any
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtTest import QTest
 
-from app.closing import end_for_sure
-from backend.catalogue.dataset import Dataset
 from tests.bench.fault_disk import HELD_S, HOLD
-from tests.bench.fault_slices import SWITCH_S, Sliced
+from tests.bench.fault_slices import Sliced
 from tests.bench.fault_window import print_found
 from tests.bench.fault_workers import hooked, window
 from tests.bench.labelling import fill
 from tests.bench.registry import Figure, figure
+from touchdown.app.shell.cards import end_for_sure
+from touchdown.app.start import SWITCH_S
+from touchdown.backend.annotations.dataset import Dataset
 
 LABELS, EPISODES, WARM_UP = 4, 30, 3
 """Labels that are nudged and accepted while the lock is held; others before anything is timed."""

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import psutil
 
-from backend.config.method import TrainingSettings
-from backend.core.faults import FaultError
-from backend.learning.checkpoint import load_checkpoint
-from backend.learning.child import TrainingProcess
-from backend.learning.job import Epoch, TrainingJob
 from tests.app.tiny_packs import write_tiny_packs
 from tests.bench.registry import Figure, figure
+from touchdown.backend.config.method import TrainingSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.learning.checkpoint import load_checkpoint
+from touchdown.backend.learning.job import TrainingEpoch, TrainingJob
+from touchdown.backend.learning.training_runs import TrainingProcess
 
 EPOCHS = 6
 ROOM_BYTES = 65_536
@@ -54,8 +54,8 @@ def trainings_without_memory() -> list[Figure]:
             try:
                 with TrainingProcess(job) as training:
                     for report in training.reports():
-                        epochs += isinstance(report, Epoch)
-                        if epochs == 1 and isinstance(report, Epoch):
+                        epochs += isinstance(report, TrainingEpoch)
+                        if epochs == 1 and isinstance(report, TrainingEpoch):
                             strike(training.number)
             except FaultError as error:
                 code = error.fault.code
@@ -63,7 +63,7 @@ def trainings_without_memory() -> list[Figure]:
             if code != "TRAINING-DIED" or out.exists():
                 broken.append(f"{way}: {code or 'not told'} after {epochs} epochs")
             with TrainingProcess(job.model_copy(update={"resume": True})) as training:
-                more = sum(isinstance(report, Epoch) for report in training.reports())
+                more = sum(isinstance(report, TrainingEpoch) for report in training.reports())
             if not 0 < more < EPOCHS or load_checkpoint(out).card.piece != "pot":
                 broken.append(f"{way}: resumed with {more} epochs")
     told = "; ".join([*broken, *said])

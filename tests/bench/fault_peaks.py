@@ -11,12 +11,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from backend.devices.retreating import RETREAT_MM, RETREAT_MM_S
-from backend.devices.streamed.admittance import AT_REST, Law, Loop, give_way, law_for
-from backend.devices.streamed.compliance import TRIP_N
-from backend.devices.streamed.swing import SwingDetector
 from tests.backend.devices.streamed.contact_loop import Plant
 from tests.bench.registry import Figure, figure
+from touchdown.backend.devices.interlock import RETREAT_MM, RETREAT_MM_S
+from touchdown.backend.devices.streamed.compliance import (
+    AT_REST,
+    TRIP_N,
+    Law,
+    Loop,
+    SwingDetector,
+    give_way,
+    law_for,
+)
 
 GAINS = (30.0, 30.0, 15.0)
 SOFT_N, STIFF_N = 30.0, 100.0

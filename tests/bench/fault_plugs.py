@@ -14,25 +14,25 @@ from typing import Any
 
 import numpy as np
 
-from backend.config.hardware import ForceTorqueSettings, GelsightSettings
-from backend.core.faults import FaultError
-from backend.core.flow import FINGERS, ImageArray, TactileFrame
-from backend.core.stream import SampleStream, Stream
-from backend.devices.cameras.driver import TactileCamera
-from backend.devices.cameras.sources import Source, UvcSource, open_source
-from backend.devices.force_torque.making import make_force_torque
-from backend.devices.interlock import Interlock
-from backend.devices.protocols import DeviceState
-from backend.devices.supervision import GRACE_S, Supervision
-from backend.emulators.faults import Faults
-from backend.emulators.front import PtyFront
-from backend.emulators.gelsight import SERIAL as NUMBER
-from backend.emulators.gelsight import GelsightFront, encode
-from backend.emulators.loads import noisy, suffering
 from tests.backend.devices.trials_wrist import DATAGRAMS, EMULATED, LOAD, SETTINGS, TREMBLE
 from tests.backend.devices.waiting import until
 from tests.bench.arm_states import LIMIT_S, Bench, in_contact
 from tests.bench.registry import Figure, figure
+from touchdown.backend.bench.gelsight_emulator import SERIAL as NUMBER
+from touchdown.backend.bench.gelsight_emulator import GelsightFront, encode
+from touchdown.backend.config.hardware import ForceTorqueSettings, GelsightSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core.streams import SampleStream, Stream
+from touchdown.backend.core.values import FINGERS, ImageArray, TactileFrame
+from touchdown.backend.devices.cameras.driver import TactileCamera
+from touchdown.backend.devices.cameras.sources import Source, UvcSource, open_source
+from touchdown.backend.devices.force_torque_registry import make_force_torque
+from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.devices.supervision import GRACE_S, Supervision
+from touchdown.backend.emulation.fault_plan import Faults
+from touchdown.backend.emulation.loads import noisy, suffering
+from touchdown.backend.emulation.servers import PtyFront
 
 SERIAL = [kind for kind in EMULATED if kind not in DATAGRAMS]
 PULLS, LIFTS, REPLUGS = 10, 10, 20

@@ -16,11 +16,11 @@ from PySide6.QtCore import QObject, Qt, QTimer, Signal
 from PySide6.QtGui import QPaintEvent
 from PySide6.QtWidgets import QPushButton, QWidget
 
-from app.closing import end_for_sure
-from app.error_hooks import log_to
 from tests.bench.fault_window import Watched, print_found
 from tests.bench.fault_workers import hooked, window
 from tests.bench.registry import Figure, figure
+from touchdown.app.shell.cards import end_for_sure
+from touchdown.app.shell.errors import log_to
 
 TICK_MS, FLOOD_S = 16, 10.0
 TOLD_S, LINES_PER_S = 0.5, 5.0

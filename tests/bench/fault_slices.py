@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from PySide6.QtCore import QEventLoop, Qt, QTimer
 
-from app.stack.workspace import StackWorkspace
-from app.start import SWITCH_S
-from backend.runs.requests import StackRequest
 from tests.bench.fault_window import LIMIT_S, Watched
+from touchdown.app.stack.workspace import StackWorkspace
+from touchdown.app.start import SWITCH_S
+from touchdown.backend.runs.requests import StackRequest
 
 TICK_MS = 10
 TRIALS, SEED = 500, 100

@@ -12,12 +12,13 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from app.closing import end_for_sure
 from tests.bench.fault_memory import WAYS
-from tests.bench.fault_slices import RATES, SWITCH_S, Sliced, together
+from tests.bench.fault_slices import RATES, Sliced, together
 from tests.bench.fault_window import print_found
 from tests.bench.fault_workers import hooked, window
 from tests.bench.registry import Figure, figure
+from touchdown.app.shell.cards import end_for_sure
+from touchdown.app.start import SWITCH_S
 
 SLICE_S = 5.0
 LEAST_KEPT, MOST_GAP_MS = 0.9, 100.0

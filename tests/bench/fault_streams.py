@@ -14,22 +14,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from backend.core.faults import FaultError
-from backend.core.flow import FloatArray, Pose
-from backend.devices.force_torque.dynpick import PERIOD_S, DynpickLanguage
-from backend.devices.force_torque.readout import Readout
-from backend.devices.melfa.kinematics import STEPS_RAD
-from backend.devices.motion import CommandedMotion
-from backend.devices.protocols import DeviceState
-from backend.wire.dynpick import Record, encode_record
-from backend.wire.melfa_mxt import decode_request
 from tests.backend.devices.emulated_arm import Rig
 from tests.backend.devices.melfa.leaps import Leaping
 from tests.backend.devices.melfa.test_stream import LEAD_MM, SPEED_MM_S, doing
 from tests.backend.wire.codecs import CODECS, IN
 from tests.backend.wire.vectors import VECTORS, data
 from tests.bench.registry import Figure, figure
+from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core.values import FloatArray, Pose
+from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickLanguage
+from touchdown.backend.devices.dynpick.protocol import Record, encode_record
+from touchdown.backend.devices.force_torque.reader import Readout
+from touchdown.backend.devices.melfa.kinematics import STEPS_RAD
+from touchdown.backend.devices.melfa.protocol_mxt import decode_request
+from touchdown.backend.devices.protocols import CommandedMotion, DeviceState
 
 NOISE_BYTES, PIECE, BLOCK = 10_000_000, 256, 1_000_000
 LINE_BYTES_S = {

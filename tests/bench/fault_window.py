@@ -21,14 +21,15 @@ import psutil
 from PySide6.QtCore import QEventLoop, QMetaObject, Qt
 from PySide6.QtWidgets import QApplication
 
-from app.application import TouchdownApp
-from app.closing import end_for_sure
-from app.error_hooks import ErrorBox, install
-from app.train.workspace import TrainWorkspace
-from backend.assembly import simulated_session
-from backend.runs.requests import SceneChoice
-from backend.session import Keep, Session
 from tests.app.tiny_packs import write_tiny_packs
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.cards import end_for_sure
+from touchdown.app.shell.errors import ErrorBox, install
+from touchdown.app.train.workspace import TrainWorkspace
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.bench.session import Session
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import SceneChoice
 
 LIMIT_S = 180.0
 WAYS = {
@@ -130,7 +131,7 @@ class Watched:
 
     def bench(self) -> Session:
         """Attach a live simulated bench."""
-        session = simulated_session(keep=Keep(self.folder / "runs"))
+        session = simulated_session(keep=RecordingOptions(self.folder / "runs"))
         session.prepare(SceneChoice())
         self.main.attach(session)
         self.pump(lambda: session.clock_s() > 0.3)
@@ -197,7 +198,7 @@ def ask(window: Watched, thread: str) -> None:
     elif thread == "connect":
 
         def make() -> Session:
-            session = simulated_session(keep=Keep(None))
+            session = simulated_session(keep=RecordingOptions(None))
             leave()
             return session
 

@@ -16,19 +16,19 @@ from pathlib import Path
 
 import psutil
 
-from backend.core.locks import lock_file
 from tests.backend.devices.waiting import until
 from tests.backend.rig.served import Backend, Served
 from tests.bench.fault_window import HOOKS, THREADS, WAYS, failed_s
 from tests.bench.registry import Figure, figure
+from touchdown.backend.core.files import lock_file
 
 ASKED, KILLS = 100, 20
 TOLD_S, GONE_S, FREE_MS = 0.5, 3.0, 10.0
 LIMIT_S = 180.0
 WINDOW = "tests.bench.fault_window"
 HOLDS = {
-    "robot": "from backend.devices.melfa.claim import Claim; it = Claim('10.0.0.1', 10001)",
-    "dataset": "from backend.core.locks import lock_file; from pathlib import Path; "
+    "robot": "from touchdown.backend.devices.melfa.faults import Claim; it = Claim('10.0.0.1', 10001)",
+    "dataset": "from touchdown.backend.core.files import lock_file; from pathlib import Path; "
     "it = lock_file(Path('writer.lock'))",
 }
 

@@ -9,17 +9,21 @@ from pathlib import Path
 
 import numpy as np
 
-from backend.catalogue.dataset import Dataset
-from backend.core.facts import PhaseEntered, ProbeCollected, RunFinished
-from backend.core.faults import TouchdownError
-from backend.runs.campaign import newest_campaign
-from backend.simulation.disturbances import KINDS, Disturbance, Script
 from tests.backend.devices.trials import Ended
 from tests.backend.runs.test_collect_faults import Failing
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.core.events import PhaseEntered, ProbeCollected, RunFinished
+from touchdown.backend.core.faults import TouchdownError
+from touchdown.backend.emulation.disturbances import (
+    DISTURBANCE_KINDS,
+    Disturbance,
+    DisturbanceScript,
+)
+from touchdown.backend.runs.campaign import newest_campaign
 
 COUNT, TRIES = 2, 4
 SLOW_HZ = {"force_torque": 300.0, "tactile_left": 10.0, "tactile_right": 10.0}
-FAULTS = tuple((device, kind) for device, kinds in KINDS.items() for kind in kinds)
+FAULTS = tuple((device, kind) for device, kinds in DISTURBANCE_KINDS.items() for kind in kinds)
 
 
 class _AnyTime(Failing):
@@ -36,7 +40,7 @@ class _AnyTime(Failing):
             begins_s = fact.t_s + after_s
             rate_hz = SLOW_HZ[what.device] if what.kind == "slow" else None
             fault = Disturbance(what.device, what.kind, begins_s, what.length_s, rate_hz)
-            script = Script((fault,))
+            script = DisturbanceScript((fault,))
             bench = self.session._scene.stage.advance.__self__
             for part in (bench, bench._world, *bench.tactile.values()):
                 part._script = script

@@ -19,28 +19,27 @@ from typing import Self
 import cv2
 import numpy as np
 
-from backend.calibration.gels import HELD_LIMIT_PX, apart_px
-from backend.calibration.store import CalibrationStore
-from backend.config.hardware import GelsightSettings
-from backend.core.faults import Fault
-from backend.core.flow import Finger, FloatArray, TactileFrame
-from backend.core.stream import Stream
-from backend.devices.cameras.driver import TactileCamera
-from backend.devices.cameras.gate import Gate
-from backend.emulators.faults import Faults
-from backend.emulators.gel_pictures import sheared_gel
-from backend.emulators.gelsight import SERIAL, GelsightFront
-from backend.rig.connection import Connection
-from backend.runs.gel_check import GelCheck
-from backend.sensing.checked import CheckedTracker
-from backend.sensing.pictures import read_pictures
-from backend.sensing.rest import look_at_rest
-from backend.simulation.gel_look import GelLook
 from tests.backend.devices.cameras.damage import GELSIGHT, KINDS, SCENES, outcomes
 from tests.backend.runs.gel_bench import LOOKS, Gel, GelBench
 from tests.backend.sensing.drop_oracle import broken
 from tests.backend.sensing.test_episode_quality import frames, record
 from tests.bench.registry import Figure, figure
+from touchdown.backend.bench.gelsight_emulator import SERIAL, GelsightFront, sheared_gel
+from touchdown.backend.calibration.cameras import HELD_LIMIT_PX, fingerprint_distance_px
+from touchdown.backend.calibration.records import CalibrationStore
+from touchdown.backend.config.hardware import GelsightSettings
+from touchdown.backend.core.faults import Fault
+from touchdown.backend.core.streams import Stream
+from touchdown.backend.core.values import Finger, FloatArray, TactileFrame
+from touchdown.backend.devices.cameras.driver import TactileCamera
+from touchdown.backend.devices.cameras.frames import Gate
+from touchdown.backend.emulation.fault_plan import Faults
+from touchdown.backend.rig.connection import Connection
+from touchdown.backend.runs.calibrations import GelCheck
+from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker
+from touchdown.backend.sensing.picture_files import read_pictures
+from touchdown.backend.sensing.tracker import measure_rest
+from touchdown.backend.simulation.finger_camera import GelAppearance
 
 MOST_OFF_PERCENT = {"cut off": 0.0, "one bit": 3.1, "64 bytes zeroed": 9.3, "1 KiB lost": 0.0}
 COUNT = {False: 1000, True: 200}
@@ -87,7 +86,7 @@ def whole_pictures() -> list[Figure]:
     """Whole pictures that are refused all the same."""
     refused = count = 0
     for clip in CLIPS:
-        tracker = CheckedTracker("left")
+        tracker = DamageCheckingTracker("left")
         for frame in read_pictures(GELSIGHT / clip):
             tracker.track(replace(frame, from_jpeg=True))
             count += 1
@@ -214,13 +213,13 @@ class _Plugged:
         return self._camera.fault
 
 
-def _another_day(look: GelLook, rng: np.random.Generator) -> Gel:
+def _another_day(look: GelAppearance, rng: np.random.Generator) -> Gel:
     turn = rng.uniform(0.0, 2.0 * np.pi)
     creep_px = rng.uniform(0.0, CREEP_PX) * np.array([np.cos(turn), np.sin(turn)])
     return Gel(look, int(rng.integers(1 << 30)), creep_px, float(rng.uniform(*LIGHT)))
 
 
-def _other(rng: np.random.Generator) -> GelLook:
+def _other(rng: np.random.Generator) -> GelAppearance:
     """Return a gel whose dots lie as far from the left one's as those of two real sensors do."""
     apart_px = _rest_px(CLIPS[int(rng.integers(len(CLIPS)))]) - _rest_px(REST_FILE)
     return replace(LOOKS["left"], rest_px=LOOKS["left"].rest_px + apart_px)
@@ -228,13 +227,13 @@ def _other(rng: np.random.Generator) -> GelLook:
 
 @cache
 def _rest_px(name: str) -> FloatArray:
-    return look_at_rest(list(islice(read_pictures(GELSIGHT / name), 10))).position_px
+    return measure_rest(list(islice(read_pictures(GELSIGHT / name), 10))).position_px
 
 
 def _real_gels() -> list[Figure]:
     """Five recordings of a real gel, always with a piece in hand, and another one at rest."""
-    same = [apart_px(_rest_px(a), _rest_px(b)) for a, b in permutations(CLIPS, 2)]
-    other = [apart_px(_rest_px(a), _rest_px(REST_FILE)) for a in CLIPS]
+    same = [fingerprint_distance_px(_rest_px(a), _rest_px(b)) for a, b in permutations(CLIPS, 2)]
+    other = [fingerprint_distance_px(_rest_px(a), _rest_px(REST_FILE)) for a in CLIPS]
     worst, nearest = max(same), min(other)
     return [
         Figure(

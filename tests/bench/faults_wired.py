@@ -18,24 +18,24 @@ from typing import TypeVar
 
 import numpy as np
 
-from backend.assembly import SimulatedBenchChoice
-from backend.core.facts import (
+from tests.bench.registry import Figure, figure
+from touchdown.backend.bench.assembly import SimulatedBenchChoice
+from touchdown.backend.bench.command_log import Witnessed
+from touchdown.backend.bench.emulated import EmulatedBench
+from touchdown.backend.core.events import (
     EpisodeRecorded,
-    Fact,
+    Event,
     FaultRaised,
     Paused,
     PhaseEntered,
     RunFinished,
     TrialFinished,
 )
-from backend.core.faults import FaultError, RefusedError
-from backend.dataset.episode_reading import read_episode
-from backend.emulated import EmulatedBench
-from backend.emulators.faults import FaultPlan
-from backend.emulators.witness import Witnessed
-from backend.runs.requests import StackRequest
-from backend.session import Keep
-from tests.bench.registry import Figure, figure
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.emulation.fault_plan import FaultPlan
+from touchdown.backend.episodes.episode_file import read_episode
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import StackRequest
 
 FIRST = 20_000
 EARLIEST_S, LATEST_S = 0.5, 16.0
@@ -118,14 +118,14 @@ KINDS = (
 SLOW_HZ = 300.0
 
 
-Told = TypeVar("Told", bound=Fact)
+Told = TypeVar("Told", bound=Event)
 
 
 @dataclass
 class Heard:
     """What a trial told, and when its arm first moved (monotonic)."""
 
-    facts: list[Fact] = field(default_factory=list)
+    facts: list[Event] = field(default_factory=list)
     moved_s: float = float("inf")
 
     def codes(self) -> set[str]:
@@ -158,11 +158,11 @@ class Campaign:
     """Trials on one emulated bench, one after the other; each begins from Reset and a new scene."""
 
     def __init__(self, folder: Path) -> None:
-        self.bench = EmulatedBench(SimulatedBenchChoice(), keep=Keep(folder))
+        self.bench = EmulatedBench(SimulatedBenchChoice(), keep=RecordingOptions(folder))
         self.bench.session.hub.subscribe(self._hear)
         self._heard = Heard()
 
-    def _hear(self, fact: Fact) -> None:
+    def _hear(self, fact: Event) -> None:
         heard = self._heard
         heard.facts.append(fact)
         if isinstance(fact, PhaseEntered):

@@ -7,13 +7,12 @@ import time
 from collections import defaultdict
 from pathlib import Path
 
-from backend.config.simulation import load_simulation
-from backend.experiments.kinds import KINDS
-from backend.experiments.recipes import FULL, PIECES, Recipe, Scale
-from backend.jobs.running import run_job
-from backend.jobs.store import JobStore
-from backend.learning.device import one_thread
 from tests.bench.registry import Figure, figure
+from touchdown.backend.config.simulation import load_simulation
+from touchdown.backend.experiments.job_kinds import KINDS
+from touchdown.backend.experiments.tables import FULL, PIECES, Recipe, Scale
+from touchdown.backend.jobs.job import JobStore, run_job
+from touchdown.backend.learning.training import use_one_thread
 
 PART = Scale("part", FULL.probes, epochs=2, groups=20, trials=5, pictured=100, repeated=2)
 TIMES = {
@@ -30,7 +29,7 @@ WORKERS, LIMIT_H = 2, 2.0
 @figure("experiments")
 def tables_in_full() -> list[Figure]:
     """Processor time of the parts, scaled; fixed costs are scaled with them, which is too much."""
-    one_thread()
+    use_one_thread()
     spent_s: dict[str, float] = defaultdict(float)
     recipe = Recipe(PART, load_simulation(preset="bench-v1"), "bench", pieces=("mushroom",))
     with tempfile.TemporaryDirectory() as folder:

@@ -13,7 +13,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from backend.experiments.statistics import rate
+from touchdown.backend.experiments.statistics import estimate_rate
 
 PAGE = Path(__file__).parents[2] / "docs" / "learned-fusion.md"
 WORDS = ("placed", "fell", "knocked_over", "gave_up", "aborted")
@@ -63,7 +63,7 @@ def _loop(name: str, cells: list[Json]) -> str:
 
 
 def _share(hits: int, trials: int) -> str:
-    found = rate(hits, trials).as_json()
+    found = estimate_rate(hits, trials).as_json()
     value, low, high = (100 * found[key] for key in ("value", "low", "high"))
     return f"{value:.0f} ({low:.0f} to {high:.0f})"
 

@@ -21,12 +21,12 @@ from PySide6.QtCore import QPoint, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QMessageBox, QWidget
 
-from app.operate.workspace import OperateWorkspace
-from app.start import SWITCH_S, bench_of
-from backend.devices.jog import JogOrder
-from backend.session import Session
 from tests.bench.fault_window import Watched
 from tests.busy_computer import STARVED
+from touchdown.app.operate.workspace import OperateWorkspace
+from touchdown.app.start import SWITCH_S, bench_of
+from touchdown.backend.bench.session import Session
+from touchdown.backend.devices.jog import JogOrder
 
 CLEAR_MM, SPEED_MM_S = 60.0, 20.0
 GOING_S, FROZEN_S, PATIENCE_S = 0.35, 3.0, 120.0

@@ -33,12 +33,12 @@ def label_page() -> list[Figure]:
 
 def fill(folder: Path, episodes: int, filmed: int) -> None:
     """Make the dataset; nothing has to survive a crash here, so nothing is synced."""
-    from backend.catalogue.dataset import Dataset
-    from backend.catalogue.values import EpisodeContext, Label
-    from backend.objects.catalogue import load_catalogue
     from tests.app.label.conftest import make_episode
+    from touchdown.backend.annotations.dataset import Dataset
+    from touchdown.backend.annotations.values import EpisodeContext, Label
+    from touchdown.backend.geometry.pieces import load_pieces
 
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     with mock.patch("os.fsync"), Dataset.open(folder, person="bench") as dataset:
         pair = dataset.geometry.store_pair(catalogue.piece("pot"), catalogue.piece("circle15"))
         context = EpisodeContext("series", "circle15", pair, "bench", "g", "m")
@@ -52,9 +52,9 @@ def _opened(folder: Path) -> tuple[Any, Any, Any]:
     """Return application, window and label workspace, with Ann at the label page."""
     from PySide6.QtWidgets import QApplication
 
-    from app.application import TouchdownApp
-    from app.error_hooks import ErrorBox
-    from app.start import SWITCH_S
+    from touchdown.app.application import TouchdownApp
+    from touchdown.app.shell.errors import ErrorBox
+    from touchdown.app.start import SWITCH_S
 
     sys.setswitchinterval(SWITCH_S)
     application = QApplication.instance() or QApplication([])

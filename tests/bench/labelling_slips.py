@@ -19,7 +19,7 @@ PROBES, PER_GRIP, EVERY = 126, 3, 3
 @figure("labelling")
 def slips() -> list[Figure]:
     """Collect on the simulated devices with injected slips, then judge each recorded label."""
-    from backend.catalogue.dataset import Dataset
+    from touchdown.backend.annotations.dataset import Dataset
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "dataset"
@@ -48,15 +48,15 @@ Taken = tuple[int, float]
 
 def _collect(dataset: Any) -> dict[Taken, bool]:
     """Return for each picture whether the piece had slipped."""
-    from backend.assembly import simulated_session
-    from backend.devices.sim.bench import SimulatedBench
-    from backend.runs.requests import CollectRequest
-    from backend.session import Keep
-    from backend.simulation import holding
+    from touchdown.backend.bench.assembly import simulated_session
+    from touchdown.backend.runs.recorder import RecordingOptions
+    from touchdown.backend.runs.requests import CollectRequest
+    from touchdown.backend.simulation import gripper
+    from touchdown.backend.simulation.devices.bench import SimulatedBench
 
     rng, grips, slipped = np.random.default_rng(5), [0], dict[Taken, bool]()
     last: Taken = (0, 0.0)
-    draw, picture = holding.draw_gripping, SimulatedBench.scene_picture
+    draw, picture = gripper.draw_gripping, SimulatedBench.scene_picture
 
     def drawn(*given: Any) -> Any:
         grip = draw(*given)
@@ -76,10 +76,10 @@ def _collect(dataset: Any) -> dict[Taken, bool]:
         return picture(bench)
 
     with (
-        mock.patch.object(holding, "draw_gripping", drawn),
+        mock.patch.object(gripper, "draw_gripping", drawn),
         mock.patch.object(SimulatedBench, "scene_picture", seen),
     ):
-        session = simulated_session(keep=Keep(None))
+        session = simulated_session(keep=RecordingOptions(None))
         session.dataset = dataset
         session.run(
             CollectRequest(
@@ -92,14 +92,12 @@ def _collect(dataset: Any) -> dict[Taken, bool]:
 
 def _judged(dataset: Any, slipped: dict[Taken, bool]) -> list[tuple[bool, bool]]:
     """Return (slipped, badged) of each probe that was no refused observation."""
-    from app.label.edit import Edit
-    from app.label.evidence import badges_of
-    from app.label.item import reader
-    from app.label.opening import model_of
-    from app.label.prelabel import Prelabeller
-    from backend.objects.catalogue import load_catalogue
+    from touchdown.app.label.evidence import badges_of
+    from touchdown.app.shell.datasets import Prelabeller, model_of
+    from touchdown.app.shell.label_items import Edit, reader
+    from touchdown.backend.geometry.pieces import load_pieces
 
-    read = reader(dataset, Prelabeller(load_catalogue(), model_of), lambda: None)
+    read = reader(dataset, Prelabeller(load_pieces(), model_of), lambda: None)
     judged, mountings = [], dict[str, int]()
     for entry in dataset.episodes():
         mounting = mountings.setdefault(entry.mounting_id, len(mountings))

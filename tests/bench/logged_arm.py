@@ -17,16 +17,15 @@ from functools import partial
 
 import numpy as np
 
-from backend.config.hardware import HardwareSettings
-from backend.core.realtime import taking_turns
-from backend.emulators.front import CHUNK
-from backend.emulators.joined_serving import PRIORITY, take_short_turns
-from backend.emulators.melfa import TIMEOUT_CYCLES, MelfaFront
-from backend.wire.framing import WireError
-from backend.wire.melfa_joints import CYCLE_S
-from backend.wire.melfa_mxt import Command, decode_request
 from tests.backend.devices.emulated_arm import settings as melfa_settings
 from tests.backend.rig.served import Served
+from touchdown.backend.bench.emulated_bench import PRIORITY, take_short_turns
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.scheduling import round_robin_priority
+from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.melfa.emulator import TIMEOUT_CYCLES, MelfaFront
+from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S, Command, decode_request
+from touchdown.backend.emulation.servers import CHUNK
 
 SO_TIMESTAMPNS = 35
 """Linux, asm-generic/socket.h: the time of arrival with each datagram, as two 64 bit numbers."""
@@ -128,7 +127,7 @@ class LoggedArm:
 
 def main(host: str) -> None:
     """Serve and answer until the input ends."""
-    with taking_turns(PRIORITY):
+    with round_robin_priority(PRIORITY):
         served = Served(partial(LoggedFront, host=host))
     # Tests let it wait for a computer that stalls: here it ends a silent stream, as on hardware.
     device = served.arm._device

@@ -13,11 +13,13 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from backend.assembly import SimulatedBenchChoice
-from backend.catalogue.dataset import Dataset
-from backend.config.method import SAMPLES_PER_PROBE
-from backend.core.facts import (
-    Fact,
+from tests.bench.registry import Figure, figure
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.bench.assembly import SimulatedBenchChoice
+from touchdown.backend.bench.emulated import EmulatedBench
+from touchdown.backend.config.method import SAMPLES_PER_PROBE
+from touchdown.backend.core.events import (
+    Event,
     FaultRaised,
     FaultsReset,
     Paused,
@@ -25,17 +27,21 @@ from backend.core.facts import (
     RunFinished,
     TrialFinished,
 )
-from backend.core.faults import FaultError, RefusedError, StaleSampleError
-from backend.core.flow import CHANNELS
-from backend.devices.jog import JogOrder
-from backend.emulated import EmulatedBench
-from backend.emulators.faults import FaultPlan
-from backend.learning.training_runs import training_runs
-from backend.runs.campaign import newest_campaign
-from backend.runs.journal import read_journal
-from backend.runs.requests import CollectRequest, ProbeRequest, Request, SceneChoice, StackRequest
-from backend.session import Keep
-from tests.bench.registry import Figure, figure
+from touchdown.backend.core.faults import FaultError, RefusedError, StaleSampleError
+from touchdown.backend.core.values import CHANNELS
+from touchdown.backend.devices.jog import JogOrder
+from touchdown.backend.emulation.fault_plan import FaultPlan
+from touchdown.backend.learning.training_runs import list_training_runs
+from touchdown.backend.runs.campaign import newest_campaign
+from touchdown.backend.runs.event_log import read_events
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import (
+    CollectRequest,
+    ProbeRequest,
+    Request,
+    SceneChoice,
+    StackRequest,
+)
 
 PROBES, TRIES = 4, 8
 SETTLE_S = 1.5
@@ -53,7 +59,7 @@ class Day:
 
     def __init__(self, folder: Path, bench: EmulatedBench, dataset: Dataset) -> None:
         self.folder, self.bench, self.session, self.dataset = folder, bench, bench.session, dataset
-        self.facts: list[Fact] = []
+        self.facts: list[Event] = []
         self.again = self.presses = 0
         self.session.hub.subscribe(self.facts.append)
 
@@ -122,7 +128,7 @@ class Day:
         done = subprocess.run(
             [sys.executable, "-m", "backend", *map(str, words)], capture_output=True, check=False
         )
-        return done.returncode == 0 and out.is_file() and bool(training_runs(data))
+        return done.returncode == 0 and out.is_file() and bool(list_training_runs(data))
 
     def stack(self) -> bool:
         return self.run(StackRequest("pot", ("short",), 301))
@@ -132,7 +138,7 @@ class Day:
         folder = self.session.run_folder
         told = [fact for fact in self.facts if isinstance(fact, TrialFinished)]
         assert folder is not None
-        read = [fact for fact in read_journal(folder) if isinstance(fact, TrialFinished)]
+        read = [fact for fact in read_events(folder) if isinstance(fact, TrialFinished)]
         return bool(read) and read[-1].outcome is told[-1].outcome
 
     def run(self, request: Request | Callable[[], Request]) -> bool:
@@ -168,7 +174,7 @@ def operators_day_over_wires() -> list[Figure]:
     with (
         tempfile.TemporaryDirectory() as name,
         Dataset.open(Path(name) / "ds", person=PERSON) as dataset,
-        EmulatedBench(SimulatedBenchChoice(), keep=Keep(Path(name) / "runs")) as bench,
+        EmulatedBench(SimulatedBenchChoice(), keep=RecordingOptions(Path(name) / "runs")) as bench,
     ):
         day = Day(Path(name), bench, dataset)
         missed = [part.__name__ for part in day.parts() if not part()]
@@ -191,11 +197,11 @@ def plugs_pulled_while_collecting() -> list[Figure]:
         tempfile.TemporaryDirectory() as name,
         Dataset.open(Path(name) / "ds", person=PERSON) as dataset,
         EmulatedBench(
-            SimulatedBenchChoice(), keep=Keep(Path(name) / "runs"), plan=plans.pop(0)
+            SimulatedBenchChoice(), keep=RecordingOptions(Path(name) / "runs"), plan=plans.pop(0)
         ) as bench,
     ):
 
-        def next_plug(fact: Fact) -> None:
+        def next_plug(fact: Event) -> None:
             if isinstance(fact, FaultsReset):
                 bench.plan = plans.pop(0) if plans else FaultPlan()
 

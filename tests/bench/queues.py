@@ -15,18 +15,16 @@ from pathlib import Path
 
 import numpy as np
 
-from backend.assembly import shipped_model
-from backend.catalogue.bulk import SetState
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.scores import SCORES
-from backend.catalogue.values import Label
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import true_patch
-from backend.placement.ensemble import Ensemble
-from backend.placement.estimator import Estimator
-from backend.placement.label_scores import score_labels
-from backend.placement.offset_fit import NOTABLE_SIGMAS, OffsetGrid
 from tests.bench.registry import Figure, figure
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.labels import SetState
+from touchdown.backend.annotations.queues import SCORES
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.bench.assembly import shipped_model
+from touchdown.backend.geometry.outlines import true_patch
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.placement.estimator import NOTABLE_SIGMAS, Ensemble, Estimator, OffsetGrid
+from touchdown.backend.placement.label_review import score_labels
 
 ROOT = Path(__file__).resolve().parents[2]
 BOTTOMS, EACH, SEED = "circle15,circle25,square15", 1000, 77
@@ -64,7 +62,7 @@ def _measured(
             dataset.labels.set("bench", uuid, label)
         uuids = [entry.uuid for entry in dataset.episodes()]
         dataset.labels.bulk("bench", dataset.labels.preview("bench", uuids, SetState("accept")))
-        models = Ensemble([Estimator.load(shipped_model("pot"), load_catalogue().top("pot"))])
+        models = Ensemble([Estimator.load(shipped_model("pot"), load_pieces().top("pot"))])
         count = score_labels(dataset, lambda _: models, lambda done, total: True)
         figures = _precision(dataset, set(wrong), count, kind)
         if make is _moved:

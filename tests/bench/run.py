@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from rich.table import Table
 from rich.text import Text
 
-from backend.core.faults import TouchdownError
-from backend.verbs.screen import Screen
 from tests.bench.registry import REGISTER, Figure
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core.faults import TouchdownError
 
 MODULES: tuple[str, ...] = (
     "tests.bench.command_line",
@@ -94,7 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         for name, (group, measure) in REGISTER.items()
         if not args.names or {name, group} & set(args.names)
     }
-    screen = Screen(json=args.json)
+    screen = VerbOutput(json=args.json)
     figures: list[Figure] = []
     with screen.progress("Measuring", len(wanted)) as advance:
         for done, (name, measure) in enumerate(wanted.items()):

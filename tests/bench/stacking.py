@@ -6,11 +6,11 @@ from itertools import product
 
 import numpy as np
 
-from backend.assembly import SimulatedBenchChoice, simulated_session
-from backend.core.facts import ActionChosen, Fact, TrialFinished
-from backend.core.flow import Outcome
-from backend.runs.requests import StackRequest, Strategy
 from tests.bench.registry import Figure, figure
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
+from touchdown.backend.core.events import ActionChosen, Event, TrialFinished
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.runs.requests import StackRequest, StrategyChoice
 
 FIRST_SEED = 100
 """Sixty seeds, none used twice: each cell has ten of its own."""
@@ -18,9 +18,9 @@ PIECES, BOTTOMS, TRIALS = ("pot", "mushroom", "barrel"), ("short", "long"), 10
 UNSAFE = (Outcome.FELL, Outcome.KNOCKED_OVER)
 
 
-def _sixty(preset: str | None, strategy: Strategy) -> tuple[list[TrialFinished], list[float]]:
+def _sixty(preset: str | None, strategy: StrategyChoice) -> tuple[list[TrialFinished], list[float]]:
     """Return how each trial ended, and the decision latencies in ms."""
-    facts: list[Fact] = []
+    facts: list[Event] = []
     session = simulated_session(SimulatedBenchChoice(preset=preset))
     session.hub.subscribe(facts.append)
     try:

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeFilter, Label
 from tests.backend.catalogue.filling import fill, make_files
 from tests.bench.registry import Figure, figure
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import EpisodeFilter, Label
 
 EPISODES = 100_000
 APPROVED = 10_000

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from backend.catalogue.cache import CacheRow, TrainingCache, open_cache
-from backend.dataset.contents import read_chunks
-from backend.dataset.pack_file import MAX_EPISODES, EpisodeRow, PackWriter
 from tests.bench.registry import Figure, figure
+from touchdown.backend.annotations.training_set import CacheRow, TrainingCache, open_cache
+from touchdown.backend.episodes.mcap import read_chunks
+from touchdown.backend.episodes.packs import MAX_EPISODES, PackedEpisode, PackWriter
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKED = 6000
@@ -46,7 +46,7 @@ def pack_rows(folder: Path) -> list[CacheRow]:
         with PackWriter(path, {}) as pack:
             for _ in range(MAX_EPISODES):
                 values = rng.standard_normal((20, 258), dtype=np.float32)
-                pack.write(EpisodeRow(values, {"episode": "e"}))
+                pack.write(PackedEpisode(values, {"episode": "e"}))
         name = path.relative_to(folder).as_posix()
         for chunk in read_chunks(path):
             place = (chunk.offset, chunk.length)

@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from backend.core.flow import MARKERS, MarkerState
-from backend.verbs.track import follow
 from tests.backend.sensing.known_truth import known_truth
 from tests.bench.registry import Figure, figure
+from touchdown.backend.cli.track import track_images
+from touchdown.backend.core.values import MARKERS, MarkerState
 
 GELSIGHT = Path(__file__).resolve().parents[1] / "data" / "gelsight"
 SMALL_DOTS = (
@@ -27,7 +27,7 @@ def real_gels() -> list[Figure]:
     whole_at_start, seen = [], []
     cv2.setNumThreads(1)
     for path in sorted({*GELSIGHT.glob("*.avi"), *GELSIGHT.glob("*.png")} - set(SMALL_DOTS)):
-        for index, (_, tracked) in enumerate(follow(path)):
+        for index, (_, tracked) in enumerate(track_images(path)):
             count = int(np.sum(tracked.field.state == MarkerState.SEEN))
             if index == 0:
                 whole_at_start.append(count == MARKERS)

@@ -19,13 +19,18 @@ from pathlib import Path
 
 import numpy as np
 
-from backend.assembly import SimulatedBenchChoice, make_scene
-from backend.core.realtime import taking_turns
-from backend.emulators.faults import FaultPlan
-from backend.emulators.joined import JoinedScene
-from backend.emulators.joined_serving import PRIORITY, lab_toml, serve_bench, take_short_turns
-from backend.objects.catalogue import load_catalogue
-from backend.runs.requests import SceneChoice
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, make_scene
+from touchdown.backend.bench.emulated_bench import (
+    PRIORITY,
+    JoinedScene,
+    lab_toml,
+    serve_bench,
+    take_short_turns,
+)
+from touchdown.backend.core.scheduling import round_robin_priority
+from touchdown.backend.emulation.fault_plan import FaultPlan
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.requests import SceneChoice
 
 BACK_S, GRID_S = 0.95, 0.001
 STANDS_MM = 0.05
@@ -100,8 +105,8 @@ def watched_arm() -> Iterator[WatchedArm]:
 def main(folder: Path) -> None:
     """Serve and answer until the input ends."""
     settings = SimulatedBenchChoice(preset="quiet").settings()
-    scene = make_scene(load_catalogue(), SceneChoice("pot", ("short",), SEED), settings)
-    with taking_turns(PRIORITY):
+    scene = make_scene(load_pieces(), SceneChoice("pot", ("short",), SEED), settings)
+    with round_robin_priority(PRIORITY):
         joined, emulation = serve_bench(scene, folder, FaultPlan())
         (folder / LAB).write_text(lab_toml(scene, emulation), "utf-8")
         take_short_turns()

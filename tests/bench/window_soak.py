@@ -22,13 +22,14 @@ from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QApplication
 from shiboken6 import isValid
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from app.stack.workspace import StackWorkspace
-from backend.assembly import simulated_session
-from backend.runs.requests import RunState, SceneChoice, StackRequest
-from backend.session import STEP_US, Keep, Session
-from widgets.pump import PERIOD_MS
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.app.stack.workspace import StackWorkspace
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.bench.session import STEP_US, Session
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import RunState, SceneChoice, StackRequest
+from touchdown.widgets.base.freshness import PERIOD_MS
 
 STEP_S = 1e-6 * STEP_US
 TICKS_A_STEP = 1e3 * STEP_S / PERIOD_MS
@@ -53,7 +54,7 @@ def main(argv: list[str]) -> int:
 
 
 def _soak(application: QApplication, folder: Path, minutes: float) -> dict[str, float]:
-    session = simulated_session(keep=Keep(folder / "runs"))
+    session = simulated_session(keep=RecordingOptions(folder / "runs"))
     session.prepare(SceneChoice())
     session.open = lambda speed=1.0: None  # type: ignore[method-assign]
     main = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")

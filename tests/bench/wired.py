@@ -11,21 +11,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from backend.assembly import SimulatedBenchChoice, simulated_session
-from backend.core.facts import (
+from tests.bench.registry import Figure, figure
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
+from touchdown.backend.bench.emulated import EmulatedBench
+from touchdown.backend.bench.session import Session
+from touchdown.backend.core.events import (
     EpisodeRecorded,
-    Fact,
+    Event,
     FaultRaised,
     Paused,
     PhaseEntered,
     TrialFinished,
 )
-from backend.core.faults import FaultError
-from backend.core.flow import TACTILE_CHANNELS, Episode, FloatArray
-from backend.emulated import EmulatedBench
-from backend.runs.requests import StackRequest
-from backend.session import Keep, Session
-from tests.bench.registry import Figure, figure
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core.values import TACTILE_CHANNELS, Episode, FloatArray
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import StackRequest
 
 FIRST_SEED, TRIALS = 300, 20
 BOTTOMS = ("short", "long")
@@ -44,7 +45,7 @@ class Run:
     presses: int = 0
     """Until the first episode; a press that was void and is made again has moved the piece."""
 
-    def hear(self, fact: Fact) -> None:
+    def hear(self, fact: Event) -> None:
         if isinstance(fact, TrialFinished):
             self.ends.append(fact)
         elif isinstance(fact, EpisodeRecorded):
@@ -82,8 +83,8 @@ def held(episode: Episode) -> tuple[FloatArray, FloatArray]:
 def compare(trials: int = TRIALS) -> list[Figure]:
     alike, wrench_off, marker_off, presses = 0, [], [], []
     ended: Counter[str] = Counter()
-    simulated = simulated_session(SimulatedBenchChoice(), keep=Keep(None))
-    with EmulatedBench(SimulatedBenchChoice(), keep=Keep(None)) as bench:
+    simulated = simulated_session(SimulatedBenchChoice(), keep=RecordingOptions(None))
+    with EmulatedBench(SimulatedBenchChoice(), keep=RecordingOptions(None)) as bench:
         for seed in range(FIRST_SEED, FIRST_SEED + trials):
             wanted = stack(simulated, seed)
             for _ in range(TRIES):

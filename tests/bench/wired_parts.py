@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from backend.config.simulation import SimulationSettings
 from tests.backend.emulators.wound import WoundWires, bursts, force_apart, simulated_press
 from tests.bench.registry import Figure, figure
 from tests.bench.wired import FIRST_SEED, TRIALS
+from touchdown.backend.config.simulation import SimulationSettings
 
 MOST_PC = 2.0
 BEHIND_S = 0.06

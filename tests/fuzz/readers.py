@@ -7,16 +7,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from backend.wire import (
-    dynpick,
-    gelsight_name,
-    melfa_r3_answers,
-    melfa_r3_positions,
-    mjpeg,
-    net_ft,
-)
 from tests.backend.wire.codecs import Codec
 from tests.backend.wire.vectors import VECTORS
+from touchdown.backend.devices.dynpick import protocol
+from touchdown.backend.devices.gelsight import protocol as gelsight_name
+from touchdown.backend.devices.gelsight import protocol as mjpeg
+from touchdown.backend.devices.melfa import protocol_r3
+from touchdown.backend.devices.netft import protocol as net_ft
 
 PAGE = (
     b"<netft><scfgfu>N</scfgfu><scfgtu>N-m</scfgtu><cfgcpf>1000000</cfgcpf>"
@@ -54,28 +51,28 @@ def _picture(seed: int) -> bytes:
 
 _PICTURES = tuple(_picture(seed) for seed in range(3))
 _R3 = (
-    melfa_r3_answers.read_opened,
-    melfa_r3_answers.read_state,
-    melfa_r3_answers.read_progress,
-    melfa_r3_answers.read_error,
-    melfa_r3_answers.read_hands,
-    melfa_r3_answers.read_stop_signals,
-    melfa_r3_answers.read_parameter,
-    melfa_r3_answers.read_bits,
-    melfa_r3_answers.read_origin,
-    melfa_r3_answers.read_ports,
-    melfa_r3_positions.read_axes,
-    melfa_r3_positions.read_variable,
+    protocol_r3.read_opened,
+    protocol_r3.read_state,
+    protocol_r3.read_progress,
+    protocol_r3.read_error,
+    protocol_r3.read_hands,
+    protocol_r3.read_stop_signals,
+    protocol_r3.read_parameter,
+    protocol_r3.read_bits,
+    protocol_r3.read_origin,
+    protocol_r3.read_ports,
+    protocol_r3.read_axes,
+    protocol_r3.read_variable,
 )
 READERS: dict[tuple[str, str], Reader] = {
     **{("r3-answer", read.__name__): _answer(read) for read in _R3},
     ("dynpick-answer", "sensitivity"): _plain(
-        dynpick.decode_sensitivity, *_vectors("dynpick-sensitivity-reply")
+        protocol.decode_sensitivity, *_vectors("dynpick-sensitivity-reply")
     ),
     ("dynpick-answer", "temperature"): _plain(
-        dynpick.decode_temperature, *_vectors("dynpick-temperature-reply")
+        protocol.decode_temperature, *_vectors("dynpick-temperature-reply")
     ),
-    ("dynpick-answer", "filter"): _plain(dynpick.decode_filter, *_vectors("dynpick-filter-reply")),
+    ("dynpick-answer", "filter"): _plain(protocol.decode_filter, *_vectors("dynpick-filter-reply")),
     ("netft-answer", "calibration"): _plain(
         net_ft.decode_calibration, *_vectors("netft-tcp-calibration-reply")
     ),

@@ -2,8 +2,8 @@
 
 import pytest
 
-from backend.wire import optoforce
 from tests.fuzz.wire import ALL, Count, attempt, fuzz
+from touchdown.backend.devices.optoforce import protocol
 
 SHORT = 150
 
@@ -38,13 +38,13 @@ def test_what_was_found_once_stays_mended(key, content, cut):
 
 
 def test_a_check_that_is_missing_is_found(monkeypatch):
-    monkeypatch.setattr(optoforce, "_summed", lambda frame: frame[:-2])
+    monkeypatch.setattr(protocol, "_summed", lambda frame: frame[:-2])
     count = fuzz(("optoforce", "device-to-pc"), 7, lambda count: count.inputs == SHORT)
     assert any("was never sent" in finding for finding in count.findings)
 
 
 def test_a_crash_is_found(monkeypatch):
-    monkeypatch.setattr(optoforce, "_length", lambda data, at: data[at + 1])
+    monkeypatch.setattr(protocol, "_length", lambda data, at: data[at + 1])
     count = fuzz(("optoforce", "device-to-pc"), 7, lambda count: count.inputs == SHORT)
     assert any("raised IndexError" in finding for finding in count.findings)
 

@@ -17,11 +17,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from backend.verbs.screen import Screen
-from backend.wire.framing import WireError
 from tests.backend.wire.codecs import CODECS, Codec
 from tests.backend.wire.vectors import VECTORS
 from tests.fuzz.readers import READERS
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.devices.framing import WireError
 
 HANG_S = 5.0
 ARMED_S = 1.0
@@ -185,7 +185,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=10.0, help=told)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
-    screen, bad, names = Screen(), 0, tuple(given.devices)
+    screen, bad, names = VerbOutput(), 0, tuple(given.devices)
     for key in [key for key in ALL if not given.devices or "/".join(key).startswith(names)]:
         until = time.process_time() + 60 * given.minutes
         count = fuzz(key, given.seed, lambda _, until=until: time.process_time() >= until)

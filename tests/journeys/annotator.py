@@ -19,10 +19,10 @@ from PySide6.QtCore import QObject, Qt, QTimer
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-from app import start
-from app.application import TouchdownApp
-from app.label.words import QUEUES as LISTED
-from backend.runs.store import data_folder
+from touchdown.app import start
+from touchdown.app.application import TouchdownApp
+from touchdown.app.label.text import QUEUES as LISTED
+from touchdown.backend.runs.recorder import data_folder
 
 KEY = Qt.Key
 NONE = Qt.KeyboardModifier.NoModifier
@@ -348,7 +348,7 @@ class Held(TouchdownApp):
 
 def main() -> int:
     start.TouchdownApp = Held  # type: ignore[misc]
-    from app.__main__ import main as run
+    from touchdown.app.__main__ import main as run
 
     return run([])
 

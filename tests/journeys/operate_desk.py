@@ -5,13 +5,13 @@ from PySide6.QtCore import QEvent, Qt
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QApplication
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from backend.assembly import simulated_session
-from backend.core.flow import Pose
-from backend.runs.requests import SceneChoice
-from backend.session import Keep
 from tests.backend.brisk import brisk_bench
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.core.values import Pose
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import SceneChoice
 
 STEP_S = 0.02
 
@@ -31,7 +31,9 @@ class SteppedSession:
 
 @pytest.fixture
 def desk(qapp, qtbot, tmp_path):
-    session = simulated_session(brisk_bench(), keep=Keep(tmp_path / "runs", episodes=False))
+    session = simulated_session(
+        brisk_bench(), keep=RecordingOptions(tmp_path / "runs", episodes=False)
+    )
     session.prepare(SceneChoice())
     motion = session._scene.stage.arm.move_to(Pose(0.0, 0.0, 80.0), 50.0)
     while not motion.done:

@@ -24,11 +24,11 @@ from typing import Any
 
 import pytest
 
-from backend.__main__ import main
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.recovery import examine
-from backend.catalogue.values import Revision
-from backend.learning.training_runs import training_runs
+from touchdown.backend.__main__ import main
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.reconciliation import check_dataset
+from touchdown.backend.annotations.values import Revision
+from touchdown.backend.learning.training_runs import list_training_runs
 
 PROBES = int(os.environ.get("DAY_PROBES", "14"))
 COLLECTED, PACKED = 2, PROBES - 2
@@ -159,7 +159,7 @@ def check_nothing_lost(folder: Path, known: Known, room: Path) -> list[str]:
                 assert_same(dataset.labels.head(uuid), told)
         # Saved and not yet said when the kill came: what the disk has of it now has to stay.
         known.saved.append(as_told(dataset.labels.head(known.at)))
-        assert list(examine(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.store, whole=True)) == []
         return dataset.queue("unlabelled", "ann")
 
 
@@ -221,7 +221,7 @@ def check_reviewed(folder: Path, known: Known, told: list[Told]) -> dict[str, Re
     corrected = next(t["corrected"] for t in told if "corrected" in t)
     last = {told["saved"]: told for told in known.saved}
     with Dataset.open(folder, create=False) as dataset:
-        assert list(examine(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.store, whole=True)) == []
         heads = {e.uuid: dataset.labels.head(e.uuid) for e in dataset.episodes()}
         for uuid, head in heads.items():
             assert_same(head, last[uuid])
@@ -267,7 +267,7 @@ def said(words: list[str], capsys) -> Told:
 
 def check_training(folder: Path, approved: dict[str, Revision]) -> None:
     """The model of the Train page learned from exactly the approved labels."""
-    (run,) = training_runs(folder)
+    (run,) = list_training_runs(folder)
     assert run.state == "finished"
     assert run.model.stat().st_size > 10_000
     assert len(run.curves["validation_loss"]) == 2

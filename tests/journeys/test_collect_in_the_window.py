@@ -5,14 +5,14 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from backend.assembly import simulated_session
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeFilter
-from backend.runs.requests import RunState, SceneChoice
-from backend.session import Keep
 from tests.backend.brisk import brisk_bench, brisk_method
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import EpisodeFilter
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import RunState, SceneChoice
 
 KEY = Qt.Key
 pytestmark = pytest.mark.slow
@@ -37,7 +37,9 @@ class Stepped:
 @pytest.fixture
 def desk(qapp, qtbot, tmp_path, isolated_settings):
     session = simulated_session(
-        brisk_bench(), keep=Keep(tmp_path / "runs", episodes=False), method=brisk_method()
+        brisk_bench(),
+        keep=RecordingOptions(tmp_path / "runs", episodes=False),
+        method=brisk_method(),
     )
     session.prepare(SceneChoice())
     main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")

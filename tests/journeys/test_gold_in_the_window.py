@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from backend.catalogue.comparison import against_gold
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.recovery import examine
-from backend.catalogue.training_set import labelled
-from backend.catalogue.values import Label
 from tests.backend.catalogue.conftest import context_for, small_episode
+from touchdown.backend.annotations.agreement import compare_with_control_items
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.reconciliation import check_dataset
+from touchdown.backend.annotations.training_set import labelled_episodes
+from touchdown.backend.annotations.values import Label
 
 Told = dict[str, Any]
 WAITING = 21
@@ -97,13 +97,15 @@ def test_a_kill_loses_no_nudge_on_gold_and_undo_reaches_behind_it(
     assert taken_back["row"] == fresh["row"]
     assert again[-1]["basis"] == nudged["basis"]
     with Dataset.open(folder, create=False) as dataset:
-        assert list(examine(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.store, whole=True)) == []
         head = dataset.labels.head(gold)
         assert (head.state, head.person, head.label.x_um) == ("approved", "cleo", 4000)
         assert "ann" not in {r.person for r in dataset.labels.history(gold)}
         assert dataset.labels.head(plain).label.x_um == 1100
-        counting = {e.row.episode: e.label.x_um for e in labelled(dataset.database, "submitted")}
+        counting = {
+            e.row.episode: e.label.x_um for e in labelled_episodes(dataset.database, "submitted")
+        }
         assert (counting[gold], counting[plain]) == (4000, 1100)
-        found = against_gold(dataset.database, dataset.geometry, "ann")
+        found = compare_with_control_items(dataset.database, dataset.geometry, "ann")
         assert found.episodes == 1
         assert found.bias_x_mm.mean == pytest.approx(1.1 - 4)

@@ -18,12 +18,12 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from app.start import bench_of
-from backend.core.facts import RunFinished
-from backend.devices.protocols import DeviceState
 from tests.busy_computer import STARVED
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.app.start import bench_of
+from touchdown.backend.core.events import RunFinished
+from touchdown.backend.devices.protocols import DeviceState
 
 TRIES = 12
 LIMIT_S, PATIENCE_S = 150.0, 300.0

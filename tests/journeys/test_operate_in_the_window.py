@@ -6,9 +6,9 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMessageBox, QPushButton
 
-from backend.core.flow import Pose
-from backend.runs.requests import RunState
 from tests.journeys.operate_desk import desk, place, press, release, turn
+from touchdown.backend.core.values import Pose
+from touchdown.backend.runs.requests import RunState
 
 __all__ = ["desk"]
 

@@ -5,12 +5,12 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from backend.assembly import simulated_session
-from backend.runs.requests import RunState, SceneChoice
-from backend.session import Keep
 from tests.backend.brisk import brisk_bench, brisk_method
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import RunState, SceneChoice
 
 KEY, CTRL, SHIFT = Qt.Key, Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 PROBES = 2
@@ -103,7 +103,9 @@ def test_an_operators_day(day, tmp_path):
 def connect(day, tmp_path):
     def make():
         session = simulated_session(
-            brisk_bench(), keep=Keep(tmp_path / "runs", episodes=False), method=brisk_method()
+            brisk_bench(),
+            keep=RecordingOptions(tmp_path / "runs", episodes=False),
+            method=brisk_method(),
         )
         session.prepare(SceneChoice())
         return SteppedSession(session)

@@ -14,12 +14,12 @@ import time
 
 import pytest
 
-from backend.catalogue.dataset import Dataset
-from backend.core.facts import ProbeCollected, TrialFinished
-from backend.core.flow import Outcome
-from backend.learning.training_runs import training_runs
-from backend.runs.journal import read_journal
 from tests.backend.brisk import RATE_HZ
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.core.events import ProbeCollected, TrialFinished
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.learning.training_runs import list_training_runs
+from touchdown.backend.runs.event_log import read_events
 
 WIDTH, HEIGHT = 1600, 940
 REST = (1100, 470)
@@ -164,7 +164,7 @@ class Operator:
 
     def facts(self):
         """Return what the newest run told."""
-        return list(read_journal(max((self.data / "runs").iterdir())))
+        return list(read_events(max((self.data / "runs").iterdir())))
 
     def until(self, seen, every_s=0.2):
         end = time.monotonic() + LIMIT_S
@@ -249,7 +249,7 @@ def train(operator):
         operator.fill(name, text)
     operator.click("Start training")
     operator.until(
-        lambda: [run.state for run in training_runs(operator.data / "dataset")] == ["finished"]
+        lambda: [run.state for run in list_training_runs(operator.data / "dataset")] == ["finished"]
     )
 
 

@@ -6,17 +6,17 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-import backend.assembly as assembly
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from backend.core.faults import RefusedError
-from backend.core.flow import ContactPatch, Outcome
-from backend.learning.checkpoint import load_card
-from backend.objects.surface import face_points
-from backend.runs.requests import ProbeRequest, RunState, SceneChoice
-from backend.session import Keep
 from tests.backend.brisk import brisk_bench, brisk_method
-from widgets.run_panel import RunForm
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.backend.bench import assembly
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.core.values import ContactPatch, Outcome
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.learning.checkpoint import load_card
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import ProbeRequest, RunState, SceneChoice
+from touchdown.widgets.forms.run_form import RunForm
 
 BOTTOM_RADIUS_MM = 10.0
 
@@ -62,7 +62,7 @@ def desk(qapp, qtbot, tmp_path, monkeypatch):
     )
     runs = tmp_path / "runs"
     session = assembly.simulated_session(
-        brisk_bench(), keep=Keep(runs, episodes=False), method=brisk_method()
+        brisk_bench(), keep=RecordingOptions(runs, episodes=False), method=brisk_method()
     )
     session.prepare(SceneChoice())
     link = SteppedSession(session)

@@ -6,15 +6,15 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMessageBox
 
-from backend.core.turning import vector_of
-from backend.runs.requests import RunState
 from tests.journeys.operate_desk import desk, press, release, turn
+from touchdown.backend.core.rotations import rotation_vector
+from touchdown.backend.runs.requests import RunState
 
 __all__ = ["desk"]
 
 
 def turned(session):
-    return vector_of(session._scene.stage.arm._world.drive.turn)
+    return rotation_vector(session._scene.stage.arm._world.drive.turn)
 
 
 def test_whatever_ends_a_move_ends_a_turn(desk):

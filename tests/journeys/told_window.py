@@ -19,9 +19,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app import start
-from app.__main__ import parser
 from tests.backend.brisk import brisk_method
+from touchdown.app import start
+from touchdown.app.__main__ import parser
 
 SPEED = {"look": None, "real": 1.0, "hurry": 1000.0}
 INSIDE_PX = 12

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PySide6.QtCore import QRectF
 
-from widgets import arrows
-from widgets.plot_axes import PlotArea, nice_step, polygon_of, spread, tick_text, ticks
+from touchdown.widgets.plots.axes import PlotArea, nice_step, polygon_of, spread, tick_text, ticks
+from touchdown.widgets.views import tactile
 
 
 def test_an_arrow_starts_at_rest_and_ends_at_gain_times_the_displacement():
-    strokes = arrows.segments(np.array([[10.0, 20.0]]), np.array([[4.0, -3.0]]))
+    strokes = tactile.segments(np.array([[10.0, 20.0]]), np.array([[4.0, -3.0]]))
     assert strokes[0, 0] == pytest.approx([10, 20, 10 + 12, 20 - 9])
     heads = strokes[0, 1:]
     assert heads[:, 2:] == pytest.approx(np.array([[22, 11], [22, 11]]))
@@ -24,15 +24,15 @@ def test_an_arrow_starts_at_rest_and_ends_at_gain_times_the_displacement():
 
 
 def test_no_displacement_gives_no_direction_and_no_nan():
-    strokes = arrows.segments(np.zeros((1, 2)), np.zeros((1, 2)))
+    strokes = tactile.segments(np.zeros((1, 2)), np.zeros((1, 2)))
     assert (strokes == 0).all()
 
 
 def test_bins_grow_with_length():
     lengths = np.array([0.0, 0.4, 1.0, 2.0, 4.0, 6.0, 50.0])
-    bins = arrows.bins_of(np.stack([lengths, np.zeros(7)], axis=1))
+    bins = tactile.bins_of(np.stack([lengths, np.zeros(7)], axis=1))
     assert bins.tolist() == [0, 0, 1, 2, 3, 4, 5]
-    assert len(arrows.BIN_COLOURS) == 6
+    assert len(tactile.BIN_COLOURS) == 6
 
 
 def test_nice_steps():

@@ -3,8 +3,7 @@
 import pytest
 from PySide6.QtWidgets import QWidget
 
-from widgets.fault_cards import STOPPED, CardText, FaultCards
-from widgets.on_top import OnTop
+from touchdown.widgets.shell.fault_cards import STOPPED, CardText, FaultCards, OnTop
 
 
 @pytest.fixture

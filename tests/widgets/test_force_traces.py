@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.widgets.test_views import pixels, shown, theme
-from widgets.force_traces import TracePlot
+from touchdown.widgets.plots.force_traces import TracePlot
 
 __all__ = ["theme"]
 LEVELS = {"x": -6.0, "y": 2.0, "z": 8.0}

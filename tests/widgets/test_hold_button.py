@@ -6,7 +6,14 @@ from PySide6.QtGui import QKeyEvent
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QLineEdit, QMessageBox, QStackedWidget, QWidget
 
-from widgets.hold_button import LEAST_PX, MOUSE, RENEW_MS, SLACK_PX, Hold, HoldButton
+from touchdown.widgets.forms.hold_button import (
+    LEAST_PX,
+    MOUSE,
+    RENEW_MS,
+    SLACK_PX,
+    Hold,
+    HoldButton,
+)
 
 KEY = Qt.Key.Key_Left
 NEVER_MS = 3_600_000

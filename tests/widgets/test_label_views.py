@@ -8,22 +8,23 @@ from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtTest import QTest
 
-from backend.core.flow import MarkerField, SupportKind
-from backend.objects.shapes import circle, square
-from backend.objects.surface import face_points
-from backend.placement.resting import rest_at
 from tests.app.stand_in import REST
-from widgets.choice_bar import ChoiceBar
-from widgets.film import Film, FilmTrack, latest
-from widgets.history_list import HistoryList, HistoryRow
-from widgets.label_list import LabelList, LabelRow
-from widgets.offset_scene import Ghost, OffsetScene, offset_in_words, verdict_in_words
-from widgets.offset_view import OffsetView
-from widgets.phase_plot import PhasePlot
-from widgets.recorded_traces import RecordedTraces
-from widgets.state_strip import StateStrip
-from widgets.theme import THEMES, Theme, load_resources
-from widgets.trace_sheet import WrenchTrace, extremes
+from touchdown.backend.core.values import MarkerField, SupportKind
+from touchdown.backend.geometry.outlines import circle, face_points, square
+from touchdown.backend.placement.equilibrium import resting_contact
+from touchdown.widgets.base.theme import THEMES, Theme, load_resources
+from touchdown.widgets.forms.questions import ChoiceBar
+from touchdown.widgets.lists.recordings import HistoryList, HistoryRow, LabelList, LabelRow
+from touchdown.widgets.plots.recorded_traces import PhasePlot, RecordedTraces, WrenchTrace, extremes
+from touchdown.widgets.shell.state import StateStrip
+from touchdown.widgets.views.film import Film, FilmTrack, latest
+from touchdown.widgets.views.offset import (
+    Ghost,
+    OffsetScene,
+    OffsetView,
+    offset_in_words,
+    verdict_in_words,
+)
 
 POT = face_points(circle(15.0))
 FACE, BOTTOM = circle(15.0).polygon(96), square(15.0).polygon()
@@ -38,7 +39,7 @@ def theme(qapp, request):
 
 
 def scene(offset, ghosts=()):
-    f = rest_at(POT, (0.0, 0.0), square(15.0), offset)
+    f = resting_contact(POT, (0.0, 0.0), square(15.0), offset)
     return OffsetScene(BOTTOM, FACE, offset, 0.0, f.points_mm, f.touching, f.hull_mm, f.centre_mm,
                        f.margin_mm, f.support, f.too_close, 0.2, ghosts)  # fmt: skip
 
@@ -123,13 +124,11 @@ class TestOffsetView:
 
     def test_the_ground_is_drawn_once_and_the_ghosts_when_they_change(self, view, monkeypatch):
         drawn = []
-        from widgets import offset_marks
+        from touchdown.widgets.views import offset
 
         for name in ("draw_bottom", "draw_ghosts"):
-            real = getattr(offset_marks, name)
-            monkeypatch.setattr(
-                offset_marks, name, lambda *a, n=name, r=real: drawn.append(n) or r(*a)
-            )
+            real = getattr(offset, name)
+            monkeypatch.setattr(offset, name, lambda *a, n=name, r=real: drawn.append(n) or r(*a))
         for k in range(5):
             view.show_scene(scene((2.0 + 0.1 * k, 0.0)))
             view.grab()

@@ -5,8 +5,8 @@ import pytest
 from PySide6.QtCore import QLineF, QRectF
 from PySide6.QtGui import QColor, QImage, QPainter, QPen
 
-from widgets.dimmed import DimmedPicture
-from widgets.strokes import Strokes
+from touchdown.widgets.plots.axes import Strokes
+from touchdown.widgets.views.tactile import DimmedPicture
 
 SIZE = (64, 48)
 

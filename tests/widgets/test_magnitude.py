@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 
-from backend.core.flow import MarkerField, MarkerState
 from tests.app.stand_in import REST
-from widgets.colour_maps import table
-from widgets.magnitude import FULL_PX, magnitude_picture, magnitude_px
-from widgets.tactile_view import LOOKS, TactileView
-from widgets.theme import Theme
+from touchdown.backend.core.values import MarkerField, MarkerState
+from touchdown.widgets.base.theme import Theme, table
+from touchdown.widgets.views.tactile import (
+    FULL_PX,
+    LOOKS,
+    TactileView,
+    magnitude_picture,
+    magnitude_px,
+)
 
 
 def field(shift, lost=()):

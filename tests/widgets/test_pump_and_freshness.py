@@ -5,8 +5,7 @@ from collections import deque
 import pytest
 from PySide6.QtCore import QObject
 
-from widgets.freshness import Age, Freshness
-from widgets.pump import BUDGET_S, Pump
+from touchdown.widgets.base.freshness import BUDGET_S, Age, Freshness, Pump
 
 
 class Wound:

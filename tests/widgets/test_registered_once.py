@@ -3,8 +3,7 @@
 from PySide6.QtCore import QDir
 from PySide6.QtGui import QColor, QFontDatabase
 
-from widgets.icons import pixmap
-from widgets.theme import load_resources
+from touchdown.widgets.base.theme import load_resources, pixmap
 
 
 def test_a_second_window_registers_nothing_again(qapp):

@@ -4,8 +4,8 @@ from dataclasses import fields
 
 import pytest
 
-from widgets.target_panel import TargetButtons, TargetIntents, TargetPanel
-from widgets.theme import Theme, load_resources
+from touchdown.widgets.base.theme import Theme, load_resources
+from touchdown.widgets.forms.collect_form import TargetButtons, TargetIntents, TargetPanel
 
 BUTTONS = {
     "start": "start",

@@ -11,11 +11,11 @@ import pytest
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QComboBox, QLineEdit, QListWidget, QPushButton, QSpinBox
 
-from widgets.arrows import BIN_COLOURS
-from widgets.device_chip import ChipState, mark_colours
-from widgets.scene_shot import LOOKS
-from widgets.style_sheet import style_sheet
-from widgets.theme import CONTRAST, DARK, LIGHT, load_resources
+from touchdown.widgets.base.style_sheet import style_sheet
+from touchdown.widgets.base.theme import CONTRAST, DARK, LIGHT, load_resources
+from touchdown.widgets.shell.devices import ChipState, mark_colours
+from touchdown.widgets.views.scene_camera import LOOKS
+from touchdown.widgets.views.tactile import BIN_COLOURS
 
 ROOT = Path(__file__).parents[2]
 ARROWS_ON = "#14181C"

@@ -4,9 +4,9 @@ import pytest
 from PySide6.QtCore import QRect
 from PySide6.QtWidgets import QApplication
 
-from widgets.elided import ElidedLabel
-from widgets.theme import Theme, load_resources
-from widgets.top_bar import TopBar
+from touchdown.widgets.base.panel import ElidedLabel
+from touchdown.widgets.base.theme import Theme, load_resources
+from touchdown.widgets.shell.top_bar import TopBar
 
 
 @pytest.fixture

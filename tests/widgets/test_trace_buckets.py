@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from widgets.trace_buckets import TraceBuckets
+from touchdown.widgets.plots.axes import TraceBuckets
 
 
 def oracle(t_s, values, span_s, buckets):

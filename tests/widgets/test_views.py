@@ -6,24 +6,21 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QImage, QPainter
 from PySide6.QtWidgets import QApplication
 
-from backend.core.flow import MarkerField, Outcome, Stability, SupportKind, TactileFrame
 from tests.app.stand_in import REST, action, belief, stability
-from widgets.belief_panel import BeliefPanel
-from widgets.belief_scene import BeliefScene
-from widgets.belief_view import BeliefView, describe
-from widgets.decision_panel import DecisionPanel, decide_in_words, signed_mm
-from widgets.device_chip import ChipValue, DeviceChip
-from widgets.force_traces import TracePlot
-from widgets.freshness import Age
-from widgets.offset_scene import OffsetScene
-from widgets.offset_view import OffsetView
-from widgets.overlay import draw_message
-from widgets.probe_strip import ProbeStrip
-from widgets.score_panel import Score, ScorePanel
-from widgets.side_view import SideBody, SideScene, SideView
-from widgets.state_pill import PillState, StatePill
-from widgets.tactile_view import TactileView
-from widgets.theme import THEMES, Theme, load_resources
+from touchdown.backend.core.values import MarkerField, Outcome, Stability, SupportKind, TactileFrame
+from touchdown.widgets.base.freshness import Age
+from touchdown.widgets.base.theme import THEMES, Theme, load_resources
+from touchdown.widgets.plots.axes import draw_message
+from touchdown.widgets.plots.force_traces import TracePlot
+from touchdown.widgets.shell.devices import ChipValue, DeviceChip
+from touchdown.widgets.shell.state import PillState, StatePill
+from touchdown.widgets.views.belief import BeliefScene, BeliefView, describe
+from touchdown.widgets.views.decision import DecisionPanel, decide_in_words, signed_mm
+from touchdown.widgets.views.offset import OffsetScene, OffsetView
+from touchdown.widgets.views.probe_maps import BeliefPanel, ProbeStrip
+from touchdown.widgets.views.scene import SideBody, SideScene, SideView
+from touchdown.widgets.views.scores import Score, ScorePanel
+from touchdown.widgets.views.tactile import TactileView
 
 SIZE = (420, 320)
 

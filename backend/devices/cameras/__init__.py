@@ -1,1 +1,13 @@
-"""Drivers of the tactile cameras."""
+"""Tactile cameras: shared driver parts, frame checks and camera sources."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend.devices.cameras import (
+        registry,
+        system,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

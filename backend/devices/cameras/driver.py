@@ -1,4 +1,4 @@
-"""The driver of one tactile camera: one thread reads, one makes pictures; the newest wins."""
+"""Driver of a tactile camera."""
 
 from __future__ import annotations
 
@@ -6,21 +6,42 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TypeAlias
+from typing import Generic, TypeAlias, TypeVar
 
 import numpy as np
 
-from backend.config.hardware import GelsightSettings
-from backend.core.faults import Fault, FaultError
-from backend.core.flow import Finger, ImageArray, TactileFrame
-from backend.core.stream import Stream
-from backend.devices.cameras.faults import link_fault
-from backend.devices.cameras.finding import find_cameras
-from backend.devices.cameras.gate import Gate
-from backend.devices.cameras.newest import Newest
-from backend.devices.cameras.sources import Source, open_source
-from backend.devices.protocols import DeviceState, Health, Identity
-from backend.devices.steps import Steps
+from touchdown.backend.config import GelsightSettings
+from touchdown.backend.core import Fault, FaultError, Finger, ImageArray, Stream, TactileFrame
+from touchdown.backend.devices.cameras.frames import Gate, link_fault
+from touchdown.backend.devices.cameras.sources import Source, open_source
+from touchdown.backend.devices.cameras.system import find_cameras
+from touchdown.backend.devices.protocols import DeviceState, Health, Identity, Steps
+
+T = TypeVar("T")
+
+
+class Newest(Generic[T]):
+    """Holds at most one item; ``skipped`` counts those that were never taken."""
+
+    def __init__(self) -> None:
+        self._item: T | None = None
+        self._there = threading.Condition()
+        self.skipped = 0
+
+    def put(self, item: T) -> None:
+        """Offer an item."""
+        with self._there:
+            self.skipped += self._item is not None
+            self._item = item
+            self._there.notify()
+
+    def take(self, limit_s: float) -> T | None:
+        """Return the newest item and leave none behind; None if none comes in time."""
+        with self._there:
+            self._there.wait_for(lambda: self._item is not None, limit_s)
+            item, self._item = self._item, None
+            return item
+
 
 CAPACITY = 256
 READ_S = 0.05

@@ -1,8 +1,4 @@
-"""Tactile cameras that the package ``lerobot`` reads: any of its camera classes as a source.
-
-Its robots are not adapted: they take joint positions without force, pose or time, and our
-Protocols of arm and gripper need all three.
-"""
+"""Camera of LeRobot as a plug-in."""
 
 from __future__ import annotations
 
@@ -14,12 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from backend.config.hardware import GelsightSettings, HardwareSettings
-from backend.core.faults import InputError
-from backend.core.flow import Finger, ImageArray, TactileFrame
-from backend.core.stream import Stream
-from backend.devices.cameras.driver import TactileCamera
-from backend.devices.protocols import Identity
+from touchdown.backend.config import GelsightSettings, HardwareSettings
+from touchdown.backend.core import Finger, ImageArray, InputError, Stream, TactileFrame
+from touchdown.backend.devices.cameras.driver import TactileCamera
+from touchdown.backend.devices.protocols import Identity
 
 FIELD = "lerobot.config"
 

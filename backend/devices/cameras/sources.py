@@ -1,7 +1,4 @@
-"""Where pictures come from: a UVC camera, a pipe of JPEGs, or a video file. All raise ``OSError``.
-
-Only the thread that opened a source reads it.
-"""
+"""Sources of camera images: V4L2, files, streams."""
 
 from __future__ import annotations
 
@@ -17,10 +14,10 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
-from backend.config.hardware import GelsightSettings
-from backend.core.flow import ImageArray
-from backend.devices.cameras.controls import lock_controls
-from backend.wire.mjpeg import JpegStream
+from touchdown.backend.config import GelsightSettings
+from touchdown.backend.core import ImageArray
+from touchdown.backend.devices.cameras.system import lock_controls
+from touchdown.backend.devices.gelsight import JpegStream
 
 CHUNK = 1 << 16
 DEFAULT_RATE_HZ = 25.0

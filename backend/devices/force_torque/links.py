@@ -1,7 +1,4 @@
-"""What a wrist sensor hangs on: a serial port, a TCP port, or UDP datagrams. All raise ``OSError``.
-
-Addresses: the path of a serial port, ``socket://host:port``, or ``udp://host:port``.
-"""
+"""Serial and UDP links of wrist sensors."""
 
 from __future__ import annotations
 

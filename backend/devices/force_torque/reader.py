@@ -1,34 +1,152 @@
-"""The driver of every wrist sensor on a wire: one thread owns the link, a language the bytes."""
+"""Reader thread of a wrist sensor."""
 
 from __future__ import annotations
 
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 
 import numpy as np
 
-from backend.config.hardware import ForceTorqueSettings
-from backend.core.faults import Fault, FaultError
-from backend.core.flow import FloatArray
-from backend.core.stream import SampleStream
-from backend.devices.arrivals import Arrivals
-from backend.devices.force_torque.faults import (
-    NAME,
-    OVERLOAD,
-    driver_fault,
-    link_fault,
-    sensor_fault,
+from touchdown.backend.config import ForceTorqueSettings
+from touchdown.backend.core import Fault, FaultError, FloatArray, SampleStream
+from touchdown.backend.devices.force_torque.links import Link
+from touchdown.backend.devices.force_torque.protocol import (
+    Greeting,
+    Language,
+    NotAnsweredError,
+    Reading,
 )
-from backend.devices.force_torque.language import Greeting, Language, NotAnsweredError
-from backend.devices.force_torque.links import Link
-from backend.devices.force_torque.readout import LATE_S, Readout
-from backend.devices.protocols import DeviceState, Health, Identity
-from backend.devices.steps import Steps
-from backend.devices.stranger import who_answers
-from backend.wire.framing import WireError
+from touchdown.backend.devices.force_torque.sample_clock import SampleClock
+from touchdown.backend.devices.framing import NO_WRENCH, WireError, Wrench
+from touchdown.backend.devices.protocols import DeviceState, Health, Identity, Steps
+from touchdown.backend.devices.registry import who_answers
+from touchdown.backend.devices.supervision import Arrivals
+
+LEAST_S = 1e-6
+"""Stamps rise by at least this much."""
+LATE_S = 0.01
+"""A delay of the wire up to this is no loss, if nobody says otherwise."""
+
+
+class Readout:
+    """Counts what is missing and notices a stuck sensor; the caller owns the clock.
+
+    ``late_s``: how late the wire may be without a loss. ``numbered``: the sensor's own count shows
+    every loss; else a loss that nobody counted is found by what comes late ever after.
+
+    ``stuck``: the newest ``stuck_after`` samples or more are equal to the last digit, which no
+    living sensor is. ``overload`` and ``trouble`` stay once they have been seen.
+    """
+
+    def __init__(
+        self,
+        settings: ForceTorqueSettings,
+        period_s: float,
+        late_s: float = LATE_S,
+        *,
+        numbered: bool = False,
+    ) -> None:
+        self._settings, self.period_s = settings, period_s
+        self._clock, self._numbered = SampleClock(period_s, late_s), numbered
+        self._number = 0
+        self._turn = settings.sign * np.array(settings.rotation)
+        self._newest_s = -np.inf
+        self._last: Wrench | None = None
+        self._equal = 0
+        self.lost = 0
+        self.overload = False
+        self.trouble = ""
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the sensor repeats itself."""
+        return self._equal + 1 >= self._settings.stuck_after
+
+    def accept(
+        self, arrival_s: float, readings: Sequence[Reading]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return stamps (n,) and wrenches (n, 6), N and N·m in tool axes.
+
+        Stamps follow the count of the sensor along the line of least delay, less the latency: a
+        burst that comes late is spread over the time in which it was measured.
+        """
+        told = np.array([self._valid(reading) for reading in readings], dtype=np.float64)
+        values = (told.reshape(-1, 2, 3) @ self._turn.T).reshape(-1, 6)
+        return self._stamps(arrival_s - 1e-3 * self._settings.latency_ms, readings), values
+
+    def _valid(self, reading: Reading) -> Wrench:
+        """Return what a reading says in axes of the sensor, NaN where that is no measurement."""
+        self.lost += reading.missed
+        self.overload |= reading.overload
+        self.trouble = self.trouble or reading.trouble
+        self._equal = self._equal + 1 if reading.wrench == self._last else 0
+        self._last = reading.wrench
+        valid = not (reading.overload or reading.trouble or self.stuck)
+        return reading.wrench if valid else NO_WRENCH
+
+    def _stamps(self, arrival_s: float, readings: Sequence[Reading]) -> FloatArray:
+        if not readings:
+            return np.empty(0)
+        numbers = self._number + np.cumsum([reading.missed + 1 for reading in readings])
+        self._number = int(numbers[-1])
+        missing = self._clock.feed(arrival_s, self._number)
+        self.lost += 0 if self._numbered else missing
+        stamps = self._clock.taken_s(numbers)
+        if stamps[0] <= self._newest_s:
+            # The line was too late so far: time goes on, as slowly as it takes.
+            last_s = max(float(stamps[-1]), self._newest_s + LEAST_S * len(stamps))
+            stamps = np.linspace(self._newest_s, last_s, len(readings) + 1)[1:]
+        self._newest_s = float(stamps[-1])
+        return np.asarray(stamps, dtype=np.float64)
+
+
+NAME = "force_torque"
+
+OVERLOAD = Fault(
+    "FT-OVERLOAD",
+    "The force/torque sensor is at the end of its range.",
+    "Forces beyond are not measured; the arm draws back by 2 mm. The gripper was not opened.",
+    "Relieve the sensor, check its zero, then connect it again.",
+    NAME,
+)
+
+
+def link_fault(what: str) -> Fault:
+    """Return the fault of a connection that is not, or no longer, there."""
+    return Fault(
+        "FT-LINK",
+        what,
+        "No wrench is measured.",
+        "Check cable and power of the force/torque sensor, and that no other program reads it; "
+        "then connect it again.",
+        NAME,
+    )
+
+
+def driver_fault(error: Exception) -> Fault:
+    """Return the fault of a language that failed on something it did not expect."""
+    return Fault(
+        "FT-DRIVER",
+        f"The driver of the force/torque sensor failed: {type(error).__name__}: {error}.",
+        "No wrench is measured.",
+        "Report the text of the log to who wrote the driver; then connect the sensor again.",
+        NAME,
+    )
+
+
+def sensor_fault(what: str) -> Fault:
+    """Return the fault that the sensor itself reports."""
+    return Fault(
+        "FT-SENSOR",
+        f"{what}.",
+        "No wrench is measured.",
+        "Switch the force/torque sensor off and on, then connect it again.",
+        NAME,
+    )
+
 
 READ_S = 0.005
 """Longest wait for bytes: short enough for stamps, long enough not to spin."""

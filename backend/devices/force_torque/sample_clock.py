@@ -1,9 +1,4 @@
-"""When a sample was taken, by the sensor's own count: arrivals are late, and never early.
-
-A sensor samples evenly; a busy computer, an adapter or a network hands its samples over late and in
-bursts. The line of least delay under all (number, arrival) is the time of the samples, up to the
-delay that even the quickest arrival has.
-"""
+"""Time stamps of samples, from the arrival of packets."""
 
 from __future__ import annotations
 
@@ -12,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.core.flow import FloatArray
+from touchdown.backend.core import FloatArray
 
 CHUNK_S = 0.25
 """Of so many seconds of samples only the promptest arrival is kept."""

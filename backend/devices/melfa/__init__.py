@@ -1,1 +1,20 @@
-"""The driver of a MELFA arm: command channel, real-time stream, and compliance in software."""
+"""Mitsubishi MELFA arm with CR controller."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend.devices.melfa import (
+        arm,
+        emulator,
+        emulator_arm,
+        emulator_controller,
+        force_program,
+        force_sensor,
+        kinematics,
+        sockets,
+        stream,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

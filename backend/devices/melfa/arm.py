@@ -1,8 +1,4 @@
-"""The arm as a device: straight moves, jogging, compliant presses, streamed by this computer.
-
-Start-up, errors and STOP go over the command channel, every motion over the real-time stream.
-``stop`` is out of band: it joins nothing and waits for no lock that a wire could hold.
-"""
+"""Driver of the MELFA arm."""
 
 from __future__ import annotations
 
@@ -13,36 +9,46 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from backend.config.hardware import MelfaSettings
-from backend.core.faults import Fault, FaultError
-from backend.core.flow import Pose
-from backend.core.stream import SampleStream
-from backend.core.turning import UNTURNED, refuse_turned, turn_of, vector_of
-from backend.devices.melfa.console import Console
-from backend.devices.melfa.fields import raw_fields, trace_of, words_of
-from backend.devices.melfa.force_program import Air, ForceProgram
-from backend.devices.melfa.guard import JOINT_RANGES
-from backend.devices.melfa.link_faults import link_fault
-from backend.devices.melfa.orders import Orders
-from backend.devices.melfa.stream import END, Inbox, Phase, StreamCore
-from backend.devices.melfa.watch import Watch
-from backend.devices.melfa.wires import Wires
-from backend.devices.motion import CommandedMotion, servo_off_fault
-from backend.devices.protocols import (
+from touchdown.backend.config import MelfaSettings
+from touchdown.backend.core import (
+    IDENTITY_ROTATION,
+    Fault,
+    FaultError,
+    Pose,
+    SampleStream,
+    pose_rotation,
+    require_unrotated,
+    rotation_vector,
+)
+from touchdown.backend.devices.melfa.console import Console
+from touchdown.backend.devices.melfa.faults import link_fault
+from touchdown.backend.devices.melfa.force_program import Air, ForceProgram
+from touchdown.backend.devices.melfa.sockets import Wires
+from touchdown.backend.devices.melfa.status import Orders, Watch, raw_fields, trace_of, words_of
+from touchdown.backend.devices.melfa.stream import END, JOINT_RANGES, Inbox, Phase, StreamCore
+from touchdown.backend.devices.protocols import (
     STILL,
     TURN_RAD_S,
     ArmStatus,
+    CommandedMotion,
     DeviceState,
     Health,
     Identity,
     Joints,
     PressCommand,
+    Steps,
     Vector,
+    servo_off_fault,
 )
-from backend.devices.steps import Steps
-from backend.devices.streamed.measured import MeasuredPlaces
-from backend.devices.streamed.motion import ARM, NOT_CONNECTED, REPLACED, STOPPED, ArmPress
-from backend.devices.streamed.orders import air_before
+from touchdown.backend.devices.streamed import (
+    ARM,
+    NOT_CONNECTED,
+    REPLACED,
+    STOPPED,
+    ArmPress,
+    MeasuredPlaces,
+    air_before,
+)
 
 INF, LONGEST_S = math.inf, 3600.0
 WAIT_S = 0.02
@@ -257,10 +263,10 @@ class MelfaArm:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""
         x, y, z = self._measured.latest_mm(max_age_s + self._force.place_late_s)
         with self._lock:
-            turned, joints = self._core.turn is not UNTURNED, self._core.measured_rad
+            turned, joints = self._core.turn is not IDENTITY_ROTATION, self._core.measured_rad
         if not turned:
             return Pose(x, y, z)
-        return Pose(x, y, z, *vector_of(self._orders.placing.turn(joints)).tolist())
+        return Pose(x, y, z, *rotation_vector(self._orders.placing.turn(joints)).tolist())
 
     # -- motion -----------------------------------------------------------------------------------
 
@@ -268,7 +274,7 @@ class MelfaArm:
         self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S
     ) -> CommandedMotion:
         """Move straight to ``target``, turning on the way; ValueError for a senseless number."""
-        goal, turn = np.array([target.x_mm, target.y_mm, target.z_mm]), turn_of(target)
+        goal, turn = np.array([target.x_mm, target.y_mm, target.z_mm]), pose_rotation(target)
         speeds = (speed_mm_s, turn_rad_s)
         if not (np.isfinite([*goal, *turn.ravel()]).all() and all(0.0 < v < INF for v in speeds)):
             raise ValueError("target and speed must be finite, the speed positive")
@@ -297,7 +303,7 @@ class MelfaArm:
         """Return the pose that these joints give the hand."""
         joints, placing = np.array(joints_rad), self._orders.placing
         x, y, z = placing.pivot_mm(joints).tolist()
-        return Pose(x, y, z, *vector_of(placing.turn(joints)).tolist())
+        return Pose(x, y, z, *rotation_vector(placing.turn(joints)).tolist())
 
     def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> CommandedMotion:
         """Turn the joints for ``for_s``; a renewal goes on without a jerk."""
@@ -323,7 +329,7 @@ class MelfaArm:
         if self._settings.stiffness_mode == "controller":
             return self._press_by_controller(command)
         self._require_stream()
-        refuse_turned(self._core.turn)
+        require_unrotated(self._core.turn)
         before = air_before(self._wrench, self._now_s())
         with self._lock:
             return self._orders.level.press(self._core, command, before)
@@ -368,7 +374,7 @@ class MelfaArm:
         """End the stream and let the controller press by its force program."""
         self._force.refuse(command)
         self._require_ready()
-        refuse_turned(self._core.turn)
+        require_unrotated(self._core.turn)
         self._force.end(REPLACED)
         self._stopped.clear()
         self._end_stream(REPLACED)

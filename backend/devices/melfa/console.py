@@ -1,4 +1,4 @@
-"""The order of start-up and shutdown over the command channel, and what is asked meanwhile."""
+"""R3 console: programs, alarms, variables."""
 
 from __future__ import annotations
 
@@ -9,22 +9,19 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 
-from backend.config.hardware import MelfaSettings
-from backend.core.faults import FaultError
-from backend.devices.melfa.idle_check import notice_of_idle_check
-from backend.devices.melfa.link_faults import (
+from touchdown.backend.config import MelfaSettings, is_loopback
+from touchdown.backend.core import FaultError
+from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.melfa.faults import (
     controller_fault,
     link_fault,
     other_arm_fault,
+    starved_fault,
     unlimited_fault,
 )
-from backend.devices.melfa.wires import Wires
-from backend.devices.protocols import Identity
-from backend.devices.steps import Step
-from backend.devices.streamed.motion import STOPPED
-from backend.wire.framing import WireError
-from backend.wire.melfa_r3 import Request
-from backend.wire.melfa_r3_answers import (
+from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S
+from touchdown.backend.devices.melfa.protocol_r3 import (
+    Request,
     Run,
     State,
     read_error,
@@ -32,6 +29,41 @@ from backend.wire.melfa_r3_answers import (
     read_parameter,
     read_state,
 )
+from touchdown.backend.devices.melfa.sockets import Wires
+from touchdown.backend.devices.melfa.stream import FAULT_CYCLES, HOLD_CYCLES
+from touchdown.backend.devices.protocols import Identity, Step
+from touchdown.backend.devices.streamed import STOPPED
+
+WARN_S, REFUSE_S = HOLD_CYCLES * CYCLE_S, FAULT_CYCLES * CYCLE_S
+"""A gap in which the ladder would hold the arm; one in which it would end the stream."""
+LOOK_S = 0.1
+
+
+def notice_of_idle_check(wires: Wires, settings: MelfaSettings, go_on: Callable[[], None]) -> str:
+    """Watch for ``settings.idle_check_s``; return what the operator should know, "" for nothing.
+
+    Raises ``FaultError`` RIG-STARVED for a gap that would end the stream of an arm that is not
+    emulated on this computer; ``go_on`` raises where connecting is cancelled meanwhile.
+    """
+    if not settings.idle_check_s:
+        return ""
+    wires.watch_anew()
+    watched_s = 0.0
+    while watched_s < settings.idle_check_s:
+        go_on()
+        wires.pause(LOOK_S)
+        watched_s += LOOK_S
+    times = wires.times
+    gap_s = CYCLE_S + times.latest_s if times.wakes else watched_s
+    if gap_s <= WARN_S:
+        return ""
+    if gap_s > REFUSE_S and not is_loopback(settings.host):
+        raise FaultError(starved_fault(gap_s, settings.idle_check_s))
+    return (
+        f"This computer left the arm without a cycle for {1e3 * gap_s:.0f} ms while it stood: "
+        "end what else keeps it busy, or allow real-time priority."
+    )
+
 
 POLL_S = 0.1
 ANSWER_S = 1.0

@@ -1,7 +1,4 @@
-"""Where the hand is for six joints, and back: closed form, for a hand that points straight down.
-
-The arm has no offsets and a spherical wrist. The posture is Right, Above, NonFlip throughout.
-"""
+"""Kinematics of the MELFA arm."""
 
 from __future__ import annotations
 
@@ -10,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.core.faults import RefusedError
-from backend.core.flow import FloatArray
-from backend.core.turning import UNTURNED
-from backend.wire.melfa_joints import FLANGE_MM, JOINTS
+from touchdown.backend.core import IDENTITY_ROTATION, FloatArray, RefusedError
+from touchdown.backend.devices.melfa.protocol_mxt import FLANGE_MM, JOINTS
 
 SHOULDER_MM = JOINTS[1].rise_mm
 UPPER_MM = JOINTS[2].rise_mm
@@ -118,14 +113,14 @@ class Placing:
         return np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
 
     def joints(
-        self, pivot_mm: FloatArray, near_rad: FloatArray, turn: FloatArray = UNTURNED
+        self, pivot_mm: FloatArray, near_rad: FloatArray, turn: FloatArray = IDENTITY_ROTATION
     ) -> FloatArray:
         """Return the (6,) joints that put ``G`` at (3,) mm of the bench, hand down.
 
         ``turn`` (3, 3): by how much the hand is turned from there, in the bench frame.
         """
         bench = turn_z(self.yaw_rad)
-        hand = self.hand if turn is UNTURNED else bench @ turn @ bench.T @ self.hand
+        hand = self.hand if turn is IDENTITY_ROTATION else bench @ turn @ bench.T @ self.hand
         at = self.origin_mm + bench @ pivot_mm
         return joints_for(at - self.tool_mm * hand[:, 2], hand, near_rad)
 

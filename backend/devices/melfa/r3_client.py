@@ -1,8 +1,4 @@
-"""The command channel as a pure machine: requests in line, one on the wire, replies matched.
-
-``step(now, bytes) -> bytes``. A request that got no reply in time is given up, but its reply is
-still owed: it is waited for and dropped, so that no answer is ever taken for another's.
-"""
+"""Client of the R3 protocol."""
 
 from __future__ import annotations
 
@@ -10,9 +6,9 @@ import math
 import threading
 from collections import deque
 
-from backend.core.faults import Fault, FaultError
-from backend.devices.melfa.link_faults import controller_fault, link_fault
-from backend.wire.melfa_r3 import Reply, Request, encode_request, replies
+from touchdown.backend.core import Fault, FaultError
+from touchdown.backend.devices.melfa.faults import controller_fault, link_fault
+from touchdown.backend.devices.melfa.protocol_r3 import Reply, Request, encode_request, replies
 
 PACE_S = 0.1
 """Between two exchanges while a program of the controller runs."""

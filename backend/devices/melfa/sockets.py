@@ -1,7 +1,4 @@
-"""The wires of a real (or emulated) controller: one owner thread each for commands and stream.
-
-The stream wakes at absolute deadlines. A missed cycle is skipped whole, never made up.
-"""
+"""Sockets of the MELFA controller."""
 
 from __future__ import annotations
 
@@ -11,18 +8,76 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
 
-from backend.config.hardware import MelfaSettings
-from backend.core.faults import Fault, FaultError
-from backend.core.realtime import prefer
-from backend.devices.melfa.claim import Claim
-from backend.devices.melfa.link_faults import link_fault
-from backend.devices.melfa.r3_client import R3Client, Ticket
-from backend.devices.melfa.stream import END
-from backend.devices.melfa.wires import Cycle, CycleTimes
-from backend.wire.melfa_joints import CYCLE_S
-from backend.wire.melfa_mxt import PACKET_BYTES
-from backend.wire.melfa_r3 import Request, encode_request
+from touchdown.backend.config import MelfaSettings
+from touchdown.backend.core import Fault, FaultError, set_realtime_priority
+from touchdown.backend.devices.melfa.faults import Claim, link_fault
+from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S, PACKET_BYTES
+from touchdown.backend.devices.melfa.protocol_r3 import Request, encode_request
+from touchdown.backend.devices.melfa.r3_client import R3Client, Ticket
+from touchdown.backend.devices.melfa.stream import END
+
+Cycle = Callable[[float, tuple[bytes, ...]], bytes | None]
+"""(now, datagrams that came) -> the packet of this cycle, None if there is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class CycleTimes:
+    """Of the wake-ups of the real-time wire: number, late by more than a cycle, latest (s).
+
+    ``realtime``: whether its owner has real-time priority.
+    """
+
+    wakes: int = 0
+    late: int = 0
+    latest_s: float = 0.0
+    realtime: bool = False
+
+    def after(self, over_s: float) -> CycleTimes:
+        """Return them after one more wake-up, so much after its deadline."""
+        late = self.late + (over_s > CYCLE_S)
+        return CycleTimes(self.wakes + 1, late, max(self.latest_s, over_s), self.realtime)
+
+
+class Wires(Protocol):
+    """One command channel, one STOP lane, one real-time wire.
+
+    ``cycle`` is called once per control cycle by the owner of the real-time wire; ``lost`` when
+    the command channel is gone.
+    """
+
+    times: CycleTimes
+
+    @property
+    def bad_replies(self) -> int:
+        """Replies of the command channel that could not be read."""
+
+    def open(self, cycle: Cycle, lost: Callable[[Fault], None]) -> None:
+        """Connect; raises ``FaultError``."""
+
+    def ask(self, request: Request, timeout_s: float) -> Ticket:
+        """Send a request in its turn."""
+
+    def finish(self, ticket: Ticket) -> None:
+        """Wait until the ticket has ended."""
+
+    def watch_anew(self) -> None:
+        """Count ``times`` from now on."""
+
+    def pause(self, seconds: float) -> None:
+        """Let time pass between two questions."""
+
+    def pace(self, running: bool) -> None:
+        """Say whether a program of the controller runs."""
+
+    def stop_now(self, packet: bytes) -> None:
+        """Send STOP on its own lane and ``packet`` on the real-time wire; wait for nothing."""
+
+    def close(self) -> None:
+        """Close all; a second time changes nothing."""
+
 
 CONNECT_S = 3.0
 FINISH_S = 30.0
@@ -174,7 +229,7 @@ class SocketWires:
                 lost(link_fault("The real-time stream has ended by an error of this program."))
 
     def _keep_time(self, wire: socket.socket, cycle: Cycle) -> None:
-        realtime = prefer(self._settings.realtime_priority)
+        realtime = set_realtime_priority(self._settings.realtime_priority)
         deadline_s = time.monotonic() + CYCLE_S
         self.times = times = CycleTimes(realtime=realtime)
         while not self._stop.is_set():

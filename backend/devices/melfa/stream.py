@@ -1,40 +1,201 @@
-"""The real-time stream as a pure machine: ``step(now, inbox) -> outbox``, once per cycle.
-
-It reads no clock and no socket. Start: packets without a command until a reply comes, then the
-replied position for ten cycles, then motion. Every command is checked before it goes out, and runs
-ahead of the last echoed one by three cycles of travel at most.
-"""
+"""Stream of MXT set points."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import Enum, IntEnum
 
 import numpy as np
 
-from backend.config.hardware import MelfaSettings
-from backend.core.faults import Fault, RefusedError
-from backend.core.flow import FloatArray
-from backend.core.turning import LEVEL_RAD, UNTURNED, tilt_rad, vector_of
-from backend.devices.melfa.guard import check_joints, check_step
-from backend.devices.melfa.kinematics import STEPS_RAD, Placing
-from backend.devices.melfa.ladder import Rung, rung
-from backend.devices.melfa.link_faults import (
+from touchdown.backend.config import MelfaSettings
+from touchdown.backend.core import (
+    IDENTITY_ROTATION,
+    LEVEL_RAD,
+    Fault,
+    FloatArray,
+    RefusedError,
+    rotation_vector,
+    tilt_rad,
+)
+from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.melfa.faults import (
     START,
     VOID,
     lost_fault,
     oversize_fault,
     tilted_fault,
 )
-from backend.devices.melfa.replies import MONITORS, Echo, Replies
-from backend.devices.motion import CommandedMotion
-from backend.devices.streamed.motion import REPLACED, STOPPED, refused_fault
-from backend.devices.streamed.programs import Felt, Follow, Program
-from backend.devices.streamed.turning import JointFollow, JointProgram, JointTravel, TurningFollow
-from backend.wire.melfa_blocks import Kind, Values
-from backend.wire.melfa_joints import CYCLE_S
-from backend.wire.melfa_mxt import Command, Request, encode_request
+from touchdown.backend.devices.melfa.kinematics import LIMITS_RAD, STEPS_RAD, Placing
+from touchdown.backend.devices.melfa.protocol_mxt import (
+    CYCLE_S,
+    Command,
+    Kind,
+    Request,
+    Values,
+    decode_reply,
+    encode_request,
+)
+from touchdown.backend.devices.protocols import CommandedMotion
+from touchdown.backend.devices.streamed import (
+    REPLACED,
+    STOPPED,
+    Felt,
+    Follow,
+    JointFollow,
+    JointProgram,
+    JointTravel,
+    Program,
+    TurningFollow,
+    refused_fault,
+)
+
+COMMAND_JOINTS, FEEDBACK_JOINTS = 2, 8
+MONITORS = (COMMAND_JOINTS, FEEDBACK_JOINTS, 5, 11)
+"""Wanted in every reply: joints commanded, measured, filtered, and currents."""
+TURN_RAD = 10.0
+"""No joint of any arm reads more."""
+_HALF = 1 << 31
+_WRAP = 1 << 32
+
+
+@dataclass(slots=True)
+class Counts:
+    """What became of the datagrams since the stream began."""
+
+    accepted: int = 0
+    refused: int = 0
+    """Wrong size, type, numbers."""
+    repeated: int = 0
+    """The counter of the last accepted one again."""
+    old: int = 0
+    """Overtaken by a newer one."""
+    skipped: int = 0
+    """Counters that never came."""
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """One accepted reply: (6,) joints as commanded and as measured, and the missed cycles."""
+
+    command_rad: FloatArray
+    feedback_rad: FloatArray
+    timeouts: int
+
+
+class Replies:
+    """Takes datagrams, keeps the newest, counts the others."""
+
+    def __init__(self) -> None:
+        self.counts = Counts()
+        self._counter: int | None = None
+
+    def take(self, datagrams: Iterable[bytes]) -> Echo | None:
+        """Return the newest acceptable echo among ``datagrams`` and all before, None if none."""
+        newest: Echo | None = None
+        for data in datagrams:
+            told = _acceptable(data)
+            if told is None:
+                self.counts.refused += 1
+            elif self._is_newer(told[0]):
+                newest = told[1]
+                self.counts.accepted += 1
+        return newest
+
+    def _is_newer(self, counter: int) -> bool:
+        if self._counter is not None:
+            ahead = (counter - self._counter) % _WRAP
+            if ahead == 0:
+                self.counts.repeated += 1
+                return False
+            if ahead >= _HALF:
+                self.counts.old += 1
+                return False
+            self.counts.skipped += ahead - 1
+        self._counter = counter
+        return True
+
+
+def _acceptable(data: bytes) -> tuple[int, Echo] | None:
+    """Return counter and echo of one datagram, None if it cannot be meant."""
+    try:
+        reply = decode_reply(data)
+    except WireError:
+        return None
+    if reply.monitors != MONITORS:
+        return None
+    command, feedback = reply.blocks[0], reply.blocks[1]
+    assert isinstance(command, Values)
+    assert isinstance(feedback, Values)
+    wanted, found = command.axes[:6], feedback.axes[:6]
+    if not all(-TURN_RAD <= angle <= TURN_RAD for angle in (*wanted, *found)):
+        return None
+    return reply.counter, Echo(np.array(wanted), np.array(found), reply.timeouts)
+
+
+RANGE_MARGIN_RAD = math.radians(2.0)
+"""Our limits lie inside those of the controller by this much."""
+JOINT_RANGES: tuple[tuple[float, float], ...] = tuple(
+    (-limit, limit) for limit in (LIMITS_RAD - RANGE_MARGIN_RAD).tolist()
+)
+"""Lowest and highest angle of each joint, rad."""
+WRIST_RAD = math.radians(8.0)
+"""J5 nearer to zero than this: J4 and J6 turn fast for small moves."""
+ELBOW_RAD = math.radians(8.0)
+"""J3 nearer to straight than this: at the end of the reach."""
+
+
+def check_joints(joints_rad: FloatArray) -> None:
+    """Raise ``RefusedError`` unless the (6,) joints are in range and away from singularities."""
+    inside = np.abs(joints_rad) <= LIMITS_RAD - RANGE_MARGIN_RAD
+    if not inside.all():
+        joint = int(np.argmin(inside)) + 1
+        degrees = math.degrees(float(joints_rad[joint - 1]))
+        raise RefusedError("JOINT-RANGE", f"J{joint} would be at {degrees:.1f}°.")
+    if not abs(float(joints_rad[4])) >= WRIST_RAD:
+        raise RefusedError("SINGULAR", "J4 and J6 would come in line.")
+    if not abs(float(joints_rad[2])) >= ELBOW_RAD:
+        raise RefusedError("SINGULAR", "The arm would be stretched.")
+
+
+def check_step(before_rad: FloatArray, after_rad: FloatArray, fraction: float) -> None:
+    """Raise ``RefusedError`` if a joint turns by more than ``fraction`` of its largest step."""
+    share = np.abs(after_rad - before_rad) / STEPS_RAD
+    if not (share <= fraction).all():
+        joint = int(np.argmax(share)) + 1
+        raise RefusedError(
+            "STEP", f"J{joint} would turn at {100 * share[joint - 1]:.0f} % of its top speed."
+        )
+
+
+class Rung(IntEnum):
+    """How far the silence has gone; the higher the worse."""
+
+    GO = 0
+    STAND = 1
+    """The command stands: nothing is extrapolated."""
+    HOLD = 2
+    """Stand still from zero speed; goes on by itself when replies return. A press is void."""
+    FAULT = 3
+    """Latched: end of stream, stop by the command channel."""
+
+
+STAND_CYCLES = 2
+HOLD_CYCLES = 10
+FAULT_CYCLES = 29
+
+
+def rung(missed: int, silent_s: float, cycle_s: float) -> Rung:
+    """Return the rung for ``missed`` replies in a row and ``silent_s`` since the last accepted."""
+    # The tolerance keeps a cycle that ends exactly now from counting as not yet over.
+    cycles = max(missed, int(silent_s / cycle_s + 1e-6))
+    if cycles >= FAULT_CYCLES:
+        return Rung.FAULT
+    if cycles >= HOLD_CYCLES:
+        return Rung.HOLD
+    return Rung.STAND if cycles >= STAND_CYCLES else Rung.GO
+
 
 HELD_CYCLES = 10
 END_PACKETS = 3
@@ -104,7 +265,7 @@ class StreamCore:
         """(3,) place of ``G`` as last measured."""
         self.command_mm = np.zeros(3)
         """(3,) commanded place of ``G`` in the bench."""
-        self.turn: FloatArray = UNTURNED
+        self.turn: FloatArray = IDENTITY_ROTATION
         """(3, 3) commanded turn of the hand."""
         self.measured_rad = np.zeros(6)
         """(6,) joints as last measured."""
@@ -146,7 +307,7 @@ class StreamCore:
     def _braking(self, motion: CommandedMotion) -> Program | JointProgram:
         if isinstance(self.program, JointTravel | JointFollow):
             return JointFollow(motion, self._joints_rad_s)
-        if self.turn is UNTURNED:
+        if self.turn is IDENTITY_ROTATION:
             return Follow(motion, self.velocity_mm_s)
         return TurningFollow(motion, (self.velocity_mm_s, self._turning_rad_s))
 
@@ -210,7 +371,9 @@ class StreamCore:
             return self._fail(tilted_fault(math.degrees(tilt_rad(turn))))
         # The first command is the position that the controller itself has replied.
         self.sent_rad = echo.command_rad
-        self.turn = UNTURNED if np.linalg.norm(vector_of(turn)) <= LEVEL_RAD else turn
+        self.turn = (
+            IDENTITY_ROTATION if np.linalg.norm(rotation_vector(turn)) <= LEVEL_RAD else turn
+        )
         self.command_mm = self._placing.pivot_mm(self.sent_rad)
         self._hear(now_s, echo)
         self.phase, self._left = Phase.HOLDING, HELD_CYCLES
@@ -264,7 +427,7 @@ class StreamCore:
         if self._oversize > STORM_CYCLES:
             return oversize_fault(self._oversize)
         if turn is not self.turn:
-            self._turning_rad_s = vector_of(turn @ self.turn.T) / CYCLE_S
+            self._turning_rad_s = rotation_vector(turn @ self.turn.T) / CYCLE_S
         self.velocity_mm_s = (command_mm - felt.command_mm) / CYCLE_S
         self._joints_rad_s = (joints - self.sent_rad) / CYCLE_S
         self.command_mm, self.turn, self.sent_rad = command_mm, turn, joints

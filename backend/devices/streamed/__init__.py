@@ -1,1 +1,16 @@
-"""What arms share whose motions this computer streams: contact law, moves, presses."""
+"""Arms that take a stream of set points: pressing, moves and compliance."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend.devices.streamed import (
+        compliance,
+        moves,
+        press,
+        setpoints,
+        turns,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,14 +1,199 @@
-"""The compliant arm in contact: reference, law, air zero, force limits and the swing detector."""
+"""Compliance of a streamed press."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from backend.core.flow import FloatArray
-from backend.devices.streamed.admittance import AT_REST, Law, Loop, cut_back, give_way
-from backend.devices.streamed.swing import SwingDetector
+from touchdown.backend.core import FloatArray
+
+DESIGN_N_MM = 30.0
+"""Stiffness of the environment that the damping is made for."""
+STIFF_N_MM = 100.0
+"""The same for a stiffer contact, at half the speed."""
+MASS_S = 0.020
+"""M / D."""
+FILTER_HZ = 50.0
+SPEED_MM_S = 20.0
+ACCELERATION_MM_S2 = 500.0
+GIVE_MM = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """The delays around the loop: ``cycle_s``, whole dead cycles, lags of arm and sensor."""
+
+    cycle_s: float
+    dead_cycles: int = 2
+    arm_lag_s: float = 0.010
+    sensor_lag_s: float = 0.0
+    filter_hz: float = FILTER_HZ
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of the whole loop."""
+        link_s = (self.dead_cycles + 1) * self.cycle_s
+        filter_s = 1.0 / (2.0 * math.pi * self.filter_hz)
+        return link_s + self.arm_lag_s + self.sensor_lag_s + filter_s
+
+
+def damping(delay_s: float, stiffest_n_mm: float) -> float:
+    """Return D in N·s/mm: gain margin 3.1 at ``stiffest_n_mm``, whatever K."""
+    return 2.0 * stiffest_n_mm * delay_s
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """Constants of one law. ``stiffness_n_mm`` (x, y, z); D in N·s/mm; M in N·s²/mm."""
+
+    cycle_s: float
+    stiffness_n_mm: tuple[float, float, float]
+    damping: float
+    mass: float
+    filter_hz: float = FILTER_HZ
+    speed_mm_s: float = SPEED_MM_S
+    acceleration_mm_s2: float = ACCELERATION_MM_S2
+    give_mm: float = GIVE_MM
+
+    def doubled(self) -> Law:
+        """Return the law with twice the damping and mass: what calms a swing."""
+        return replace(self, damping=2.0 * self.damping, mass=2.0 * self.mass)
+
+
+def law_for(
+    loop: Loop, stiffness_n_mm: tuple[float, float, float], stiffest_n_mm: float = DESIGN_N_MM
+) -> Law:
+    """Return the law for a loop; raises ValueError if the spring would ring by itself."""
+    if not all(math.isfinite(k) and k > 0.0 for k in (*stiffness_n_mm, stiffest_n_mm)):
+        raise ValueError("stiffness must be finite and positive")
+    d = damping(loop.delay_s, stiffest_n_mm)
+    if not d > max(stiffness_n_mm) * loop.cycle_s:
+        raise ValueError("the damping is too small for this cycle")
+    return Law(loop.cycle_s, stiffness_n_mm, d, MASS_S * d, loop.filter_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class Give:
+    """How far the arm has given way: ``d_mm``, its speed, and the filtered force ``g_n``."""
+
+    d_mm: FloatArray
+    v_mm_s: FloatArray
+    g_n: FloatArray
+
+
+AT_REST = Give(np.zeros(3), np.zeros(3), np.zeros(3))
+
+
+def give_way(law: Law, give: Give, force_n: FloatArray) -> Give:
+    """Return the next state for ``force_n`` (3,); without a finite force it stands still."""
+    if not np.isfinite(force_n).all():
+        return replace(give, v_mm_s=np.zeros(3))
+    t = law.cycle_s
+    old = math.exp(-2.0 * math.pi * law.filter_hz * t)
+    g = old * give.g_n + (1.0 - old) * force_n
+    spring = np.asarray(law.stiffness_n_mm) * give.d_mm
+    v = (give.v_mm_s + t / law.mass * (g - spring)) / (1.0 + t * law.damping / law.mass)
+    change = law.acceleration_mm_s2 * t
+    v = np.clip(v, give.v_mm_s - change, give.v_mm_s + change)
+    v = np.clip(v, -law.speed_mm_s, law.speed_mm_s)
+    free = give.d_mm + t * v
+    d = np.clip(free, -law.give_mm, law.give_mm)
+    # A clipped way is the way that was gone: the speed must not wind up behind the limit.
+    v = np.where(d == free, v, (d - give.d_mm) / t)
+    return Give(d, v, g)
+
+
+def cut_back(give: Give, reference_mm: FloatArray, command_mm: FloatArray) -> Give:
+    """Return the state after the command was cut to ``command_mm`` by the lead limit."""
+    return replace(give, d_mm=command_mm - reference_mm, v_mm_s=np.zeros(3))
+
+
+def fastest_approach_mm_s(law: Law, loop: Loop, peak_n: float, press_mm: float) -> float:
+    """Return the highest approach speed whose peak stays under ``peak_n`` at design stiffness."""
+    k, contact = law.stiffness_n_mm[2], law.damping / (2.0 * loop.delay_s)
+    steady_n = press_mm * k * contact / (k + contact)
+    return (peak_n - steady_n) / (law.damping + contact * loop.delay_s)
+
+
+AIR_S = 0.2
+"""Length of the air that is averaged."""
+GAP_S = 0.05
+"""It ends so long before the onset, which is known within 0.05 mm only."""
+KEPT_S = 1.0
+"""The onset lies by less than this before the newest sample."""
+LEAST_SAMPLES = 10
+
+
+class AirZero:
+    """``t_s`` (n,), ``force_n`` (n, 3): untared samples in air, up to the start of a press."""
+
+    def __init__(self, t_s: FloatArray, force_n: FloatArray) -> None:
+        self.start_n = force_n[t_s >= t_s[-1] - AIR_S].mean(axis=0)
+        """(3,) mean at the start of the press."""
+        self._blocks = deque([(t_s, force_n)])
+
+    def feed(self, t_s: FloatArray, force_n: FloatArray) -> None:
+        """Take finite samples (n,), (n, 3) on the way down."""
+        if not len(t_s):
+            return
+        self._blocks.append((t_s, force_n))
+        while self._blocks[0][0][-1] < t_s[-1] - KEPT_S:
+            self._blocks.popleft()
+
+    def moved_n(self, onset_s: float) -> FloatArray:
+        """Return (3,) by how much the air before ``onset_s`` differs from that of the start.
+
+        Zero where there are too few samples to tell.
+        """
+        t_s, force_n = (np.concatenate(part) for part in zip(*self._blocks, strict=True))
+        air = (t_s >= onset_s - GAP_S - AIR_S) & (t_s <= onset_s - GAP_S)
+        if np.count_nonzero(air) < LEAST_SAMPLES:
+            return np.zeros(3)
+        return np.asarray(force_n[air].mean(axis=0) - self.start_n)
+
+
+TURNS = 4
+APART_N = 1.0
+WINDOW_DELAYS = 10.0
+
+
+class SwingDetector:
+    """Counts turning points of a force more than ``APART_N`` apart within ten loop delays."""
+
+    def __init__(self, delay_s: float) -> None:
+        self._window_s = WINDOW_DELAYS * delay_s
+        self._turns: deque[float] = deque(maxlen=TURNS)
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._turns.clear()
+        self._rising: bool | None = None
+        self._low_n, self._high_n = math.inf, -math.inf
+
+    def feed(self, t_s: float, force_n: float) -> bool:
+        """Take the force at ``t_s``; return whether it swings."""
+        self._low_n, self._high_n = min(self._low_n, force_n), max(self._high_n, force_n)
+        fallen = self._high_n - force_n > APART_N
+        risen = force_n - self._low_n > APART_N
+        if fallen and self._rising is not False:
+            self._turn(t_s, force_n, rising=False)
+        elif risen and self._rising is not True:
+            self._turn(t_s, force_n, rising=True)
+        elif self._rising is True:
+            self._low_n = force_n
+        elif self._rising is False:
+            self._high_n = force_n
+        return len(self._turns) == TURNS and t_s - self._turns[0] <= self._window_s
+
+    def _turn(self, t_s: float, force_n: float, *, rising: bool) -> None:
+        if self._rising is not None:
+            self._turns.append(t_s)
+        self._rising, self._low_n, self._high_n = rising, force_n, force_n
+
 
 SOFT_N, PRESS_N = 15.0, 25.0
 """Over the first the reference slows down to half, over the second it stands."""
@@ -114,3 +299,37 @@ class Compliance:
         self._over_before = bool(over[-1])
         twice = bool((over[:-1] & over[1:]).any())
         self.tripped = self.tripped or twice or bool((size > TRIP_AT_ONCE_N).any())
+
+
+LOW_N, HIGH_N = 1.0, 5.0
+STIFFNESS_LEAST_SAMPLES = 4
+
+
+class ContactStiffness:
+    """Takes command and force once per cycle; the force answers a loop delay later."""
+
+    def __init__(self, delay_s: float) -> None:
+        self._delay_s = delay_s
+        self._commands: deque[tuple[float, float]] = deque(maxlen=64)
+        self._seen: list[tuple[float, float]] = []
+        self.found_n_mm: float | None = None
+        """Found once the force has risen from 1 to 5 N; a softer contact is never found."""
+
+    def feed(self, t_s: float, command_z_mm: float, force_n: float) -> None:
+        """Take the height commanded at ``t_s`` and the press force felt then."""
+        self._commands.append((t_s, command_z_mm))
+        if self.found_n_mm is not None:
+            return
+        if not force_n >= LOW_N:
+            # One rise tells it: what bounces in between belongs to no slope.
+            self._seen.clear()
+        elif force_n <= HIGH_N:
+            times, heights = zip(*self._commands, strict=True)
+            self._seen.append((float(np.interp(t_s - self._delay_s, times, heights)), force_n))
+        elif len(self._seen) >= STIFFNESS_LEAST_SAMPLES:
+            self.found_n_mm = self._slope()
+
+    def _slope(self) -> float:
+        heights, forces = np.array(self._seen).T
+        away = heights - heights.mean()
+        return float(-(away @ forces) / max(float(away @ away), 1e-9))

@@ -1,1 +1,13 @@
-"""Driver of Universal Robots arms, over the package ``ur_rtde`` (optional)."""
+"""Universal Robots arm over RTDE."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend.devices.ur import (
+        arm,
+        force_sensor,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,9 +1,4 @@
-"""A Universal Robots arm as a device: straight moves, jogging, compliant presses by servo cycles.
-
-One thread owns the control interface, which takes one caller at a time. STOP goes out on a
-connection of its own and waits neither for that thread nor for its lock; the script is sent again
-before the next motion. If this program dies, the controller's watchdog stops the arm.
-"""
+"""Driver of a Universal Robots arm."""
 
 from __future__ import annotations
 
@@ -13,41 +8,104 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from backend.config.hardware import UrSettings
-from backend.core.faults import Fault, FaultError, RefusedError
-from backend.core.flow import FloatArray, Pose
-from backend.core.stream import SampleStream
-from backend.core.turning import LEVEL_RAD, turned_rad
-from backend.devices.motion import CommandedMotion, servo_off_fault
-from backend.devices.protocols import (
+from touchdown.backend.config import UrSettings
+from touchdown.backend.core import (
+    LEVEL_RAD,
+    Fault,
+    FaultError,
+    FloatArray,
+    Pose,
+    RefusedError,
+    SampleStream,
+    rotation_angle_rad,
+)
+from touchdown.backend.devices.protocols import (
     STILL,
     TURN_RAD_S,
     ArmStatus,
+    CommandedMotion,
     DeviceState,
     Health,
     Identity,
+    Joints,
     PressCommand,
+    RobotMode,
+    SafetyMode,
+    Steps,
     Vector,
+    servo_off_fault,
 )
-from backend.devices.steps import Steps
-from backend.devices.streamed.admittance import Loop
-from backend.devices.streamed.measured import MeasuredPlaces
-from backend.devices.streamed.motion import ARM, NOT_CONNECTED, STOPPED, ArmPress
-from backend.devices.streamed.orders import StreamedOrders, air_before
-from backend.devices.streamed.programs import Travel
-from backend.devices.ur.faults import leaning_fault, link_fault, robot_fault
-from backend.devices.ur.fields import words_of
-from backend.devices.ur.level import NO_TURNS, LevelHand
-from backend.devices.ur.rtde import (
+from touchdown.backend.devices.streamed import (
+    ARM,
+    NOT_CONNECTED,
+    STOPPED,
+    ArmPress,
+    Loop,
+    MeasuredPlaces,
+    StreamedOrders,
+    Travel,
+    air_before,
+)
+from touchdown.backend.devices.ur.rtde import (
+    REDUCED,
     RUNNING,
     Interfaces,
     OpenRobot,
+    StopLane,
+    Watch,
     identity_of,
+    leaning_fault,
+    link_fault,
     open_robot,
+    robot_fault,
 )
-from backend.devices.ur.servo import Placing, ServoCore, lean_rad
-from backend.devices.ur.stop_lane import StopLane
-from backend.devices.ur.watch import Watch
+from touchdown.backend.devices.ur.servo import Placing, ServoCore, lean_rad
+
+NO_TURNS = "this arm does not turn its hand"
+
+
+class LevelHand:
+    """The part of an arm that turns nothing: all of it raises ``ValueError``."""
+
+    rotates = False
+    joint_limits_rad: tuple[tuple[float, float], ...] = ()
+
+    def refuse_turning(self, turn_rad_s: Vector) -> None:
+        """Raise for any turn."""
+        if any(turn_rad_s):
+            raise ValueError(NO_TURNS)
+
+    def joints_rad(self, max_age_s: float) -> Joints:
+        """Refuse."""
+        raise ValueError(NO_TURNS)
+
+    def place_of(self, joints_rad: Joints) -> Pose:
+        """Refuse."""
+        raise ValueError(NO_TURNS)
+
+    def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> CommandedMotion:
+        """Refuse."""
+        raise ValueError(NO_TURNS)
+
+    def move_joints(self, target_rad: Joints, speed_rad_s: float) -> CommandedMotion:
+        """Refuse."""
+        raise ValueError(NO_TURNS)
+
+
+def words_of(robot: Interfaces | None, fault: Fault | None, *, moving: bool) -> ArmStatus:
+    """Return the status words; ``robot`` is None while there is no connection."""
+    if robot is None:
+        return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
+    mode = RobotMode.MOVING if moving else RobotMode.READY
+    if robot.receive.getRobotMode() != RUNNING:
+        mode = RobotMode.SERVO_OFF
+    safety = SafetyMode.NORMAL
+    if fault is not None:
+        safety = SafetyMode.HW_STOP if fault.code == "HW-STOP" else SafetyMode.FAULT
+    elif robot.receive.getSafetyMode() == REDUCED:
+        safety = SafetyMode.REDUCED
+    return ArmStatus(mode, safety, robot.receive.getSpeedScaling(), 0)
+
 
 BRAKE_M_S2 = 2.0
 SERVO_ON_S = 30.0
@@ -316,7 +374,7 @@ class UrArm(LevelHand):
         goal = np.array([target.x_mm, target.y_mm, target.z_mm])
         if not (np.isfinite(goal).all() and 0.0 < speed_mm_s < math.inf):
             raise ValueError("target and speed must be finite, the speed positive")
-        if not turned_rad(target) <= LEVEL_RAD:
+        if not rotation_angle_rad(target) <= LEVEL_RAD:
             raise ValueError(NO_TURNS)
         robot = self._require_ready()
         with self._lock:

@@ -1,19 +1,70 @@
-"""What the driver needs of the package ``ur_rtde``: metres, rotation vectors in rad, seconds.
-
-Source: API reference of ur_rtde 1.6 (sdurobotics.gitlab.io/ur_rtde).
-"""
+"""RTDE link, guarded by ur_rtde."""
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import math
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from backend.core.faults import Fault, FaultError
-from backend.devices.protocols import Identity
-from backend.devices.streamed.motion import ARM
-from backend.devices.ur.stop_lane import Stopper
+from touchdown.backend.core import Fault, FaultError
+from touchdown.backend.devices.protocols import Identity
+from touchdown.backend.devices.streamed import ARM, HELD, NOTHING_MOVED
+
+
+class Stopper(Protocol):
+    """``dashboard_client.DashboardClient``, of which this lane alone makes use."""
+
+    def stop(self) -> None:
+        """End the script on the controller, which brakes the arm; ``RuntimeError`` if none runs."""
+
+    def disconnect(self) -> None:
+        """Close."""
+
+
+class StopLane:
+    """One thread that owns one connection to the dashboard."""
+
+    def __init__(self, stopper: Stopper) -> None:
+        self._stopper = stopper
+        self._asked, self._settled = threading.Event(), threading.Event()
+        self._settled.set()
+        self._ends = False
+        threading.Thread(target=self._run, name="ur-stop", daemon=True).start()
+
+    def press(self) -> None:
+        """Ask for a stop; returns at once."""
+        self._settled.clear()
+        self._asked.set()
+
+    def settle(self, limit_s: float) -> bool:
+        """Wait until every stop that was asked for has been answered; return whether it has."""
+        return self._settled.wait(limit_s)
+
+    def close(self) -> None:
+        """End the thread and its connection; waits for nothing."""
+        self._ends = True
+        self._asked.set()
+
+    def _run(self) -> None:
+        while True:
+            self._asked.wait()
+            self._asked.clear()
+            if self._ends and self._settled.is_set():
+                break
+            # No script to end is no failure: the arm stands.
+            with contextlib.suppress(RuntimeError):
+                self._stopper.stop()
+            if not self._asked.is_set():
+                self._settled.set()
+            if self._ends:
+                break
+        with contextlib.suppress(RuntimeError):
+            self._stopper.disconnect()
+
 
 RUNNING, NORMAL, REDUCED = 7, 1, 2
 """Robot mode, and the two safety modes in which the arm may move."""
@@ -167,3 +218,65 @@ MISSING = Fault(
     'Install it: pip install "touchdown[ur]".',
     ARM,
 )
+
+
+def link_fault(what: str) -> Fault:
+    """Return the fault of a connection that is not, or no longer, there."""
+    return Fault(
+        "UR-LINK",
+        what,
+        "The controller stops the arm by itself; the gripper was not opened.",
+        "Check cable, address and remote control of the robot, then connect it again.",
+        ARM,
+    )
+
+
+def robot_fault(what: str, code: str = "UR-STOPPED") -> Fault:
+    """Return the fault that the robot itself tells of."""
+    return Fault(
+        code,
+        f"{what}.",
+        HELD,
+        "Clear it at the teach pendant, then connect the arm again.",
+        ARM,
+    )
+
+
+def leaning_fault(degrees: float) -> Fault:
+    """Return the fault of a hand that does not point straight down."""
+    return Fault(
+        "TILTED",
+        f"The hand leans {degrees:.1f}° away from straight down.",
+        NOTHING_MOVED,
+        "Point it down with the teach pendant, then connect again.",
+        ARM,
+    )
+
+
+SILENT_S = 0.1
+
+
+class Watch:
+    """Of one connection from ``now_s`` on; ``late``: cycles without news."""
+
+    def __init__(self, now_s: float) -> None:
+        self._told_s, self._told_at_s = -math.inf, now_s
+        self.late = 0
+
+    def has_news(self, receive: Receive, now_s: float) -> bool:
+        """Return whether the robot's own clock has gone on since the last cycle."""
+        told_s = receive.getTimestamp()
+        if told_s == self._told_s:
+            self.late += 1
+            return False
+        self._told_s, self._told_at_s = told_s, now_s
+        return True
+
+    def require_healthy(self, receive: Receive, now_s: float) -> None:
+        """Raise ``FaultError`` for silence, and for what the robot tells of itself."""
+        if now_s - self._told_at_s > SILENT_S or not receive.isConnected():
+            raise FaultError(link_fault("The robot tells nothing any more."))
+        if receive.isEmergencyStopped():
+            raise FaultError(robot_fault("An emergency stop is pressed", "HW-STOP"))
+        if receive.getSafetyMode() not in (NORMAL, REDUCED):
+            raise FaultError(robot_fault("The robot has stopped by itself (protective stop)"))

@@ -1,7 +1,4 @@
-"""One cycle of a Universal Robots arm: measured place in, next command out; no wire, no clock.
-
-The motions are those of the streamed arm: they know no controller.
-"""
+"""Servo stream of the arm."""
 
 from __future__ import annotations
 
@@ -9,14 +6,10 @@ import math
 
 import numpy as np
 
-from backend.config.hardware import UrSettings
-from backend.core.faults import Fault, FaultError
-from backend.core.flow import FloatArray
-from backend.core.stream import Samples
-from backend.core.turning import turn_about
-from backend.devices.motion import CommandedMotion
-from backend.devices.streamed.motion import ARM, HELD, REPLACED, STOPPED
-from backend.devices.streamed.programs import Felt, Follow, Program
+from touchdown.backend.config import UrSettings
+from touchdown.backend.core import Fault, FaultError, FloatArray, Samples, rotation_from_vector
+from touchdown.backend.devices.protocols import CommandedMotion
+from touchdown.backend.devices.streamed import ARM, HELD, REPLACED, STOPPED, Felt, Follow, Program
 
 M_PER_MM = 1e-3
 LEAD_S, LEAD_MM = 0.25, 2.0
@@ -30,7 +23,7 @@ class Placing:
 
     def __init__(self, settings: UrSettings) -> None:
         self._origin_mm = np.array(settings.origin_mm)
-        self._turn = turn_about(np.array([0.0, 0.0, math.radians(settings.yaw_deg)]))
+        self._turn = rotation_from_vector(np.array([0.0, 0.0, math.radians(settings.yaw_deg)]))
 
     def pivot_mm(self, pose: FloatArray) -> FloatArray:
         """Return ``G`` (3,) in the bench of a pose (6,) in the base."""
@@ -44,7 +37,7 @@ class Placing:
 
 def lean_rad(rotation: FloatArray) -> float:
     """Return by how much a hand with this rotation vector (3,) leans from straight down."""
-    return math.acos(max(-1.0, min(1.0, -float(turn_about(rotation)[2, 2]))))
+    return math.acos(max(-1.0, min(1.0, -float(rotation_from_vector(rotation)[2, 2]))))
 
 
 class ServoCore:

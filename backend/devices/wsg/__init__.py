@@ -1,1 +1,16 @@
-"""Driver of Weiss WSG grippers."""
+"""Weiss Robotics WSG gripper."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend.devices.wsg import (
+        driver,
+        emulator,
+        emulator_gcl,
+        protocol,
+        protocol_gcl,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,24 +1,136 @@
-"""What a WSG driver knows and decides: replies in, requests out; no wire, no clock, no thread."""
+"""State machine of the WSG driver."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from backend.config.hardware import WsgSettings
-from backend.core.faults import Fault, FaultError
-from backend.devices.protocols import GripStatus
-from backend.devices.wsg.faults import (
-    device_fault,
-    link_fault,
-    refusal,
-    replaced_fault,
-    stopped_fault,
+from touchdown.backend.config import WsgSettings
+from touchdown.backend.core import Fault, FaultError
+from touchdown.backend.devices.protocols import CommandedMotion, GripStatus
+from touchdown.backend.devices.wsg import protocol
+from touchdown.backend.devices.wsg.protocol import (
+    Command,
+    GraspState,
+    Reply,
+    Request,
+    Status,
+    SystemFlag,
 )
-from backend.devices.wsg.motion import WsgMotion
-from backend.wire import wsg_binary
-from backend.wire.wsg_binary import Reply, Request
-from backend.wire.wsg_words import Command, GraspState, Status, SystemFlag
+
+NAME = "gripper"
+DEVICE_FAULTS = {
+    SystemFlag.TEMP_FAULT: "it is too hot",
+    SystemFlag.POWER_FAULT: "its supply voltage is out of range",
+    SystemFlag.CURR_FAULT: "its motor takes too much current",
+    SystemFlag.FINGER_FAULT: "a finger reports a failure",
+}
+_STANDS = "The gripper stands still; it was not opened."
+_REASONS = {
+    Status.NOT_INITIALIZED: ("WSG-NOT-HOMED", "The gripper does not know where its jaws are"),
+    Status.ALREADY_RUNNING: ("WSG-BUSY", "The gripper is still moving"),
+    Status.RANGE_ERROR: ("WSG-RANGE", "The gripper cannot go there"),
+    Status.INVALID_PARAMETER: ("WSG-RANGE", "The gripper cannot do that"),
+    Status.INDEX_OUT_OF_BOUNDS: ("WSG-RANGE", "The gripper cannot do that"),
+    Status.AXIS_BLOCKED: ("WSG-BLOCKED", "Something blocks the jaws"),
+    Status.CMD_ABORTED: ("WSG-ABORTED", "The gripper broke the motion off"),
+    Status.CMD_FAILED: ("WSG-NO-PART", "The jaws met no piece"),
+    Status.TIMEOUT: ("WSG-TIMEOUT", "The gripper did not end its motion in time"),
+    Status.CHECKSUM_ERROR: ("WSG-FRAME", "The gripper read a damaged command twice"),
+}
+_STEPS = {
+    "WSG-NOT-HOMED": "Take the piece out by hand, then home the gripper.",
+    "WSG-NO-PART": "Put the piece between the jaws and grip again.",
+    "WSG-BLOCKED": "Look between the jaws, then try again.",
+}
+
+
+def refusal(command: int, status: int, flags: SystemFlag) -> Fault:
+    """Return the fault of a command that was answered with ``status``."""
+    if status == Status.ACCESS_DENIED and SystemFlag.FAST_STOP in flags:
+        return fast_stop_fault()
+    name = Command(command).name.lower().replace("_", " ")
+    unknown = ("WSG-REFUSED", f"The gripper refuses '{name}' (code {status})")
+    code, what = _REASONS.get(Status(status), unknown) if status in _KNOWN else unknown
+    return Fault(code, f"{what}.", _STANDS, _STEPS.get(code, "Look at the gripper."), NAME)
+
+
+_KNOWN = frozenset(int(status) for status in Status)
+
+
+def fast_stop_fault() -> Fault:
+    """Return the fault of a latched fast stop."""
+    return Fault(
+        "WSG-FAST-STOP",
+        "The gripper is in fast stop.",
+        "It takes no motion; the grip is as it was.",
+        "Look at the piece, then acknowledge the fast stop.",
+        NAME,
+    )
+
+
+def device_fault(flags: SystemFlag) -> Fault | None:
+    """Return the fault that the system flags tell, None if all is well."""
+    for flag, why in DEVICE_FAULTS.items():
+        if flag in flags:
+            return Fault(
+                "WSG-DEVICE",
+                f"The gripper reports a fault: {why}.",
+                _STANDS,
+                "Remove the cause, then acknowledge it.",
+                NAME,
+            )
+    return fast_stop_fault() if SystemFlag.FAST_STOP in flags else None
+
+
+def link_fault(what: str) -> Fault:
+    """Return the fault of a connection that is not, or no longer, there."""
+    return Fault(
+        "WSG-LINK",
+        what,
+        "Whether the piece is still held is not known.",
+        "Look at the piece; check cable and power of the gripper, then connect it again.",
+        NAME,
+    )
+
+
+def stopped_fault() -> Fault:
+    """Return the fault of a motion that was stopped."""
+    return Fault("STOPPED", "The motion was stopped.", _STANDS, "Look at the bench.", NAME)
+
+
+def replaced_fault() -> Fault:
+    """Return the fault of a motion that another command took the place of."""
+    return Fault(
+        "REPLACED",
+        "Another command took the place of this motion.",
+        "The gripper follows the newer command.",
+        "Wait for a motion to end before the next command.",
+        NAME,
+    )
+
+
+def not_connected_fault() -> Fault:
+    """Return the fault of a command to a gripper that is not there."""
+    return Fault(
+        "NOT-CONNECTED",
+        "The gripper is not connected.",
+        "Nothing was moved.",
+        "Connect it first.",
+        NAME,
+    )
+
+
+class WsgMotion(CommandedMotion):
+    """The step under way is the first of ``steps``; ``pending`` once the gripper accepted it."""
+
+    def __init__(
+        self, steps: Sequence[Request], sent: Mapping[str, float], deadline_s: float
+    ) -> None:
+        super().__init__(sent)
+        self.steps, self.deadline_s = list(steps), deadline_s
+        self.pending = self.resent = False
+
 
 SILENCE_S = 3.0
 STATE_MS = 20
@@ -76,14 +188,14 @@ class WsgCore:
         """Return the requests for all readings; they keep the connection alive as well."""
         self._heard_s = now_s
         return [
-            wsg_binary.update(Command.SYSTEM_STATE, STATE_MS, on_change=True),
+            protocol.update(Command.SYSTEM_STATE, STATE_MS, on_change=True),
             *self._readings(),
         ]
 
     def home(self, now_s: float) -> list[Request]:
         """Find the origin. On the operator's word only: with a piece in the jaws it is wrong."""
         slowest = self.limits.speed_mm_s[0]
-        return self._begin(now_s, wsg_binary.home(), {}, self.limits.stroke_mm / slowest)
+        return self._begin(now_s, protocol.home(), {}, self.limits.stroke_mm / slowest)
 
     def grip(self, now_s: float, force_n: float) -> list[Request]:
         """Close until a piece is held with ``force_n`` per finger."""
@@ -91,8 +203,8 @@ class WsgCore:
         force_sum_n = min(max(self._fingers * force_n, low), high)
         speed = self.limits.speed(self._settings.grasp_speed_mm_s)
         requests = (
-            wsg_binary.set_force_limit(force_sum_n),
-            wsg_binary.grasp(self._settings.grasp_width_mm, speed),
+            protocol.set_force_limit(force_sum_n),
+            protocol.grasp(self._settings.grasp_width_mm, speed),
         )
         sent = {"force_n": force_sum_n / self._fingers}
         within_s = self.limits.travel_s(self.limits.stroke_mm, speed)
@@ -103,9 +215,9 @@ class WsgCore:
         width = min(width_mm, self.limits.stroke_mm)
         speed = self.limits.speed(speed_mm_s)
         if self.grasp_state is GraspState.HOLDING:
-            request = wsg_binary.release(width, speed)
+            request = protocol.release(width, speed)
         else:
-            request = wsg_binary.preposition(width, speed, stop_on_block=True)
+            request = protocol.preposition(width, speed, stop_on_block=True)
         within_s = self.limits.travel_s(abs(width - self.width_mm), speed)
         return self._begin(now_s, request, {"width_mm": width, "speed_mm_s": speed}, within_s)
 
@@ -118,8 +230,8 @@ class WsgCore:
     def acknowledge(self) -> list[Request]:
         """Take a fast stop or a fault as seen; it ends with the answer of the gripper."""
         return [
-            wsg_binary.acknowledge(),
-            wsg_binary.update(Command.SYSTEM_STATE, STATE_MS, on_change=True),
+            protocol.acknowledge(),
+            protocol.update(Command.SYSTEM_STATE, STATE_MS, on_change=True),
         ]
 
     def feed(self, now_s: float, reply: Reply) -> list[Request]:
@@ -151,9 +263,9 @@ class WsgCore:
     def _readings(self) -> list[Request]:
         period_ms = self._settings.update_ms
         return [
-            wsg_binary.update(Command.GRASP_STATE, STATE_MS, on_change=True),
-            wsg_binary.update(Command.WIDTH, period_ms),
-            wsg_binary.update(Command.FORCE, period_ms),
+            protocol.update(Command.GRASP_STATE, STATE_MS, on_change=True),
+            protocol.update(Command.WIDTH, period_ms),
+            protocol.update(Command.FORCE, period_ms),
         ]
 
     def _begin(

@@ -1,4 +1,4 @@
-"""The driver of a WSG gripper over TCP: one thread listens, commands go out past every queue."""
+"""Driver of the WSG gripper."""
 
 from __future__ import annotations
 
@@ -7,19 +7,31 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 
-from backend.config.hardware import WsgSettings
-from backend.core.faults import Fault, FaultError
-from backend.devices.protocols import DeviceState, GripStatus, Health, Identity
-from backend.devices.steps import Steps
-from backend.devices.stranger import who_answers
-from backend.devices.wsg.core import Limits, WsgCore
-from backend.devices.wsg.faults import NAME, device_fault, link_fault, not_connected_fault
-from backend.devices.wsg.language import BinaryLanguage, GripperLanguage
-from backend.devices.wsg.motion import WsgMotion
-from backend.wire import wsg_binary
-from backend.wire.wsg_binary import Reply, Request
-from backend.wire.wsg_words import Command, Status, SystemFlag
+from touchdown.backend.config import HardwareSettings, WsgSettings
+from touchdown.backend.core import Fault, FaultError
+from touchdown.backend.devices.protocols import (
+    DeviceState,
+    Gripper,
+    GripStatus,
+    Health,
+    Identity,
+    Steps,
+)
+from touchdown.backend.devices.registry import find_offered, who_answers
+from touchdown.backend.devices.wsg import protocol
+from touchdown.backend.devices.wsg.core import (
+    NAME,
+    Limits,
+    WsgCore,
+    WsgMotion,
+    device_fault,
+    link_fault,
+    not_connected_fault,
+)
+from touchdown.backend.devices.wsg.dialects import BinaryLanguage, GclLanguage, GripperLanguage
+from touchdown.backend.devices.wsg.protocol import Command, Reply, Request, Status, SystemFlag
 
 READ_S = 0.01
 ANSWER_S = 1.0
@@ -203,7 +215,7 @@ class WsgGripper:
     def _greet(self, cancel: threading.Event) -> None:
         core = self._core
         if not self.lost_holding:
-            self._exchange(wsg_binary.acknowledge(), cancel)
+            self._exchange(protocol.acknowledge(), cancel)
         state = self._exchange(Request(Command.SYSTEM_STATE, (0, 0)), cancel)
         core.flags = SystemFlag(int(_number(state)))
         core.fault = device_fault(core.flags)
@@ -335,3 +347,23 @@ def _number(reply: Reply) -> float:
     if reply.status != Status.SUCCESS or not reply.values:
         raise FaultError(link_fault(f"The gripper refuses to be read (code {reply.status})."))
     return float(reply.values[0])
+
+
+GROUP = "touchdown.gripper"
+"""Entry points: name -> callable(settings, now_s) that returns a ``Gripper``."""
+
+GripperMaker = Callable[[HardwareSettings, Callable[[], float]], Gripper]
+
+
+def make_gripper(settings: HardwareSettings, now_s: Callable[[], float]) -> Gripper:
+    """Return the driver of ``wsg.driver``; raises ``InputError``."""
+    shipped: dict[str, GripperMaker] = {"wsg": _wsg}
+    return find_offered(GROUP, settings.wsg.driver, shipped, "wsg.driver")(settings, now_s)
+
+
+def _wsg(settings: HardwareSettings, now_s: Callable[[], float]) -> WsgGripper:
+    wsg = settings.wsg
+    language: Callable[[], GripperLanguage] = BinaryLanguage
+    if wsg.protocol == "gcl":
+        language = partial(GclLanguage, wsg)
+    return WsgGripper(wsg.host, wsg.port, wsg, now_s, language)

@@ -1,4 +1,7 @@
-"""The fusing network on disk: ``<name>.safetensors`` with a JSON card. Loading runs no code."""
+"""Checkpoint files of the fusion network: ``<name>.safetensors`` with a JSON card.
+
+Loading runs no code.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from safetensors.numpy import save as save_arrays
 
-from backend.core.faults import InputError
-from backend.core.files import write_atomically
-from backend.learning.checkpoint import card_path, first_of, parse_arrays, read_limited
-from backend.learning.features import VECTOR_ORDER
-from backend.learning.fused.shape import ARCH, FusedShape, expected_arrays
-from backend.learning.fused.summary import TICKS
+from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.learning.checkpoint import card_path, first_error, parse_arrays, read_limited
+from touchdown.backend.learning.fused.features import ARCH, TICKS, FusedShape, expected_fused_arrays
+from touchdown.backend.learning.inference import VECTOR_ORDER
 
 MAX_BYTES = 2_000_000
 FIX = "Use the one that came with Touchdown, or train again with 'touchdown experiment fused'."
@@ -96,13 +97,13 @@ def load_fused(path: Path) -> FusedCheckpoint:
     try:
         card = FusedCard.model_validate_json(about)
     except ValidationError as error:
-        raise _bad(card_path(path), f"Bad card, {first_of(error)}") from error
+        raise _bad(card_path(path), f"Bad card, {first_error(error)}") from error
     if hashlib.sha256(content).hexdigest() != card.weights_sha256:
         raise _bad(path, "The weights are damaged or not those of their card (SHA-256 differs)")
     if card.vector_order != VECTOR_ORDER or card.ticks != TICKS:
         raise _bad(path, "It reads other channels or instants than this program")
     found = FusedCheckpoint(parse_arrays(content, path), card)
-    expected = expected_arrays(found.shape)
+    expected = expected_fused_arrays(found.shape)
     if {name: array.shape for name, array in found.arrays.items()} != expected:
         raise _bad(path, "Its arrays are not those that its card announces")
     if any(a.dtype != np.float32 or not np.isfinite(a).all() for a in found.arrays.values()):
@@ -114,7 +115,7 @@ def load_fused(path: Path) -> FusedCheckpoint:
 
 def shipped_path() -> Path:
     """Return where the network that comes with the program lies."""
-    return Path(str(files("resources"))) / "models" / "fused" / "fused.safetensors"
+    return Path(str(files("touchdown.resources"))) / "models" / "fused" / "fused.safetensors"
 
 
 @lru_cache(maxsize=2)

@@ -1,4 +1,7 @@
-"""Training the fusing network: on every first part of every sequence, and its mirror images."""
+"""Training of the fusion network in torch.
+
+It learns from every prefix of every probe sequence and its mirror images.
+"""
 
 from __future__ import annotations
 
@@ -11,22 +14,106 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.functional import linear, relu, rms_norm
 
-from backend.core.flow import FloatArray
-from backend.learning.adam import Adam
-from backend.learning.fused.forward import point_inputs
-from backend.learning.fused.left_out import UNREAD, Part, unread
-from backend.learning.fused.net import FusedNet, arrays_of, surprise
-from backend.learning.fused.shape import FusedShape
-from backend.learning.fused.summary import (
+from touchdown.backend.core import FloatArray
+from touchdown.backend.geometry import edge_normals
+from touchdown.backend.learning.fused.features import (
     LENGTH_MM,
-    Face,
-    mirrored,
+    UNREAD,
+    FusedShape,
+    GraspedFace,
+    InputPart,
+    field_components,
+    mirror_signals,
     probe_inputs,
-    typical_fields,
+    unread_inputs,
+    weight_shapes,
 )
-from backend.objects.shapes import edge_normals
+from touchdown.backend.learning.fused.inference import point_inputs
+from touchdown.backend.learning.training import Adam
+
+SQUARE_ROOT_OF_TWO_PI = math.sqrt(2.0 * math.pi)
+LEAST_LOG_SD, MOST_LOG_SD = -4.0, 2.0
+WB = ("weight", "bias")
+
+
+class FusedNet(nn.Module):
+    """From the probes of one gripping to a distribution of how far a point lies in the support.
+
+    ``alone``: attention adds zero, for good, so that each probe is read by itself.
+    """
+
+    def __init__(self, shape: FusedShape, seed: int, *, alone: bool = False) -> None:
+        super().__init__()
+        self.shape = shape
+        generator = torch.Generator().manual_seed(seed)
+        self.weights = nn.ParameterDict()
+        for name, size in weight_shapes(shape).items():
+            drawn = torch.randn(size, generator=generator) / math.sqrt(size[-1])
+            self.weights[_key(name)] = drawn if len(size) > 1 else torch.zeros(size)
+        if alone:
+            for name in (f"{layer}.joins.{what}" for layer in range(shape.layers) for what in WB):
+                self.weights[_key(name)].data.zero_()
+                self.weights[_key(name)].requires_grad_(False)
+
+    def fused(self, probes: Tensor) -> Tensor:
+        """Return (b, P, width): what is known after each of the probes (b, P, inputs), scaled."""
+        count = probes.shape[1]
+        never = torch.full((count, count), -torch.inf, device=probes.device)
+        later = torch.triu(never, diagonal=1)
+        x = self._linear("probe2", relu(self._linear("probe", probes)))
+        for layer in range(self.shape.layers):
+            x = x + self._attended(layer, rms_norm(x, x.shape[-1:]), later)
+            inner = relu(self._linear(f"{layer}.up", rms_norm(x, x.shape[-1:])))
+            x = x + self._linear(f"{layer}.down", inner)
+        return rms_norm(x, x.shape[-1:])
+
+    def forward(self, probes: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return log weight, mean and log sd (b, P, q, parts) of the inset of ``points``.
+
+        ``points`` (b, P, q, 5) about the state after each probe. Lengths in units of 10 mm.
+        """
+        about = self._linear("about", self.fused(probes))[:, :, None]
+        both = relu(self._linear("both", relu(about + self._linear("point", points))))
+        weight, mean, log_sd = self._linear("answer", both).chunk(3, dim=-1)
+        return (
+            weight.log_softmax(dim=-1),
+            mean,
+            log_sd.clamp(LEAST_LOG_SD, MOST_LOG_SD),
+        )
+
+    def _attended(self, layer: int, x: Tensor, later: Tensor) -> Tensor:
+        b, count, width = x.shape
+        heads = self.shape.heads
+        asked = self._linear(f"{layer}.asks", x).view(b, count, 3, heads, width // heads)
+        query, key, value = asked.permute(2, 0, 3, 1, 4)
+        share = (query @ key.mT / math.sqrt(width // heads) + later).softmax(dim=-1)
+        joined = (share @ value).transpose(1, 2).reshape(b, count, width)
+        return self._linear(f"{layer}.joins", joined)
+
+    def _linear(self, name: str, x: Tensor) -> Tensor:
+        return linear(x, self.weights[_key(f"{name}.weight")], self.weights[_key(f"{name}.bias")])
+
+
+def negative_log_likelihood(answer: tuple[Tensor, Tensor, Tensor], inset: Tensor) -> Tensor:
+    """Return the negative log likelihood (b, P, q) of the true ``inset``."""
+    weight, mean, log_sd = answer
+    z = (inset[..., None] - mean) * torch.exp(-log_sd)
+    log_p = weight - 0.5 * z**2 - log_sd - math.log(SQUARE_ROOT_OF_TWO_PI)
+    return -log_p.logsumexp(dim=-1)
+
+
+def _key(name: str) -> str:
+    """Return a name that torch allows: no dots."""
+    return name.replace(".", "/")
+
+
+def checkpoint_arrays(net: FusedNet) -> dict[str, Tensor]:
+    """Return the weights by the names of a checkpoint."""
+    return {key.replace("/", "."): value.detach().cpu() for key, value in net.weights.items()}
+
 
 POINTS = 8
 """Points asked for after each probe: the centre of mass, four near it, three anywhere."""
@@ -45,12 +132,12 @@ class FusedTraining:
     learning_rate: float = 2e-3
     seed: int = 0
     shape: FusedShape = field(default_factory=FusedShape)
-    without: Part | None = None
+    without: InputPart | None = None
     """What an ablation leaves out."""
 
 
 @dataclass(frozen=True, slots=True)
-class Sequences:
+class ProbeSequences:
     """What the network is trained on: n sequences of P probes.
 
     ``probes`` (n, P, inputs) not scaled; ``true_mm``, ``offset_mm`` (n, P, 2); ``com_mm`` (n, 2);
@@ -72,8 +159,10 @@ class Sequences:
         return (self.reach_mm[rows][:, None, None] - along).amin(dim=-1)
 
 
-def sequences(arrays: Arrays, modes: NDArray[np.float32], *, mirror: bool) -> Sequences:
-    """Prepare the sequences of ``backend.experiments.sequences``, with mirror images if wanted.
+def prepare_sequences(
+    arrays: Arrays, modes: NDArray[np.float32], *, mirror: bool
+) -> ProbeSequences:
+    """Prepare the sequences of ``touchdown.backend.experiments.fusion``, with mirror images if wanted.
 
     By so many at a time: all marker fields at once would fill the memory.
     """
@@ -83,7 +172,7 @@ def sequences(arrays: Arrays, modes: NDArray[np.float32], *, mirror: bool) -> Se
         for across_x, across_y in (MIRRORS if mirror else MIRRORS[:1])
         for first in range(0, len(arrays["count"]), AT_ONCE)
     ]  # fmt: skip
-    return Sequences(*(torch.from_numpy(np.concatenate(c)) for c in zip(*parts, strict=True)))
+    return ProbeSequences(*(torch.from_numpy(np.concatenate(c)) for c in zip(*parts, strict=True)))
 
 
 def _prepared(
@@ -91,8 +180,10 @@ def _prepared(
 ) -> tuple[NDArray[Any], ...]:
     """Return the columns of ``Sequences`` of a few sequences, mirrored across x, y, both or not."""
     signs = np.array([-1.0 if across_x else 1.0, -1.0 if across_y else 1.0])
-    wrench, seen = mirrored(arrays["wrench"], arrays["field"], across_x=across_x, across_y=across_y)
-    face = Face(
+    wrench, seen = mirror_signals(
+        arrays["wrench"], arrays["field"], across_x=across_x, across_y=across_y
+    )
+    face = GraspedFace(
         *(arrays[k].astype(np.float64) for k in ("reach_mm", "com_mm", "grip_height_mm"))
     ).mirrored(across_x=across_x, across_y=across_y)
     offset = arrays["offset_mm"] * signs
@@ -133,13 +224,13 @@ class FusedTrainer:
         device: torch.device = torch.device("cpu"),  # noqa: B008 - a value, never changed
     ) -> None:
         self._settings, self._device = settings, device
-        self.modes = typical_fields(train["field"][:FIRST_OF_FIELDS])
-        self._train = sequences(train, self.modes, mirror=settings.without != "mirrors")
-        self._held_out = sequences(held_out, self.modes, mirror=False)
+        self.modes = field_components(train["field"][:FIRST_OF_FIELDS])
+        self._train = prepare_sequences(train, self.modes, mirror=settings.without != "mirrors")
+        self._held_out = prepare_sequences(held_out, self.modes, mirror=False)
         rows = self._train.probes[self._train.there]
         self.mean, spread = rows.mean(dim=0), rows.std(dim=0)
         self.scale = torch.where(spread > 1e-6, spread, torch.ones(()))
-        self.scale[torch.from_numpy(unread(settings.without))] = UNREAD
+        self.scale[torch.from_numpy(unread_inputs(settings.without))] = UNREAD
         alone = settings.without == "others"
         self.net = FusedNet(settings.shape, settings.seed, alone=alone).to(device)
         learned = (weight for weight in self.net.parameters() if weight.requires_grad)
@@ -170,11 +261,11 @@ class FusedTrainer:
 
     def arrays(self) -> dict[str, NDArray[np.float32]]:
         """Return what a checkpoint keeps."""
-        found = {name: value.numpy().copy() for name, value in arrays_of(self.net).items()}
+        found = {name: value.numpy().copy() for name, value in checkpoint_arrays(self.net).items()}
         about = {"mean": self.mean.numpy(), "scale": self.scale.numpy(), "modes": self.modes}
         return {**about, **found}
 
-    def _loss(self, data: Sequences, rows: Tensor, generator: torch.Generator) -> Tensor:
+    def _loss(self, data: ProbeSequences, rows: Tensor, generator: torch.Generator) -> Tensor:
         points = _points(data, rows, generator)
         inset = data.inset_mm(rows, points) / LENGTH_MM
         away = (data.offset_mm[rows] - data.offset_mm[rows][:, :1])[:, :, None]
@@ -183,7 +274,9 @@ class FusedTrainer:
         there = data.there[rows]
         seen = torch.where(there[..., None], probes, 0.0).to(self._device)
         answer = self.net(seen, torch.from_numpy(asked).to(self._device))
-        return surprise(answer, inset.to(self._device))[there.to(self._device)].mean()
+        return negative_log_likelihood(answer, inset.to(self._device))[
+            there.to(self._device)
+        ].mean()
 
 
 def data_sha256(arrays: Arrays) -> str:
@@ -194,7 +287,7 @@ def data_sha256(arrays: Arrays) -> str:
     return digest.hexdigest()
 
 
-def _points(data: Sequences, rows: Tensor, generator: torch.Generator) -> Tensor:
+def _points(data: ProbeSequences, rows: Tensor, generator: torch.Generator) -> Tensor:
     """Draw points (b, P, q, 2) in mm from the face after each probe."""
     b, count = len(rows), data.probes.shape[1]
     drawn = torch.randn((b, count, POINTS, 2), generator=generator)

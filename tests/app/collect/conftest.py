@@ -8,20 +8,16 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeContext, Label
-from backend.core.facts import (
-    CampaignBegan,
-    ProbeCollected,
-    RunStarted,
-)
-from backend.objects.catalogue import load_catalogue
-from backend.runs.requests import RunState
 from tests.app.conftest import settle
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.core.events import CampaignBegan, ProbeCollected, RunStarted
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.requests import RunState
 
 KEY = Qt.Key
 PROBES = 6
@@ -31,7 +27,7 @@ CAMPAIGN = "01900000-0000-7000-8000-000000000000"
 @pytest.fixture(scope="module")
 def collected(tmp_path_factory):
     """A dataset of six probes of a pot on a disc."""
-    folder, catalogue = tmp_path_factory.mktemp("collected") / "dataset", load_catalogue()
+    folder, catalogue = tmp_path_factory.mktemp("collected") / "dataset", load_pieces()
     with Dataset.open(folder, person="setup") as dataset:
         pair = dataset.geometry.store_pair(catalogue.piece("pot"), catalogue.piece("circle15"))
         for seed in range(PROBES):

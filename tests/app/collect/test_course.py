@@ -6,8 +6,10 @@ from types import SimpleNamespace
 import pytest
 from PySide6.QtCore import Qt
 
-from app.collect.origin import note_of
-from backend.core.facts import (
+from tests.app.collect.conftest import CAMPAIGN, PROBES
+from tests.app.conftest import settle
+from touchdown.app.collect.origin import note_of
+from touchdown.backend.core.events import (
     DecisionAwaited,
     EpisodeDecided,
     HandOverAwaited,
@@ -15,10 +17,8 @@ from backend.core.facts import (
     OriginChecked,
     RunFinished,
 )
-from backend.runs.campaign import new_campaign
-from backend.runs.requests import RunState
-from tests.app.collect.conftest import CAMPAIGN, PROBES
-from tests.app.conftest import settle
+from touchdown.backend.runs.campaign import new_campaign
+from touchdown.backend.runs.requests import RunState
 
 KEY = Qt.Key
 

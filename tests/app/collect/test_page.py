@@ -5,14 +5,14 @@ from PySide6.QtCore import QPoint, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QMenu
 
-from backend.catalogue.values import EpisodeFilter
-from backend.dataset.coverage import coverage
-from backend.objects.catalogue import load_catalogue
-from backend.runs.requests import CollectRequest, RunState
 from tests.app.collect.conftest import PROBES
 from tests.app.conftest import settle
-from widgets.distribution_view import NEAR_PX
-from widgets.episode_table import DOWN, HEADS, Arrangement
+from touchdown.backend.annotations.values import EpisodeFilter
+from touchdown.backend.episodes.quality import count_coverage
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.requests import CollectRequest, RunState
+from touchdown.widgets.lists.tables import DOWN, HEADS, Arrangement
+from touchdown.widgets.plots.distribution import NEAR_PX
 
 KEY = Qt.Key
 
@@ -91,9 +91,9 @@ def test_maps_and_table_show_what_the_dataset_holds(page):
     settle(page.main)
     shown = page.view.distribution.scene
     np.testing.assert_allclose(shown.values, [row[254] for row in last], rtol=1e-6)
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     faces = (catalogue.piece("pot").face, catalogue.piece("circle15").face)
-    counts = coverage(np.array(truth), *faces).counts
+    counts = count_coverage(np.array(truth), *faces).counts
     np.testing.assert_array_equal(page.view.coverage.scene.bins.counts, counts)
     assert counts.sum() == PROBES
 

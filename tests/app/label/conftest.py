@@ -12,11 +12,12 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeContext, Label
-from backend.core.flow import (
+from tests.app.stand_in import REST
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.core.values import (
     FINGERS,
     Episode,
     EpisodeQuality,
@@ -24,8 +25,7 @@ from backend.core.flow import (
     Recording,
     TactileFrame,
 )
-from backend.objects.catalogue import load_catalogue
-from tests.app.stand_in import REST
+from touchdown.backend.geometry.pieces import load_pieces
 
 ITEMS = 54
 WITHOUT_LABEL = 4
@@ -61,7 +61,7 @@ def make_episode(seed: int, frames: int = 3) -> Episode:
 @pytest.fixture(scope="session")
 def template(tmp_path_factory) -> Path:
     """A dataset of probes of a pot on a disc, as a campaign leaves it."""
-    folder, catalogue = tmp_path_factory.mktemp("labels") / "dataset", load_catalogue()
+    folder, catalogue = tmp_path_factory.mktemp("labels") / "dataset", load_pieces()
     with Dataset.open(folder, person="setup") as dataset:
         pair = dataset.geometry.store_pair(catalogue.piece("pot"), catalogue.piece("circle15"))
         context = EpisodeContext("series", "circle15", pair, "setup", "g1", "m1")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from backend.assembly import shipped_model
-from backend.learning.checkpoint import load_checkpoint, save_checkpoint
 from tests.app.label.conftest import KEY
+from touchdown.backend.bench.assembly import shipped_model
+from touchdown.backend.learning.checkpoint import load_checkpoint, save_checkpoint
 
 
 @pytest.fixture

@@ -6,10 +6,10 @@ import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
 
-from app.keys import portable
-from app.label.page import LabelIntents
-from backend.catalogue.values import Label
 from tests.app.label.conftest import CTRL, ITEMS, KEY, SHIFT, WITHOUT_LABEL
+from touchdown.app.label.page import LabelIntents
+from touchdown.app.shell.actions import portable
+from touchdown.backend.annotations.values import Label
 
 LABELLED = ITEMS - WITHOUT_LABEL
 ALT = Qt.KeyboardModifier.AltModifier

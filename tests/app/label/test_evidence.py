@@ -6,14 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.label.edit import Edit
-from app.label.evidence import badges_of, model_words, scene_words
-from app.label.item import ModelLabel
-from app.label.scene_shots import SceneEvidence, shots_of
-from backend.catalogue.values import Label
-from backend.placement.offset_fit import OffsetFit
-from backend.sensing.board import Homography
 from tests.app.label.conftest import KEY
+from touchdown.app.label.evidence import badges_of, model_words, scene_words
+from touchdown.app.shell.label_items import Edit, ModelLabel, SceneEvidence, shots_of
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.placement.estimator import OffsetFit
+from touchdown.backend.sensing.scene_camera import Homography
 
 BOARD = Homography(np.diag([4.0, 4.0, 1.0]), 0.2)
 IMAGES = (np.zeros((48, 64, 3), np.uint8),) * 2

@@ -2,7 +2,7 @@
 
 import pytest
 
-from app.label.looking import LookClock
+from touchdown.app.label.editing import LookClock
 
 
 @pytest.fixture

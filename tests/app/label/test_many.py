@@ -4,11 +4,11 @@ import shutil
 
 import pytest
 
-from app.label.agreement import agreement_words
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Label
 from tests.app.label.conftest import CTRL, ITEMS, KEY, WITHOUT_LABEL
 from tests.app.label.test_saving import content
+from touchdown.app.label.side import agreement_words
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
 
 LABELLED = ITEMS - WITHOUT_LABEL
 

@@ -9,7 +9,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 OWN = ("app", "backend", "widgets")
-ELSEWHERE = ("app.operate.workspace", "app.stack.workspace", "app.train.workspace")
+ELSEWHERE = (
+    "touchdown.app.operate.workspace",
+    "touchdown.app.stack.workspace",
+    "touchdown.app.train.workspace",
+)
 ONLINE = {"requests", "urllib3", "httpx", "aiohttp", "websockets", "socketserver", "http"}
 MOST_BYTES = 1_000_000
 
@@ -54,7 +58,7 @@ def size_of(package: str) -> int:
 
 def test_the_page_asks_for_less_than_a_megabyte_more_and_for_no_network(monkeypatch):
     monkeypatch.chdir(Path(__file__).parents[3])
-    page = needed("app.label.workspace")
+    page = needed("touchdown.app.label.workspace")
     assert {"PySide6", "numpy", "zstandard"} <= page  # the walk found what is known to be there
     extra = page - needed(*ELSEWHERE)
     assert all(find_spec(package) for package in extra)

@@ -2,9 +2,9 @@
 
 import pytest
 
-from app.label.agreement import agreement_words
-from backend.catalogue.values import Label
 from tests.app.label.conftest import CTRL, ITEMS, KEY, WITHOUT_LABEL
+from touchdown.app.label.side import agreement_words
+from touchdown.backend.annotations.values import Label
 
 
 def show_queue(desk, name):
@@ -161,7 +161,7 @@ def test_what_is_remembered_is_checked(start):
 
 
 def test_a_second_window_looks_but_does_not_write(start, folder):
-    from backend.catalogue.dataset import Dataset
+    from touchdown.backend.annotations.dataset import Dataset
 
     with Dataset.open(folder, person="Zoe"):
         desk = start()
@@ -227,7 +227,7 @@ def test_gold_among_the_ordinary_queue_cannot_be_told_and_keeps_its_label(desk, 
         desk.book.accept("Bob", uuid, Label(1500, 0, 0, 50))
         desk.book.approve("Cleo", uuid)
     heads = {uuid: desk.book.head(uuid) for uuid in gold}
-    monkeypatch.setattr("backend.catalogue.queues.AUDIT_SHARE", 1.0)
+    monkeypatch.setattr("touchdown.backend.annotations.queues.AUDIT_SHARE", 1.0)
     desk.do((KEY.Key_R, CTRL))
     order, rows = presenter.walk.order, desk.page.list.rows()
     places = {uuid: order.index(uuid) for uuid in gold}

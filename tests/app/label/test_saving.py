@@ -5,9 +5,9 @@ from contextlib import closing
 
 import pytest
 
-from backend.catalogue.values import Label
-from backend.core.faults import Fault, FaultError
 from tests.app.label.conftest import KEY, SHIFT
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import Fault, FaultError
 
 FULL = Fault("DISK-FULL", "The disk is full.", "Nothing was saved.", "Make room.")
 

@@ -7,14 +7,22 @@ import pytest
 from shapely import affinity
 from shapely.geometry import box
 
-from backend.calibration.board import EDGE_SIGMA_MM, Edge, estimate_board, fit_edges, fit_plane
-from backend.core.faults import RefusedError
+from touchdown.backend.calibration.estimators import (
+    EDGE_SIGMA_MM,
+    TouchedEdge,
+    estimate_board,
+    fit_edges,
+    fit_plane,
+)
+from touchdown.backend.core.faults import RefusedError
 
 PLACES = np.array([[0, 0], [4, 4], [-4, 4], [4, -4], [-4, -4]], dtype=float)
 TOUCHES = np.column_stack([PLACES, 30.0 + 0.004 * PLACES[:, 0] - 0.002 * PLACES[:, 1]])
 
 
-def felt_edges(centre, yaw_rad, board=(40.0, 36.0), piece=(15.0, 15.0), along=8.0) -> list[Edge]:
+def felt_edges(
+    centre, yaw_rad, board=(40.0, 36.0), piece=(15.0, 15.0), along=8.0
+) -> list[TouchedEdge]:
     """Return where a piece that is pushed off the board loses it, by shapely and halving."""
     ground = affinity.translate(
         affinity.rotate(box(-board[0] / 2, -board[1] / 2, board[0] / 2, board[1] / 2),
@@ -33,7 +41,7 @@ def felt_edges(centre, yaw_rad, board=(40.0, 36.0), piece=(15.0, 15.0), along=8.
                         inside = middle
                     else:
                         outside = middle
-                edges.append(Edge(axis, side, off, side * inside))
+                edges.append(TouchedEdge(axis, side, off, side * inside))
     return edges
 
 
@@ -58,7 +66,7 @@ def test_the_place_covers_the_truth_as_often_as_it_says() -> None:
     edges = felt_edges((0.0, 0.0), 0.0)
     scores = []
     for _ in range(400):
-        noisy = [Edge(e.axis, e.side, e.along_mm, e.at_mm + EDGE_SIGMA_MM * n)
+        noisy = [TouchedEdge(e.axis, e.side, e.along_mm, e.at_mm + EDGE_SIGMA_MM * n)
                  for e, n in zip(edges, rng.standard_normal(8), strict=True)]  # fmt: skip
         found = fit_edges(noisy, yaw=True)
         scores.append((found.x[[0, 1, 4]]) / np.sqrt(np.diag(found.covariance)[[0, 1, 4]]))
@@ -74,7 +82,7 @@ def test_a_board_is_one_estimate_with_its_larger_residual() -> None:
     bent = TOUCHES.copy()
     bent[0, 2] += 0.5
     assert estimate_board(bent, edges, "board").residual > 0.1
-    off = [*edges[:-1], Edge(1, 1.0, 8.0, edges[-1].at_mm + 1.0)]
+    off = [*edges[:-1], TouchedEdge(1, 1.0, 8.0, edges[-1].at_mm + 1.0)]
     assert not estimate_board(TOUCHES, off, "board").acceptable
 
 

@@ -5,28 +5,28 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.calibration.camera import (
+from touchdown.backend.calibration.cameras import (
     DOT_SIGMA_PX,
     SIDES,
-    Push,
     Side,
+    SidePress,
     estimate_cameras,
-    find_setting,
+    find_arrangement,
+    fingers_distinguishable,
     fit_lattice,
     image_motion,
-    tells_fingers,
 )
-from backend.calibration.kinds import MIRRORS
-from backend.core.faults import RefusedError
-from backend.runs.calibrate_pushes import MOST, next_side
-from backend.simulation.gel import build_gel
+from touchdown.backend.calibration.result import MIRROR_CODES
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.runs.calibrate import MOST_PUSHES, next_side
+from touchdown.backend.simulation.marker_fields import build_gel
 
 SCALE, PITCH_MM = (0.058, 0.062), 1.9
 GEL = build_gel(SCALE, PITCH_MM)
 SIZE_PX = np.array([320.0, 240.0])
 
 
-def pushes(noise_px: float = 0.05, seed: int = 0) -> list[Push]:
+def pushes(noise_px: float = 0.05, seed: int = 0) -> list[SidePress]:
     """Return the fields of a press of 0.9 mm that leans the piece towards each side."""
     rng = np.random.default_rng(seed)
     made = []
@@ -43,11 +43,11 @@ def pushes(noise_px: float = 0.05, seed: int = 0) -> list[Push]:
         moved = GEL.displacement_px(strain, np.array([10.0, 10.0]), np.array(10.0))
         moved = moved + noise_px * rng.standard_normal(moved.shape)
         rest = GEL.rest_px + DOT_SIGMA_PX * rng.standard_normal(GEL.rest_px.shape)
-        made.append(Push(side, rest, moved))
+        made.append(SidePress(side, rest, moved))
     return made
 
 
-def mirrored(push: Push, camera: int, axis: int) -> Push:
+def mirrored(push: SidePress, camera: int, axis: int) -> SidePress:
     """Return what a camera with a mirrored picture would have told; dots renumbered."""
     rest, moved = push.rest_px.copy(), push.moved_px.copy()
     order = np.arange(63).reshape(7, 9)
@@ -55,11 +55,11 @@ def mirrored(push: Push, camera: int, axis: int) -> Push:
     rest[camera], moved[camera] = rest[camera][order], moved[camera][order]
     rest[camera, :, axis] = SIZE_PX[axis] - rest[camera, :, axis]
     moved[camera, :, axis] *= -1.0
-    return Push(push.side, rest, moved)
+    return SidePress(push.side, rest, moved)
 
 
-def exchanged(push: Push) -> Push:
-    return Push(push.side, push.rest_px[::-1].copy(), push.moved_px[::-1].copy())
+def exchanged(push: SidePress) -> SidePress:
+    return SidePress(push.side, push.rest_px[::-1].copy(), push.moved_px[::-1].copy())
 
 
 def test_the_scale_is_that_of_the_gel() -> None:
@@ -81,7 +81,7 @@ def test_the_scale_covers_the_truth_as_often_as_it_says() -> None:
 
 
 def test_a_gel_with_another_pitch_or_a_lost_dot_is_not_accepted() -> None:
-    bent = [Push(p.side, p.rest_px + 12.0 * (np.arange(63)[:, None] % 2), p.moved_px)
+    bent = [SidePress(p.side, p.rest_px + 12.0 * (np.arange(63)[:, None] % 2), p.moved_px)
             for p in pushes()]  # fmt: skip
     assert not estimate_cameras(bent, PITCH_MM).acceptable
     with pytest.raises(RefusedError, match="MARKERS"):
@@ -99,13 +99,13 @@ def test_every_way_that_two_cameras_can_sit_is_found(swap, left, right) -> None:
                 seen = [mirrored(push, camera, axis) for push in seen]
     if swap:
         seen = [exchanged(push) for push in seen]
-    found = find_setting(seen)
+    found = find_arrangement(seen)
     assert found.exchanged == swap
     assert found.mirror == {"left": left, "right": right}
     estimate = estimate_cameras(seen, PITCH_MM)
     assert estimate.acceptable
     assert estimate.value("exchanged") == swap
-    told = [MIRRORS[int(estimate.value(f"{finger}_mirror"))] for finger in ("left", "right")]
+    told = [MIRROR_CODES[int(estimate.value(f"{finger}_mirror"))] for finger in ("left", "right")]
     assert told == [left, right]
     wrong = swap or (left, right) != ("none", "none")
     assert ("put right" in estimate.note) == wrong
@@ -120,7 +120,7 @@ def test_motion_of_a_picture_is_told_by_shift_and_turn() -> None:
     assert turn == pytest.approx(np.sin(angle))
 
 
-def crept(rng: np.random.Generator, side: Side, lead_px: float, creep_px: float) -> Push:
+def crept(rng: np.random.Generator, side: Side, lead_px: float, creep_px: float) -> SidePress:
     """Return a press that moves the nearer finger more by half of ``lead_px``; both gels creep."""
     near = {"+y": np.array([-0.25, 0.25]), "-y": np.array([0.25, -0.25])}.get(side, np.zeros(2))
     rest = GEL.rest_px[0]
@@ -131,19 +131,19 @@ def crept(rng: np.random.Generator, side: Side, lead_px: float, creep_px: float)
         moved[k] = turn[k] * np.column_stack([-arm[:, 1], arm[:, 0]])
         moved[k] += np.clip(creep_px * rng.standard_normal(2), -1.0, 1.0)
         moved[k, :, 1] -= 7.0 + lead_px * near[k]
-    return Push(side, np.stack([rest, rest]), moved)
+    return SidePress(side, np.stack([rest, rest]), moved)
 
 
 def test_gels_that_creep_by_as_much_as_the_fingers_differ_are_pressed_until_it_is_sure() -> None:
     rng = np.random.default_rng(8)
     presses, wrong, even = [], 0, 0
     for _ in range(40):
-        pushed: list[Push] = []
+        pushed: list[SidePress] = []
         while (side := next_side(pushed)) is not None:
             pushed.append(crept(rng, side, lead_px=1.5, creep_px=0.6))
         presses.append(len(pushed))
-        if tells_fingers(pushed):
-            wrong += find_setting(pushed).exchanged
+        if fingers_distinguishable(pushed):
+            wrong += find_arrangement(pushed).exchanged
         else:
             even += 1
     # One press to each side alone would take the fingers for each other in 4 of 100.
@@ -154,19 +154,19 @@ def test_gels_that_creep_by_as_much_as_the_fingers_differ_are_pressed_until_it_i
     calm = [crept(rng, side, 1.5, 0.05) for side in (*SIDES, "+y", "-y", "+y", "-y")]
     assert next_side(calm) is None
     # Fingers that do not differ are never told apart, however long.
-    alike: list[Push] = []
+    alike: list[SidePress] = []
     while (side := next_side(alike)) is not None:
         alike.append(crept(rng, side, 0.0, 0.3))
-    assert len(alike) == MOST
+    assert len(alike) == MOST_PUSHES
     with pytest.raises(RefusedError, match="EVEN-PUSH"):
-        find_setting(alike)
+        find_arrangement(alike)
 
 
 def test_presses_that_tell_nothing_are_refused_by_name() -> None:
     full = pushes()
-    weak = [Push(p.side, p.rest_px, 0.01 * p.moved_px) for p in full]
-    even = [Push(p.side, p.rest_px, full[0].moved_px) for p in full]
+    weak = [SidePress(p.side, p.rest_px, 0.01 * p.moved_px) for p in full]
+    even = [SidePress(p.side, p.rest_px, full[0].moved_px) for p in full]
     for given, reason in ((full[:3], "PUSHES"), (weak, "WEAK-PUSH"), (even, "EVEN-PUSH")):
         with pytest.raises(RefusedError) as refused:
-            find_setting(given)
+            find_arrangement(given)
         assert refused.value.reason == reason

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from backend.calibration.payload import (
+from touchdown.backend.calibration.estimators import (
     FORCE_SIGMA_N,
     MOMENT_SIGMA_NM,
     estimate_level_payload,
     estimate_payload,
 )
-from backend.core.faults import RefusedError
+from touchdown.backend.core.faults import RefusedError
 
 MASS_KG, COM_MM = 1.5, np.array([3.0, -2.0, -60.0])
 BIAS = np.array([0.8, -1.2, 2.5, 0.03, -0.02, 0.01])

@@ -14,14 +14,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from backend.calibration.applied import NOWHERE, placed_by
-from backend.calibration.estimate import Estimate, Quantity
-from backend.calibration.kinds import KINDS, WHATS, What
-from backend.calibration.record import DeviceName, read_record
-from backend.calibration.store import CalibrationStore
-from backend.core.facts import CalibrationMeasured
-from backend.core.faults import InputError, RefusedError
-from backend.runs.calibrated import payload_of
+from touchdown.backend.calibration.applied import UNCALIBRATED, calibrated_positions
+from touchdown.backend.calibration.records import CalibrationStore, DeviceName, read_record
+from touchdown.backend.calibration.result import (
+    CALIBRATION_KINDS,
+    CALIBRATION_NAMES,
+    CalibrationEstimate,
+    CalibrationName,
+    Quantity,
+)
+from touchdown.backend.core.events import CalibrationMeasured
+from touchdown.backend.core.faults import InputError, RefusedError
+from touchdown.backend.runs.calibrations import payload_wrench
 
 NOW = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
 DEVICES = {
@@ -29,7 +33,7 @@ DEVICES = {
     "gripper": DeviceName(maker="G", model="Jaws", serial="G1"),
     "arm": DeviceName(maker="A", model="Arm", serial="A1"),
 }
-ESTIMATE = Estimate(
+ESTIMATE = CalibrationEstimate(
     (
         Quantity("mass_kg", 1.5, 0.01, "kg"),
         Quantity("com_x_mm", 0.0, 0.1, "mm"),
@@ -46,9 +50,9 @@ ESTIMATE = Estimate(
 FOUND = ESTIMATE.told(0.0, "payload")
 
 
-def of_kind(what: What) -> CalibrationMeasured:
+def of_kind(what: CalibrationName) -> CalibrationMeasured:
     """Return a result with all that is read of this kind when it is applied."""
-    names = KINDS[what].values
+    names = CALIBRATION_KINDS[what].values
     count = len(names)
     about = "pot on short" if what == "board" else ""
     return replace(
@@ -151,14 +155,14 @@ def rewritten(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
     )
 
 
-@pytest.mark.parametrize("what", WHATS)
+@pytest.mark.parametrize("what", CALIBRATION_NAMES)
 def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(
-    store: CalibrationStore, what: What
+    store: CalibrationStore, what: CalibrationName
 ) -> None:
     path = store.accept(of_kind(what), DEVICES, now=NOW)
     whole = path.read_text()
     changes: list[Callable[[dict[str, Any]], object]] = [
-        *(lambda c, name=name: c["values"].pop(name) for name in KINDS[what].values),
+        *(lambda c, name=name: c["values"].pop(name) for name in CALIBRATION_KINDS[what].values),
         lambda c: c.update(about="pot"),
         lambda c: c.update(about="a on b on c"),
         lambda c: c.update(gels={next(iter(c["devices"]), "arm"): [1.0] * 125}),
@@ -182,8 +186,8 @@ def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(
         path.write_text(text)
         assert store.standing(what, DEVICES, NOW).condition == "damaged"
     used = store.in_use(DEVICES, required=False, now=NOW)
-    assert placed_by(used) == NOWHERE
-    assert payload_of(store, {}) is None
+    assert calibrated_positions(used) == UNCALIBRATED
+    assert payload_wrench(store, {}) is None
     with pytest.raises(RefusedError, match=r"CALIBRATION-(DAMAGED|MISSING)"):
         store.in_use(DEVICES, required=True, now=NOW)
 

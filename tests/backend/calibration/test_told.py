@@ -2,7 +2,7 @@
 
 import pytest
 
-from backend.calibration.told import value_words
+from touchdown.backend.calibration.result import format_value
 
 
 @pytest.mark.parametrize(
@@ -18,4 +18,4 @@ from backend.calibration.told import value_words
     ],
 )
 def test_values_have_words_digits_and_units(name, value, sigma, unit, words):
-    assert value_words(name, value, sigma, unit) == words
+    assert format_value(name, value, sigma, unit) == words

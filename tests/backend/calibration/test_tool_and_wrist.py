@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from backend.calibration.estimate import Estimate
-from backend.calibration.payload import FORCE_SIGMA_N, estimate_payload
-from backend.calibration.tool import FELT_SIGMA_MM, estimate_tool
-from backend.calibration.wrist import estimate_wrist
-from backend.core.faults import RefusedError
-from backend.simulation.wrench import wrist_wrench
+from touchdown.backend.calibration.estimators import (
+    FELT_SIGMA_MM,
+    FORCE_SIGMA_N,
+    estimate_payload,
+    estimate_tool,
+    estimate_wrist,
+)
+from touchdown.backend.calibration.result import CalibrationEstimate
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.simulation.wrist_sensor import wrist_wrench
 
 FACE, BOTTOM = np.array([0.4, -0.3]), np.array([1.2, 2.5])
 LEANS = np.radians([[0, 0, 0], [14, 0, 0], [-14, 0, 0], [0, 14, 0], [0, -14, 0], [10, 10, 0]])
@@ -29,7 +33,7 @@ def leaning(yaw: float) -> np.ndarray:
     return np.array(rows)
 
 
-def scores_of(found: Estimate, truth) -> list[float]:
+def scores_of(found: CalibrationEstimate, truth) -> list[float]:
     return [(q.value - t) / q.sigma for q, t in zip(found.quantities, truth, strict=True)]
 
 

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.uuid7 import uuid7
-from backend.catalogue.values import EpisodeContext, EpisodeEntry, Label
-from backend.core.flow import Episode, EpisodeQuality
-from backend.objects.catalogue import load_catalogue
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import EpisodeContext, EpisodeEntry, Label, uuid7
+from touchdown.backend.core.values import Episode, EpisodeQuality
+from touchdown.backend.geometry.pieces import load_pieces
 
 Record = Callable[..., EpisodeEntry]
 
@@ -26,7 +25,7 @@ def small_episode(name: str | None = None, seed: int = 1, accepted: bool = True)
 
 
 def context_for(dataset: Dataset, piece: str = "pot", bottom: str = "circle15") -> EpisodeContext:
-    pieces = load_catalogue()
+    pieces = load_pieces()
     geometry = dataset.geometry.store_pair(pieces.top(piece), pieces.bottom(bottom))
     return EpisodeContext(
         series="series-1",

@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from backend.catalogue import database, recording
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.recovery import examine
-from backend.catalogue.values import EpisodeContext, Label
-from backend.dataset import container, episode_file
 from tests.backend.catalogue.conftest import context_for, small_episode
+from touchdown.backend.annotations import database, episode_index
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.reconciliation import check_dataset
+from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.episodes import episode_file, mcap
 
 EPISODES = 400
 LONGEST_S = 0.06
@@ -73,8 +73,8 @@ class Steps:
             *args, factory=Watched, **words
         )
         for owner, name in ((os, "fsync"), (os, "replace"), (episode_file, "check_counts"),
-                            (container.McapWriter, "add_chunk"), (container.McapWriter, "__init__"),
-                            (recording, "enter")):  # fmt: skip
+                            (mcap.McapWriter, "add_chunk"), (mcap.McapWriter, "__init__"),
+                            (episode_index, "enter")):  # fmt: skip
             self.around(owner, name)
 
 
@@ -158,7 +158,7 @@ def verify(folder: Path, known: Known) -> list[str]:
             if history.get(rev) != x_um:
                 wrong.append(f"label {rev} is lost")
         wrong += [f"torn: {e.uuid}" for e in entries.values() if e.file_state != "complete"]
-        wrong += [finding.said for finding in examine(dataset.store, whole=True)]
+        wrong += [finding.said for finding in check_dataset(dataset.store, whole=True)]
     with Dataset.open(folder) as dataset:
         wrong += [f"said again: {notice}" for notice in dataset.notices]
     return wrong

@@ -7,12 +7,11 @@ from dataclasses import asdict
 
 import numpy as np
 
-from backend.catalogue import episodes, heads, operations
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.operations import Draft, new_revision
-from backend.catalogue.uuid7 import uuid7
-from backend.catalogue.values import Content, Label
-from backend.core.flow import EpisodeQuality
+from touchdown.backend.annotations import episode_index, operation_log, review
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.operation_log import OperationDraft, new_revision
+from touchdown.backend.annotations.values import Label, LabelContent, uuid7
+from touchdown.backend.core.values import EpisodeQuality
 
 QUALITY = json.dumps(asdict(EpisodeQuality(True, (), 0, 0.0, 0, 5.0, 0.0)))
 BOTTOMS = ("circle15", "circle25", "square15")
@@ -28,12 +27,14 @@ def fill(dataset: Dataset, count: int, approved: int = 0, batch: int = 1000) -> 
             offsets = rng.integers(-12000, 12000, (len(rows), 2)).tolist()
             revs = []
             for row, (x, y) in zip(rows, offsets, strict=True):
-                episodes.insert(connection, row)
-                content = Content(Label(x, y, 0, 150), "commanded", "g")
+                episode_index.insert_episode(connection, row)
+                content = LabelContent(Label(x, y, 0, 150), "commanded", "g")
                 revs.append(new_revision(str(row["uuid"]), None, content, "draft"))
             site = dataset.description.site
-            _, touched = operations.append(connection, site, "cleo", "record", Draft(revs=revs))
-            heads.refresh(connection, touched)
+            _, touched = operation_log.append_operation(
+                connection, site, "cleo", "record", OperationDraft(revs=revs)
+            )
+            review.refresh_heads(connection, touched)
             made += [str(row["uuid"]) for row in rows]
     for actor, verb, state in (("ann", "bulk", "submitted"), ("bob", "bulk", "approved")):
         for start in range(0, approved, batch):
@@ -46,12 +47,14 @@ def _pass_on(dataset: Dataset, uuids: list[str], actor: str, verb: str, state: s
         revs = []
         for uuid in uuids:
             row = connection.execute("SELECT rev_uuid FROM label_head WHERE episode = ?", (uuid,))
-            head = operations.read_revision(connection, row.fetchone()[0])
-            content = Content.of(head)
+            head = operation_log.read_revision(connection, row.fetchone()[0])
+            content = LabelContent.of(head)
             revs.append(new_revision(uuid, head.rev_uuid, content, state))  # type: ignore[arg-type]
         site = dataset.description.site
-        _, touched = operations.append(connection, site, actor, verb, Draft(revs=revs))
-        heads.refresh(connection, touched)
+        _, touched = operation_log.append_operation(
+            connection, site, actor, verb, OperationDraft(revs=revs)
+        )
+        review.refresh_heads(connection, touched)
 
 
 def _row(number: int) -> dict[str, object]:

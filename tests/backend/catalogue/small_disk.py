@@ -10,17 +10,17 @@ import shutil
 import sys
 from pathlib import Path
 
-from backend.assembly import simulated_session
-from backend.catalogue import diskspace
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.recovery import examine
-from backend.catalogue.values import Label
-from backend.core.facts import Fact, Paused, ProbeCollected, RunFinished
-from backend.core.faults import FaultError
-from backend.runs.requests import CollectRequest
-from backend.session import Keep
 from tests.backend.brisk import brisk_bench, brisk_method
 from tests.backend.catalogue.conftest import context_for, small_episode
+from touchdown.backend.annotations import storage
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.reconciliation import check_dataset
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.core.events import Event, Paused, ProbeCollected, RunFinished
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import CollectRequest
 
 MOST = 4000
 """So many labels do not fit into what is left."""
@@ -73,7 +73,7 @@ def label_until_full(folder: Path) -> dict[str, object]:
             for uuid in {uuid for uuid, _ in kept.values()}
             for r in dataset.labels.history(uuid)
         }
-        wrong = [finding.said for finding in examine(dataset.store, whole=True)]
+        wrong = [finding.said for finding in check_dataset(dataset.store, whole=True)]
         lost = [rev for rev, said in kept.items() if found.get(rev) != said]
         journal = dataset.journal.path(dataset.description.site).read_text().count("\n")
         (operations,) = dataset.database.one("SELECT count(*) FROM op")
@@ -86,13 +86,15 @@ def label_until_full(folder: Path) -> dict[str, object]:
 
 def collect_until_full(folder: Path) -> dict[str, object]:
     """Collect three probes; after the first the disk is full until the run says so."""
-    diskspace.LEAST_BYTES = diskspace.LEAST_EPISODES = diskspace.GO_ON_BYTES = 0
-    ballast, facts = folder / "ballast", list[Fact]()
+    storage.LEAST_BYTES = storage.LEAST_EPISODES = storage.GO_ON_BYTES = 0
+    ballast, facts = folder / "ballast", list[Event]()
     stored_when_paused: list[int] = []
-    session = simulated_session(brisk_bench("quiet"), keep=Keep(None), method=brisk_method())
+    session = simulated_session(
+        brisk_bench("quiet"), keep=RecordingOptions(None), method=brisk_method()
+    )
     with Dataset.open(folder / "collected", person="ann") as dataset:
 
-        def watch(fact: Fact) -> None:
+        def watch(fact: Event) -> None:
             facts.append(fact)
             if isinstance(fact, ProbeCollected) and fact.done == 1:
                 fill(ballast, LEFT_BYTES)
@@ -113,7 +115,7 @@ def collect_until_full(folder: Path) -> dict[str, object]:
             "ending": [fact.ending for fact in facts if isinstance(fact, RunFinished)],
             "all_told": told == [entry.uuid for entry in dataset.episodes()],
             "ticks": read,
-            "wrong": [finding.said for finding in examine(dataset.store, whole=True)],
+            "wrong": [finding.said for finding in check_dataset(dataset.store, whole=True)],
         }
 
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.catalogue import agreement
-from backend.learning.metrics import wilson
+from touchdown.backend.annotations import agreement
+from touchdown.backend.learning.metrics import wilson_interval
 
 SHROUT_FLEISS = [
     [9, 2, 5, 8],
@@ -25,25 +25,25 @@ TWO = ["yes"] * 20 + ["no"] * 5 + ["yes"] * 10 + ["no"] * 15
 
 
 def test_bias_and_limits() -> None:
-    found = agreement.bias([0.1, -0.2, 0.3, 0.0, 0.3], np.zeros(5))
+    found = agreement.agreement_limits([0.1, -0.2, 0.3, 0.0, 0.3], np.zeros(5))
     figures = (found.mean, found.deviation, found.lower, found.upper)
     assert figures == pytest.approx((0.1, 0.21213, -0.3158, 0.5158), abs=5e-5)
-    assert math.isnan(agreement.bias([1.0], [0.0]).lower)
-    assert math.isnan(agreement.bias([], []).mean)
+    assert math.isnan(agreement.agreement_limits([1.0], [0.0]).lower)
+    assert math.isnan(agreement.agreement_limits([], []).mean)
 
 
 def test_icc_of_shrout_and_fleiss() -> None:
-    assert agreement.icc(SHROUT_FLEISS) == pytest.approx(0.290, abs=5e-4)
-    assert agreement.icc([[1, 1], [2, 2], [5, 5]]) == pytest.approx(1.0)
-    assert math.isnan(agreement.icc([[1, 2]]))
+    assert agreement.intraclass_correlation(SHROUT_FLEISS) == pytest.approx(0.290, abs=5e-4)
+    assert agreement.intraclass_correlation([[1, 1], [2, 2], [5, 5]]) == pytest.approx(1.0)
+    assert math.isnan(agreement.intraclass_correlation([[1, 2]]))
 
 
 def test_kappa_and_alpha_of_one_table() -> None:
-    assert agreement.kappa(ONE, TWO) == pytest.approx(0.4)
+    assert agreement.cohen_kappa(ONE, TWO) == pytest.approx(0.4)
     pairs = list(zip(ONE, TWO, strict=True))
-    assert agreement.alpha(pairs) == pytest.approx(0.4)
-    assert math.isnan(agreement.kappa(["a"], ["a"]))
-    assert math.isnan(agreement.alpha([["a"], ["b"]]))
+    assert agreement.krippendorff_alpha(pairs) == pytest.approx(0.4)
+    assert math.isnan(agreement.cohen_kappa(["a"], ["a"]))
+    assert math.isnan(agreement.krippendorff_alpha([["a"], ["b"]]))
 
 
 def test_alpha_of_krippendorffs_own_example_with_gaps() -> None:
@@ -55,7 +55,7 @@ def test_alpha_of_krippendorffs_own_example_with_gaps() -> None:
         [1, 2, 3, 3, 2, 4, 4, 1, 2, 5, 1, None],
     ]
     items = [[a for a in unit if a is not None] for unit in zip(*observers, strict=True)]
-    assert agreement.alpha([unit for unit in items if len(unit) > 1]) == pytest.approx(
+    assert agreement.krippendorff_alpha([unit for unit in items if len(unit) > 1]) == pytest.approx(
         0.743, abs=5e-4
     )
 
@@ -65,7 +65,7 @@ INTERVALS = [(8, 10, 0.490, 0.943), (40, 60, 0.541, 0.773), (34, 60, 0.441, 0.68
 
 @pytest.mark.parametrize(("k", "n", "low", "high"), INTERVALS)
 def test_wilson_intervals(k: int, n: int, low: float, high: float) -> None:
-    assert wilson(k, n) == pytest.approx((low, high), abs=5e-4)
+    assert wilson_interval(k, n) == pytest.approx((low, high), abs=5e-4)
 
 
 def test_distance_and_overlap() -> None:
@@ -81,8 +81,8 @@ def test_figures_do_not_depend_on_who_is_first_nor_on_the_order(
 ) -> None:
     one, two = (list(side) for side in zip(*pairs, strict=True))
     for figure in (
-        lambda a, b: agreement.kappa(a, b),
-        lambda a, b: agreement.alpha(list(zip(a, b, strict=True))),
+        lambda a, b: agreement.cohen_kappa(a, b),
+        lambda a, b: agreement.krippendorff_alpha(list(zip(a, b, strict=True))),
     ):
         value, swapped, turned = figure(one, two), figure(two, one), figure(one[::-1], two[::-1])
         assert swapped == pytest.approx(value, nan_ok=True)

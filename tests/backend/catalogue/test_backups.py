@@ -8,16 +8,23 @@ from pathlib import Path
 
 import pytest
 
-from backend.catalogue import backups, operations
-from backend.catalogue.backups import Backup, Backups, check_backup, list_backups, restore, surplus
-from backend.catalogue.database import NAME
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.rebuilding import rebuild
-from backend.catalogue.values import Label
-from backend.core.faults import FaultError, InputError
 from tests.backend.catalogue.conftest import Record, context_for, small_episode
 from tests.backend.catalogue.test_packs_in_datasets import write_pack
 from tests.backend.catalogue.test_recovery import tables
+from touchdown.backend.annotations import backups, operation_log
+from touchdown.backend.annotations.backups import (
+    Backup,
+    BackupStore,
+    check_backup,
+    list_backups,
+    restore_backup,
+    surplus_backups,
+)
+from touchdown.backend.annotations.database import NAME
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.rebuild import rebuild_dataset
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import FaultError, InputError
 
 NOON = datetime(2030, 5, 31, 12, tzinfo=UTC)
 
@@ -55,12 +62,12 @@ def test_a_copy_has_what_is_still_in_the_wal(dataset: Dataset, record: Record) -
 
 def dataset_heads(dataset: Dataset) -> backups.Heads:
     with dataset.database.reading() as connection:
-        return operations.newest_of(connection)
+        return operation_log.newest_operations(connection)
 
 
 def test_hourly_while_labels_change(dataset: Dataset, record: Record) -> None:
     clock = Clock()
-    keeper = Backups(dataset.database, dataset.folder / "b", clock)
+    keeper = BackupStore(dataset.database, dataset.folder / "b", clock)
     assert keeper.age is None
     entry = record()
     assert keeper.hourly() is not None
@@ -73,7 +80,7 @@ def test_hourly_while_labels_change(dataset: Dataset, record: Record) -> None:
     assert keeper.hourly() is not None
     clock.now += timedelta(hours=3)
     assert keeper.hourly() is None
-    again = Backups(dataset.database, dataset.folder / "b", clock)
+    again = BackupStore(dataset.database, dataset.folder / "b", clock)
     assert again.age == timedelta(hours=3)
     assert again.if_changed("close") is None
 
@@ -97,7 +104,7 @@ def test_a_commit_makes_the_first_copy_and_closing_the_last(tmp_path: Path) -> N
 
 def test_retention_keeps_hours_days_and_months() -> None:
     made = [NOON - timedelta(minutes=30 * n) for n in range(400 * 48)]
-    kept = set(made) - {b.made for b in surplus(made_backups(made))}
+    kept = set(made) - {b.made for b in surplus_backups(made_backups(made))}
     assert NOON in kept
     hours = [m for m in kept if m > NOON - timedelta(hours=24)]
     assert len(hours) == 24
@@ -118,7 +125,7 @@ def made_backups(made: list[datetime]) -> list[Backup]:
 def test_making_one_prunes_the_old(dataset: Dataset, record: Record) -> None:
     record()
     clock, folder = Clock(), dataset.folder / "b"
-    keeper = Backups(dataset.database, folder, clock)
+    keeper = BackupStore(dataset.database, folder, clock)
     for _ in range(4):
         keeper.make("test")
         clock.now += timedelta(minutes=10)
@@ -149,7 +156,7 @@ def test_a_bad_copy_is_refused(dataset: Dataset, record: Record, damage: str) ->
     before = (dataset.folder / NAME).read_bytes()
     dataset.close()
     with pytest.raises(InputError, match="not usable"):
-        restore(dataset.folder, path)
+        restore_backup(dataset.folder, path)
     assert len((dataset.folder / NAME).read_bytes()) >= len(before)
 
 
@@ -190,7 +197,7 @@ def test_going_back_to_a_copy_loses_no_label(tmp_path: Path) -> None:
         expected = tables(dataset)
         keep = tmp_path / "keep.db"
         shutil.copy(old, keep)
-    aside = restore(folder, keep)
+    aside = restore_backup(folder, keep)
     assert aside is not None
     with Dataset.open(folder) as dataset:
         assert any("of the journal" in notice for notice in dataset.notices)
@@ -224,7 +231,7 @@ def busy(tmp_path: Path) -> Path:
 
 def test_a_catalogue_made_anew_equals_the_old_one(busy: Path) -> None:
     before = (busy / NAME).read_bytes()
-    result = rebuild(busy, replace=False)
+    result = rebuild_dataset(busy, replace=False)
     assert result.equal, (result.only_old, result.only_new)
     assert result.rows["episode"] == 10
     assert result.rows["review"] >= 1
@@ -237,7 +244,7 @@ def test_rows_of_files_that_are_gone_are_kept(busy: Path) -> None:
     with Dataset.open(busy) as dataset:
         gone = dataset.episodes()[-1]
         (busy / gone.path).unlink()
-    result = rebuild(busy, replace=True)
+    result = rebuild_dataset(busy, replace=True)
     assert result.equal, (result.only_old, result.only_new)
     with Dataset.open(busy) as dataset:
         assert dataset.notices == ()
@@ -247,7 +254,7 @@ def test_rows_of_files_that_are_gone_are_kept(busy: Path) -> None:
 def test_a_difference_is_counted(busy: Path) -> None:
     with Dataset.open(busy) as dataset, dataset.database.transaction() as connection:
         connection.execute("UPDATE episode SET bottom = 'square15' WHERE kind = 'file'")
-    result = rebuild(busy, replace=False)
+    result = rebuild_dataset(busy, replace=False)
     assert not result.equal
     assert (result.only_old["episode"], result.only_new["episode"]) == (6, 6)
     assert result.only_new["op"] == 0
@@ -267,8 +274,8 @@ def test_a_lost_catalogue_comes_back_from_files_and_journal(busy: Path, loss: st
         (busy / NAME).write_bytes(b"SQLite format 3\x00" + b"\xff" * 9000)
     if loss != "deleted":
         with pytest.raises(InputError, match="--replace"):
-            rebuild(busy, replace=False)
-    result = rebuild(busy, replace=True)
+            rebuild_dataset(busy, replace=False)
+    result = rebuild_dataset(busy, replace=True)
     assert result.replaced
     with Dataset.open(busy) as dataset:
         assert dataset.notices == ()
@@ -280,5 +287,5 @@ def test_a_lost_catalogue_comes_back_from_files_and_journal(busy: Path, loss: st
 
 def test_an_open_dataset_is_not_rebuilt(busy: Path) -> None:
     with Dataset.open(busy, person="cleo"), pytest.raises(InputError, match="cleo"):
-        rebuild(busy, replace=True)
+        rebuild_dataset(busy, replace=True)
     assert json.loads((busy / "dataset.json").read_text())["site"]

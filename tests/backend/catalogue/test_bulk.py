@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from backend.catalogue.bulk import MoveGeometry, RotateFrame, SetState, ShiftOrigin
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import GEOMETRY_CHANGED, Label
-from backend.core.faults import InputError, RefusedError
 from tests.backend.catalogue.conftest import Record, context_for
 from tests.backend.catalogue.test_undo import contents
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.labels import MoveGeometry, RotateFrame, SetState, ShiftOrigin
+from touchdown.backend.annotations.values import GEOMETRY_CHANGED, Label
+from touchdown.backend.core.faults import InputError, RefusedError
 
 
 @pytest.fixture

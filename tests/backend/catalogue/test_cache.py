@@ -7,13 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.catalogue import cache
-from backend.catalogue.cache import CacheRow, TrainingCache, open_cache, read_observation
-from backend.core.faults import InputError
-from backend.core.flow import Episode, EpisodeQuality
-from backend.dataset.contents import read_chunks
-from backend.dataset.episode_file import write_episode
-from backend.dataset.pack_file import EpisodeRow, PackWriter
+from touchdown.backend.annotations import training_set
+from touchdown.backend.annotations.training_set import (
+    CacheRow,
+    TrainingCache,
+    open_cache,
+    read_observation,
+)
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.values import Episode, EpisodeQuality
+from touchdown.backend.episodes.episode_file import write_episode
+from touchdown.backend.episodes.mcap import read_chunks
+from touchdown.backend.episodes.packs import PackedEpisode, PackWriter
 
 
 def truth(number: int) -> np.ndarray:
@@ -33,7 +38,7 @@ def rows(tmp_path: Path) -> list[CacheRow]:
     pack = tmp_path / "packs" / "a.mcap"
     with PackWriter(pack, {}) as writer:
         for number in range(8):
-            writer.write(EpisodeRow(truth(number), {"episode": f"e{number}"}))
+            writer.write(PackedEpisode(truth(number), {"episode": f"e{number}"}))
     quality = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
     listed = [
         row(n, "packs/a.mcap", (chunk.offset, chunk.length))
@@ -86,7 +91,7 @@ def test_an_equal_set_is_not_built_again(
     def refuse(*_: object) -> None:
         raise AssertionError("the files were read again")
 
-    monkeypatch.setattr(cache, "read_observation", refuse)
+    monkeypatch.setattr(training_set, "read_observation", refuse)
     again = open_cache(tmp_path, rows[::-1])
     assert again.path == first.path
     again.close()
@@ -141,7 +146,7 @@ def test_only_the_newest_caches_stay(tmp_path: Path, rows: list[CacheRow]) -> No
     for count in range(6, 11):
         open_cache(tmp_path, rows[:count]).close()
     left = sorted(path.suffix for path in (tmp_path / "cache").iterdir())
-    assert left == [".json"] * cache.KEPT + [".npy"] * cache.KEPT
+    assert left == [".json"] * training_set.KEPT + [".npy"] * training_set.KEPT
     newest = open_cache(tmp_path, rows[:10])
     assert newest.path.exists()
     newest.close()

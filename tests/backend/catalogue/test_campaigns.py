@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from backend.catalogue.campaigns import CampaignEntry, list_campaigns
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Label
 from tests.backend.catalogue.conftest import context_for, small_episode
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.episode_index import CampaignEntry, list_campaigns
+from touchdown.backend.annotations.values import Label
 
 
 def probe(dataset: Dataset, campaign: str, item: int | None, accepted: bool = True) -> str:

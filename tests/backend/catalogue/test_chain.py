@@ -6,9 +6,17 @@ import json
 
 import pytest
 
-from backend.catalogue.chain import FIRST, canonical, content_hash, first_break, link
-from backend.catalogue.uuid7 import from_parts, is_uuid7, uuid7
-from backend.catalogue.values import Operation
+from touchdown.backend.annotations.values import (
+    FIRST,
+    Operation,
+    canonical_json,
+    content_hash,
+    first_broken_link,
+    is_uuid7,
+    operation_hash,
+    uuid7,
+    uuid7_from_parts,
+)
 
 FIRST_OP = (
     '{"actor":"ann","at_ns":1700000000000000000,"body":{"closes":[],"revs":[{"episode":"ep-1",'
@@ -34,24 +42,24 @@ def operation(text: str, prev_hash: str, digest: str) -> Operation:
 def test_both_links_of_the_published_chain() -> None:
     first = operation(FIRST_OP, FIRST, FIRST_HASH)
     second = operation(SECOND_OP, FIRST_HASH, SECOND_HASH)
-    assert canonical(json.loads(FIRST_OP)) == FIRST_OP.encode()
+    assert canonical_json(json.loads(FIRST_OP)) == FIRST_OP.encode()
     assert len(FIRST_OP.encode()) == 354
-    assert link(first) == FIRST_HASH
-    assert link(second) == SECOND_HASH
-    assert first_break([first, second]) is None
+    assert operation_hash(first) == FIRST_HASH
+    assert operation_hash(second) == SECOND_HASH
+    assert first_broken_link([first, second]) is None
 
 
 def test_one_changed_character_is_found_and_located() -> None:
     first = operation(FIRST_OP, FIRST, FIRST_HASH)
     changed = operation(SECOND_OP.replace('"undo"', '"Undo"'), FIRST_HASH, SECOND_HASH)
-    assert first_break([first, changed]) == 2
-    assert first_break([changed]) == 1
+    assert first_broken_link([first, changed]) == 2
+    assert first_broken_link([changed]) == 1
 
 
 def test_a_float_is_never_hashed_and_words_stay_as_they_are() -> None:
     with pytest.raises(TypeError):
-        canonical({"x": [1, {"y": 0.5}]})
-    assert canonical({"b": "Jörg", "a": None}) == '{"a":null,"b":"Jörg"}'.encode()
+        canonical_json({"x": [1, {"y": 0.5}]})
+    assert canonical_json({"b": "Jörg", "a": None}) == '{"a":null,"b":"Jörg"}'.encode()
 
 
 def test_the_published_face_record() -> None:
@@ -63,7 +71,7 @@ def test_the_published_face_record() -> None:
 def test_ids_sort_by_time_and_have_the_form_of_rfc_9562() -> None:
     # Appendix A.6 of RFC 9562.
     random = (0xCC3 << 62) | 0x18C4DC0C0C07398F
-    assert from_parts(0x017F22E279B0, random) == "017f22e2-79b0-7cc3-98c4-dc0c0c07398f"
+    assert uuid7_from_parts(0x017F22E279B0, random) == "017f22e2-79b0-7cc3-98c4-dc0c0c07398f"
     made = [uuid7() for _ in range(3000)]
     assert made == sorted(made)
     assert len(set(made)) == 3000

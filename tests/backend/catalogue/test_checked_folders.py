@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from backend.catalogue import checked_folders, raw_files
-from backend.catalogue.backups import restore
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.recovery import reconcile
-from backend.catalogue.values import Label
 from tests.backend.catalogue.conftest import context_for, small_episode
+from touchdown.backend.annotations import consistency, episode_files
+from touchdown.backend.annotations.backups import restore_backup
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.reconciliation import reconcile
+from touchdown.backend.annotations.values import Label
 
 SERIES = ("a", "b", "c")
 EACH = 3
@@ -26,7 +26,7 @@ EACH = 3
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A dataset of three series that were in order at the last start, and closed."""
     # Nothing here changes within one tick of the clock, so that nobody has to wait.
-    monkeypatch.setattr(checked_folders, "SETTLED_NS", 0)
+    monkeypatch.setattr(consistency, "SETTLED_NS", 0)
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
         for number in range(EACH * len(SERIES)):
@@ -41,13 +41,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def looked(monkeypatch: pytest.MonkeyPatch) -> set[str]:
     """The folders whose files were looked at since."""
     seen: set[str] = set()
-    original = raw_files._files
+    original = episode_files._files
 
     def files(place: Path, name: str) -> object:
         seen.add(name)
         return original(place, name)
 
-    monkeypatch.setattr(raw_files, "_files", files)
+    monkeypatch.setattr(episode_files, "_files", files)
     return seen
 
 
@@ -179,7 +179,7 @@ def test_a_file_cut_in_place_is_found_within_a_week(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cut(folder)
-    monkeypatch.setattr(checked_folders, "WEEK_NS", 0)
+    monkeypatch.setattr(consistency, "WEEK_NS", 0)
     assert "torn" in notices(folder)[0]
 
 
@@ -190,12 +190,12 @@ def test_a_folder_that_changed_a_moment_ago_is_looked_at_again(
         context = replace(context_for(dataset), series="b")
         dataset.record(small_episode(seed=99), Label(1, 1, 0, 1), source="commanded",
                        context=context)  # fmt: skip
-    monkeypatch.setattr(checked_folders, "SETTLED_NS", 3600 * 10**9)
+    monkeypatch.setattr(consistency, "SETTLED_NS", 3600 * 10**9)
     for _ in range(2):
         looked.clear()
         assert notices(folder) == ()
         assert looked == {"raw", "raw/b"}
-    monkeypatch.setattr(checked_folders, "SETTLED_NS", 0)
+    monkeypatch.setattr(consistency, "SETTLED_NS", 0)
     notices(folder)
     looked.clear()
     notices(folder)
@@ -222,7 +222,7 @@ def test_rows_that_no_folder_accounts_for_are_found(folder: Path) -> None:
 def test_a_restored_catalogue_knows_no_folder(folder: Path, looked: set[str]) -> None:
     with Dataset.open(folder) as dataset:
         backup = dataset.backups.make("test")
-    restore(folder, backup)
+    restore_backup(folder, backup)
     looked.clear()
     assert notices(folder) == ()
     assert looked == {"raw", "raw/a", "raw/b", "raw/c"}

@@ -8,14 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from backend.catalogue import uuid7 as ids
-from backend.catalogue.backups import Backups
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.recovery import examine
-from backend.catalogue.uuid7 import follow, from_parts, uuid7
-from backend.catalogue.values import Label
-from backend.runs.campaign import new_campaign
 from tests.backend.catalogue.conftest import context_for, small_episode
+from touchdown.backend.annotations import values as ids
+from touchdown.backend.annotations.backups import BackupStore
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.reconciliation import check_dataset
+from touchdown.backend.annotations.values import Label, follow_uuid, uuid7, uuid7_from_parts
+from touchdown.backend.runs.campaign import new_campaign
 
 HOUR_NS = 3600 * 1_000_000_000
 
@@ -46,7 +45,7 @@ def test_labels_and_episodes_keep_their_order(
         assert [r.label.x_um for r in dataset.labels.history(first)] == [0, 100, 200]
         dataset.labels.undo("ann")
         assert dataset.labels.head(first).label.x_um == 100
-        assert list(examine(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.store, whole=True)) == []
 
 
 def test_a_campaign_of_now_is_newer_than_one_of_an_hour_later(
@@ -56,12 +55,12 @@ def test_a_campaign_of_now_is_newer_than_one_of_an_hour_later(
     clock = time.time_ns
     monkeypatch.setattr(time, "time_ns", lambda: clock() - HOUR_NS)
     monkeypatch.setattr(ids, "_last", (0, 0))
-    follow(before)
+    follow_uuid(before)
     assert uuid7() > before
-    last_of_a_millisecond = from_parts(clock() // 1_000_000, (1 << 74) - 1)
-    follow(last_of_a_millisecond)
+    last_of_a_millisecond = uuid7_from_parts(clock() // 1_000_000, (1 << 74) - 1)
+    follow_uuid(last_of_a_millisecond)
     assert uuid7() > last_of_a_millisecond
-    follow("no id")
+    follow_uuid("no id")
     assert uuid7() > last_of_a_millisecond
 
 
@@ -69,12 +68,12 @@ def test_labels_are_backed_up_hourly_although_the_newest_copy_is_of_tomorrow(
     dataset: Dataset,
 ) -> None:
     now = datetime(2030, 5, 2, 12, tzinfo=UTC)
-    keeper = Backups(dataset.database, dataset.folder / "b", lambda: now + timedelta(days=1))
+    keeper = BackupStore(dataset.database, dataset.folder / "b", lambda: now + timedelta(days=1))
     dataset.labels.skip("ann", dataset.record(
         small_episode(), Label(0, 0, 0, 9), source="measured", context=context_for(dataset)
     ).uuid)  # fmt: skip
     keeper.make("test")
     dataset.labels.flag("ann", dataset.episodes()[0].uuid)
-    back = Backups(dataset.database, dataset.folder / "b", lambda: now)
+    back = BackupStore(dataset.database, dataset.folder / "b", lambda: now)
     assert back.hourly() is not None
     assert back.hourly() is None

@@ -6,11 +6,11 @@ import math
 
 import pytest
 
-from backend.catalogue.comparison import sway
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Label, Looked
 from tests.backend.catalogue.conftest import Record
 from tests.backend.catalogue.test_undo import contents
+from touchdown.backend.annotations.agreement import suggestion_bias
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import AnswerContext, Label
 
 SHIFTS_UM = (100, -200, 300, 0, 300)
 
@@ -21,14 +21,14 @@ def test_opinions_are_compared_and_change_no_label(dataset: Dataset, record: Rec
     for k, uuid in enumerate(uuids):
         verdict = "stable" if k < 2 else "unstable"
         labels.accept("ann", uuid, Label(2000 * k + SHIFTS_UM[k], -1000 * k + 1, 0, 50),
-                      verdict=verdict, looked=Looked(4000 + 1000 * k))  # fmt: skip
+                      verdict=verdict, looked=AnswerContext(4000 + 1000 * k))  # fmt: skip
         labels.approve("cleo", uuid)
     before, chain = contents(dataset), len(labels.log(limit=1000))
     for k, uuid in enumerate(uuids):
         verdict = "stable" if k < 3 else "unstable"
         labels.opinion("bob", uuid, Label(999, 999, 0, 50))
         labels.opinion("bob", uuid, Label(2000 * k, -1000 * k, 0, 50), verdict=verdict,
-                       looked=Looked(90_000, blind=True))  # fmt: skip
+                       looked=AnswerContext(90_000, blind=True))  # fmt: skip
     assert contents(dataset) == before
     assert len(labels.log(limit=1000)) == chain + 10
     assert not labels.can_undo("bob")
@@ -69,12 +69,12 @@ def test_labels_made_blind_are_held_against_those_made_with_the_model_in_sight(
     uuids = [record(1000 * k, 0).uuid for k in range(5)]
     for k, uuid in enumerate(uuids):
         shown = Label(1000 * k, 0, 0, 50)
-        dataset.labels.opinion("ann", uuid, shown, looked=Looked(2000, blind=False))
+        dataset.labels.opinion("ann", uuid, shown, looked=AnswerContext(2000, blind=False))
         if k < 4:
             blind = Label(1000 * k + SHIFTS_UM[k], 500, 0, 50)
-            dataset.labels.opinion("bob", uuid, blind, looked=Looked(2000, blind=True))
-    found = sway(dataset.database, ["ann", "bob"])
+            dataset.labels.opinion("bob", uuid, blind, looked=AnswerContext(2000, blind=True))
+    found = suggestion_bias(dataset.database, ["ann", "bob"])
     assert found.episodes == 4
     assert found.x_mm.mean == pytest.approx(sum(SHIFTS_UM[:4]) / 4e3)
     assert found.y_mm.mean == pytest.approx(0.5)
-    assert sway(dataset.database, ["ann"]).episodes == 0
+    assert suggestion_bias(dataset.database, ["ann"]).episodes == 0

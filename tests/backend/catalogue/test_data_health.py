@@ -9,18 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.catalogue import heads, operations
-from backend.catalogue.data_health import look_through
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.split_tags import SPLIT_TAG
-from backend.catalogue.values import Label
-from backend.core.flow import Episode
-from backend.dataset.health import Examined
 from tests.backend.catalogue.conftest import context_for
 from tests.backend.catalogue.test_packs_in_datasets import write_pack
 from tests.backend.dataset import test_health as faults
+from touchdown.backend.annotations import operation_log, review
+from touchdown.backend.annotations.dataset import Dataset, check_dataset_quality
+from touchdown.backend.annotations.episode_index import SPLIT_TAG
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.values import Episode
+from touchdown.backend.episodes.quality import ExaminedEpisode
 
-FAULTS: dict[str, Callable[[Examined], Examined]] = {
+FAULTS: dict[str, Callable[[ExaminedEpisode], ExaminedEpisode]] = {
     "jerk": faults.knocked,
     "no contact": faults.never_touched,
     "saturated markers": faults.jumped_marker,
@@ -36,12 +35,12 @@ def always(_done: int, _count: int) -> bool:
 
 
 @pytest.fixture(scope="module")
-def rows() -> list[Examined]:
+def rows() -> list[ExaminedEpisode]:
     return faults.simulated(30)
 
 
 @pytest.fixture
-def filled(dataset: Dataset, rows: list[Examined]) -> dict[str, str]:
+def filled(dataset: Dataset, rows: list[ExaminedEpisode]) -> dict[str, str]:
     """Record the probes, each fault once; return the episode of each kind."""
     context, wrong, first = context_for(dataset, "pot", "circle25"), {}, ""
     for row, kind in zip(rows, [*FAULTS, *[""] * (len(rows) - len(FAULTS))], strict=True):
@@ -59,12 +58,12 @@ def filled(dataset: Dataset, rows: list[Examined]) -> dict[str, str]:
 
 
 def test_each_fault_is_listed(dataset: Dataset, filled: dict[str, str]) -> None:
-    health = look_through(dataset, always)
+    health = check_dataset_quality(dataset, always)
     found = {(finding.kind, finding.episodes) for finding in health.findings}
     assert found >= {(kind, (uuid,)) for kind, uuid in filled.items()}
     assert {episodes for _, episodes in found} == {(uuid,) for uuid in filled.values()}
     assert (health.looked, health.count) == (30, 30)
-    early = look_through(dataset, lambda done, _: done < 3)
+    early = check_dataset_quality(dataset, lambda done, _: done < 3)
     assert (early.looked, early.count) == (3, 30)
 
 
@@ -74,13 +73,13 @@ def test_a_damaged_file_is_a_finding(dataset: Dataset, filled: dict[str, str]) -
     data = bytearray(path.read_bytes())
     data[len(data) // 3] ^= 0xFF
     path.write_bytes(bytes(data))
-    found = look_through(dataset, always).findings
+    found = check_dataset_quality(dataset, always).findings
     assert [finding.episodes for finding in found if finding.kind == "unreadable"] == [(uuid,)]
 
 
 def test_deleted_episodes_are_not_looked_at(dataset: Dataset, filled: dict[str, str]) -> None:
     dataset.labels.delete("ann", filled["jerk"], "knocked")
-    health = look_through(dataset, always)
+    health = check_dataset_quality(dataset, always)
     assert health.count == 29
     assert "jerk" not in {finding.kind for finding in health.findings}
 
@@ -90,11 +89,15 @@ def test_a_pair_of_a_series_on_both_sides_is_a_finding(
 ) -> None:
     last = [entry for entry in dataset.episodes() if entry.mounting_id == f"m-{len(FAULTS)}"]
     with dataset.labels.commit() as connection:
-        mark = operations.mark_of(connection, last[0].uuid, f"{SPLIT_TAG}held_out", present=True)
-        draft, site = operations.Draft(marks=[mark]), dataset.description.site
-        _, touched = operations.append(connection, site, "ann", "tag", draft)
-        heads.refresh(connection, touched)
-    found = [f for f in look_through(dataset, always).findings if f.kind == "divided series"]
+        mark = operation_log.read_mark(
+            connection, last[0].uuid, f"{SPLIT_TAG}held_out", present=True
+        )
+        draft, site = operation_log.OperationDraft(marks=[mark]), dataset.description.site
+        _, touched = operation_log.append_operation(connection, site, "ann", "tag", draft)
+        review.refresh_heads(connection, touched)
+    found = [
+        f for f in check_dataset_quality(dataset, always).findings if f.kind == "divided series"
+    ]
     assert [set(finding.episodes) for finding in found] == [{entry.uuid for entry in last}]
 
 
@@ -102,7 +105,7 @@ def test_every_episode_of_a_pack_is_read(tmp_path: Path) -> None:
     Dataset.open(tmp_path / "data").close()
     write_pack(tmp_path / "data" / "packs" / "a.mcap", count=5)
     with Dataset.open(tmp_path / "data") as dataset:
-        health = look_through(dataset, always)
+        health = check_dataset_quality(dataset, always)
         jerks = {f.episodes: f.text for f in health.findings if f.kind == "jerk"}
         assert len(jerks) == 5  # random numbers: each jumps, by a length of its own
         assert len(set(jerks.values())) > 1

@@ -11,17 +11,15 @@ import numpy as np
 import psutil
 import pytest
 
-from backend.catalogue.database import Database
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.journal import Journal, read_journal
-from backend.catalogue.local_disk import file_system, refuse_network
-from backend.catalogue.schema import SCHEMA_VERSION
-from backend.catalogue.values import EpisodeFilter, Label
-from backend.catalogue.writer_lock import DatasetInUseError
-from backend.core.faults import FaultError, InputError, RefusedError
-from backend.dataset import episode_file
-from backend.dataset.episode_reading import read_label
 from tests.backend.catalogue.conftest import Record, context_for, small_episode
+from touchdown.backend.annotations.database import SCHEMA_VERSION, Database
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.operation_log import OperationJournal, read_journal
+from touchdown.backend.annotations.storage import DatasetInUseError, check_local_disk, file_system
+from touchdown.backend.annotations.values import EpisodeFilter, Label
+from touchdown.backend.core.faults import FaultError, InputError, RefusedError
+from touchdown.backend.episodes import episode_file
+from touchdown.backend.episodes.episode_file import read_label
 
 
 def test_a_recorded_episode_is_in_file_index_and_journal(dataset: Dataset) -> None:
@@ -197,9 +195,9 @@ def test_network_file_systems_are_refused(tmp_path: Path) -> None:
     mounts = [("/", "ext4"), (str(tmp_path), "nfs4"), (str(tmp_path / "usb"), "ext4")]
     assert file_system(tmp_path / "x", mounts) == "nfs4"
     with pytest.raises(InputError, match="network file system"):
-        refuse_network(tmp_path / "x", mounts)
-    refuse_network(tmp_path / "usb" / "x", mounts)
-    refuse_network(tmp_path, [])
+        check_local_disk(tmp_path / "x", mounts)
+    check_local_disk(tmp_path / "usb" / "x", mounts)
+    check_local_disk(tmp_path, [])
 
 
 def test_a_disk_that_refuses_once_is_tried_again_and_twice_is_a_fault(
@@ -252,7 +250,7 @@ def test_filters_pick_what_they_name(dataset: Dataset, record: Record) -> None:
 def test_a_torn_line_is_cut_off_and_written_again(
     dataset: Dataset, record: Record, monkeypatch: pytest.MonkeyPatch, tail_bytes: int
 ) -> None:
-    monkeypatch.setattr("backend.catalogue.journal.TAIL_BYTES", tail_bytes)
+    monkeypatch.setattr("touchdown.backend.annotations.operation_log.TAIL_BYTES", tail_bytes)
     entry, site = record(), dataset.description.site
     dataset.labels.flag("ann", entry.uuid)
     path = dataset.journal.path(site)
@@ -260,5 +258,5 @@ def test_a_torn_line_is_cut_off_and_written_again(
     for torn in (whole[:-5], whole + b'{"seq": 3', whole.splitlines(keepends=True)[0]):
         path.write_bytes(torn)
         with dataset.database.reading() as connection:
-            Journal(path.parent).catch_up(connection, site)
+            OperationJournal(path.parent).catch_up(connection, site)
         assert path.read_bytes() == whole

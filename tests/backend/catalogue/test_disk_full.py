@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.catalogue import diskspace
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.diskspace import room_for
-from backend.catalogue.values import EpisodeContext, Label
-from backend.core.faults import FaultError, InputError
-from backend.core.flow import Episode
-from backend.runs.collected import EpisodeRecorder
 from tests.backend.catalogue.conftest import context_for, small_episode
+from touchdown.backend.annotations import storage
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.storage import free_space_for
+from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.core.faults import FaultError, InputError
+from touchdown.backend.core.values import Episode
+from touchdown.backend.runs.collector import EpisodeRecorder
 
 
 @contextmanager
@@ -191,12 +191,12 @@ def test_no_campaign_on_a_disk_nearly_full(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free_mb: int, bytes_each: int, refused: bool
 ) -> None:
     usage = Usage(free_mb * 1_000_000)
-    monkeypatch.setattr(diskspace.shutil, "disk_usage", lambda place: usage)
+    monkeypatch.setattr(storage.shutil, "disk_usage", lambda place: usage)
     folder = tmp_path / "not" / "yet"
     if refused:
         with pytest.raises(InputError, match="GB"):
-            room_for(folder, 5, bytes_each)
+            free_space_for(folder, 5, bytes_each)
         return
-    room = room_for(folder, 200, bytes_each)
+    room = free_space_for(folder, 200, bytes_each)
     assert room.episodes == usage.free // bytes_each
     assert room.enough == (room.episodes >= 200)

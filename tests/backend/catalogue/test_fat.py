@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from backend.catalogue import local_disk
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Label
-from backend.core.faults import FaultError
-from backend.runs.campaign import new_campaign
-from backend.runs.photo import keep_photo
 from tests.backend.catalogue.conftest import context_for, small_episode
+from touchdown.backend.annotations import storage
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.runs.campaign import new_campaign
+from touchdown.backend.runs.recorder import keep_photo
 
 FORBIDDEN = set('<>:"/\\|?*') | {chr(code) for code in range(32)}
 LABEL = Label(1000, -500, 0, 150)
@@ -97,8 +97,8 @@ def test_a_dataset_on_fat_says_what_a_power_cut_may_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mounts = [("/", "ext4"), (str(tmp_path), "vfat")]
-    monkeypatch.setattr(local_disk, "_mounts", lambda: mounts)
+    monkeypatch.setattr(storage, "_mounts", lambda: mounts)
     with Dataset.open(tmp_path / "data") as dataset:
         (said,) = dataset.notices
     assert said.startswith("The dataset lies on a vfat disk, which a power cut can damage")
-    assert local_disk.weakness(Path("/elsewhere"), mounts) == ""
+    assert storage.disk_weakness(Path("/elsewhere"), mounts) == ""

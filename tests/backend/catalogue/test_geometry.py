@@ -8,17 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.catalogue.chain import content_hash
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.geometry import GeometryStore, face_record, pair_records
-from backend.catalogue.values import Label
-from backend.core.faults import InputError
-from backend.objects.catalogue import Piece, load_catalogue
-from backend.objects.shapes import circle
-from backend.objects.surface import face_points, true_patch
 from tests.backend.catalogue.conftest import Record
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.geometry_records import GeometryStore, face_record, pair_records
+from touchdown.backend.annotations.values import Label, content_hash
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.geometry.outlines import circle, face_points, true_patch
+from touchdown.backend.geometry.pieces import Piece, load_pieces
 
-PIECES = load_catalogue()
+PIECES = load_pieces()
 
 
 def disc(name: str = "circle15") -> Piece:

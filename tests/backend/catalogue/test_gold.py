@@ -9,17 +9,23 @@ from pathlib import Path
 
 import pytest
 
-from backend.catalogue import operations
-from backend.catalogue.comparison import against_gold
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.gold import GOLD_EVERY, Shown, mixed, preceding, with_gold
-from backend.catalogue.gold_book import GoldBook
-from backend.catalogue.rebuilding import rebuild
-from backend.catalogue.recovery import examine
-from backend.catalogue.training_set import labelled
-from backend.catalogue.values import Label, Looked, Step
-from backend.core.faults import Fault, FaultError, RefusedError
 from tests.backend.catalogue.conftest import Record, context_for, small_episode
+from touchdown.backend.annotations import operation_log
+from touchdown.backend.annotations.agreement import compare_with_control_items
+from touchdown.backend.annotations.control_items import (
+    CONTROL_ITEM_EVERY,
+    ControlItemLabels,
+    ControlItemView,
+    mix_control_items,
+    preceding,
+    with_control_items,
+)
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.rebuild import rebuild_dataset
+from touchdown.backend.annotations.reconciliation import check_dataset
+from touchdown.backend.annotations.training_set import labelled_episodes
+from touchdown.backend.annotations.values import AnswerContext, ControlItemStep, Label
+from touchdown.backend.core.faults import Fault, FaultError, RefusedError
 
 ACTIONS = (
     "set", "accept", "reject", "take over", "restore", "verdict", "skip", "delete", "undo", "redo",
@@ -38,12 +44,14 @@ def gold_of(record: Record, dataset: Dataset, x_um: int = 1000) -> str:
 @pytest.mark.parametrize("count", [0, 18, 19, 100])
 def test_one_in_twenty_is_gold(count: int) -> None:
     order, gold = [f"o{k}" for k in range(count)], [f"g{k}" for k in range(3)]
-    found = mixed(order, gold)
+    found = mix_control_items(order, gold)
     assert [uuid for uuid in found if uuid in order] == order
     at = [found.index(uuid) for uuid in gold if uuid in found]
-    assert [k // GOLD_EVERY for k in at] == list(range(min(3, count // (GOLD_EVERY - 1))))
-    assert mixed(order, gold) == found
-    assert mixed(order, order[:3]) == order
+    assert [k // CONTROL_ITEM_EVERY for k in at] == list(
+        range(min(3, count // (CONTROL_ITEM_EVERY - 1)))
+    )
+    assert mix_control_items(order, gold) == found
+    assert mix_control_items(order, order[:3]) == order
 
 
 def test_what_was_begun_stands_where_it_stood_however_few_are_left(
@@ -51,17 +59,17 @@ def test_what_was_begun_stands_where_it_stood_however_few_are_left(
 ) -> None:
     gold, order = gold_of(record, dataset), [record().uuid for _ in range(24)]
     recorded = dataset.labels.history(gold)[0]
-    begun = {gold: Step(recorded, beside=order[7])}
-    assert mixed(order, [gold], begun) == [*order[:8], gold, *order[8:]]
-    assert mixed(order[:3], [gold], begun) == [*order[:3], gold]
-    assert mixed(order[9:], [gold], begun)[0] == gold
-    assert mixed([], [gold], begun) == [gold]
-    behind = {gold: Step(recorded, skipped=True, beside=order[7])}
+    begun = {gold: ControlItemStep(recorded, beside=order[7])}
+    assert mix_control_items(order, [gold], begun) == [*order[:8], gold, *order[8:]]
+    assert mix_control_items(order[:3], [gold], begun) == [*order[:3], gold]
+    assert mix_control_items(order[9:], [gold], begun)[0] == gold
+    assert mix_control_items([], [gold], begun) == [gold]
+    behind = {gold: ControlItemStep(recorded, skipped=True, beside=order[7])}
     put_off = [*order[9:], order[2], order[8]]
-    assert mixed(put_off, [gold], behind) == [*order[9:], order[2], gold, order[8]]
-    assert mixed(order, [gold], behind) == [*order, gold]
+    assert mix_control_items(put_off, [gold], behind) == [*order[9:], order[2], gold, order[8]]
+    assert mix_control_items(order, [gold], behind) == [*order, gold]
     # One of twenty all the same: what was begun has the place of another.
-    assert mixed(order, [gold, "new"], begun).count("new") == 0
+    assert mix_control_items(order, [gold, "new"], begun).count("new") == 0
 
 
 def test_gold_keeps_its_own_time_and_knows_what_it_follows(
@@ -75,15 +83,15 @@ def test_gold_keeps_its_own_time_and_knows_what_it_follows(
     assert book.of(old).history(old)[0].at_ns == dataset.labels.history(old)[0].at_ns
 
 
-def sitting(dataset: Dataset, *uuids: str) -> GoldBook:
+def sitting(dataset: Dataset, *uuids: str) -> ControlItemLabels:
     """Return the labels as Ann sees them when she begins, with these as gold."""
-    book = GoldBook(dataset.labels)
+    book = ControlItemLabels(dataset.labels)
     recorded = {uuid: dataset.labels.history(uuid)[0] for uuid in uuids}
-    book.begin("ann", {uuid: Shown(r, "") for uuid, r in recorded.items()})
+    book.begin("ann", {uuid: ControlItemView(r, "") for uuid, r in recorded.items()})
     return book
 
 
-def act(book: GoldBook, dataset: Dataset, uuid: str, number: int) -> None:
+def act(book: ControlItemLabels, dataset: Dataset, uuid: str, number: int) -> None:
     """Do something that ``number`` alone decides."""
     chosen = random.Random(number)
     name = chosen.choice(ACTIONS)
@@ -153,12 +161,12 @@ def test_gold_answers_every_key_as_the_rest_does_over_restarts(tmp_path: Path, s
         # Not one of her steps is in a label; the log holds them all, and its chain is whole.
         assert dataset.labels.history(uuid) == before
         assert dataset.labels.marks(uuid) == {}
-        (counts,) = labelled(dataset.database, "drafts")
+        (counts,) = labelled_episodes(dataset.database, "drafts")
         assert counts.label == Label(1500, 0, 0, 50)
-        assert list(examine(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.store, whole=True)) == []
         steps = len(dataset.labels.steps_apart("ann", uuid))
         assert steps == len(dataset.labels.log(actor="ann")) > 10
-    assert rebuild(tmp_path / "gold", replace=True).equal
+    assert rebuild_dataset(tmp_path / "gold", replace=True).equal
     with Dataset.open(tmp_path / "gold", person="cleo") as dataset:
         assert len(dataset.labels.steps_apart("ann", uuid)) == steps
 
@@ -166,14 +174,14 @@ def test_gold_answers_every_key_as_the_rest_does_over_restarts(tmp_path: Path, s
 def test_what_was_taken_back_is_gold_again_and_what_was_left_comes_first(
     dataset: Dataset, record: Record, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("backend.catalogue.queues.AUDIT_SHARE", 1.0)
+    monkeypatch.setattr("touchdown.backend.annotations.queues.AUDIT_SHARE", 1.0)
     gold = gold_of(record, dataset)
     plain = [record().uuid for _ in range(19)]
 
-    def queue() -> tuple[list[str], GoldBook]:
+    def queue() -> tuple[list[str], ControlItemLabels]:
         order, entries = dataset.queue("unlabelled", "ann"), dataset.episodes()
-        found, shown = with_gold(dataset, "ann", order, {e.uuid: e for e in entries})
-        book = GoldBook(dataset.labels)
+        found, shown = with_control_items(dataset, "ann", order, {e.uuid: e for e in entries})
+        book = ControlItemLabels(dataset.labels)
         book.begin("ann", shown)
         return found, book
 
@@ -217,11 +225,11 @@ def test_what_is_decided_is_an_opinion_that_undo_withdraws(
     near, far, none = (gold_of(record, dataset, x) for x in (1000, 2000, 3000))
     plain = record(4000, 0).uuid
     book, labels = sitting(dataset, near, far, none), dataset.labels
-    book.of(near).accept("ann", near, Label(1600, 0, 0, 50), looked=Looked(3000))
+    book.of(near).accept("ann", near, Label(1600, 0, 0, 50), looked=AnswerContext(3000))
     book.of(plain).accept("ann", plain, Label(4000, 0, 0, 50))
-    book.of(far).accept("ann", far, Label(2800, 0, 0, 50), looked=Looked(5000))
+    book.of(far).accept("ann", far, Label(2800, 0, 0, 50), looked=AnswerContext(5000))
     book.of(none).reject("ann", none, "tilt")
-    found = against_gold(dataset.database, dataset.geometry, "ann")
+    found = compare_with_control_items(dataset.database, dataset.geometry, "ann")
     assert found.episodes == 3
     assert found.bias_x_mm.mean == pytest.approx((0.1 + 0.3) / 2)
     assert found.rms_mm == pytest.approx(((0.01 + 0.09) / 2) ** 0.5)
@@ -231,16 +239,18 @@ def test_what_is_decided_is_an_opinion_that_undo_withdraws(
         assert undone is not None
         assert undone.episodes == [uuid]
     assert labels.head(plain).state == "draft"
-    assert against_gold(dataset.database, dataset.geometry, "ann").rms_mm == pytest.approx(0.1)
+    assert compare_with_control_items(
+        dataset.database, dataset.geometry, "ann"
+    ).rms_mm == pytest.approx(0.1)
     labels.redo("ann")
     assert labels.head(plain).state == "submitted"
     labels.redo("ann")
-    again = against_gold(dataset.database, dataset.geometry, "ann")
+    again = compare_with_control_items(dataset.database, dataset.geometry, "ann")
     assert again.rms_mm == pytest.approx(found.rms_mm)
     assert again.seconds[0] == 4.0
     assert dataset.queue("gold", "ann") == []
     # Who approved or wrote the label is measured against nothing of their own.
-    assert against_gold(dataset.database, dataset.geometry, "bob").episodes == 0
+    assert compare_with_control_items(dataset.database, dataset.geometry, "bob").episodes == 0
 
 
 def test_deleting_what_was_answered_and_taking_that_back_keeps_the_answer(
@@ -248,11 +258,13 @@ def test_deleting_what_was_answered_and_taking_that_back_keeps_the_answer(
 ) -> None:
     gold = gold_of(record, dataset)
     book = sitting(dataset, gold)
-    book.of(gold).accept("ann", gold, Label(1600, 0, 0, 50), looked=Looked(3000))
+    book.of(gold).accept("ann", gold, Label(1600, 0, 0, 50), looked=AnswerContext(3000))
     book.of(gold).delete("ann", gold, "torn gel")
-    assert math.isnan(against_gold(dataset.database, dataset.geometry, "ann").rms_mm)
+    assert math.isnan(compare_with_control_items(dataset.database, dataset.geometry, "ann").rms_mm)
     dataset.labels.undo("ann")
-    assert against_gold(dataset.database, dataset.geometry, "ann").rms_mm == pytest.approx(0.1)
+    assert compare_with_control_items(
+        dataset.database, dataset.geometry, "ann"
+    ).rms_mm == pytest.approx(0.1)
 
 
 def test_a_disk_that_refuses_leaves_gold_to_be_done_again(
@@ -260,7 +272,7 @@ def test_a_disk_that_refuses_leaves_gold_to_be_done_again(
 ) -> None:
     uuid = gold_of(record, dataset)
     book, labels = sitting(dataset, uuid), dataset.labels
-    mend, full = operations.append, Fault("DISK-FULL", "Full.", "Not saved.", "Room.")
+    mend, full = operation_log.append_operation, Fault("DISK-FULL", "Full.", "Not saved.", "Room.")
 
     def refuse(*_args: object, **_named: object) -> None:
         raise FaultError(full)
@@ -270,11 +282,11 @@ def test_a_disk_that_refuses_leaves_gold_to_be_done_again(
 
     for again, state in ((accept, "submitted"), (labels.undo, "draft"), (labels.redo, "submitted")):
         before = book.of(uuid).head(uuid)
-        monkeypatch.setattr(operations, "append", refuse)
+        monkeypatch.setattr(operation_log, "append_operation", refuse)
         with pytest.raises(FaultError):
             again("ann")
         assert book.of(uuid).head(uuid) == before
-        monkeypatch.setattr(operations, "append", mend)
+        monkeypatch.setattr(operation_log, "append_operation", mend)
         again("ann")
         assert book.of(uuid).head(uuid).state == state
-    assert against_gold(dataset.database, dataset.geometry, "ann").episodes == 1
+    assert compare_with_control_items(dataset.database, dataset.geometry, "ann").episodes == 1

@@ -6,17 +6,17 @@ from collections.abc import Callable
 
 import pytest
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.review import Standing, after, check_person
-from backend.catalogue.values import Label, Looked
-from backend.core.faults import InputError, RefusedError
 from tests.backend.catalogue.conftest import Record
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.review import ReviewStatus, check_person, state_after
+from touchdown.backend.annotations.values import AnswerContext, Label
+from touchdown.backend.core.faults import InputError, RefusedError
 
 MOVED = Label(2000, 300, 0, 200)
 
 
-def standing(state: str, authors: tuple[str, ...] = ("ann",), before: bool = False) -> Standing:
-    return Standing(state, authors, before, conflict=False, deleted=False)  # type: ignore[arg-type]
+def standing(state: str, authors: tuple[str, ...] = ("ann",), before: bool = False) -> ReviewStatus:
+    return ReviewStatus(state, authors, before, conflict=False, deleted=False)  # type: ignore[arg-type]
 
 
 TABLE = {
@@ -61,9 +61,9 @@ def outcome(wanted: str, call: Callable[[], str]) -> None:
 @pytest.mark.parametrize(("state", "action"), TABLE)
 def test_every_state_by_every_action(state: str, action: str) -> None:
     found, key = standing(state), (state, action)
-    outcome(TABLE[key], lambda: after(action, found, "ann"))  # type: ignore[arg-type]
+    outcome(TABLE[key], lambda: state_after(action, found, "ann"))  # type: ignore[arg-type]
     wanted = BY_ANOTHER.get(key, TABLE[key])
-    outcome(wanted, lambda: after(action, found, "bob"))  # type: ignore[arg-type]
+    outcome(wanted, lambda: state_after(action, found, "bob"))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("action", ["set", "accept", "approve", "reject"])
@@ -71,16 +71,16 @@ def test_every_state_by_every_action(state: str, action: str) -> None:
 def test_nothing_is_done_to_what_is_deleted_or_in_conflict(state: str, action: str) -> None:
     for closed, word in (({"deleted": True}, "deleted"), ({"conflict": True}, "two labels")):
         flags = {"conflict": False, "deleted": False} | closed
-        found = Standing(state, (), False, **flags)  # type: ignore[arg-type]
+        found = ReviewStatus(state, (), False, **flags)  # type: ignore[arg-type]
         with pytest.raises(RefusedError, match=word):
-            after(action, found, "bob")  # type: ignore[arg-type]
+            state_after(action, found, "bob")  # type: ignore[arg-type]
 
 
 def test_one_pair_of_eyes_may_be_allowed_and_a_changed_approved_draft_can_be_reviewed() -> None:
-    assert after("approve", standing("submitted"), "ann", four_eyes=False) == "approved"
-    assert after("approve", standing("draft", before=True), "bob") == "approved"
+    assert state_after("approve", standing("submitted"), "ann", four_eyes=False) == "approved"
+    assert state_after("approve", standing("draft", before=True), "bob") == "approved"
     with pytest.raises(RefusedError, match="ann wrote it"):
-        after("approve", standing("draft", before=True), "ann")
+        state_after("approve", standing("draft", before=True), "ann")
 
 
 @pytest.mark.parametrize("name", ["", "  ", "program", "a\nb", "x" * 81])
@@ -94,11 +94,11 @@ def test_the_way_of_a_label_from_the_campaign_to_approval(dataset: Dataset, reco
     labels, uuid = dataset.labels, record().uuid
     assert labels.head(uuid).source == "commanded"
     assert labels.set("ann", uuid, MOVED).source == "human"
-    accepted = labels.accept("ann", uuid, looked=Looked(4200))
+    accepted = labels.accept("ann", uuid, looked=AnswerContext(4200))
     assert (accepted.state, accepted.source, accepted.label) == ("submitted", "human", MOVED)
     with pytest.raises(RefusedError, match="another person"):
         labels.approve("ann", uuid)
-    approved = labels.approve("bob", uuid, looked=Looked(900, blind=True))
+    approved = labels.approve("bob", uuid, looked=AnswerContext(900, blind=True))
     assert labels.counting(uuid) == approved
     edited = labels.set("ann", uuid, Label(0, 0, 0, 100))
     assert edited.state == "draft"

@@ -9,10 +9,10 @@ from contextlib import closing, contextmanager
 
 import pytest
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Label
-from backend.core.faults import FaultError
 from tests.backend.catalogue.conftest import context_for, small_episode
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import FaultError
 
 LABEL = Label(0, 0, 0, 9)
 

@@ -13,14 +13,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from backend.catalogue import heads
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.journal import read_journal
-from backend.catalogue.training_set import labelled
-from backend.catalogue.values import Label
-from backend.core.faults import FaultError, InputError, RefusedError
 from tests.backend.catalogue.conftest import context_for, small_episode
 from tests.backend.catalogue.test_undo import ACTIONS, FAST, PEOPLE, Step, act, contents
+from touchdown.backend.annotations import review
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.operation_log import read_journal
+from touchdown.backend.annotations.training_set import labelled_episodes
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import FaultError, InputError, RefusedError
 
 TABLES = ("op", "label_rev", "label_head", "closed", "mark", "review", "episode")
 MORE = (*(a for a in ACTIONS if a != "reopen"), "undo", "redo", "resolve")
@@ -106,7 +106,7 @@ def test_union_is_commutative_associative_and_idempotent(
             bc.merge("zoe", folder / "a")
             assert tables(bc) == before
             with bc.database.transaction() as connection:
-                heads.rebuild(connection)
+                review.rebuild_heads(connection)
             assert tables(bc) == before
         with Dataset.open(folder / "abc") as again:
             assert tables(again) == before
@@ -167,11 +167,11 @@ def test_two_reviews_of_one_label_are_a_conflict_that_its_author_cannot_settle(
     theirs.labels.reject("cleo", uuid, "tilt")
     assert ours.merge("bob", theirs.folder).conflicts == (uuid,)
     assert {leaf.state for leaf in ours.labels.conflicting(uuid)} == {"approved", "rejected"}
-    assert uuid not in [one.row.episode for one in labelled(ours.database, "drafts")]
+    assert uuid not in [one.row.episode for one in labelled_episodes(ours.database, "drafts")]
     with pytest.raises(RefusedError, match="ann wrote it"):
         ours.labels.resolve("ann", uuid, approved.rev_uuid)
     assert ours.labels.resolve("dora", uuid, approved.rev_uuid).state == "approved"
-    assert [one.row.episode for one in labelled(ours.database, "approved")] == [uuid]
+    assert [one.row.episode for one in labelled_episodes(ours.database, "approved")] == [uuid]
     ours.labels.undo("dora")
     leaves = {leaf.state: leaf.rev_uuid for leaf in ours.labels.conflicting(uuid)}
     with pytest.raises(RefusedError, match="ann wrote it"):
@@ -193,7 +193,7 @@ def test_a_merge_that_the_disk_refuses_says_so_and_goes_on_later(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as full:
-        full.setattr("backend.catalogue.merge.write_atomically", refuse)
+        full.setattr("touchdown.backend.annotations.reconciliation.write_atomically", refuse)
         with pytest.raises(FaultError, match="No space left on device") as caught:
             ours.merge("ann", theirs.folder)
     assert caught.value.fault.code == "MERGE-WRITE"

@@ -7,20 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.recovery import examine, reconcile
-from backend.catalogue.values import Label
-from backend.core.faults import InputError
-from backend.dataset.episode_reading import read_episode
-from backend.dataset.film_reading import read_film
-from backend.dataset.pack_file import EpisodeRow, PackWriter
-from backend.dataset.rows import patch_hex
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import face_points, true_patch
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.reconciliation import check_dataset, reconcile
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.episodes.episode_file import read_compressed_episode, read_episode
+from touchdown.backend.episodes.packs import PackedEpisode, PackWriter
+from touchdown.backend.episodes.training_rows import patch_hex
+from touchdown.backend.geometry.outlines import face_points, true_patch
+from touchdown.backend.geometry.pieces import load_pieces
 
 
 def write_pack(path: Path, count: int = 4, seed: int = 0, geometry: str | None = None) -> Path:
-    pieces = load_catalogue()
+    pieces = load_pieces()
     pot, bottom = pieces.top("pot"), pieces.bottom("circle15")
     points = face_points(pot.face)
     rng = np.random.default_rng(seed)
@@ -35,7 +34,7 @@ def write_pack(path: Path, count: int = 4, seed: int = 0, geometry: str | None =
                 "grip_id": f"g{number // 2}", "mounting_id": "m0", "person": "simulation",
                 "seed": seed,
             }  # fmt: skip
-            pack.write(EpisodeRow(rng.normal(size=(20, 258)).astype(np.float32), label))
+            pack.write(PackedEpisode(rng.normal(size=(20, 258)).astype(np.float32), label))
     return path
 
 
@@ -54,7 +53,7 @@ def states(folder: Path) -> list[str]:
 
 def calm(folder: Path) -> bool:
     with Dataset.open(folder) as dataset:
-        return dataset.notices == () and not list(examine(dataset.store, whole=True))
+        return dataset.notices == () and not list(check_dataset(dataset.store, whole=True))
 
 
 def test_a_pack_becomes_episodes_with_commanded_drafts(folder: Path) -> None:
@@ -85,8 +84,8 @@ def test_the_derived_patch_is_that_of_the_pack(folder: Path) -> None:
         assert derived == truth
 
 
-def read(path: Path) -> list[EpisodeRow]:
-    from backend.dataset.pack_file import read_pack
+def read(path: Path) -> list[PackedEpisode]:
+    from touchdown.backend.episodes.packs import read_pack
 
     return list(read_pack(path))
 
@@ -192,8 +191,8 @@ def test_a_pack_of_another_geometry_is_told_once(folder: Path) -> None:
 
 
 def test_other_files_among_the_packs_are_left(folder: Path) -> None:
-    from backend.dataset.episode_file import write_episode
     from tests.backend.catalogue.conftest import small_episode
+    from touchdown.backend.episodes.episode_file import write_episode
 
     write_episode(folder / "packs" / "single.mcap", small_episode(), None, {})
     with Dataset.open(folder) as dataset:
@@ -205,7 +204,7 @@ def test_other_files_among_the_packs_are_left(folder: Path) -> None:
 def test_a_pack_read_as_one_episode_says_that_no_pictures_were_kept(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     write_pack(path, 3)
-    for read in (read_film, read_episode):
+    for read in (read_compressed_episode, read_episode):
         with pytest.raises(InputError, match="no pictures were kept"):
             read(path)
 

@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.queues import AUDIT_SHARE, QUEUES
-from backend.catalogue.scores import Suggestion, disagreement
-from backend.catalogue.values import Label
-from backend.core.faults import InputError
 from tests.backend.catalogue.conftest import Record, context_for
 from tests.backend.catalogue.filling import fill
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.queues import AUDIT_SHARE, QUEUES, Suggestion, disagreement
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import InputError
 
 
 def test_work_moves_from_queue_to_queue(dataset: Dataset, record: Record) -> None:

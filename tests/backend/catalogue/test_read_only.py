@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from app.label.opening import opener
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.rebuilding import rebuild
-from backend.catalogue.recovery import examine
-from backend.catalogue.values import Label
-from backend.catalogue.writer_lock import DatasetInUseError, ReadOnlyFolderError
-from backend.core.faults import InputError
 from tests.backend.catalogue.conftest import Record, context_for, small_episode
+from touchdown.app.shell.datasets import opener
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.rebuild import rebuild_dataset
+from touchdown.backend.annotations.reconciliation import check_dataset
+from touchdown.backend.annotations.storage import DatasetInUseError, ReadOnlyFolderError
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import InputError
 
 
 @pytest.fixture
@@ -49,12 +49,12 @@ def test_it_is_looked_at_and_nothing_appears_beside_the_catalogue(
     before = sorted(closed.rglob("*"))
     with Dataset.open(closed, create=False, write=False) as dataset:
         assert len(dataset.episodes()) == 1
-        assert list(examine(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.store, whole=True)) == []
         assert sorted(closed.rglob("*")) == before
     with pytest.raises(ReadOnlyFolderError, match="cannot be written: Read-only file system"):
         Dataset.open(closed, person="ann")
     with pytest.raises(ReadOnlyFolderError):
-        rebuild(closed, replace=False)
+        rebuild_dataset(closed, replace=False)
     opened = opener(closed, "ann")()
     assert "cannot be written" in opened.read_only
     assert not opened.dataset.writable
@@ -76,4 +76,4 @@ def test_a_copy_of_an_open_dataset_is_not_shown_without_its_newest_labels(
 def test_a_rebuild_beside_a_writer_names_the_writer(dataset: Dataset, record: Record) -> None:
     record()
     with pytest.raises(DatasetInUseError, match="cleo"):
-        rebuild(dataset.folder, replace=False)
+        rebuild_dataset(dataset.folder, replace=False)

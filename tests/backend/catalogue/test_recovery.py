@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.recovery import examine, reconcile
-from backend.catalogue.values import EpisodeFilter, Label
-from backend.core.faults import RefusedError
-from backend.dataset.episode_reading import read_episode
 from tests.backend.catalogue.conftest import context_for, small_episode
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.reconciliation import check_dataset, reconcile
+from touchdown.backend.annotations.values import EpisodeFilter, Label
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.episodes.episode_file import read_episode
 
 Reopen = Callable[[], Dataset]
 
@@ -47,7 +47,7 @@ def mended(folder: Path) -> tuple[str, ...]:
         notices = dataset.notices
     with Dataset.open(folder) as dataset:
         assert dataset.notices == ()
-        assert [f for f in examine(dataset.store) if f.mend is not None] == []
+        assert [f for f in check_dataset(dataset.store) if f.mend is not None] == []
     return notices
 
 
@@ -71,7 +71,7 @@ def forget_row(folder: Path, uuid: str) -> None:
 def test_a_clean_dataset_has_nothing_to_say(folder: Path) -> None:
     assert mended(folder) == ()
     with Dataset.open(folder) as dataset:
-        assert list(examine(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.store, whole=True)) == []
 
 
 def test_a_complete_file_without_a_row_is_adopted(tmp_path: Path) -> None:
@@ -131,7 +131,7 @@ def test_a_file_of_another_size_is_damaged_until_it_is_put_back(folder: Path) ->
 
 def write_other_episode(folder: Path, path: Path) -> None:
     """Put a whole, readable file of another size in the place of an episode's."""
-    from backend.dataset.episode_file import write_episode
+    from touchdown.backend.episodes.episode_file import write_episode
 
     write_episode(path, small_episode(seed=99), None, {"note": "another" * 50})
 
@@ -222,7 +222,7 @@ def test_of_two_files_with_one_uuid_the_true_one_stays(folder: Path, damaged: bo
 
 
 def test_a_foreign_file_is_told_once_and_left(folder: Path) -> None:
-    from backend.dataset.episode_file import write_episode
+    from touchdown.backend.episodes.episode_file import write_episode
 
     stray = folder / "raw" / "stray.mcap"
     write_episode(stray, small_episode(seed=5), None, {})
@@ -321,7 +321,7 @@ def test_wrong_heads_are_made_anew(folder: Path) -> None:
         assert tables(dataset) == expected
         with dataset.database.transaction() as connection:
             connection.execute("UPDATE label_head SET conflict = 1")
-        kinds = [finding.kind for finding in examine(dataset.store, whole=True)]
+        kinds = [finding.kind for finding in check_dataset(dataset.store, whole=True)]
         assert kinds == ["heads"]
 
 
@@ -349,7 +349,7 @@ def test_checking_changes_nothing(folder: Path) -> None:
     path = file_of(folder, torn)
     path.write_bytes(path.read_bytes()[:-100])
     with Dataset.open(folder, write=False) as dataset:
-        kinds = {finding.kind for finding in examine(dataset.store, whole=True)}
+        kinds = {finding.kind for finding in check_dataset(dataset.store, whole=True)}
         assert kinds == {"missing", "torn"}
         assert {e.file_state for e in dataset.episodes(EpisodeFilter())} == {"complete"}
     assert path.exists()

@@ -13,17 +13,17 @@ from pathlib import Path
 
 import pytest
 
-from backend.catalogue.backups import list_backups, restore
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.rebuilding import rebuild
-from backend.catalogue.recovery import examine
-from backend.catalogue.run_folder import METRICS, RUNS, LiveRun
-from backend.core.faults import InputError
+from touchdown.backend.annotations.backups import list_backups, restore_backup
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.rebuild import rebuild_dataset
+from touchdown.backend.annotations.reconciliation import check_dataset
+from touchdown.backend.annotations.run_tracking import METRICS, RUNS, ActiveRun
+from touchdown.backend.core.faults import InputError
 
 SETTINGS = {"modality": "FT+Tac", "epochs": 2, "out": "pot.safetensors"}
 
 
-def begin(dataset: Dataset, **changes: object) -> LiveRun:
+def begin(dataset: Dataset, **changes: object) -> ActiveRun:
     return dataset.runs.begin("train", seed=7, settings=SETTINGS | changes, manifest="m" * 64)
 
 
@@ -114,7 +114,7 @@ def test_a_killed_run_is_interrupted_at_the_next_start(tmp_path: Path) -> None:
     Dataset.open(tmp_path / "data").close()
     uuid = die_running(tmp_path / "data", 3)
     with Dataset.open(tmp_path / "data", write=False) as reader:
-        assert [f.kind for f in examine(reader.store)] == ["interrupted"]
+        assert [f.kind for f in check_dataset(reader.store)] == ["interrupted"]
     with Dataset.open(tmp_path / "data") as dataset:
         assert "--resume" in dataset.notices[0]
         entry = dataset.runs.entry(uuid)
@@ -123,12 +123,12 @@ def test_a_killed_run_is_interrupted_at_the_next_start(tmp_path: Path) -> None:
         assert [m.value for m in dataset.runs.metrics(uuid)] == [0.0, 1.0, 2.0]
     with Dataset.open(tmp_path / "data") as dataset:
         assert dataset.notices == ()
-        assert list(examine(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.store, whole=True)) == []
 
 
 def test_a_run_that_lives_is_left_alone(dataset: Dataset) -> None:
     live = begin(dataset)
-    assert list(examine(dataset.store)) == []
+    assert list(check_dataset(dataset.store)) == []
     live.finish()
 
 
@@ -176,11 +176,11 @@ def test_runs_come_back_after_a_rebuild_and_after_a_restore(dataset: Dataset) ->
     live.finish()
     dataset.runs.entries()
     dataset.close()
-    assert rebuild(dataset.folder, replace=True).equal
+    assert rebuild_dataset(dataset.folder, replace=True).equal
     with Dataset.open(dataset.folder) as again:
         assert len(again.runs.metrics(live.uuid)) == 1
     assert list_backups(dataset.folder / "backup")
-    restore(dataset.folder, backup)
+    restore_backup(dataset.folder, backup)
     with Dataset.open(dataset.folder) as again:
         assert len(again.runs.metrics(live.uuid)) == 1
         assert again.runs.entry(live.uuid).params == SETTINGS

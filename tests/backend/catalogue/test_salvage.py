@@ -12,15 +12,18 @@ import pytest
 import zstandard
 from mcap.reader import make_reader
 
-from backend.catalogue.salvage import Salvaged, salvage
-from backend.core.faults import InputError
-from backend.core.flow import FINGERS, Episode, EpisodeQuality, Recording, TactileFrame
-from backend.dataset.contents import read_whole
-from backend.dataset.episode_file import write_episode
-from backend.dataset.episode_reading import read_episode, read_label
-from backend.dataset.pack_file import EpisodeRow, PackWriter, read_pack
-from backend.dataset.records import MAGIC, Op, record, text
-from backend.dataset.rows import patch_hex
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.values import FINGERS, Episode, EpisodeQuality, Recording, TactileFrame
+from touchdown.backend.episodes.episode_file import (
+    SalvageResult,
+    read_episode,
+    read_label,
+    salvage_file,
+    write_episode,
+)
+from touchdown.backend.episodes.mcap import MAGIC, Opcode, encode_record, encode_text, read_whole
+from touchdown.backend.episodes.packs import PackedEpisode, PackWriter, read_pack
+from touchdown.backend.episodes.training_rows import patch_hex
 
 SEED = 20231
 
@@ -52,13 +55,13 @@ def record_ends(data: bytes) -> Iterator[int]:
         yield at
 
 
-def save(folder: Path, data: bytes) -> Salvaged:
+def save(folder: Path, data: bytes) -> SalvageResult:
     torn = folder / "torn.mcap"
     torn.write_bytes(data)
-    return salvage(torn, folder / "saved.mcap")
+    return salvage_file(torn, folder / "saved.mcap")
 
 
-def verify(folder: Path, saved: Salvaged) -> None:
+def verify(folder: Path, saved: SalvageResult) -> None:
     """What was saved opens in our reader and in the reference library, with equal counts."""
     if saved.path is None:
         assert (saved.chunks, saved.messages) == (0, {})
@@ -127,7 +130,7 @@ def test_mutants_give_a_typed_error_or_the_true_data(tmp_path: Path, whole: byte
             read_episode(torn)
         assert error.value.where == str(torn)
         refused += 1
-        saved = salvage(torn, tmp_path / "saved.mcap")
+        saved = salvage_file(torn, tmp_path / "saved.mcap")
         verify(tmp_path, saved)
         if saved.path is not None:
             for topic, messages in read_whole(saved.path).messages.items():
@@ -144,17 +147,19 @@ def _messages(folder: Path, whole: bytes) -> dict[str, list[memoryview]]:
 def test_impossible_lengths_take_no_memory(tmp_path: Path, whole: bytes) -> None:
     frame = zstandard.ZstdCompressor(level=1).compress(bytes(200_000_000))
     bombs = [
-        MAGIC + struct.pack("<BQ", Op.CHUNK, 2**62),
-        MAGIC + struct.pack("<BQ", Op.METADATA, 8) + struct.pack("<II", 2**31, 2**31),
-        MAGIC + record(Op.CHUNK, _chunk_head(1000) + struct.pack("<Q", len(frame)) + frame),
-        MAGIC + record(Op.CHUNK, _chunk_head(2**60) + struct.pack("<Q", len(frame)) + frame),
-        MAGIC + record(Op.CHUNK, _chunk_head(1000) + struct.pack("<Q", 2**60) + frame),
+        MAGIC + struct.pack("<BQ", Opcode.CHUNK, 2**62),
+        MAGIC + struct.pack("<BQ", Opcode.METADATA, 8) + struct.pack("<II", 2**31, 2**31),
+        MAGIC
+        + encode_record(Opcode.CHUNK, _chunk_head(1000) + struct.pack("<Q", len(frame)) + frame),
+        MAGIC
+        + encode_record(Opcode.CHUNK, _chunk_head(2**60) + struct.pack("<Q", len(frame)) + frame),
+        MAGIC + encode_record(Opcode.CHUNK, _chunk_head(1000) + struct.pack("<Q", 2**60) + frame),
     ]
     path = tmp_path / "bomb.mcap"
     tracemalloc.start()
     for bomb in bombs:
         path.write_bytes(bomb + whole[8:][-60:])
-        saved = salvage(path, tmp_path / "saved.mcap")
+        saved = salvage_file(path, tmp_path / "saved.mcap")
         assert saved.path is None
         with pytest.raises(InputError):
             read_whole(path)
@@ -164,7 +169,7 @@ def test_impossible_lengths_take_no_memory(tmp_path: Path, whole: bytes) -> None
 
 
 def _chunk_head(size: int) -> bytes:
-    return struct.pack("<QQQI", 0, 1, size, zlib.crc32(b"x")) + text("zstd")
+    return struct.pack("<QQQI", 0, 1, size, zlib.crc32(b"x")) + encode_text("zstd")
 
 
 def test_a_huge_file_is_refused_without_reading_it(tmp_path: Path) -> None:
@@ -173,7 +178,7 @@ def test_a_huge_file_is_refused_without_reading_it(tmp_path: Path) -> None:
         file.truncate(5_000_000_000)
     with pytest.raises(InputError, match="more than any"):
         read_whole(path)
-    assert salvage(path, tmp_path / "saved.mcap").path is None
+    assert salvage_file(path, tmp_path / "saved.mcap").path is None
 
 
 def test_a_torn_pack_keeps_its_whole_episodes(tmp_path: Path) -> None:
@@ -181,9 +186,9 @@ def test_a_torn_pack_keeps_its_whole_episodes(tmp_path: Path) -> None:
     with PackWriter(path, {"seed": "7"}) as pack:
         for k in range(5):
             label: dict[str, object] = {"episode": f"e{k}", "patch": patch_hex(np.ones(8, bool))}
-            pack.write(EpisodeRow(np.full((20, 258), k, np.float32), label))
+            pack.write(PackedEpisode(np.full((20, 258), k, np.float32), label))
     data = path.read_bytes()
-    chunk_ends = [end for end in record_ends(data) if data[end] == Op.MESSAGE_INDEX]
+    chunk_ends = [end for end in record_ends(data) if data[end] == Opcode.MESSAGE_INDEX]
     saved = save(tmp_path, data[: chunk_ends[4]])
     assert saved.path is not None
     assert saved.chunks == 3

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 
-from backend.catalogue.chain import first_break
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.journal import read_journal
-from backend.catalogue.values import Label
-from backend.core.faults import RefusedError
 from tests.backend.catalogue.conftest import Record, context_for, small_episode
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.operation_log import read_journal
+from touchdown.backend.annotations.values import Label, first_broken_link
+from touchdown.backend.core.faults import RefusedError
 
 ROUNDS = 12
 
@@ -45,7 +44,7 @@ def test_recording_labelling_and_reading_at_once_lose_nothing(
     assert min(seen) >= 1 + 3
     assert {entry.uuid for entry in dataset.episodes()} == {*uuids, *new}
     log = sorted(dataset.labels.log(limit=10_000), key=lambda op: op.seq)
-    assert first_break(log) is None
+    assert first_broken_link(log) is None
     assert list(read_journal(dataset.journal.path(dataset.description.site))) == log
     assert len([op for op in log if op.verb == "record"]) == 3 + ROUNDS
     assert len(log) >= 3 + ROUNDS + count

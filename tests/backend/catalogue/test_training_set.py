@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.__main__ import main
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.training_set import LabelChoice, is_dataset, load_training_set
-from backend.catalogue.values import Label
-from backend.core.faults import InputError
-from backend.dataset.rows import TrainingRows, load_rows, patch_hex
-from backend.objects.catalogue import load_catalogue
 from tests.backend.catalogue.conftest import context_for, small_episode
 from tests.backend.catalogue.test_packs_in_datasets import write_pack
+from touchdown.backend.__main__ import main
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.training_set import LabelChoice, is_dataset, load_training_set
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.episodes.training_rows import TrainingRows, load_rows, patch_hex
+from touchdown.backend.geometry.pieces import load_pieces
 
 
 @pytest.fixture
@@ -112,7 +112,7 @@ def test_a_turned_label_has_a_turned_patch(tmp_path: Path) -> None:
         derived = [dataset.patch(entry.uuid).touching for entry in dataset.episodes()]
     rows = load_training_set(folder, "pot", "drafts")
     assert [patch_hex(p) for p in rows.patch] == [patch_hex(p) for p in derived]
-    assert rows.geometry == load_catalogue().piece("pot").sha256
+    assert rows.geometry == load_pieces().piece("pot").sha256
 
 
 def test_the_train_verb_takes_a_dataset(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from backend.catalogue.bulk import RotateFrame, SetState, ShiftOrigin
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeFilter, Label
-from backend.core.faults import RefusedError
 from tests.backend.catalogue.conftest import Record, context_for, small_episode
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.labels import RotateFrame, SetState, ShiftOrigin
+from touchdown.backend.annotations.values import EpisodeFilter, Label
+from touchdown.backend.core.faults import RefusedError
 
 PEOPLE = ("ann", "bob", "cleo")
 EPISODES = 3

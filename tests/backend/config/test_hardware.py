@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from backend.config.hardware import PLACEHOLDERS, HardwareSettings
-from backend.config.load import parse
-from backend.config.method import Settings
-from backend.core.faults import InputError
+from touchdown.backend.config.hardware import PLACEHOLDERS, HardwareSettings
+from touchdown.backend.config.method import Settings
+from touchdown.backend.config.toml_file import parse_settings
+from touchdown.backend.core.faults import InputError
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "hardware.md"
 
@@ -62,9 +62,9 @@ def test_placeholders_are_called_so():
 )
 def test_a_bad_value_names_its_key(content, key):
     with pytest.raises(InputError, match=re.escape(f"'{key}'")):
-        parse(HardwareSettings, content, "lab.toml")
+        parse_settings(HardwareSettings, content, "lab.toml")
 
 
 def test_a_turned_sensor_is_accepted():
     content = {"ft": {"rotation": [[0, -1, 0], [1, 0, 0], [0, 0, 1]], "sign": -1}}
-    assert parse(HardwareSettings, content, "lab.toml").ft.rotation[0] == (0.0, -1.0, 0.0)
+    assert parse_settings(HardwareSettings, content, "lab.toml").ft.rotation[0] == (0.0, -1.0, 0.0)

@@ -7,11 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from backend.config.lab import VERSION, LabSettings, LimitSettings, is_lab_file, load_lab
-from backend.core.faults import InputError
-from backend.devices.interlock import Limits
+from touchdown.backend.config.lab import (
+    LAB_FILE_VERSION,
+    LabSettings,
+    LimitSettings,
+    is_lab_file,
+    load_lab,
+)
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.devices.interlock import Limits
 
-BENCHES = Path(str(files("resources"))) / "benches"
+BENCHES = Path(str(files("touchdown.resources"))) / "benches"
 EMULATED = """
 [melfa]
 host = "127.0.0.1"
@@ -48,7 +54,7 @@ def test_the_limits_of_the_file_are_those_of_the_interlock():
     assert LimitSettings().model_dump() == asdict(Limits())
 
 
-@pytest.mark.parametrize("version", [VERSION + 1, 0, -1, '"1"', "true"])
+@pytest.mark.parametrize("version", [LAB_FILE_VERSION + 1, 0, -1, '"1"', "true"])
 def test_a_version_that_nobody_knows_is_refused(tmp_path, version):
     path = written(tmp_path, f'version = {version}\nname = "x"\nkind = "hardware"\n')
     with pytest.raises(InputError, match="'version'") as caught:

@@ -5,11 +5,10 @@ from importlib.resources import files
 
 import pytest
 
-from backend.config.lab import load_lab
-from backend.config.lab_edit import save_lab, with_values
-from backend.core.faults import InputError
+from touchdown.backend.config.lab import edit_toml, load_lab, save_lab
+from touchdown.backend.core.faults import InputError
 
-TEMPLATE = files("resources").joinpath("benches", "lab.toml").read_text("utf-8")
+TEMPLATE = files("touchdown.resources").joinpath("benches", "lab.toml").read_text("utf-8")
 
 
 @pytest.fixture
@@ -75,4 +74,4 @@ def test_what_could_not_be_used_changes_nothing(path, values, key):
 def test_a_file_that_is_not_understood_is_left_to_its_author():
     strange = '"ft" = { "driver" = "bota" }\n'
     with pytest.raises(InputError, match="not understood"):
-        with_values(strange, {"ft.driver": "dynpick"}, "lab.toml")
+        edit_toml(strange, {"ft.driver": "dynpick"}, "lab.toml")

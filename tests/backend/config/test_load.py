@@ -2,10 +2,10 @@
 
 import pytest
 
-from backend.config.hardware import HardwareSettings
-from backend.config.load import MAX_BYTES, load, parse
-from backend.config.method import ProbeSettings, StackSettings
-from backend.core.faults import InputError
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.config.method import ProbeSettings, StackSettings
+from touchdown.backend.config.toml_file import MAX_BYTES, parse_settings, read_settings
+from touchdown.backend.core.faults import InputError
 
 
 def _write(tmp_path, text):
@@ -15,7 +15,7 @@ def _write(tmp_path, text):
 
 
 def test_values_are_taken_and_the_rest_is_default(tmp_path):
-    settings = load(
+    settings = read_settings(
         StackSettings, _write(tmp_path, 'strategy = "pick-and-place"\n[probe]\ndepth_mm = 1.0\n')
     )
     assert settings.strategy == "pick-and-place"
@@ -24,7 +24,7 @@ def test_values_are_taken_and_the_rest_is_default(tmp_path):
 
 
 def test_an_empty_file_is_the_paper(tmp_path):
-    settings = load(StackSettings, _write(tmp_path, ""))
+    settings = read_settings(StackSettings, _write(tmp_path, ""))
     assert settings == StackSettings()
     assert (settings.probe.depth_mm, settings.probe.duration_s) == (1.5, 2.0)
     assert settings.probe.stiffness_n_mm == (30.0, 30.0, 15.0)
@@ -49,7 +49,7 @@ def test_an_empty_file_is_the_paper(tmp_path):
 def test_the_error_names_file_and_key(tmp_path, text, key):
     path = _write(tmp_path, text)
     with pytest.raises(InputError) as caught:
-        load(StackSettings, path)
+        read_settings(StackSettings, path)
     assert caught.value.where == str(path)
     assert f"'{key}" in caught.value.what
     assert caught.value.fix
@@ -67,7 +67,7 @@ def test_a_setting_that_nobody_knows_is_called_so_with_the_nearest_one(tmp_path,
     path = tmp_path / "bench.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        load(HardwareSettings, path)
+        read_settings(HardwareSettings, path)
     assert caught.value.what == said
     assert fix in caught.value.fix
 
@@ -75,7 +75,7 @@ def test_a_setting_that_nobody_knows_is_called_so_with_the_nearest_one(tmp_path,
 def test_broken_toml_names_the_line(tmp_path):
     path = _write(tmp_path, "[probe]\ndepth_mm = = 1\n")
     with pytest.raises(InputError, match="line 2") as caught:
-        load(StackSettings, path)
+        read_settings(StackSettings, path)
     assert caught.value.where == str(path)
 
 
@@ -84,7 +84,7 @@ def test_a_missing_file_a_folder_and_wrong_bytes_are_named(tmp_path):
     binary.write_bytes(b"\xff\xfe\x00\x01")
     for path in (tmp_path / "missing.toml", tmp_path, binary):
         with pytest.raises(InputError) as caught:
-            load(StackSettings, path)
+            read_settings(StackSettings, path)
         assert caught.value.where == str(path)
 
 
@@ -93,10 +93,10 @@ def test_a_huge_file_is_refused_unread(tmp_path):
     with path.open("wb") as file:
         file.truncate(MAX_BYTES + 1)
     with pytest.raises(InputError, match="too large"):
-        load(StackSettings, path)
+        read_settings(StackSettings, path)
 
 
 def test_settings_cannot_be_changed_later():
-    settings = parse(StackSettings, {}, "test")
+    settings = parse_settings(StackSettings, {}, "test")
     with pytest.raises(ValueError, match="frozen"):
         settings.probe.depth_mm = 9.0

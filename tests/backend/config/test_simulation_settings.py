@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from backend.config.simulation import PRESETS, SimulationSettings, load_simulation
-from backend.core.faults import InputError
+from touchdown.backend.config.simulation import PRESETS, SimulationSettings, load_simulation
+from touchdown.backend.core.faults import InputError
 
-BENCHES = Path(str(files("resources"))) / "benches"
+BENCHES = Path(str(files("touchdown.resources"))) / "benches"
 
 
 def test_shipped_default_spells_out_the_defaults() -> None:

@@ -4,12 +4,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.core.clock import BenchClock, HandClock, MonotonicClock, WallWatch
+from touchdown.backend.core.clock import BenchClock, ClockJumpDetector, ManualClock, MonotonicClock
 
 
 @given(st.lists(st.integers(0, 10_000_000)))
 def test_many_small_steps_are_one_large_step(steps):
-    by_steps, at_once = HandClock(), HandClock()
+    by_steps, at_once = ManualClock(), ManualClock()
     for step in steps:
         by_steps.wind(step)
     at_once.wind(sum(steps))
@@ -18,14 +18,14 @@ def test_many_small_steps_are_one_large_step(steps):
 
 
 def test_a_cycle_of_10_ms_wound_for_an_hour_is_an_hour():
-    clock = HandClock()
+    clock = ManualClock()
     for _ in range(360_000):
         clock.wind(10_000)
     assert clock.now_s() == 3600.0
 
 
 def test_it_is_never_wound_back():
-    clock = HandClock()
+    clock = ManualClock()
     clock.wind(5)
     with pytest.raises(ValueError, match="never wound back"):
         clock.wind(-1)
@@ -33,7 +33,7 @@ def test_it_is_never_wound_back():
 
 
 def test_it_stands_still_between():
-    clock = HandClock()
+    clock = ManualClock()
     assert clock.now_s() == clock.now_s() == 0.0
 
 
@@ -64,7 +64,7 @@ def test_the_clock_of_a_real_bench_waits_and_makes_up_for_nothing():
 )
 def test_a_wall_clock_that_is_set_is_told_from_one_that_is_kept_right(wall_s, steady_s, told_s):
     at = [1e9, 5.0]
-    watch = WallWatch(lambda: at[0], lambda: at[1])
+    watch = ClockJumpDetector(lambda: at[0], lambda: at[1])
     assert watch.jump_s() == 0.0
     at[0] += wall_s
     at[1] += steady_s

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from backend.core import files
-from backend.core.files import write_atomically
+from touchdown.backend.core import files
+from touchdown.backend.core.files import write_atomically
 
 OLD, NEW = b"old" * 1000, b"new" * 5000
 
@@ -18,7 +18,7 @@ OLD, NEW = b"old" * 1000, b"new" * 5000
 CHILD = """
 import os, signal, sys
 from pathlib import Path
-from backend.core import files
+from touchdown.backend.core import files
 
 left = int(sys.argv[2])
 

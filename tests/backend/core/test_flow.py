@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from backend.core.flow import (
+from touchdown.backend.core.values import (
     CHANNELS,
     MARKERS,
     TACTILE_CHANNELS,

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.core.facts import Said
-from backend.core.hub import Hub, Mailbox
+from touchdown.backend.core.event_bus import EventBus, EventQueue
+from touchdown.backend.core.events import Said
 
 
 def _fact(number: int) -> Said:
@@ -15,7 +15,7 @@ def _fact(number: int) -> Said:
 
 
 def test_every_subscriber_gets_every_fact_in_order():
-    hub, first, second = Hub(), [], []
+    hub, first, second = EventBus(), [], []
     hub.subscribe(first.append)
     hub.subscribe(second.append)
     facts = [_fact(i) for i in range(100)]
@@ -26,7 +26,7 @@ def test_every_subscriber_gets_every_fact_in_order():
 
 
 def test_who_left_hears_nothing_and_may_leave_twice():
-    hub, heard = Hub(), []
+    hub, heard = EventBus(), []
     leave = hub.subscribe(heard.append)
     hub.publish(_fact(0))
     leave()
@@ -36,7 +36,7 @@ def test_who_left_hears_nothing_and_may_leave_twice():
 
 
 def test_a_subscriber_may_leave_while_it_is_told():
-    hub, heard = Hub(), []
+    hub, heard = EventBus(), []
 
     def once(fact):
         heard.append(fact)
@@ -52,7 +52,7 @@ def test_a_subscriber_may_leave_while_it_is_told():
 
 
 def test_a_fact_published_by_a_subscriber_reaches_all():
-    hub, heard = Hub(), []
+    hub, heard = EventBus(), []
 
     def answer(fact):
         if fact.t_s == 0:
@@ -65,7 +65,7 @@ def test_a_fact_published_by_a_subscriber_reaches_all():
 
 
 def test_two_publishers_never_interleave_within_one_fact():
-    hub, log = Hub(), []
+    hub, log = EventBus(), []
     hub.subscribe(lambda fact: log.append(("a", fact.text)))
     hub.subscribe(lambda fact: log.append(("b", fact.text)))
 
@@ -85,7 +85,7 @@ def test_two_publishers_never_interleave_within_one_fact():
 @given(st.integers(1, 20), st.lists(st.booleans(), max_size=200))
 def test_a_mailbox_keeps_the_newest_and_counts_the_rest(capacity, moves):
     """Against a plain list: True puts the next fact, False takes one."""
-    box, model, put, dropped = Mailbox(capacity), [], 0, 0
+    box, model, put, dropped = EventQueue(capacity), [], 0, 0
     for is_put in moves:
         if is_put:
             box(_fact(put))

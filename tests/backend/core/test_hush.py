@@ -1,11 +1,11 @@
 """A hush ends when it is told to, and else by itself."""
 
-from backend.core.hush import Hush
+from touchdown.backend.core.scheduling import RepaintHold
 
 
 def test_it_ends_by_itself_if_nobody_ends_it():
     now = [10.0]
-    hush = Hush(lambda: now[0])
+    hush = RepaintHold(lambda: now[0])
     assert not hush.on
     hush.begin(0.08)
     assert hush.on
@@ -16,7 +16,7 @@ def test_it_ends_by_itself_if_nobody_ends_it():
 
 
 def test_it_ends_with_the_decision():
-    hush = Hush(lambda: 0.0)
+    hush = RepaintHold(lambda: 0.0)
     hush.begin(0.08)
     hush.end()
     assert not hush.on

@@ -9,12 +9,12 @@ import threading
 
 import pytest
 
-from backend.core import niceness
-from backend.core.niceness import FORWARD, NICENESS, stepping_forward
+from touchdown.backend.core import scheduling
+from touchdown.backend.core.scheduling import NICENESS, RAISED_NICENESS, raised_priority
 
 TWICE = """
 import os
-from backend.core.niceness import step_back
+from touchdown.backend.core.scheduling import step_back
 os.nice(5)
 step_back()
 step_back()
@@ -43,10 +43,10 @@ def of_a_new_thread() -> int:
 @pytest.mark.skipif(sys.platform != "linux", reason="only there each thread has its own")
 def test_threads_that_are_started_meanwhile_stand_forward_as_well() -> None:
     before = present()
-    with stepping_forward() as given:
+    with raised_priority() as given:
         if not given:
             pytest.skip("this user may not have it")
-        assert of_a_new_thread() == present() == FORWARD
+        assert of_a_new_thread() == present() == RAISED_NICENESS
     assert of_a_new_thread() == present() == before
 
 
@@ -56,7 +56,7 @@ def test_who_may_not_step_forward_stays(monkeypatch: pytest.MonkeyPatch) -> None
         raise PermissionError("no nice for this user")
 
     before = present()
-    monkeypatch.setattr(niceness.os, "setpriority", refused)
-    with stepping_forward() as given:
+    monkeypatch.setattr(scheduling.os, "setpriority", refused)
+    with raised_priority() as given:
         assert not given
         assert present() == before

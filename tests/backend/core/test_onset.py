@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.core.onset import OnsetDetector, OnsetRule, back_date, detect, over_baseline
+from touchdown.backend.core.contact_onset import (
+    OnsetDetector,
+    OnsetRule,
+    back_date_onset,
+    detect_contact,
+    force_over_baseline,
+)
 
 RULE = OnsetRule()
 T_S = 1e-3 * np.arange(1200)
@@ -17,9 +23,9 @@ def ramp(slope_n_s: float, onset_s: float = ONSET_S):
 
 
 def onset_of(force, t_s=T_S):
-    over = over_baseline(np.atleast_2d(force))
-    found = detect(over)
-    return found, back_date(t_s, over, found)
+    over = force_over_baseline(np.atleast_2d(force))
+    found = detect_contact(over)
+    return found, back_date_onset(t_s, over, found)
 
 
 @pytest.mark.parametrize("slope_n_s", [8.0, 10.0, 40.0])
@@ -40,7 +46,7 @@ def test_a_very_soft_grasp_is_still_found() -> None:
 def test_the_baseline_ends_200_ms_before_the_sample() -> None:
     force = np.zeros(600)
     force[100:300] = 5.0
-    over = over_baseline(force)
+    over = force_over_baseline(force)
     assert np.isnan(over[:400]).all()
     for i in (400, 450, 599):
         assert over[i] == pytest.approx(force[i] - force[i - 400 : i - 200].mean())
@@ -63,11 +69,11 @@ def test_two_high_samples_are_not_contact_three_are() -> None:
 def test_noise_of_the_bench_neither_triggers_nor_biases_much() -> None:
     rng = np.random.default_rng(1)
     air = 0.1 * rng.standard_normal((50, 5000))
-    assert (detect(over_baseline(air)) == -1).all()
+    assert (detect_contact(force_over_baseline(air)) == -1).all()
     pressed = ramp(10.0) + 0.1 * rng.standard_normal((400, 1200))
-    over = over_baseline(pressed)
-    found = detect(over)
-    error_s = back_date(T_S, over, found) - ONSET_S
+    over = force_over_baseline(pressed)
+    found = detect_contact(over)
+    error_s = back_date_onset(T_S, over, found) - ONSET_S
     assert (found >= 0).all()
     assert abs(error_s.mean()) < 2e-3
     assert error_s.std() < 6e-3
@@ -75,10 +81,10 @@ def test_noise_of_the_bench_neither_triggers_nor_biases_much() -> None:
 
 def test_rows_may_have_their_own_times() -> None:
     force = np.stack([ramp(10.0), ramp(6.0)])
-    over = over_baseline(force)
-    found = detect(over)
+    over = force_over_baseline(force)
+    found = detect_contact(over)
     shifted = np.stack([T_S, T_S + 0.5])
-    np.testing.assert_allclose(back_date(shifted, over, found), [ONSET_S, ONSET_S + 0.5])
+    np.testing.assert_allclose(back_date_onset(shifted, over, found), [ONSET_S, ONSET_S + 0.5])
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 10, 400, 1200])

@@ -7,8 +7,8 @@ import threading
 
 import pytest
 
-from backend.core import realtime
-from backend.core.realtime import taking_turns
+from touchdown.backend.core import scheduling
+from touchdown.backend.core.scheduling import round_robin_priority
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "sched_setscheduler"), reason="only Linux gives it to threads"
@@ -29,7 +29,7 @@ def of_a_new_thread() -> tuple[int, int]:
 
 def test_threads_inherit_it_and_the_caller_has_its_own_again() -> None:
     before = present()
-    with taking_turns(3) as given:
+    with round_robin_priority(3) as given:
         if not given:
             pytest.skip("this user may not have it")
         assert of_a_new_thread() == present() == (os.SCHED_RR, 3)
@@ -42,7 +42,7 @@ def test_without_it_nothing_changes(priority: int, monkeypatch: pytest.MonkeyPat
         raise PermissionError("no rtprio for this user")
 
     before = present()
-    monkeypatch.setattr(realtime.os, "sched_setscheduler", refused)
-    with taking_turns(priority) as given:
+    monkeypatch.setattr(scheduling.os, "sched_setscheduler", refused)
+    with round_robin_priority(priority) as given:
         assert not given
         assert present() == before

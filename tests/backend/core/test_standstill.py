@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from backend.core.standstill import STILL_S, Standstill
+from touchdown.backend.core.watchdog import STALLED_AFTER_S, ProcessStallDetector
 
 BUSY = "print(flush=True)\nwhile True: sum(range(1000))"
 WAITS = (
@@ -28,7 +28,7 @@ def looks(watch, until):
     """Look for as long as the outcome may still change; the clock of the looks is wound by hand."""
     now_s = 0.0
     for _ in range(10_000):
-        now_s += STILL_S
+        now_s += STALLED_AFTER_S
         if watch.look(now_s) is until:
             return True
     return False
@@ -37,7 +37,7 @@ def looks(watch, until):
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are seen on Linux only")
 @pytest.mark.parametrize("child", [WAITS], indirect=True)
 def test_one_that_waits_for_ever_stands_still_and_a_gone_one_does_not(child):
-    watch = Standstill(child.pid)
+    watch = ProcessStallDetector(child.pid)
     assert not watch.look(0.0), "a first look knows nothing"
     assert looks(watch, True)
     assert not watch.look(1e8), "who has not looked for long knows nothing either"
@@ -48,8 +48,8 @@ def test_one_that_waits_for_ever_stands_still_and_a_gone_one_does_not(child):
 
 @pytest.mark.parametrize("child", [BUSY], indirect=True)
 def test_one_that_is_stopped_stands_still_until_it_goes_on(child):
-    watch = Standstill(child.pid)
-    assert not any(watch.look(k * STILL_S) for k in range(50)), "it wants to run"
+    watch = ProcessStallDetector(child.pid)
+    assert not any(watch.look(k * STALLED_AFTER_S) for k in range(50)), "it wants to run"
     os.kill(child.pid, signal.SIGSTOP)
     assert looks(watch, True)
     os.kill(child.pid, signal.SIGCONT)

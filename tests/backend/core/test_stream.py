@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.core.faults import StaleSampleError
-from backend.core.stream import SampleStream, Stream
+from touchdown.backend.core.faults import StaleSampleError
+from touchdown.backend.core.streams import SampleStream, Stream
 
 
 @given(st.integers(1, 8), st.lists(st.integers(0, 5), max_size=30))

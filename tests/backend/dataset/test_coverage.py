@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from backend.dataset.coverage import coverage
-from backend.objects.shapes import circle
-from backend.objects.surface import overlap_area_mm2
+from touchdown.backend.episodes.quality import count_coverage
+from touchdown.backend.geometry.outlines import circle, overlap_area_mm2
 
 FACE, BOTTOM = circle(15.0), circle(25.0)
 
@@ -14,7 +13,7 @@ FACE, BOTTOM = circle(15.0), circle(25.0)
 def test_every_displacement_counts_in_its_own_bin() -> None:
     rng = np.random.default_rng(4)
     offsets = rng.uniform(-19, 19, (300, 2))
-    seen = coverage(offsets, FACE, BOTTOM)
+    seen = count_coverage(offsets, FACE, BOTTOM)
     assert seen.counts.sum() == 300
     for row, column in np.argwhere(seen.counts > 0):
         centre = np.array(seen.centre_mm(row, column))
@@ -23,7 +22,7 @@ def test_every_displacement_counts_in_its_own_bin() -> None:
 
 
 def test_reachable_bins_are_those_with_overlap() -> None:
-    seen = coverage(np.empty((0, 2)), FACE, BOTTOM)
+    seen = count_coverage(np.empty((0, 2)), FACE, BOTTOM)
     for row, column in np.ndindex(seen.possible.shape):
         area = overlap_area_mm2(FACE, seen.centre_mm(row, column), BOTTOM)
         assert seen.possible[row, column] == (area >= 6.0)
@@ -32,7 +31,7 @@ def test_reachable_bins_are_those_with_overlap() -> None:
 
 
 def test_one_more_displacement_fills_one_hole() -> None:
-    seen = coverage(np.empty((0, 2)), FACE, BOTTOM)
+    seen = count_coverage(np.empty((0, 2)), FACE, BOTTOM)
     more = seen.with_offset((3.9, -6.2))
     assert more.holes == seen.holes - 1
     assert np.argwhere(more.counts).tolist() == [

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from backend.core.faults import InputError
-from backend.core.flow import (
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.files import program_stamp
+from touchdown.backend.core.values import (
     FINGERS,
     MARKERS,
     Episode,
@@ -18,11 +19,9 @@ from backend.core.flow import (
     Recording,
     TactileFrame,
 )
-from backend.core.program import program
-from backend.dataset import episode_file
-from backend.dataset.episode_file import write_episode
-from backend.dataset.episode_reading import read_episode, read_label, to_s
-from backend.dataset.rows import load_rows
+from touchdown.backend.episodes import episode_file
+from touchdown.backend.episodes.episode_file import read_episode, read_label, to_s, write_episode
+from touchdown.backend.episodes.training_rows import load_rows
 
 FRAMES = 6
 
@@ -167,7 +166,7 @@ def test_the_reference_reader_sees_streams_in_order_of_time(path: Path) -> None:
         metadata = {m.name: m.metadata for m in reader.iter_metadata()}
     assert metadata["bench"] == {"mode": "stepped", "person": "ann"}
     assert metadata["episode"]["uuid"] == "0190-abc"
-    assert metadata["software"] == {"schema_version": "1", "program": program()}
+    assert metadata["software"] == {"schema_version": "1", "program": program_stamp()}
     assert json.loads(metadata["episode"]["quality"])["slip_mm"] == 0.0625
 
 
@@ -195,7 +194,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_other(
     def full(*_: object) -> bytes:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(episode_file, "encode", full)
+    monkeypatch.setattr(episode_file, "encode_image", full)
     with pytest.raises(OSError, match="No space"):
         write_episode(path, episode(), None, {})
     assert path.read_bytes() == before

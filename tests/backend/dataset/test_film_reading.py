@@ -2,19 +2,21 @@
 
 import numpy as np
 
-from backend.core.flow import FINGERS
-from backend.dataset.episode_file import write_episode
-from backend.dataset.episode_reading import read_episode
-from backend.dataset.film_reading import read_film
 from tests.backend.dataset.test_episode_file import episode
+from touchdown.backend.core.values import FINGERS
+from touchdown.backend.episodes.episode_file import (
+    read_compressed_episode,
+    read_episode,
+    write_episode,
+)
 
 
 def test_the_same_as_the_whole_episode(tmp_path, monkeypatch):
     path = tmp_path / "e.mcap"
     write_episode(path, episode(), None, {})
     whole, decoded = read_episode(path), []
-    monkeypatch.setattr("backend.dataset.episode_reading.decode", decoded.append)
-    film = read_film(path)
+    monkeypatch.setattr("touchdown.backend.episodes.episode_file.decode_image", decoded.append)
+    film = read_compressed_episode(path)
     assert decoded == []
     assert np.array_equal(film.episode.observation, whole.observation)
     assert film.episode.recording.frames == ()
@@ -29,6 +31,6 @@ def test_the_same_as_the_whole_episode(tmp_path, monkeypatch):
 def test_an_episode_without_pictures(tmp_path):
     path = tmp_path / "e.mcap"
     write_episode(path, episode(with_recording=False), None, {})
-    film = read_film(path)
+    film = read_compressed_episode(path)
     assert film.bytes == 0
     assert film.episode.recording is None

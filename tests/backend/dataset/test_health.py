@@ -7,75 +7,80 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.core.flow import TACTILE_CHANNELS, EpisodeQuality
-from backend.dataset.health import Examined, asymmetry, examine, lags_s
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import face_points
-from backend.simulation.episodes import Plan, simulate
+from touchdown.backend.core.values import TACTILE_CHANNELS, EpisodeQuality
+from touchdown.backend.episodes.quality import (
+    ExaminedEpisode,
+    check_quality,
+    find_asymmetry,
+    lags_s,
+)
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.simulation.batch import BatchPlan, simulate_episodes
 
 GOOD = EpisodeQuality(True, (), 0, 0.0, 0, 20.0, 0.0)
 FZ = TACTILE_CHANNELS + 2
 
 
-def simulated(count: int) -> list[Examined]:
+def simulated(count: int) -> list[ExaminedEpisode]:
     """Return probes of the pot as the simulated bench gives them."""
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     top, below = catalogue.top("pot"), catalogue.bottom("circle25")
-    plan = Plan(
+    plan = BatchPlan(
         piece="pot", bottom="circle25", face=top.face, bottom_outline=below.upper,
         face_points_mm=face_points(top.face), grip_height_mm=top.grip_height_mm,
         width_mm=top.width_mm, episodes=count, seed=11, probes_per_grip=10,
     )  # fmt: skip
     rows = []
-    for batch in simulate(plan):
+    for batch in simulate_episodes(plan):
         for k in range(len(batch.episode)):
             uuid = f"e{batch.episode[k]:02d}"
-            rows.append(Examined(uuid, batch.observation[k], batch.offset_mm[k], GOOD))
+            rows.append(ExaminedEpisode(uuid, batch.observation[k], batch.offset_mm[k], GOOD))
     return sorted(rows, key=lambda row: row.uuid)
 
 
 @pytest.fixture(scope="module")
-def clean() -> list[Examined]:
+def clean() -> list[ExaminedEpisode]:
     return simulated(60)
 
 
 def kinds(rows) -> set[tuple[str, tuple[str, ...]]]:
-    return {(finding.kind, finding.episodes) for finding in examine(rows)}
+    return {(finding.kind, finding.episodes) for finding in check_quality(rows)}
 
 
-def seen(row: Examined) -> np.ndarray:
+def seen(row: ExaminedEpisode) -> np.ndarray:
     return row.observation.copy()
 
 
 def test_undisturbed_probes_have_no_findings(clean) -> None:
-    assert examine(clean) == []
+    assert check_quality(clean) == []
 
 
-def knocked(row: Examined) -> Examined:
+def knocked(row: ExaminedEpisode) -> ExaminedEpisode:
     values = seen(row)
     values[9, FZ] += 1.0
     return replace(row, observation=values)
 
 
-def never_touched(row: Examined) -> Examined:
+def never_touched(row: ExaminedEpisode) -> ExaminedEpisode:
     values = seen(row)
     values[:, FZ] = 0.2
     return replace(row, observation=values)
 
 
-def deaf(row: Examined) -> Examined:
+def deaf(row: ExaminedEpisode) -> ExaminedEpisode:
     values = seen(row)
     values[:, FZ] = np.nan
     return replace(row, observation=values)
 
 
-def jumped_marker(row: Examined) -> Examined:
+def jumped_marker(row: ExaminedEpisode) -> ExaminedEpisode:
     values = seen(row)
     values[12:, 40] = 33.0
     return replace(row, observation=values)
 
 
-def late_gel(row: Examined) -> Examined:
+def late_gel(row: ExaminedEpisode) -> ExaminedEpisode:
     """Shift both gels 0.05 s behind the force."""
     values = seen(row)
     moving = np.concatenate([np.zeros((1, TACTILE_CHANNELS)), values[:, :TACTILE_CHANNELS]])
@@ -83,7 +88,7 @@ def late_gel(row: Examined) -> Examined:
     return replace(row, observation=values)
 
 
-def worse(row: Examined, **changes: float) -> Examined:
+def worse(row: ExaminedEpisode, **changes: float) -> ExaminedEpisode:
     return replace(row, quality=replace(row.quality, **changes))
 
 
@@ -126,11 +131,11 @@ def test_the_same_signals_under_other_labels_are_twins(clean) -> None:
 
 def test_a_shifted_distribution_is_uneven_along_its_axis(clean) -> None:
     moved = [replace(row, offset_mm=row.offset_mm + np.array([0.0, 5.0])) for row in clean]
-    (finding,) = asymmetry(moved)
+    (finding,) = find_asymmetry(moved)
     assert finding.kind == "asymmetry"
     assert "along y" in finding.text
-    assert asymmetry(moved[:10]) == []
+    assert find_asymmetry(moved[:10]) == []
 
 
 def test_examining_nothing_finds_nothing() -> None:
-    assert examine([]) == []
+    assert check_quality([]) == []

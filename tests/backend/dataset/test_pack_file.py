@@ -8,18 +8,18 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Statistics
 
-from backend.core.faults import InputError
-from backend.dataset.pack_file import (
-    EpisodeRow,
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.episodes.packs import (
+    PackedEpisode,
     PackWriter,
     read_pack,
     read_pack_metadata,
     write_packs,
 )
-from backend.dataset.rows import load_rows, patch_bits, patch_hex
+from touchdown.backend.episodes.training_rows import load_rows, patch_bits, patch_hex
 
 
-def rows(count: int, **changes: object) -> Iterator[EpisodeRow]:
+def rows(count: int, **changes: object) -> Iterator[PackedEpisode]:
     rng = np.random.default_rng(11)
     for i in range(count):
         label: dict[str, object] = {
@@ -28,7 +28,7 @@ def rows(count: int, **changes: object) -> Iterator[EpisodeRow]:
             "patch": patch_hex(rng.random(177) < 0.3), "points": 177, "geometry": "ab" * 32,
             "grip_id": f"g{i // 2}", "mounting_id": "m0", "person": "simulated", "seed": i,
         }  # fmt: skip
-        yield EpisodeRow(rng.normal(size=(20, 258)).astype(np.float32), label | changes)
+        yield PackedEpisode(rng.normal(size=(20, 258)).astype(np.float32), label | changes)
 
 
 def write(path: Path, count: int = 3, **changes: object) -> Path:
@@ -108,9 +108,9 @@ def test_packs_roll_over_at_500(tmp_path: Path) -> None:
 
 
 def test_nothing_appears_when_writing_fails(tmp_path: Path) -> None:
-    def broken() -> Iterator[EpisodeRow]:
+    def broken() -> Iterator[PackedEpisode]:
         yield from rows(1)
-        yield EpisodeRow(np.full((20, 258), np.nan, np.float32), {})
+        yield PackedEpisode(np.full((20, 258), np.nan, np.float32), {})
 
     with pytest.raises(ValueError, match="not finite"):
         write_packs(tmp_path, "w", broken(), {})

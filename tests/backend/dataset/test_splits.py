@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.core.faults import InputError
-from backend.dataset.splits import divided, split_series
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.episodes.training_rows import divided_indices, split_series
 
 SERIES = [(f"m{m}", f"pot/{bottom}") for m in range(6) for bottom in ("short", "long")]
 MOUNTING = [m for m, _ in SERIES for _ in range(10)]
@@ -69,6 +69,6 @@ def test_a_short_series_is_held_out_rather_than_most_of_the_data() -> None:
 def test_the_episodes_of_divided_groups_are_found() -> None:
     sides = ["train", "train", "held_out", "held_out", "train"]
     groups = ["a", "b", "b", "c", "a"]
-    np.testing.assert_array_equal(divided(sides, groups), [1, 2])
-    assert len(divided(["train"] * 5, groups)) == 0
-    assert len(divided([], [])) == 0
+    np.testing.assert_array_equal(divided_indices(sides, groups), [1, 2])
+    assert len(divided_indices(["train"] * 5, groups)) == 0
+    assert len(divided_indices([], [])) == 0

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 
 import pytest
 
-from backend.core.faults import RefusedError
-from backend.core.flow import Finger
-from backend.devices.interlock import Interlock, Limits
-from backend.devices.protocols import (
+from tests.backend.brisk import brisk_settings
+from tests.backend.devices.emulated_arm import on_bench
+from tests.backend.rig.inline import ROUND_US, InlineLink
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.core.values import Finger
+from touchdown.backend.devices.interlock import Interlock, Limits
+from touchdown.backend.devices.protocols import (
     Arm,
     Device,
     ForceTorqueSensor,
@@ -20,15 +23,12 @@ from backend.devices.protocols import (
     PressCommand,
     TactileSensor,
 )
-from backend.devices.sim.bench import SimulatedBench
-from backend.objects.catalogue import load_catalogue
-from backend.objects.tower import Tower
-from backend.rig.host import Devices
-from backend.rig.remote import RigArm, RigForceTorque, RigGripper
-from backend.simulation.scene import Scene
-from tests.backend.brisk import brisk_settings
-from tests.backend.devices.emulated_arm import on_bench
-from tests.backend.rig.inline import ROUND_US, InlineLink
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.tower import Tower
+from touchdown.backend.rig.host import Devices
+from touchdown.backend.rig.remote import RigArm, RigForceTorque, RigGripper
+from touchdown.backend.simulation.devices.bench import SimulatedBench
+from touchdown.backend.simulation.scene import Scene
 
 PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (30.0, 30.0, 15.0))
 
@@ -90,7 +90,7 @@ FEW_HZ = 2.0
 
 
 def _scene(rate_hz: float) -> Scene:
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     bottoms = Tower((catalogue.bottom("short").body(),))
     settings = brisk_settings(rate_hz=rate_hz)
     return Scene(catalogue.top("pot"), bottoms, (6.0, 3.0), 11, settings)

@@ -7,23 +7,23 @@ from collections.abc import Callable
 
 import numpy as np
 
-from backend.config.hardware import HardwareSettings, MelfaSettings
-from backend.config.method import ProbeSettings
-from backend.core.clock import HandClock
-from backend.core.faults import Fault, FaultError
-from backend.core.flow import FloatArray
-from backend.core.stream import SampleStream
-from backend.core.turning import LEVEL_RAD, UNTURNED, vector_of
-from backend.devices.melfa.arm import MelfaArm
-from backend.devices.melfa.orders import Orders
-from backend.devices.melfa.r3_client import R3Client, Ticket
-from backend.devices.melfa.wires import Cycle, CycleTimes
-from backend.devices.sim.bench import SimulatedBench
-from backend.emulators.melfa import EmulatedMelfa
-from backend.emulators.melfa_controller import READY_RAD
-from backend.simulation.arm import Cycle as Cycle10
-from backend.simulation.world import World
-from backend.wire.melfa_r3 import Request, encode_request
+from touchdown.backend.config.hardware import HardwareSettings, MelfaSettings
+from touchdown.backend.config.method import ProbeSettings
+from touchdown.backend.core.clock import ManualClock
+from touchdown.backend.core.faults import Fault, FaultError
+from touchdown.backend.core.rotations import IDENTITY_ROTATION, LEVEL_RAD, rotation_vector
+from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.core.values import FloatArray
+from touchdown.backend.devices.melfa.arm import MelfaArm
+from touchdown.backend.devices.melfa.emulator import EmulatedMelfa
+from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
+from touchdown.backend.devices.melfa.protocol_r3 import Request, encode_request
+from touchdown.backend.devices.melfa.r3_client import R3Client, Ticket
+from touchdown.backend.devices.melfa.sockets import Cycle, CycleTimes
+from touchdown.backend.devices.melfa.status import Orders
+from touchdown.backend.simulation.arm import ArmCycle as Cycle10
+from touchdown.backend.simulation.devices.bench import SimulatedBench
+from touchdown.backend.simulation.world import World
 
 CYCLE_US = 3500
 STIFF_N_MM = 1000.0
@@ -76,8 +76,8 @@ class Link:
 class SteppedWires:
     """The wires of an ``EmulatedMelfa``; time passes by ``advance`` only."""
 
-    def __init__(self, device: EmulatedMelfa, clock: HandClock | None = None) -> None:
-        self.device, self.clock = device, clock or HandClock()
+    def __init__(self, device: EmulatedMelfa, clock: ManualClock | None = None) -> None:
+        self.device, self.clock = device, clock or ManualClock()
         self.link = Link()
         self.times = CycleTimes()
         self.packets: list[tuple[float, bytes]] = []
@@ -232,7 +232,7 @@ class _Follow:
     @property
     def turn(self) -> FloatArray:
         turn = self._turn()
-        return UNTURNED if np.linalg.norm(vector_of(turn)) <= LEVEL_RAD else turn
+        return IDENTITY_ROTATION if np.linalg.norm(rotation_vector(turn)) <= LEVEL_RAD else turn
 
     def next_mm(self, command_mm: FloatArray, cycle: Cycle10) -> FloatArray:
         holding = self._world.holding

@@ -1,12 +1,11 @@
 """The WSG driver's core and the emulated gripper on a hand-wound clock, in either protocol."""
 
-from backend.config.hardware import WsgSettings
-from backend.devices.wsg.core import WsgCore
-from backend.devices.wsg.gcl import GclLanguage
-from backend.devices.wsg.language import BinaryLanguage
-from backend.emulators.faults import Faults
-from backend.emulators.wsg import EmulatedWsg
-from backend.emulators.wsg_gcl import EmulatedGcl
+from touchdown.backend.config.hardware import WsgSettings
+from touchdown.backend.devices.wsg.core import WsgCore
+from touchdown.backend.devices.wsg.dialects import BinaryLanguage, GclLanguage
+from touchdown.backend.devices.wsg.emulator import EmulatedWsg
+from touchdown.backend.devices.wsg.emulator_gcl import EmulatedGcl
+from touchdown.backend.emulation.fault_plan import Faults
 
 PART_MM = 40.0
 

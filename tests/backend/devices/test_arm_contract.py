@@ -7,14 +7,10 @@ import threading
 import numpy as np
 import pytest
 
-from backend.core.faults import FaultError, RefusedError
-from backend.core.flow import Pose
-from backend.devices.protocols import (
-    STILL,
-    RobotMode,
-    SafetyMode,
-)
 from tests.backend.devices.contract_bench import EVERY, PRESS, DevicesUnderTest
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.protocols import STILL, RobotMode, SafetyMode
 
 
 @EVERY

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from backend.core.faults import FaultError
-from backend.core.flow import Pose
-from backend.devices.protocols import RobotMode
-from backend.devices.retreating import Retreating
 from tests.backend.devices.contract_bench import EVERY, PRESS, DevicesUnderTest
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.interlock import Retreating
+from touchdown.backend.devices.protocols import RobotMode
 
 
 @EVERY

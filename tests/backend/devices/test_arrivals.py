@@ -6,21 +6,20 @@ import random
 
 import pytest
 
-from backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from backend.core.flow import FINGERS
-from backend.core.stream import Stream
-from backend.devices.arrivals import Arrivals
-from backend.devices.force_torque.dynpick import DynpickLanguage
-from backend.devices.force_torque.ft300 import Ft300Language
-from backend.devices.force_torque.language import Greeting
-from backend.devices.force_torque.reader import ForceTorqueReader
-from backend.devices.interlock import Interlock
-from backend.devices.protocols import Identity
-from backend.devices.supervision import Supervision
-from backend.emulators.dynpick import EmulatedDynpick
-from backend.emulators.faults import Faults
-from backend.emulators.ft300 import EmulatedFt300
-from backend.emulators.loads import hanging, noisy, suffering
+from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from touchdown.backend.core.streams import Stream
+from touchdown.backend.core.values import FINGERS
+from touchdown.backend.devices.dynpick.driver import DynpickLanguage
+from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.force_torque.protocol import Greeting
+from touchdown.backend.devices.force_torque.reader import ForceTorqueReader
+from touchdown.backend.devices.ft300.driver import Ft300Language
+from touchdown.backend.devices.ft300.emulator import EmulatedFt300
+from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.devices.protocols import Identity
+from touchdown.backend.devices.supervision import Arrivals, Supervision
+from touchdown.backend.emulation.fault_plan import Faults
+from touchdown.backend.emulation.loads import hanging, noisy, suffering
 
 USUAL_S = 1.3
 

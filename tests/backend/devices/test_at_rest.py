@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from backend.core.stream import SampleStream
-from backend.devices.at_rest import last_places_mm, travelled_mm
+from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.devices.protocols import last_places_mm, travelled_mm
 
 
 def told(*rows):

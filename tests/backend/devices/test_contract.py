@@ -7,13 +7,10 @@ import threading
 import numpy as np
 import pytest
 
-from backend.core.faults import FaultError, StaleSampleError
-from backend.core.flow import FINGERS, Pose
-from backend.devices.protocols import (
-    DeviceState,
-    RobotMode,
-)
 from tests.backend.devices.contract_bench import EVERY, ONLY_SIMULATED, PRESS, DevicesUnderTest
+from touchdown.backend.core.faults import FaultError, StaleSampleError
+from touchdown.backend.core.values import FINGERS, Pose
+from touchdown.backend.devices.protocols import DeviceState, RobotMode
 
 
 @EVERY

@@ -7,14 +7,14 @@ import time
 import numpy as np
 import pytest
 
-from backend.config.hardware import HardwareSettings
-from backend.core.faults import FaultError
-from backend.devices.force_torque.making import make_force_torque
-from backend.devices.protocols import DeviceState
-from backend.devices.reconnect import reconnect
-from backend.emulators.dynpick import EmulatedDynpick
-from backend.emulators.front import PtyFront, TcpFront
-from backend.emulators.loads import noisy
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.connection import reconnect
+from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.force_torque_registry import make_force_torque
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.emulation.loads import noisy
+from touchdown.backend.emulation.servers import PtyFront, TcpFront
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 LEAST = 1 / np.array([65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75])

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from backend.devices.degraded import Rate
-from backend.devices.force_torque.dynpick import PERIOD_S, DynpickLanguage
-from backend.devices.force_torque.readout import Readout
-from backend.emulators.dynpick import EmulatedDynpick
-from backend.emulators.faults import Faults
-from backend.emulators.loads import noisy, suffering
-from backend.sensing.drift import DriftWatch
-from backend.wire.dynpick import Record, encode_record
+from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickLanguage
+from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.dynpick.protocol import Record, encode_record
+from touchdown.backend.devices.force_torque.reader import Readout
+from touchdown.backend.devices.supervision import Rate
+from touchdown.backend.emulation.fault_plan import Faults
+from touchdown.backend.emulation.loads import noisy, suffering
+from touchdown.backend.sensing.zeroing import DriftWatch
 
 ZERO = 0x2000
 PER_UNIT = (100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0)

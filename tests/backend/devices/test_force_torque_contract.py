@@ -11,26 +11,25 @@ import time
 import numpy as np
 import pytest
 
-from backend.config.hardware import HardwareSettings
-from backend.core.faults import FaultError
-from backend.devices.force_torque.making import LANGUAGES, make_force_torque
-from backend.devices.protocols import DeviceState
-from backend.devices.reconnect import reconnect
-from backend.emulators.bota import EmulatedBota
-from backend.emulators.dynpick import EmulatedDynpick
-from backend.emulators.faults import Faults
-from backend.emulators.front import PtyFront, TcpFront
-from backend.emulators.front_udp import UdpFront
-from backend.emulators.ft300 import EmulatedFt300
-from backend.emulators.leptrino import EmulatedLeptrino
-from backend.emulators.loads import noisy, suffering
-from backend.emulators.melfa_monitor import TYPE_FORCE, EmulatedMonitor
-from backend.emulators.netft import PER_UNIT, EmulatedNetFt
-from backend.emulators.optoforce import CAPACITY, COUNTS, EmulatedOptoforce
-from backend.emulators.wsg import EmulatedWsg
-from backend.wire.melfa_joints import CYCLE_S
 from tests.backend.devices.waiting import until
 from tests.backend.rig.ticking import TickingRig
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.bota.emulator import EmulatedBota
+from touchdown.backend.devices.connection import reconnect
+from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.force_torque_registry import LANGUAGES, make_force_torque
+from touchdown.backend.devices.ft300.emulator import EmulatedFt300
+from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
+from touchdown.backend.devices.melfa.emulator_controller import TYPE_FORCE, EmulatedMonitor
+from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S
+from touchdown.backend.devices.netft.emulator import PER_UNIT, EmulatedNetFt
+from touchdown.backend.devices.optoforce.emulator import CAPACITY, COUNTS, EmulatedOptoforce
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.devices.wsg.emulator import EmulatedWsg
+from touchdown.backend.emulation.fault_plan import Faults
+from touchdown.backend.emulation.loads import noisy, suffering
+from touchdown.backend.emulation.servers import PtyFront, TcpFront, UdpFront
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 TREMBLE = (0.03, 0.03, 0.03, 0.003, 0.003, 0.003)

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from backend.devices.grip_watch import STANDS_S, GripWatch
-from backend.devices.protocols import DeviceState, GripStatus
+from touchdown.backend.devices.protocols import DeviceState, GripStatus
+from touchdown.backend.devices.supervision import STANDS_S, GripWatch
 
 CYCLE_S = 0.02
 HELD = GripStatus(width_mm=20.0, force_n=10.0, holding=True)

@@ -9,26 +9,23 @@ from functools import partial
 
 import pytest
 
-from backend.config.hardware import HardwareSettings, WsgSettings
-from backend.config.simulation import SimulationSettings
-from backend.core.faults import FaultError, RefusedError
-from backend.devices.held import ByHand
-from backend.devices.protocols import DeviceState
-from backend.devices.sim.bench import SimulatedBench
-from backend.devices.wsg.driver import WsgGripper
-from backend.devices.wsg.making import make_gripper
-from backend.emulators.faults import Faults
-from backend.emulators.front import TcpFront
-from backend.emulators.leptrino import EmulatedLeptrino
-from backend.emulators.wsg import EmulatedWsg
-from backend.emulators.wsg_gcl import EmulatedGcl
-from backend.emulators.wsg_jaws import Profile
-from backend.objects.catalogue import load_catalogue
-from backend.objects.tower import Tower
-from backend.simulation.scene import Scene
-from backend.wire.wsg_words import SystemFlag
 from tests.backend.devices.waiting import until
 from tests.backend.rig.ticking import TickingRig, rounds_pass
+from touchdown.backend.config.hardware import HardwareSettings, WsgSettings
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
+from touchdown.backend.devices.protocols import ByHand, DeviceState
+from touchdown.backend.devices.wsg.driver import WsgGripper, make_gripper
+from touchdown.backend.devices.wsg.emulator import EmulatedWsg, Profile
+from touchdown.backend.devices.wsg.emulator_gcl import EmulatedGcl
+from touchdown.backend.devices.wsg.protocol import SystemFlag
+from touchdown.backend.emulation.fault_plan import Faults
+from touchdown.backend.emulation.servers import TcpFront
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.tower import Tower
+from touchdown.backend.simulation.devices.bench import SimulatedBench
+from touchdown.backend.simulation.scene import Scene
 
 PART_MM = 30.0
 
@@ -37,7 +34,7 @@ class Simulated:
     """The gripper of the simulated bench; its time is wound by hand."""
 
     def __init__(self):
-        catalogue = load_catalogue()
+        catalogue = load_pieces()
         bottoms = Tower((catalogue.bottom("short").body(),))
         settings = SimulationSettings(preset="mixed")
         self.bench = SimulatedBench(Scene(catalogue.top("pot"), bottoms, (6.0, 3.0), 11, settings))

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from backend.core.faults import RefusedError
-from backend.core.flow import Pose
-from backend.devices.guarded import GuardedArm
-from backend.devices.interlock import Interlock, Limits
-from backend.devices.protocols import ArmStatus, PressCommand, RobotMode, SafetyMode
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.guarded import GuardedArm
+from touchdown.backend.devices.interlock import Interlock, Limits
+from touchdown.backend.devices.protocols import ArmStatus, PressCommand, RobotMode, SafetyMode
 
 SURFACE_MM = 40.0
 HERE = Pose(12.0, -7.0, 90.0)

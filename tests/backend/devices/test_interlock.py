@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.core.faults import Fault, RefusedError
-from backend.core.flow import Pose
-from backend.devices.interlock import (
+from touchdown.backend.core.faults import Fault, RefusedError
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.interlock import (
     LEASE_S,
     VERDICT_ROWS,
     Interlock,
@@ -19,7 +19,7 @@ from backend.devices.interlock import (
     ReleaseEvidence,
     release_refusal,
 )
-from backend.devices.jog_limits import outside_box_mm, room_mm
+from touchdown.backend.devices.jog_limits import outside_box_mm, room_mm
 
 GOOD = ReleaseEvidence(
     verdict_stable=True,

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from backend.core.faults import RefusedError
-from backend.core.flow import Pose
-from backend.devices.interlock import Limits
-from backend.devices.jog_limits import fastest_mm_s, refuse_forced, room_mm
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.interlock import Limits
+from touchdown.backend.devices.jog_limits import fastest_mm_s, refuse_forced, room_mm
 
 LIMITS = Limits()
 AT = Pose(0.0, 0.0, 100.0)

@@ -3,16 +3,20 @@
 import numpy as np
 import pytest
 
-from backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from backend.devices.force_torque.bota import BotaLanguage
-from backend.devices.force_torque.ft300 import Ft300Language
-from backend.devices.force_torque.language import Reading
-from backend.devices.force_torque.leptrino import LeptrinoLanguage
-from backend.devices.force_torque.netft import NetFtLanguage
-from backend.devices.force_torque.optoforce import OptoforceLanguage
-from backend.devices.force_torque.readout import Readout
-from backend.wire import bota, leptrino, net_ft, optoforce, robotiq_ft300
-from backend.wire.wrench import Wrench
+from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from touchdown.backend.devices.bota import protocol
+from touchdown.backend.devices.bota.driver import BotaLanguage
+from touchdown.backend.devices.force_torque.protocol import Reading
+from touchdown.backend.devices.force_torque.reader import Readout
+from touchdown.backend.devices.framing import Wrench
+from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
+from touchdown.backend.devices.ft300.driver import Ft300Language
+from touchdown.backend.devices.leptrino import protocol as leptrino
+from touchdown.backend.devices.leptrino.driver import LeptrinoLanguage
+from touchdown.backend.devices.netft import protocol as net_ft
+from touchdown.backend.devices.netft.driver import NetFtLanguage
+from touchdown.backend.devices.optoforce import protocol as optoforce
+from touchdown.backend.devices.optoforce.driver import OptoforceLanguage
 
 SETTINGS = HardwareSettings.model_validate(
     {"optoforce": {"counts": (100.0,) * 6, "capacity": (10.0,) * 6}}
@@ -67,12 +71,12 @@ def test_a_bota_counts_by_its_microseconds_and_marks_what_is_no_measurement():
     period_us = 51 * 19.53125
     begin = (1 << 32) - round(1.5 * period_us)
     frames = [
-        bota.Frame(0, (0.0,) * 6, begin, 25.0),
-        bota.Frame(0, (0.0,) * 6, (begin + round(3 * period_us)) % (1 << 32), 25.0),
-        bota.Frame(bota.Status.OVER_RANGE, (0.0,) * 6, round(2.5 * period_us), 25.0),
-        bota.Frame(bota.Status.INVALID, (1.0,) * 6, round(3.5 * period_us), 25.0),
+        protocol.Frame(0, (0.0,) * 6, begin, 25.0),
+        protocol.Frame(0, (0.0,) * 6, (begin + round(3 * period_us)) % (1 << 32), 25.0),
+        protocol.Frame(protocol.Status.OVER_RANGE, (0.0,) * 6, round(2.5 * period_us), 25.0),
+        protocol.Frame(protocol.Status.INVALID, (1.0,) * 6, round(3.5 * period_us), 25.0),
     ]
-    readings = language.take(b"".join(map(bota.encode, frames)))
+    readings = language.take(b"".join(map(protocol.encode, frames)))
     assert missed(readings) == [0, 2, 0, 0]
     assert [reading.overload for reading in readings] == [False, False, True, False]
     assert np.isnan(readings[3].wrench.force_n).all()

@@ -5,12 +5,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from backend.config.hardware import HardwareSettings
-from backend.core.faults import InputError
-from backend.devices import offered
-from backend.devices.force_torque.making import make_force_torque
-from backend.devices.wsg.driver import WsgGripper
-from backend.devices.wsg.making import make_gripper
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.devices import registry
+from touchdown.backend.devices.force_torque_registry import make_force_torque
+from touchdown.backend.devices.wsg.driver import WsgGripper, make_gripper
 
 
 def settings(**tables):
@@ -19,7 +18,7 @@ def settings(**tables):
 
 def offer(monkeypatch, name, load):
     point = SimpleNamespace(name=name, load=load)
-    monkeypatch.setattr(offered, "entry_points", lambda group: [point])
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
 
 
 def test_an_installed_language_is_made_with_settings_and_address(monkeypatch):

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from backend.devices.force_torque.making import make_force_torque
-from backend.emulators.pace import Pace
 from tests.backend.devices import test_force_torque_contract as contract
+from touchdown.backend.devices.force_torque_registry import make_force_torque
+from touchdown.backend.emulation.pace import Pace
 
 GUIDE = Path(__file__).resolve().parents[3] / "docs" / "hardware.md"
 PERIOD_S = 0.005

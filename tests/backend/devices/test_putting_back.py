@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from backend.devices.putting_back import JigEvidence, jig_refusal
+from touchdown.backend.devices.interlock import JigEvidence, jig_refusal
 
 GOOD = JigEvidence(from_jig_mm=0.1, moved_mm=0.01, force_n=0.2, holding=True)
 NAN = float("nan")

@@ -4,9 +4,9 @@ import threading
 
 import pytest
 
-from backend.core.faults import FaultError
-from backend.devices.protocols import DeviceState, Identity
-from backend.devices.reconnect import reconnect
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.connection import reconnect
+from touchdown.backend.devices.protocols import DeviceState, Identity
 
 
 class Plugged:

@@ -5,17 +5,17 @@ import time
 
 import pytest
 
-from backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from backend.core.faults import FaultError
-from backend.devices.force_torque.language import Greeting
-from backend.devices.force_torque.leptrino import LeptrinoLanguage
-from backend.devices.force_torque.reader import BAD_LIMIT, ForceTorqueReader
-from backend.devices.protocols import DeviceState, Identity
-from backend.wire import leptrino
-from backend.wire.leptrino import Command, Sample
 from tests.backend.devices.waiting import until
+from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.force_torque.protocol import Greeting
+from touchdown.backend.devices.force_torque.reader import BAD_LIMIT, ForceTorqueReader
+from touchdown.backend.devices.leptrino import protocol
+from touchdown.backend.devices.leptrino.driver import LeptrinoLanguage
+from touchdown.backend.devices.leptrino.protocol import Command, Sample
+from touchdown.backend.devices.protocols import DeviceState, Identity
 
-GOOD = [leptrino.encode(Sample(Command.START, (number, 2, 3, 4, 5, 6), 0)) for number in range(2)]
+GOOD = [protocol.encode(Sample(Command.START, (number, 2, 3, 4, 5, 6), 0)) for number in range(2)]
 BAD = GOOD[0][:-1] + bytes([GOOD[0][-1] ^ 1])
 
 

@@ -5,15 +5,15 @@ import random
 import numpy as np
 import pytest
 
-from backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from backend.devices.force_torque.dynpick import DynpickLanguage
-from backend.devices.force_torque.language import Reading
-from backend.devices.force_torque.readout import Readout
-from backend.emulators.dynpick import EmulatedDynpick
-from backend.emulators.loads import noisy
-from backend.sensing.synchroniser import wrench_on_ticks
-from backend.wire.dynpick import RECORD_BYTES, Command
-from backend.wire.wrench import Wrench
+from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from touchdown.backend.devices.dynpick.driver import DynpickLanguage
+from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.dynpick.protocol import RECORD_BYTES, Command
+from touchdown.backend.devices.force_torque.protocol import Reading
+from touchdown.backend.devices.force_torque.reader import Readout
+from touchdown.backend.devices.framing import Wrench
+from touchdown.backend.emulation.loads import noisy
+from touchdown.backend.sensing.episode import wrench_on_ticks
 
 PERIOD_S = 0.001
 BEGUN_S = 100.0

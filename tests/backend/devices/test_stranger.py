@@ -4,14 +4,15 @@ from types import SimpleNamespace
 
 import pytest
 
-from backend.devices import stranger
-from backend.devices.stranger import KINDS, who_answers
-from backend.emulators.dynpick import EmulatedDynpick
-from backend.emulators.ft300 import EmulatedFt300
-from backend.emulators.leptrino import EmulatedLeptrino
-from backend.emulators.wsg import EmulatedWsg
-from backend.emulators.wsg_gcl import EmulatedGcl
-from backend.wire import bota, dynpick
+from touchdown.backend.devices import registry
+from touchdown.backend.devices.bota import protocol
+from touchdown.backend.devices.dynpick import protocol as dynpick
+from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.ft300.emulator import EmulatedFt300
+from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
+from touchdown.backend.devices.registry import KINDS, who_answers
+from touchdown.backend.devices.wsg.emulator import EmulatedWsg
+from touchdown.backend.devices.wsg.emulator_gcl import EmulatedGcl
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 DEVICES = {
@@ -28,7 +29,7 @@ class Wire:
 
     def __init__(self, device, monkeypatch):
         self.device, self.now_s, self.out = device, 0.0, b""
-        monkeypatch.setattr(stranger, "time", SimpleNamespace(monotonic=lambda: self.now_s))
+        monkeypatch.setattr(registry, "time", SimpleNamespace(monotonic=lambda: self.now_s))
 
     def send(self, data):
         self.out += self.device.receive(self.now_s, data)
@@ -64,4 +65,4 @@ def test_noise_silence_and_a_lost_wire_are_nobody(monkeypatch):
 def test_asking_zeroes_no_sensor_and_configures_none():
     asked = b"".join(kind.request for kind in KINDS)
     assert dynpick.Command.OFFSET_RESET.value not in asked
-    assert bota.encode(bota.Request("C")) not in asked
+    assert protocol.encode(protocol.Request("C")) not in asked

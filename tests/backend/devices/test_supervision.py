@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.core.flow import FINGERS, TactileFrame
-from backend.core.stream import SampleStream, Stream
-from backend.devices.cameras.faults import dark_fault
-from backend.devices.degraded import Degraded, Rate
-from backend.devices.interlock import Interlock
-from backend.devices.protocols import DeviceState, GripStatus, Health
-from backend.devices.supervision import GRACE_S, Supervision
+from touchdown.backend.core.streams import SampleStream, Stream
+from touchdown.backend.core.values import FINGERS, TactileFrame
+from touchdown.backend.devices.cameras.frames import dark_fault
+from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.devices.protocols import DeviceState, GripStatus, Health
+from touchdown.backend.devices.supervision import GRACE_S, Degraded, Rate, Supervision
 
 IMAGES = np.random.default_rng(5).integers(0, 2, (8, 240, 320, 3), dtype=np.uint8)
 """Pictures of the least noise: one grey level."""

@@ -7,20 +7,21 @@ import threading
 import numpy as np
 import pytest
 
-from backend.config.hardware import HardwareSettings
-from backend.core.faults import FaultError, RefusedError
-from backend.core.flow import Pose
-from backend.core.stream import SampleStream
-from backend.devices.arms import make_arm
-from backend.devices.protocols import DeviceState, RobotMode, SafetyMode
-from backend.devices.sim.bench import SimulatedBench
-from backend.devices.ur import arm as ur_arm
-from backend.devices.ur import rtde, stop_lane
-from backend.devices.ur.arm import UrArm
 from tests.backend.devices import contract_bench, test_arm_contract, test_arm_retreat
 from tests.backend.devices.contract_bench import DevicesUnderTest
 from tests.backend.devices.ur_stand_in import UrWires, hand_leaning
 from tests.backend.devices.waiting import until
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode
+from touchdown.backend.devices.registry import make_arm
+from touchdown.backend.devices.ur import arm as ur_arm
+from touchdown.backend.devices.ur import rtde
+from touchdown.backend.devices.ur import rtde as stop_lane
+from touchdown.backend.devices.ur.arm import UrArm
+from touchdown.backend.simulation.devices.bench import SimulatedBench
 
 TURNING = ("turn", "joint")
 CLAUSES = [

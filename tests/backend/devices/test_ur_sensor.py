@@ -9,13 +9,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from backend.config.hardware import HardwareSettings
-from backend.core.faults import FaultError
-from backend.devices.force_torque import ur_builtin
-from backend.devices.force_torque.making import make_force_torque
-from backend.devices.force_torque.ur_builtin import SAMPLE, UrLanguage
-from backend.devices.protocols import DeviceState
 from tests.backend.devices.waiting import until
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.force_torque_registry import make_force_torque
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.devices.ur import force_sensor
+from touchdown.backend.devices.ur.force_sensor import SAMPLE, UrLanguage
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 PERIOD_S = 0.002
@@ -62,7 +62,7 @@ def robots(monkeypatch):
         return made[-1]
 
     module = SimpleNamespace(RTDEReceiveInterface=receive)
-    monkeypatch.setitem(ur_builtin.importlib.sys.modules, "rtde_receive", module)
+    monkeypatch.setitem(force_sensor.importlib.sys.modules, "rtde_receive", module)
     return made
 
 
@@ -106,7 +106,7 @@ def test_a_robot_that_tells_nothing_is_a_fault(robots, driver, how):
 
 
 def test_without_the_package_it_says_so(driver, monkeypatch):
-    monkeypatch.setitem(ur_builtin.importlib.sys.modules, "rtde_receive", None)
+    monkeypatch.setitem(force_sensor.importlib.sys.modules, "rtde_receive", None)
     with pytest.raises(FaultError, match="'ur_rtde' is not installed"):
         driver.connect(1.0, threading.Event())
 
@@ -124,7 +124,7 @@ def test_a_gap_in_the_time_of_the_robot_is_counted_and_the_end_of_its_range_told
 @pytest.mark.optional
 def test_the_package_has_what_the_sensor_asks():
     theirs = pytest.importorskip("rtde_receive").RTDEReceiveInterface
-    for name, method in inspect.getmembers(ur_builtin.WrenchSource, inspect.isfunction):
+    for name, method in inspect.getmembers(force_sensor.WrenchSource, inspect.isfunction):
         if not name.startswith("_"):
             assert list(inspect.signature(method).parameters) == ["self"]
             assert callable(getattr(theirs, name))

@@ -2,10 +2,9 @@
 
 import pytest
 
-from backend.core.faults import FaultError
-from backend.wire.wsg_binary import Request
-from backend.wire.wsg_words import Command
 from tests.backend.devices.stepped_wsg import PART_MM, Bench
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.wsg.protocol import Command, Request
 
 
 def code_of(motion):

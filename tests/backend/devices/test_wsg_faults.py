@@ -2,9 +2,9 @@
 
 import pytest
 
-from backend.core.faults import FaultError
-from backend.wire.wsg_words import Command, SystemFlag
 from tests.backend.devices.stepped_wsg import Bench
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.wsg.protocol import Command, SystemFlag
 
 FLAGS = (
     SystemFlag.FAST_STOP,

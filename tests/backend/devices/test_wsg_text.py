@@ -2,9 +2,9 @@
 
 import pytest
 
-from backend.core.faults import FaultError
-from backend.wire.wsg_words import Command, Status
 from tests.backend.devices.stepped_wsg import PART_MM, Bench
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.wsg.protocol import Command, Status
 
 
 def text(**settings):

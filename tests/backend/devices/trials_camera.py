@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from backend.config.hardware import GelsightSettings
-from backend.core.clock import HandClock
-from backend.core.stream import Stream
-from backend.devices.cameras.driver import TactileCamera
-from backend.devices.protocols import DeviceState
-from backend.emulators.gelsight import encode
 from tests.backend.devices.trials import Ended
+from touchdown.backend.bench.gelsight_emulator import encode
+from touchdown.backend.config.hardware import GelsightSettings
+from touchdown.backend.core.clock import ManualClock
+from touchdown.backend.core.streams import Stream
+from touchdown.backend.devices.cameras.driver import TactileCamera
+from touchdown.backend.devices.protocols import DeviceState
 
 PERIOD_S = 0.04
 SENT_BEFORE, SENT_DURING, SENT_AFTER = 5, 14, 6
@@ -57,7 +57,7 @@ class Scripted:
 
     lost = 0
 
-    def __init__(self, contents, clock: HandClock, stop: threading.Event) -> None:
+    def __init__(self, contents, clock: ManualClock, stop: threading.Event) -> None:
         self.facts: dict[str, float] = {}
         self._contents, self._clock, self._stop = contents, clock, stop
 
@@ -79,7 +79,7 @@ class CameraTrial:
     """Draws everything from ``seed``."""
 
     def __init__(self, seed: int) -> None:
-        self.seed, self.rng, self.clock = seed, random.Random(seed), HandClock()
+        self.seed, self.rng, self.clock = seed, random.Random(seed), ManualClock()
         self.told: list[str] = []
         self.camera = TactileCamera("right", SETTINGS, self.clock.now_s, Stream("right", 1000))
         self.camera._newest = AtOnce(self.camera._take)
@@ -175,7 +175,7 @@ class CameraTrial:
 
 
 def _lost(name: str, error: OSError):
-    from backend.devices.cameras.faults import link_fault
+    from touchdown.backend.devices.cameras.frames import link_fault
 
     return link_fault(name, f"The camera is lost: {error}.")
 

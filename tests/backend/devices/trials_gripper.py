@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import random
 
-from backend.core.faults import FaultError
-from backend.devices.wsg.faults import link_fault
-from backend.wire import wsg_binary, wsg_gcl
-from backend.wire.wsg_binary import Request
-from backend.wire.wsg_words import Command, GraspState, SystemFlag
 from tests.backend.devices.stepped_wsg import Bench
 from tests.backend.devices.trials import Ended
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.wsg import protocol, protocol_gcl
+from touchdown.backend.devices.wsg.core import link_fault
+from touchdown.backend.devices.wsg.protocol import Command, GraspState, Request, SystemFlag
 
 MOTIONS = {Command.HOME, Command.PREPOSITION, Command.GRASP, Command.RELEASE}
 OPENING = {Command.PREPOSITION, Command.RELEASE}
@@ -64,7 +63,7 @@ class GripperTrial:
     def _listen(self) -> None:
         """Write down every motion that the gripper is really told, from its own bytes."""
         receive, text = self.bench.mouth.receive, self.protocol == "gcl"
-        decoder = wsg_gcl.lines() if text else wsg_binary.requests()
+        decoder = protocol_gcl.lines() if text else protocol.requests()
 
         def heard(now_s: float, data: bytes) -> bytes:
             for said in decoder.feed(data):
@@ -139,7 +138,7 @@ class GripperTrial:
 def _motion(said: object) -> Command | None:
     if isinstance(said, Request) and said.command in MOTIONS:
         return Command(said.command)
-    if isinstance(said, wsg_gcl.Call):
+    if isinstance(said, protocol_gcl.Call):
         return CALLS.get(said.command)
     return None
 

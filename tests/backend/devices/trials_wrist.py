@@ -9,22 +9,22 @@ import random
 
 import numpy as np
 
-from backend.config.hardware import HardwareSettings
-from backend.core.clock import HandClock
-from backend.core.faults import FaultError
-from backend.devices.force_torque.making import LANGUAGES
-from backend.devices.force_torque.reader import ForceTorqueReader
-from backend.devices.protocols import DeviceState
-from backend.emulators.bota import EmulatedBota
-from backend.emulators.dynpick import EmulatedDynpick
-from backend.emulators.faults import Faults
-from backend.emulators.ft300 import EmulatedFt300
-from backend.emulators.leptrino import EmulatedLeptrino
-from backend.emulators.loads import noisy, suffering
-from backend.emulators.melfa_monitor import TYPE_FORCE, EmulatedMonitor
-from backend.emulators.netft import PER_UNIT, EmulatedNetFt
-from backend.emulators.optoforce import CAPACITY, COUNTS, EmulatedOptoforce
 from tests.backend.devices.trials import Ended
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.clock import ManualClock
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.bota.emulator import EmulatedBota
+from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.force_torque.reader import ForceTorqueReader
+from touchdown.backend.devices.force_torque_registry import LANGUAGES
+from touchdown.backend.devices.ft300.emulator import EmulatedFt300
+from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
+from touchdown.backend.devices.melfa.emulator_controller import TYPE_FORCE, EmulatedMonitor
+from touchdown.backend.devices.netft.emulator import PER_UNIT, EmulatedNetFt
+from touchdown.backend.devices.optoforce.emulator import CAPACITY, COUNTS, EmulatedOptoforce
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.emulation.fault_plan import Faults
+from touchdown.backend.emulation.loads import noisy, suffering
 
 EMULATED = {
     "dynpick": EmulatedDynpick,
@@ -60,7 +60,7 @@ BUFFER = 4096
 class Impatient:
     """Stands for the cancelling event: a pause winds the clock."""
 
-    def __init__(self, clock: HandClock) -> None:
+    def __init__(self, clock: ManualClock) -> None:
         self._clock = clock
 
     def is_set(self) -> bool:
@@ -76,7 +76,7 @@ class SteppedLink:
 
     host = ""
 
-    def __init__(self, sensor, faults: Faults, clock: HandClock, rng: random.Random) -> None:
+    def __init__(self, sensor, faults: Faults, clock: ManualClock, rng: random.Random) -> None:
         self._sensor, self._faults, self._clock, self._rng = sensor, faults, clock, rng
         self._held: list[bytes] = []
         self.chunk = 0
@@ -126,7 +126,7 @@ class WristTrial:
     def __init__(self, seed: int, kind: str | None = None) -> None:
         self.seed, self.rng = seed, random.Random(seed)
         self.kind = kind or self.rng.choice(sorted(EMULATED))
-        self.clock, self.faults = HandClock(), Faults("force_torque")
+        self.clock, self.faults = ManualClock(), Faults("force_torque")
         self.faults.begin(0.0)
         felt = suffering(noisy(lambda now_s: LOAD, TREMBLE, seed), self.faults)
         self.sensor = EMULATED[self.kind](felt)
@@ -217,7 +217,7 @@ class WristTrial:
 
 
 def _planned(**content: object):
-    from backend.emulators.faults import PlannedFault
+    from touchdown.backend.emulation.fault_plan import PlannedFault
 
     return PlannedFault.model_validate({"device": "force_torque", **content})
 

@@ -9,13 +9,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from backend.config.hardware import UrSettings
-from backend.core.turning import UNTURNED, turn_about
-from backend.devices.sim.bench import SimulatedBench
-from backend.devices.ur.arm import UrArm
-from backend.devices.ur.rtde import Interfaces
-from backend.devices.ur.servo import Placing
 from tests.backend.devices.emulated_arm import _Follow
+from touchdown.backend.config.hardware import UrSettings
+from touchdown.backend.core.rotations import IDENTITY_ROTATION, rotation_from_vector
+from touchdown.backend.devices.ur.arm import UrArm
+from touchdown.backend.devices.ur.rtde import Interfaces
+from touchdown.backend.devices.ur.servo import Placing
+from touchdown.backend.simulation.devices.bench import SimulatedBench
 
 CYCLE_US = 8000
 LAG_S = 0.012
@@ -166,7 +166,7 @@ class UrWires:
         self.arm = SteppedUr(
             settings, self.clock.now_s, bench.force_torque.samples, open_with=self.open
         )
-        follow = _Follow(self.true_mm, lambda: UNTURNED, world)
+        follow = _Follow(self.true_mm, lambda: IDENTITY_ROTATION, world)
         world.drive.run(follow)
         self._next_us = self.clock.now_us + CYCLE_US
 
@@ -189,5 +189,5 @@ class UrWires:
 
 def hand_leaning(degrees: float):
     """Return the rotation vector of a hand that leans by so much about the base's x."""
-    assert np.allclose(turn_about(np.array(DOWN))[2, 2], -1.0)
+    assert np.allclose(rotation_from_vector(np.array(DOWN))[2, 2], -1.0)
     return np.array([math.pi - math.radians(degrees), 0.0, 0.0])

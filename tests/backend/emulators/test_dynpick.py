@@ -2,9 +2,9 @@
 
 import pytest
 
-from backend.emulators.dynpick import EmulatedDynpick
-from backend.wire import dynpick
 from tests.backend.wire.vectors import data
+from touchdown.backend.devices.dynpick import protocol
+from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 
@@ -31,11 +31,11 @@ def test_answers_are_the_published_ones():
 def test_the_stream_keeps_its_rate_and_divider():
     sensor = emulated()
     assert sensor.receive(1.0, b"S") == b""
-    records = dynpick.records().feed(sensor.due(1.0999))
+    records = protocol.records().feed(sensor.due(1.0999))
     assert len(records) == 100
     assert [record.tick for record in records[:11]] == [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 0]
     sensor.receive(1.1, b"4F")
-    assert len(dynpick.records().feed(sensor.due(1.2))) == pytest.approx(25, abs=1)
+    assert len(protocol.records().feed(sensor.due(1.2))) == pytest.approx(25, abs=1)
     sensor.receive(1.2, b"E")
     assert sensor.due(9.0) == b""
 
@@ -43,8 +43,8 @@ def test_the_stream_keeps_its_rate_and_divider():
 def test_after_a_pause_old_records_are_lost_and_the_tick_tells():
     sensor = emulated()
     sensor.receive(0.0, b"S")
-    first = dynpick.records().feed(sensor.due(0.0))
-    rest = dynpick.records().feed(sensor.due(1.0))
+    first = protocol.records().feed(sensor.due(0.0))
+    rest = protocol.records().feed(sensor.due(1.0))
     assert len(first) == 1
     assert 200 <= len(rest) <= 202
     assert rest[-1].tick == 1000 % 10
@@ -53,11 +53,11 @@ def test_after_a_pause_old_records_are_lost_and_the_tick_tells():
 def test_offset_reset_zeroes():
     sensor = emulated()
     sensor.receive(0.0, b"O")
-    (record,) = dynpick.records().feed(sensor.receive(0.0, b"R"))
+    (record,) = protocol.records().feed(sensor.receive(0.0, b"R"))
     assert record.counts == (0x2000,) * 6
 
 
 def test_a_load_beyond_the_range_saturates():
     sensor = EmulatedDynpick(lambda now_s: (500.0, -500.0, 0.0, 0.0, 0.0, 0.0))
-    (record,) = dynpick.records().feed(sensor.receive(0.0, b"R"))
+    (record,) = protocol.records().feed(sensor.receive(0.0, b"R"))
     assert record.counts[:3] == (0x3FFF, 0, 0x2000)

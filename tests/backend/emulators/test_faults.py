@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from backend.core.faults import InputError
-from backend.emulators.faults import FaultPlan, Faults, PlannedFault, load_faults
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.emulation.fault_plan import FaultPlan, Faults, PlannedFault, load_faults
 
 MESSAGES = [b"abcdefgh", b"ijklmnop"]
 

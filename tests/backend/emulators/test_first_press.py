@@ -2,8 +2,8 @@
 
 import pytest
 
-from backend.config.simulation import SimulationSettings
 from tests.backend.emulators.wound import WoundWires, bursts, force_apart, simulated_press
+from touchdown.backend.config.simulation import SimulationSettings
 
 NEARLY_WITHOUT_NOISE = SimulationSettings.model_validate(
     {"wrist": {"white_n": 0.01, "white_nm": 0.0004}}

@@ -4,18 +4,26 @@ from itertools import pairwise
 
 import pytest
 
-from backend.emulators.bota import EmulatedBota
-from backend.emulators.faults import Faults
-from backend.emulators.ft300 import EmulatedFt300
-from backend.emulators.leptrino import EmulatedLeptrino
-from backend.emulators.loads import suffering
-from backend.emulators.netft import EmulatedCalibration, EmulatedNetFt, EmulatedPage
-from backend.emulators.optoforce import EmulatedOptoforce
-from backend.emulators.serving import SERIAL, Choice, emulate
-from backend.wire import bota, leptrino, net_ft, optoforce, robotiq_ft300
-from backend.wire.bota import Frame
-from backend.wire.leptrino import Sample, Status
 from tests.backend.wire.vectors import data
+from touchdown.backend.bench.serving import SERIAL, Choice, emulate
+from touchdown.backend.devices.bota import protocol
+from touchdown.backend.devices.bota.emulator import EmulatedBota
+from touchdown.backend.devices.bota.protocol import Frame
+from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
+from touchdown.backend.devices.ft300.emulator import EmulatedFt300
+from touchdown.backend.devices.leptrino import protocol as leptrino
+from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
+from touchdown.backend.devices.leptrino.protocol import Sample, Status
+from touchdown.backend.devices.netft import protocol as net_ft
+from touchdown.backend.devices.netft.emulator import (
+    EmulatedCalibration,
+    EmulatedNetFt,
+    EmulatedPage,
+)
+from touchdown.backend.devices.optoforce import protocol as optoforce
+from touchdown.backend.devices.optoforce.emulator import EmulatedOptoforce
+from touchdown.backend.emulation.fault_plan import Faults
+from touchdown.backend.emulation.loads import suffering
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 
@@ -94,14 +102,14 @@ def test_a_bota_boots_streams_and_keeps_its_own_time():
     sensor = EmulatedBota(still)
     begun = sensor.due(0.123456)
     assert begun == b"App Init" + data("bota-frame")
-    frames = bota.incoming().feed(sensor.due(0.2))
+    frames = protocol.incoming().feed(sensor.due(0.2))
     gaps = [b.timestamp_us - a.timestamp_us for a, b in pairwise(frames)]
     assert set(gaps) == {10_000}
     assert sensor.receive(0.2, b"C") == b"r,0,C,0"
     assert sensor.due(0.5) == b""
     assert sensor.receive(0.5, b"f,51,0,0,1") == b"r,0,f,0"
     assert sensor.receive(0.5, b"R") == b"r,0,R,0"
-    frames = bota.incoming().feed(sensor.due(0.6))
+    frames = protocol.incoming().feed(sensor.due(0.6))
     assert len(frames) == pytest.approx(100, abs=2)
     assert all(isinstance(frame, Frame) for frame in frames)
 

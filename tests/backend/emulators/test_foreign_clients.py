@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import serial
 
-from backend.emulators.serving import Choice, emulate
+from touchdown.backend.bench.serving import Choice, emulate
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 LIMIT_S = 30.0

@@ -4,23 +4,24 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from backend.assembly import SimulatedBenchChoice, make_scene
-from backend.config.hardware import HardwareSettings
-from backend.devices.melfa.orders import Orders
-from backend.emulators.dynpick import SENSITIVITY
-from backend.emulators.joined import (
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, make_scene
+from touchdown.backend.bench.emulated_bench import (
     LATENCY_S,
     BenchFrame,
     JoinedDynpick,
     JoinedScene,
     JoinedWsg,
 )
-from backend.emulators.melfa_controller import READY_RAD
-from backend.objects.catalogue import load_catalogue
-from backend.runs.requests import SceneChoice
-from backend.wire import dynpick, wsg_binary
-from backend.wire.dynpick import Command
-from backend.wire.wsg_words import GraspState
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.devices.dynpick import protocol
+from touchdown.backend.devices.dynpick.emulator import SENSITIVITY
+from touchdown.backend.devices.dynpick.protocol import Command
+from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
+from touchdown.backend.devices.melfa.status import Orders
+from touchdown.backend.devices.wsg import protocol as wsg_binary
+from touchdown.backend.devices.wsg.protocol import GraspState
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.requests import SceneChoice
 
 MELFA = HardwareSettings().melfa
 
@@ -31,7 +32,7 @@ class Bench:
     def __init__(self, *, jig=False):
         settings = SimulatedBenchChoice(preset="quiet").settings()
         choice = SceneChoice("pot", ("short",), 3, jig=jig)
-        scene = make_scene(load_catalogue(), choice, settings)
+        scene = make_scene(load_pieces(), choice, settings)
         self.joined = JoinedScene(scene, MELFA)
         self.gripper = JoinedWsg(self.joined)
 
@@ -194,7 +195,7 @@ def test_a_late_world_is_felt_late_and_not_otherwise(bench):
     """No sample is made up while the world is behind; afterwards all of them come, none changed."""
     joined, sensor = bench.joined, JoinedDynpick(bench.joined)
     bench.pass_time(0.1)
-    told, felt = dynpick.records(), []
+    told, felt = protocol.records(), []
     step = joined.world.step
     joined.world.step = lambda watched: felt.append(step(watched)) or felt[-1]
     sensor.receive(0.1 + LATENCY_S, Command.START.value)
@@ -207,7 +208,7 @@ def test_a_late_world_is_felt_late_and_not_otherwise(bench):
     for _ in range(7):
         joined.step()
     late = records(0.17)
-    exact = np.concatenate([sensed.wrench for sensed in felt]) * SENSITIVITY + dynpick.ZERO_COUNT
+    exact = np.concatenate([sensed.wrench for sensed in felt]) * SENSITIVITY + protocol.ZERO_COUNT
     assert late == [tuple(row) for row in exact.round().astype(int).tolist()]
 
 

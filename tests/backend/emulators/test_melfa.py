@@ -6,18 +6,23 @@ import re
 import numpy as np
 import pytest
 
-from backend.emulators.melfa import EmulatedMelfa
-from backend.emulators.melfa_arm import SPEEDS_RAD_S, frame_of
-from backend.emulators.melfa_controller import READY_RAD
-from backend.wire.melfa_blocks import Kind, Pose, Values
-from backend.wire.melfa_joints import CYCLE_S
-from backend.wire.melfa_mxt import Command, Request, decode_reply, encode_request
-from backend.wire.melfa_r3 import decode_reply as decode_answer
-from backend.wire.melfa_r3 import jog
-from backend.wire.melfa_r3_answers import Run, Stop, read_state
-from backend.wire.melfa_r3_positions import read_axes
 from tests.backend.devices.emulated_arm import settings
 from tests.backend.wire.vectors import data
+from touchdown.backend.devices.melfa.emulator import EmulatedMelfa
+from touchdown.backend.devices.melfa.emulator_arm import SPEEDS_RAD_S, frame_of
+from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
+from touchdown.backend.devices.melfa.protocol_mxt import (
+    CYCLE_S,
+    Command,
+    Kind,
+    Pose,
+    Request,
+    Values,
+    decode_reply,
+    encode_request,
+)
+from touchdown.backend.devices.melfa.protocol_r3 import Run, Stop, jog, read_axes, read_state
+from touchdown.backend.devices.melfa.protocol_r3 import decode_reply as decode_answer
 
 
 class Client:

@@ -5,18 +5,18 @@ import sys
 
 import pytest
 
-from backend.devices.cameras.finding import find_cameras
-from backend.emulators.dynpick import EmulatedDynpick
-from backend.emulators.faults import Faults
-from backend.emulators.gelsight import GelsightFront
 from tests.backend.devices.waiting import until
+from touchdown.backend.bench.gelsight_emulator import GelsightFront
+from touchdown.backend.devices.cameras.system import find_cameras
+from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.emulation.fault_plan import Faults
 
 SERIALS = ("2D8Y-69GR", "28AB-70XY")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
 def test_it_serves_on_without_a_name(tmp_path):
-    from backend.emulators.front import PtyFront
+    from touchdown.backend.emulation.servers import PtyFront
 
     folder = tmp_path / "ports"
     folder.mkdir()
@@ -37,7 +37,7 @@ def test_it_serves_on_without_a_name(tmp_path):
 
 
 def test_a_folder_that_never_was_is_refused_at_the_start(tmp_path):
-    from backend.emulators.front import PtyFront
+    from touchdown.backend.emulation.servers import PtyFront
 
     with pytest.raises(FileNotFoundError):
         PtyFront(EmulatedDynpick(lambda now_s: (0.0,) * 6), link=tmp_path / "nowhere" / "wrist")

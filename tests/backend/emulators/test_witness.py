@@ -6,17 +6,22 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from backend.config.hardware import MelfaSettings
-from backend.emulators.melfa import EmulatedMelfa
-from backend.emulators.melfa_arm import SPEEDS_RAD_S
-from backend.emulators.truth import EmulatedTruth
-from backend.emulators.witness import REST_ROWS, Witness, Witnessed
-from backend.emulators.wsg import EmulatedWsg
-from backend.wire import wsg_binary
-from backend.wire.melfa_blocks import Kind, Values
-from backend.wire.melfa_joints import CYCLE_S
-from backend.wire.melfa_mxt import Command, Request, encode_request
-from backend.wire.wsg_words import Command as Word
+from touchdown.backend.bench.command_log import REST_ROWS, Witness, Witnessed
+from touchdown.backend.bench.emulated_bench import EmulatedTruth
+from touchdown.backend.config.hardware import MelfaSettings
+from touchdown.backend.devices.melfa.emulator import EmulatedMelfa
+from touchdown.backend.devices.melfa.emulator_arm import SPEEDS_RAD_S
+from touchdown.backend.devices.melfa.protocol_mxt import (
+    CYCLE_S,
+    Command,
+    Kind,
+    Request,
+    Values,
+    encode_request,
+)
+from touchdown.backend.devices.wsg import protocol
+from touchdown.backend.devices.wsg.emulator import EmulatedWsg
+from touchdown.backend.devices.wsg.protocol import Command as Word
 
 
 def move(joints_rad) -> bytes:
@@ -61,7 +66,7 @@ def test_force_counts_from_what_hangs_on_the_sensor(melfa):
 def test_a_motion_asked_of_a_gripper_in_a_fault_is_seen(melfa):
     gripper = EmulatedWsg()
     gripper.closed(0.0)  # without a word: the fast stop is latched
-    home = wsg_binary.encode_request(wsg_binary.Request(int(Word.HOME), (1,)))
+    home = protocol.encode_request(protocol.Request(int(Word.HOME), (1,)))
     gripper.receive(0.1, home)
     assert gripper.barred == 1
 

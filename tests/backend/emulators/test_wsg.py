@@ -4,13 +4,20 @@ import socket
 
 import pytest
 
-from backend.emulators.front import TcpFront
-from backend.emulators.wsg import EmulatedWsg
-from backend.emulators.wsg_gcl import EmulatedGcl
-from backend.wire import wsg_binary
-from backend.wire.wsg_binary import Reply, Request, update
-from backend.wire.wsg_words import Command, GraspState, Status, SystemFlag
 from tests.backend.wire.vectors import data
+from touchdown.backend.devices.wsg import protocol
+from touchdown.backend.devices.wsg.emulator import EmulatedWsg
+from touchdown.backend.devices.wsg.emulator_gcl import EmulatedGcl
+from touchdown.backend.devices.wsg.protocol import (
+    Command,
+    GraspState,
+    Reply,
+    Request,
+    Status,
+    SystemFlag,
+    update,
+)
+from touchdown.backend.emulation.servers import TcpFront
 
 HOMED_S = 10.0
 
@@ -19,13 +26,13 @@ class Client:
     """Speaks to an emulated gripper without a wire."""
 
     def __init__(self, part_mm=None, homed=True):
-        self.gripper, self.replies = EmulatedWsg(part_mm=part_mm), wsg_binary.replies()
+        self.gripper, self.replies = EmulatedWsg(part_mm=part_mm), protocol.replies()
         if homed:
-            self.send(0.0, wsg_binary.home())
+            self.send(0.0, protocol.home())
             assert self.wait(HOMED_S) == [Reply(Command.HOME, Status.SUCCESS)]
 
     def send(self, now_s, *requests):
-        content = b"".join(map(wsg_binary.encode_request, requests))
+        content = b"".join(map(protocol.encode_request, requests))
         return self.replies.feed(self.gripper.receive(now_s, content))
 
     def wait(self, now_s):
@@ -38,7 +45,7 @@ class Client:
 
 def test_a_motion_answers_twice_and_ends_when_it_really_ends():
     client = Client()
-    assert client.send(10.0, wsg_binary.preposition(46, 20)) == [
+    assert client.send(10.0, protocol.preposition(46, 20)) == [
         Reply(Command.PREPOSITION, Status.CMD_PENDING)
     ]
     assert client.read(10.5, Command.WIDTH) == pytest.approx(56.0)
@@ -50,15 +57,15 @@ def test_a_motion_answers_twice_and_ends_when_it_really_ends():
 
 def test_before_homing_only_homing_is_allowed():
     client = Client(homed=False)
-    assert client.send(0.0, wsg_binary.grasp(20, 30)) == [
+    assert client.send(0.0, protocol.grasp(20, 30)) == [
         Reply(Command.GRASP, Status.NOT_INITIALIZED)
     ]
-    assert client.send(0.0, wsg_binary.preposition(20, 30))[0].status == Status.NOT_INITIALIZED
+    assert client.send(0.0, protocol.preposition(20, 30))[0].status == Status.NOT_INITIALIZED
 
 
 def test_a_part_is_held_with_the_force_limit_and_may_be_lost():
     client = Client(part_mm=20.0)
-    client.send(10.0, wsg_binary.set_force_limit(10), wsg_binary.grasp(20.5, 46))
+    client.send(10.0, protocol.set_force_limit(10), protocol.grasp(20.5, 46))
     assert client.wait(11.1) == [Reply(Command.GRASP, Status.SUCCESS)]
     assert client.read(11.2, Command.GRASP_STATE) == GraspState.HOLDING
     assert client.read(11.2, Command.FORCE) == 10.0
@@ -74,12 +81,12 @@ def test_a_lost_part_is_back_after_its_fault_once_the_jaws_are_open():
     client = Client(part_mm=20.0)
     faults = client.gripper._faults
     faults.begin(0.0)
-    client.send(10.0, wsg_binary.grasp(20.5, 46))
+    client.send(10.0, protocol.grasp(20.5, 46))
     assert client.wait(11.1) == [Reply(Command.GRASP, Status.SUCCESS)]
     faults.inject(11.2, "part_lost", 1.0)
     client.wait(11.3)
     assert client.read(11.4, Command.GRASP_STATE) == GraspState.PART_LOST
-    client.send(11.5, wsg_binary.release(60, 400))
+    client.send(11.5, protocol.release(60, 400))
     client.wait(12.0)
     assert client.gripper.jaws.part_mm is None
     client.wait(12.3)
@@ -144,7 +151,7 @@ def test_a_line_of_no_known_form_is_refused_by_its_name(line, answer):
 def test_grasps_are_counted_until_they_are_reset():
     client = Client(part_mm=20.0)
     ask = Request(Command.STATISTICS, (1,))
-    client.send(10.0, wsg_binary.grasp(20.5, 46))
+    client.send(10.0, protocol.grasp(20.5, 46))
     client.wait(11.1)
     client.gripper.jaws.part_mm = None
     client.wait(11.2)
@@ -154,15 +161,15 @@ def test_grasps_are_counted_until_they_are_reset():
 
 def test_without_a_part_grasp_fails():
     client = Client()
-    client.send(10.0, wsg_binary.grasp(20, 400))
+    client.send(10.0, protocol.grasp(20, 400))
     assert client.wait(11.0) == [Reply(Command.GRASP, Status.CMD_FAILED)]
     assert client.read(11.0, Command.GRASP_STATE) == GraspState.NO_PART_FOUND
 
 
 def test_a_second_motion_is_refused_and_stop_ends_the_first():
     client = Client()
-    client.send(10.0, wsg_binary.preposition(10, 10))
-    assert client.send(10.1, wsg_binary.release(60, 10)) == [
+    client.send(10.0, protocol.preposition(10, 10))
+    assert client.send(10.1, protocol.release(60, 10)) == [
         Reply(Command.RELEASE, Status.ALREADY_RUNNING)
     ]
     assert client.send(10.2, Request(Command.STOP)) == [
@@ -174,7 +181,7 @@ def test_a_second_motion_is_refused_and_stop_ends_the_first():
 
 def test_a_block_ends_a_preposition():
     client = Client(part_mm=30.0)
-    client.send(10.0, wsg_binary.preposition(10, 100))
+    client.send(10.0, protocol.preposition(10, 100))
     assert client.wait(11.0) == [Reply(Command.PREPOSITION, Status.AXIS_BLOCKED)]
     assert client.read(11.0, Command.SYSTEM_STATE) & SystemFlag.BLOCKED_MINUS
 
@@ -182,10 +189,10 @@ def test_a_block_ends_a_preposition():
 def test_a_fast_stop_holds_until_it_is_acknowledged():
     client = Client()
     client.send(10.0, Request(Command.FAST_STOP))
-    assert client.send(10.1, wsg_binary.grasp(20, 30))[0].status == Status.ACCESS_DENIED
+    assert client.send(10.1, protocol.grasp(20, 30))[0].status == Status.ACCESS_DENIED
     assert client.send(10.2, Request(Command.ACKNOWLEDGE, (b"nak",)))[0].status == 15
-    assert client.send(10.3, wsg_binary.acknowledge()) == [Reply(Command.ACKNOWLEDGE, 0)]
-    assert client.send(10.4, wsg_binary.grasp(20, 30))[0].status == Status.CMD_PENDING
+    assert client.send(10.3, protocol.acknowledge()) == [Reply(Command.ACKNOWLEDGE, 0)]
+    assert client.send(10.4, protocol.grasp(20, 30))[0].status == Status.CMD_PENDING
 
 
 def test_only_an_announced_end_leaves_no_fast_stop():
@@ -214,7 +221,7 @@ def test_bad_and_unknown_requests_are_answered():
     out = client.replies.feed(client.gripper.receive(10.0, bytes(spoilt)))
     assert out == [Reply(Command.GRASP, Status.CHECKSUM_ERROR)]
     unknown = client.replies.feed(
-        client.gripper.receive(10.0, wsg_binary.encode_request(Request(0x90)))
+        client.gripper.receive(10.0, protocol.encode_request(Request(0x90)))
     )
     assert unknown == [Reply(0x90, Status.CMD_UNKNOWN)]
 
@@ -234,4 +241,4 @@ def test_over_tcp_a_torn_connection_latches_the_fast_stop():
             client.sendall(data("wsg-state-once"))
             reply = client.recv(100)
     front.close()
-    assert wsg_binary.replies().feed(reply)[0].values[0] & SystemFlag.FAST_STOP
+    assert protocol.replies().feed(reply)[0].values[0] & SystemFlag.FAST_STOP

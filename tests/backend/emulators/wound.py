@@ -11,26 +11,26 @@ from collections.abc import Callable
 
 import numpy as np
 
-from backend.assembly import make_scene
-from backend.config.hardware import HardwareSettings
-from backend.config.method import SAMPLES_PER_PROBE, TICK_S, StackSettings
-from backend.config.simulation import SimulationSettings
-from backend.core.clock import HandClock
-from backend.core.flow import FloatArray
-from backend.core.stream import SampleStream
-from backend.devices.force_torque.dynpick import PERIOD_S, DynpickLanguage
-from backend.devices.force_torque.readout import Readout
-from backend.devices.melfa.arm import MelfaArm
-from backend.devices.protocols import PressCommand
-from backend.emulators.joined import LATENCY_S, JoinedDynpick, JoinedScene
-from backend.objects.catalogue import load_catalogue
-from backend.runs.requests import SceneChoice
-from backend.sensing.synchroniser import SyncLimits, wrench_on_ticks
-from backend.simulation.arm import PressLaw
-from backend.simulation.scene import Scene
-from backend.simulation.world import World
-from backend.wire.dynpick import Command
 from tests.backend.devices.emulated_arm import CYCLE_US, SteppedWires
+from touchdown.backend.bench.assembly import make_scene
+from touchdown.backend.bench.emulated_bench import LATENCY_S, JoinedDynpick, JoinedScene
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.config.method import SAMPLES_PER_PROBE, TICK_S, StackSettings
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.clock import ManualClock
+from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.core.values import FloatArray
+from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickLanguage
+from touchdown.backend.devices.dynpick.protocol import Command
+from touchdown.backend.devices.force_torque.reader import Readout
+from touchdown.backend.devices.melfa.arm import MelfaArm
+from touchdown.backend.devices.protocols import PressCommand
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.requests import SceneChoice
+from touchdown.backend.sensing.episode import SyncLimits, wrench_on_ticks
+from touchdown.backend.simulation.arm import PressLaw
+from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.world import World
 
 PROBE = StackSettings().probe
 LAW = PressLaw(
@@ -62,7 +62,7 @@ HARDWARE = HardwareSettings.model_validate(
 def scene_of(seed: int, settings: SimulationSettings) -> Scene:
     """Return the scene of a stacking trial: pot on Short or Long."""
     choice = SceneChoice("pot", (("short", "long")[seed % 2],), seed)
-    return make_scene(load_catalogue(), choice, settings)
+    return make_scene(load_pieces(), choice, settings)
 
 
 def simulated_press(seed: int, settings: SimulationSettings, rest_s: float = 1.5) -> FloatArray:
@@ -95,7 +95,7 @@ class WoundWires:
         """``late_s``: how late the world is at the end of a cycle, by the time of that end."""
         self.joined = JoinedScene(scene_of(seed, settings), HARDWARE.melfa)
         _take_piece(self.joined.world)
-        self.clock, self._late_s = HandClock(), late_s
+        self.clock, self._late_s = ManualClock(), late_s
         self._sensor = JoinedDynpick(self.joined)
         self._language = DynpickLanguage(HARDWARE, "wound")
         self._readout = Readout(HARDWARE.ft, PERIOD_S, 1e-3 * HARDWARE.serial.latency_ms)

@@ -10,17 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.uuid7 import uuid7
-from backend.catalogue.values import Label
-from backend.core.flow import FINGERS, Episode, EpisodeQuality, Recording, TactileFrame
-from backend.exchange.exporting import Exported, Video, export
-from backend.exchange.formats import export_format
-from backend.exchange.query import ExportQuery
 from tests.backend.catalogue.conftest import context_for
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label, uuid7
+from touchdown.backend.core.values import FINGERS, Episode, EpisodeQuality, Recording, TactileFrame
+from touchdown.backend.exchange.exports import ExportResult, Video, export_dataset, export_format
+from touchdown.backend.exchange.query import ExportQuery
 
 GOOD = EpisodeQuality(True, (), 0, 0.0, 0, 5.0, 0.0)
-Hand = Callable[..., Exported]
+Hand = Callable[..., ExportResult]
 
 
 def picture(rng: np.random.Generator) -> np.ndarray:
@@ -88,10 +86,12 @@ def hand(dataset: Dataset, tmp_path: Path) -> Hand:
     def make(
         name: str, out: str = "", of: Dataset | None = None, video: Video | None = "none",
         query: ExportQuery | None = None,
-    ) -> Exported:  # fmt: skip
+    ) -> ExportResult:  # fmt: skip
         wanted = query or ExportQuery(
             states=("approved", "submitted", "draft"), held_out=0.4, divide_series=True
         )
-        return export(of or dataset, export_format(name), wanted, tmp_path / (out or name), video)
+        return export_dataset(
+            of or dataset, export_format(name), wanted, tmp_path / (out or name), video
+        )
 
     return make

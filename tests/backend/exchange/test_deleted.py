@@ -5,9 +5,9 @@ from __future__ import annotations
 from hashlib import sha256
 from pathlib import Path
 
-from backend.catalogue.dataset import Dataset
-from backend.exchange.manifest import read_manifest
 from tests.backend.exchange.conftest import Hand
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.exchange.manifest import read_manifest
 
 
 def contents(folder: Path) -> dict[str, str]:

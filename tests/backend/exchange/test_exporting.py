@@ -12,20 +12,19 @@ import pytest
 import zarr
 from zarr.core.sync import cleanup_resources
 
-from backend.catalogue import heads, operations
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.split_tags import SPLIT_TAG
-from backend.catalogue.values import Label
-from backend.core.faults import FaultError, InputError
-from backend.exchange import exporting
-from backend.exchange.exporting import export
-from backend.exchange.formats import EXPORTS, export_format
-from backend.exchange.importing import Import, ImportWish
-from backend.exchange.query import ExportQuery, ExportState, select
 from tests.backend.catalogue.conftest import context_for, small_episode
 from tests.backend.catalogue.test_packs_in_datasets import write_pack
 from tests.backend.exchange.conftest import Hand, recorded_episode
 from tests.backend.exchange.test_round_trip import manifest_of
+from touchdown.backend.annotations import operation_log, review
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.episode_index import SPLIT_TAG
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import FaultError, InputError
+from touchdown.backend.exchange import exports
+from touchdown.backend.exchange.exports import EXPORTS, export_dataset, export_format
+from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions
+from touchdown.backend.exchange.query import ExportQuery, ExportState, select_episodes
 
 EVERY: tuple[ExportState, ...] = ("approved", "submitted", "draft")
 
@@ -64,7 +63,7 @@ def test_the_manifest_says_where_it_comes_from(dataset: Dataset, hand: Hand) -> 
 
 def test_grips_stay_on_one_side(dataset: Dataset) -> None:
     query = ExportQuery(states=EVERY, held_out=0.4, divide_series=True)
-    chosen = select(dataset, query).chosen
+    chosen = select_episodes(dataset, query).chosen
     grips = {side: {o.entry.grip_id for o in chosen if o.split == side}
              for side in ("train", "held_out")}  # fmt: skip
     assert grips["train"]
@@ -74,23 +73,23 @@ def test_grips_stay_on_one_side(dataset: Dataset) -> None:
 
 def tag(dataset: Dataset, uuids: list[str], side: str) -> None:
     with dataset.labels.commit() as connection:
-        marks = [operations.mark_of(connection, u, f"{SPLIT_TAG}{side}", present=True)
+        marks = [operation_log.read_mark(connection, u, f"{SPLIT_TAG}{side}", present=True)
                  for u in uuids]  # fmt: skip
-        site, draft = dataset.description.site, operations.Draft(marks=marks)
-        _, touched = operations.append(connection, site, "ann", "tag", draft)
-        heads.refresh(connection, touched)
+        site, draft = dataset.description.site, operation_log.OperationDraft(marks=marks)
+        _, touched = operation_log.append_operation(connection, site, "ann", "tag", draft)
+        review.refresh_heads(connection, touched)
 
 
 def test_a_pair_of_a_series_is_divided_only_where_somebody_says_so(
     dataset: Dataset, hand: Hand
 ) -> None:
-    alone = select(dataset, ExportQuery(states=EVERY, held_out=0.4))
+    alone = select_episodes(dataset, ExportQuery(states=EVERY, held_out=0.4))
     assert {one.split for one in alone.chosen} == {"train"}
     assert alone.warnings[0].startswith("Nothing is held out. There is one series only of")
     first, *rest = [entry.uuid for entry in dataset.episodes()]
     tag(dataset, rest[:2], "held_out")
     with pytest.raises(InputError, match="1 pair of a series is on both sides") as refused:
-        select(dataset, ExportQuery(states=EVERY))
+        select_episodes(dataset, ExportQuery(states=EVERY))
     assert first in refused.value.where
     done = hand("csv", query=ExportQuery(states=EVERY, divide_series=True))
     content = manifest_of(done.folder)
@@ -107,7 +106,7 @@ def test_whole_series_are_held_out(dataset: Dataset) -> None:
             grip = replace(context, grip_id=f"{number}/{k}")
             dataset.record(recorded_episode(50 + 3 * number + k, frames=False), Label(1, 2, 0, 3),
                            source="measured", context=grip)  # fmt: skip
-    selection = select(dataset, ExportQuery(states=EVERY, held_out=0.3))
+    selection = select_episodes(dataset, ExportQuery(states=EVERY, held_out=0.3))
     assert selection.warnings == ()
     of = {side: {(o.entry.mounting_id, o.entry.bottom) for o in selection.chosen if o.split == side}
           for side in ("train", "held_out")}  # fmt: skip
@@ -118,16 +117,16 @@ def test_whole_series_are_held_out(dataset: Dataset) -> None:
 
 def test_states_choose_and_the_approved_label_counts(dataset: Dataset) -> None:
     everything = [entry.uuid for entry in dataset.episodes()]
-    chosen = select(dataset, ExportQuery()).chosen
+    chosen = select_episodes(dataset, ExportQuery()).chosen
     assert {o.entry.uuid for o in chosen} == set(everything[:4])
     before = dataset.labels.head(everything[0])
     dataset.labels.set("ann", everything[0], Label(7, 7, 0, 9))
-    chosen = select(dataset, ExportQuery()).chosen
+    chosen = select_episodes(dataset, ExportQuery()).chosen
     found = {o.entry.uuid: o.revision.rev_uuid for o in chosen}
     assert found[everything[0]] == before.rev_uuid
     dataset.labels.reject("bob", everything[4], "tilt")
     dataset.labels.delete("bob", everything[1], "test")
-    selection = select(dataset, ExportQuery(states=("approved", "submitted")))
+    selection = select_episodes(dataset, ExportQuery(states=("approved", "submitted")))
     assert {o.entry.uuid for o in selection.chosen} == {everything[k] for k in (0, 2, 3)}
     assert "1 episodes are left out: its label is rejected." in selection.warnings
 
@@ -138,7 +137,7 @@ def test_nothing_to_hand_on_says_why(tmp_path: Path) -> None:
         context = context_for(dataset)
         dataset.record(episode, Label(1, 2, 0, 3), source="commanded", context=context)
         with pytest.raises(InputError, match="failed its quality checks"):
-            select(dataset, ExportQuery(states=("draft",)))
+            select_episodes(dataset, ExportQuery(states=("draft",)))
 
 
 def test_two_faces_need_a_piece(dataset: Dataset, hand: Hand) -> None:
@@ -161,13 +160,13 @@ def test_an_interrupted_export_is_never_complete(
 
     out = tmp_path / "lerobot"
     with pytest.raises(KeyboardInterrupt):
-        export(dataset, export_format("lerobot"), ExportQuery(), out, "none", stop)
+        export_dataset(dataset, export_format("lerobot"), ExportQuery(), out, "none", stop)
     part = tmp_path / "lerobot.partial"
     assert part.is_dir()
     assert not out.exists()
     assert not (part / "manifest.json").exists()
     with pytest.raises(InputError, match="interrupted"):
-        Import(dataset, "lerobot", part, ImportWish("dora"))
+        EpisodeImport(dataset, "lerobot", part, ImportOptions("dora"))
     assert hand("lerobot").folder == out
     assert not part.exists()
 
@@ -178,7 +177,7 @@ def test_a_full_disk_is_a_fault(
     def full(folder: Path, content: object) -> str:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(exporting.manifest, "write_manifest", full)
+    monkeypatch.setattr(exports.manifest, "write_manifest", full)
     with pytest.raises(FaultError, match="DISK-FULL"):
         hand("csv")
 
@@ -222,7 +221,7 @@ def test_packed_episodes_have_what_the_model_is_given(tmp_path: Path, hand: Hand
         assert done.episodes == 4
         assert "no recorded signals" in done.warnings[1]
         with Dataset.open(tmp_path / "back") as back:
-            Import(back, "robomimic", done.folder, ImportWish("dora")).write()
+            EpisodeImport(back, "robomimic", done.folder, ImportOptions("dora")).write()
             mine = {back.read(e.uuid).observation.tobytes() for e in back.episodes()}
             again = hand("robomimic", "packed-again", of=back)
             first, second = (
@@ -237,7 +236,7 @@ def test_packed_episodes_have_what_the_model_is_given(tmp_path: Path, hand: Hand
                 for name in a["data"]:
                     obs = f"data/{name}/obs/markers"
                     assert a[obs][()].tobytes() == b[obs][()].tobytes()
-    from backend.dataset.pack_file import read_pack
+    from touchdown.backend.episodes.packs import read_pack
 
     packed = {row.observation.tobytes() for row in read_pack(folder / "packs" / "a.mcap")}
     assert mine == packed

@@ -8,11 +8,11 @@ import av
 import numpy as np
 import pyarrow.parquet as pq
 
-from backend.catalogue.dataset import Dataset
-from backend.exchange.importing import Import, ImportWish
-from backend.exchange.query import ExportQuery
 from tests.backend.exchange.conftest import Hand
 from tests.backend.exchange.test_round_trip import by_origin, manifest_of
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions
+from touchdown.backend.exchange.query import ExportQuery
 
 KEY = "observation.images.tac_left"
 TWO = ExportQuery(states=("submitted", "draft"), held_out=0.4, divide_series=True)
@@ -56,7 +56,7 @@ def test_pictures_come_back_with_the_episodes(dataset: Dataset, hand: Hand, tmp_
     for kind, worst in (("robomimic", 3.0), ("lerobot", 5.0)):
         out = hand(kind, video="all", query=TWO).folder
         with Dataset.open(tmp_path / f"back-{kind}") as back:
-            Import(back, kind, out, ImportWish("dora")).write()
+            EpisodeImport(back, kind, out, ImportOptions("dora")).write()
             for old, new in by_origin(back).items():
                 mine, theirs = dataset.read(old).recording, back.read(new).recording
                 assert mine is not None

@@ -12,12 +12,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from backend.catalogue.dataset import Dataset
-from backend.core.faults import InputError
-from backend.exchange.foreign import read_foreign
-from backend.exchange.importing import Import, ImportWish
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions, read_foreign
 
-NAMED = ImportWish("dora", "dora", "pot", "circle15")
+NAMED = ImportOptions("dora", "dora", "pot", "circle15")
 
 
 def robomimic_file(path: Path, **changes: Any) -> Path:
@@ -67,10 +66,10 @@ def back(tmp_path: Path) -> Any:
 
 def test_a_robomimic_file_of_others_comes_in(back: Dataset, tmp_path: Path) -> None:
     path = robomimic_file(tmp_path / "demo.hdf5")
-    survey = Import(back, "robomimic", path, NAMED).survey()
+    survey = EpisodeImport(back, "robomimic", path, NAMED).survey()
     assert (survey.found, survey.fit, survey.problems) == (1, 1, ())
     assert any("names no rate" in loss for loss in survey.losses)
-    (uuid,) = Import(back, "robomimic", path, NAMED).write()
+    (uuid,) = EpisodeImport(back, "robomimic", path, NAMED).write()
     with h5py.File(path, "r") as file:
         markers = file["data/demo_0/obs/markers"][()].astype(np.float32)
     assert back.read(uuid).observation[:, :252].tolist() == markers.tolist()
@@ -79,7 +78,7 @@ def test_a_robomimic_file_of_others_comes_in(back: Dataset, tmp_path: Path) -> N
 
 
 def test_lerobot_21_comes_in(back: Dataset, tmp_path: Path) -> None:
-    written = Import(back, "lerobot", lerobot_21(tmp_path / "old"), NAMED).write()
+    written = EpisodeImport(back, "lerobot", lerobot_21(tmp_path / "old"), NAMED).write()
     assert len(written) == 2
     # All on the side "train" is no split.
     assert [back.labels.marks(uuid) for uuid in written] == [{}, {}]
@@ -97,15 +96,15 @@ def test_what_cannot_be_mapped_is_told_and_not_written(
     changes: dict[str, Any], why: str, back: Dataset, tmp_path: Path
 ) -> None:
     path = robomimic_file(tmp_path / "demo.hdf5", **changes)
-    survey = Import(back, "robomimic", path, NAMED).survey()
+    survey = EpisodeImport(back, "robomimic", path, NAMED).survey()
     assert survey.fit == 0
     assert why in survey.problems[0][0]
-    assert Import(back, "robomimic", path, NAMED).write() == []
+    assert EpisodeImport(back, "robomimic", path, NAMED).write() == []
     assert back.episodes() == []
 
 
 def test_another_rate_is_not_taken_for_ours(back: Dataset, tmp_path: Path) -> None:
-    survey = Import(back, "lerobot", lerobot_21(tmp_path / "fast", fps=30), NAMED).survey()
+    survey = EpisodeImport(back, "lerobot", lerobot_21(tmp_path / "fast", fps=30), NAMED).survey()
     assert survey.problems == (("it has 30 ticks per second, not 10", 2),)
 
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from backend.catalogue.merge import copy_files
-from backend.core.faults import InputError
-from backend.exchange.manifest import NAME, VERSION, read_manifest
+from touchdown.backend.annotations.reconciliation import copy_files
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.exchange.manifest import MANIFEST_NAME, VERSION, read_manifest
 
 ROOT = Path(__file__).resolve().parents[3]
 HOSTILE = [
@@ -46,10 +46,10 @@ def snapshot(folder: Path) -> dict[str, bytes]:
 @pytest.mark.parametrize("name", HOSTILE)
 def test_an_export_names_only_files_of_its_own(name: str, place: Path) -> None:
     listed = {"path": name, "bytes": 6, "sha256": hashlib.sha256(b"secret").hexdigest()}
-    (place / NAME).write_text(json.dumps({"version": VERSION, "files": [listed]}))
+    (place / MANIFEST_NAME).write_text(json.dumps({"version": VERSION, "files": [listed]}))
     with pytest.raises(InputError) as caught:
         read_manifest(place)
-    assert str(place / NAME) in str(caught.value)
+    assert str(place / MANIFEST_NAME) in str(caught.value)
 
 
 @pytest.mark.parametrize("name", HOSTILE)

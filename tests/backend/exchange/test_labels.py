@@ -14,12 +14,12 @@ from typing import Any
 import pytest
 import shapely
 
-from backend.catalogue.dataset import Dataset
-from backend.core.faults import Fault, FaultError, InputError
-from backend.exchange import coco, journal_lines, tables
-from backend.exchange.importing import Import, ImportWish
-from backend.exchange.label_rows import LabelsTaken, take_labels
 from tests.backend.exchange.conftest import Hand
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.core.faults import Fault, FaultError, InputError
+from touchdown.backend.exchange import coco, csv_tables, jsonl
+from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions
+from touchdown.backend.exchange.label_import import LabelImportResult, import_labels
 
 
 def edit_csv(path: Path, change: Callable[[list[dict[str, str]]], None]) -> None:
@@ -38,9 +38,9 @@ def edit_json(path: Path, change: Callable[[Any], None]) -> None:
     path.write_text(json.dumps(content))
 
 
-def take(dataset: Dataset, out: Path, kind: str) -> LabelsTaken:
-    read = coco.read if kind == "coco" else tables.read
-    return take_labels(dataset, read(out, dataset), "ann", "test")
+def take(dataset: Dataset, out: Path, kind: str) -> LabelImportResult:
+    read = coco.read_coco if kind == "coco" else csv_tables.read_csv
+    return import_labels(dataset, read(out, dataset), "ann", "test")
 
 
 @pytest.mark.parametrize("kind", ["csv", "coco"])
@@ -51,8 +51,8 @@ def test_unchanged_labels_come_back_as_the_same(kind: str, hand: Hand, dataset: 
 
 @pytest.mark.parametrize("name", ["=1+1", "+cmd|'x'!A1", "-2", "@sum(a1)", "\t=1"])
 def test_a_cell_that_a_spreadsheet_would_calculate_is_text(name: str) -> None:
-    assert tables.as_text(name) == f"'{name}"
-    assert tables.as_text(f"ann {name}") == f"ann {name}"
+    assert csv_tables.as_text(name) == f"'{name}"
+    assert csv_tables.as_text(f"ann {name}") == f"ann {name}"
 
 
 def test_the_person_of_a_table_is_shown_as_written(hand: Hand, dataset: Dataset) -> None:
@@ -174,10 +174,10 @@ def test_the_log_brings_the_work_of_a_copy(hand: Hand, dataset: Dataset, tmp_pat
     with Dataset.open(tmp_path / "copy") as copy:
         copy.labels.set("dora", uuid, copy.labels.head(uuid).label, note="seen")
         out = hand("jsonl", of=copy).folder
-    done = journal_lines.take(dataset, out, "ann")
+    done = jsonl.import_log(dataset, out, "ann")
     assert (done.operations, done.conflicts) == (1, ())
     assert dataset.labels.head(uuid).note == "seen"
-    assert journal_lines.take(dataset, out, "ann").operations == 0
+    assert jsonl.import_log(dataset, out, "ann").operations == 0
 
 
 def test_an_import_keeps_the_catalogue_as_it_was(hand: Hand, dataset: Dataset) -> None:
@@ -210,8 +210,8 @@ def test_without_its_backup_nothing_is_imported(
     before = dataset.database.one("SELECT count(*) FROM op")
     bring: dict[str, Callable[[], object]] = {
         "csv": lambda: take(dataset, out, kind),
-        "jsonl": lambda: journal_lines.take(dataset, out, "ann"),
-        "robomimic": lambda: Import(dataset, kind, out, ImportWish("ann")).write(),
+        "jsonl": lambda: jsonl.import_log(dataset, out, "ann"),
+        "robomimic": lambda: EpisodeImport(dataset, kind, out, ImportOptions("ann")).write(),
     }
     with pytest.raises(FaultError, match="No room for 'import'"):
         bring[kind]()
@@ -223,16 +223,16 @@ def test_a_tampered_log_is_refused(hand: Hand, dataset: Dataset, tmp_path: Path)
     lines = (hand("jsonl").folder / "labels.jsonl").read_text().splitlines()
     path.write_text("\n".join([lines[0].replace("cleo", "eve"), *lines[1:]]) + "\n")
     with pytest.raises(InputError, match="chain of labels is broken"):
-        journal_lines.take(dataset, path, "ann")
+        jsonl.import_log(dataset, path, "ann")
     path.write_text("\n".join([*lines[:2], "{}"]))
     with pytest.raises(InputError, match="no operation"):
-        journal_lines.take(dataset, path, "ann")
+        jsonl.import_log(dataset, path, "ann")
 
 
 def test_the_log_of_other_episodes_is_refused(hand: Hand, tmp_path: Path) -> None:
     out = hand("jsonl").folder
     with Dataset.open(tmp_path / "other") as other:
         with pytest.raises(InputError, match="not in this dataset"):
-            journal_lines.take(other, out, "ann")
+            jsonl.import_log(other, out, "ann")
         with pytest.raises(InputError, match="not in this dataset"):
-            journal_lines.take(other, out / "labels.jsonl", "ann")
+            jsonl.import_log(other, out / "labels.jsonl", "ann")

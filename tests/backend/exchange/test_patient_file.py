@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.exchange.patient_file import PatientFile
+from touchdown.backend.exchange.robomimic import DiskFullSafeFile
 
 h5py = pytest.importorskip("h5py")
 FULL = Path("/dev/full")
 VALUES = np.random.default_rng(1).normal(size=(40, 300, 20))
 
 
-def fill(disk: PatientFile) -> None:
+def fill(disk: DiskFullSafeFile) -> None:
     """Write more than the caches of HDF5 hold, and look at it before it is closed."""
     with h5py.File(disk, "w") as file:
         for k, values in enumerate(VALUES):
@@ -27,7 +27,7 @@ def fill(disk: PatientFile) -> None:
 
 @pytest.mark.skipif(not FULL.exists(), reason="the system has no /dev/full")
 def test_a_full_disk_is_told_after_hdf5_has_closed() -> None:
-    with PatientFile(FULL) as disk:
+    with DiskFullSafeFile(FULL) as disk:
         fill(disk)
         with pytest.raises(OSError, match="No space left") as caught:
             disk.check()
@@ -35,7 +35,7 @@ def test_a_full_disk_is_told_after_hdf5_has_closed() -> None:
 
 
 def test_with_room_it_is_a_file_like_any_other(tmp_path: Path) -> None:
-    with PatientFile(tmp_path / "a.hdf5") as disk:
+    with DiskFullSafeFile(tmp_path / "a.hdf5") as disk:
         fill(disk)
         disk.check()
     with h5py.File(tmp_path / "a.hdf5") as file:

@@ -15,20 +15,19 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Label
-from backend.core.faults import InputError
-from backend.core.flow import Recording
-from backend.exchange import coco, journal_lines, tables
-from backend.exchange.exporting import export
-from backend.exchange.formats import export_format
-from backend.exchange.importing import Import, ImportWish
-from backend.exchange.query import ExportQuery
 from tests.backend.catalogue.conftest import context_for
 from tests.backend.exchange.conftest import Hand, recorded_episode
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.values import Recording
+from touchdown.backend.exchange import coco, csv_tables, jsonl
+from touchdown.backend.exchange.exports import export_dataset, export_format
+from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions
+from touchdown.backend.exchange.query import ExportQuery
 
 ALL = ExportQuery(states=("draft",), held_out=0.0)
-WISH = ImportWish("dora")
+WISH = ImportOptions("dora")
 FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False)
 POSITION_MM = st.floats(-1e6, 1e6)
 MICROMETRES = st.integers(-1_000_000, 1_000_000)
@@ -46,7 +45,7 @@ def probes(draw: st.DrawFn) -> tuple[Any, Any, Any, Label]:
 
 
 def out_of(dataset: Dataset, kind: str, out: Path) -> Path:
-    return export(dataset, export_format(kind), ALL, out, "none").folder
+    return export_dataset(dataset, export_format(kind), ALL, out, "none").folder
 
 
 def numbers(folder: Path, kind: str) -> Any:
@@ -80,7 +79,7 @@ def test_any_finite_probe_comes_back_bit_by_bit(kind: str, tmp_path: Path, drawn
             episode = replace(episode, observation=observation, recording=recording)
             here.record(episode, label, source="measured", context=context_for(here))
         first = out_of(here, kind, place / "first")
-        Import(there, kind, first, WISH).write()
+        EpisodeImport(there, kind, first, WISH).write()
         assert numbers(out_of(there, kind, place / "again"), kind) == numbers(first, kind)
         mine = [here.read(e.uuid).observation.tobytes() for e in here.episodes()]
         theirs = [there.read(e.uuid).observation.tobytes() for e in there.episodes()]
@@ -91,8 +90,8 @@ def test_any_finite_probe_comes_back_bit_by_bit(kind: str, tmp_path: Path, drawn
 
 @given(value=st.none() | st.integers(-(10**9), 10**9))
 def test_any_thousandth_is_read_as_it_was_written(value: int | None) -> None:
-    written = tables._thousandth(value)
-    assert tables._whole(written, "x_mm", Path("t.csv"), 2) == value
+    written = csv_tables._thousandth(value)
+    assert csv_tables._whole(written, "x_mm", Path("t.csv"), 2) == value
 
 
 @pytest.mark.parametrize("kind", ["lerobot", "robomimic"])
@@ -105,23 +104,23 @@ def test_half_an_export_is_refused_with_and_without_its_manifest(
     for share in (0.0, 0.5, 0.99):
         (out / name).write_bytes(whole[: int(share * len(whole))])
         with pytest.raises(InputError, match="cut short"):
-            Import(dataset, kind, out, WISH)
+            EpisodeImport(dataset, kind, out, WISH)
     (out / "manifest.json").unlink()
-    wish = ImportWish("dora", None, "pot", "circle15")
+    wish = ImportOptions("dora", None, "pot", "circle15")
     with pytest.raises(InputError) as error:
-        Import(dataset, kind, out, wish).survey()
+        EpisodeImport(dataset, kind, out, wish).survey()
     assert str(out) in error.value.where
 
 
 @pytest.mark.parametrize("kind", ["csv", "coco", "jsonl"])
 def test_labels_of_a_file_that_was_cut_are_refused(kind: str, hand: Hand, dataset: Dataset) -> None:
     out = hand(kind).folder
-    name = {"csv": tables.FILE, "coco": "annotations.json", "jsonl": journal_lines.FILE}[kind]
+    name = {"csv": csv_tables.FILE, "coco": "annotations.json", "jsonl": jsonl.FILE}[kind]
     whole = (out / name).read_bytes()
     read: dict[str, Callable[[], object]] = {
-        "csv": lambda: list(tables.read(out / name, dataset)),
-        "coco": lambda: list(coco.read(out / name, dataset)),
-        "jsonl": lambda: journal_lines.read(out / name),
+        "csv": lambda: list(csv_tables.read_csv(out / name, dataset)),
+        "coco": lambda: list(coco.read_coco(out / name, dataset)),
+        "jsonl": lambda: jsonl.read_jsonl(out / name),
     }
     for cut in (10, len(whole) // 2, len(whole) - 40):
         (out / name).write_bytes(whole[:cut])

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from backend.catalogue.dataset import Dataset
 from tests.backend.exchange.conftest import Hand
+from touchdown.backend.annotations.dataset import Dataset
 
 ROOT = Path(__file__).resolve().parents[3]
 READERS = Path(os.environ.get("READERS") or ROOT / ".venv-readers") / "bin" / "python"

@@ -12,14 +12,14 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Label
-from backend.core.faults import InputError
-from backend.exchange.importing import Import, ImportWish
 from tests.backend.catalogue.conftest import context_for
 from tests.backend.exchange.conftest import Hand, recorded_episode
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions
 
-WISH = ImportWish("dora")
+WISH = ImportOptions("dora")
 FORMATS = ("lerobot", "robomimic")
 
 
@@ -40,7 +40,7 @@ def test_numbers_labels_and_splits_come_back(
 ) -> None:
     first = hand(kind)
     with Dataset.open(tmp_path / "back") as back:
-        written = Import(back, kind, first.folder, WISH).write()
+        written = EpisodeImport(back, kind, first.folder, WISH).write()
         assert len(written) == 6
         origin = by_origin(back)
         for entry in dataset.episodes():
@@ -69,7 +69,7 @@ def sides(folder: Path) -> dict[str, str]:
 def test_a_lerobot_dataset_made_again_has_the_same_bytes(hand: Hand, tmp_path: Path) -> None:
     first = hand("lerobot")
     with Dataset.open(tmp_path / "back") as back:
-        Import(back, "lerobot", first.folder, WISH).write()
+        EpisodeImport(back, "lerobot", first.folder, WISH).write()
         again = hand("lerobot", "again", of=back)
     for name in ("data/chunk-000/file-000.parquet", "meta/info.json", "meta/tasks.parquet"):
         assert (first.folder / name).read_bytes() == (again.folder / name).read_bytes()
@@ -129,7 +129,7 @@ def test_positions_are_metres_in_the_file_and_mm_after_an_import(
     assert list(state) == pytest.approx([0.120, -0.045, 0.031, 0.0, 0.0, 0.0, 1.0])
     assert list(action) == pytest.approx([0.125, -0.050, 0.029, 0.0, 0.0, 0.0, 1.0])
     with Dataset.open(tmp_path / "back") as back:
-        (uuid,) = Import(back, kind, out, WISH).write()
+        (uuid,) = EpisodeImport(back, kind, out, WISH).write()
         recording = back.read(uuid).recording
         assert recording is not None
         np.testing.assert_allclose(recording.pose_mm[7], (120.0, -45.0, 31.0), atol=1e-4)
@@ -174,11 +174,11 @@ def test_actions_beyond_one_are_scaled_without_loss(tmp_path: Path, hand: Hand) 
 def test_importing_twice_adds_nothing(hand: Hand, tmp_path: Path, dataset: Dataset) -> None:
     out = hand("robomimic").folder
     with Dataset.open(tmp_path / "back") as back:
-        assert len(Import(back, "robomimic", out, WISH).write()) == 6
-        survey = Import(back, "robomimic", out, WISH).survey()
+        assert len(EpisodeImport(back, "robomimic", out, WISH).write()) == 6
+        survey = EpisodeImport(back, "robomimic", out, WISH).survey()
         assert (survey.found, survey.here, survey.fit) == (6, 6, 0)
     # In the dataset that it came from, the episodes themselves are there.
-    survey = Import(dataset, "robomimic", out, WISH).survey()
+    survey = EpisodeImport(dataset, "robomimic", out, WISH).survey()
     assert (survey.here, survey.fit) == (6, 0)
 
 
@@ -193,8 +193,8 @@ def test_an_interrupted_import_goes_on(
 
     with Dataset.open(tmp_path / "back") as back:
         with pytest.raises(KeyboardInterrupt):
-            Import(back, "lerobot", out, WISH).write(stop)
-        assert len(Import(back, "lerobot", out, WISH).write()) == 3
+            EpisodeImport(back, "lerobot", out, WISH).write(stop)
+        assert len(EpisodeImport(back, "lerobot", out, WISH).write()) == 3
         assert len(back.episodes()) == 6
 
 
@@ -204,14 +204,14 @@ def test_without_a_manifest_the_pair_has_to_be_named(kind: str, hand: Hand, tmp_
     (out / "manifest.json").unlink()
     with Dataset.open(tmp_path / "back") as back:
         with pytest.raises(InputError, match="which pieces"):
-            Import(back, kind, out, WISH)
-        wish = ImportWish("dora", "dora", "pot", "circle15")
-        Import(back, kind, out, wish).write()
+            EpisodeImport(back, kind, out, WISH)
+        wish = ImportOptions("dora", "dora", "pot", "circle15")
+        EpisodeImport(back, kind, out, wish).write()
         heads = [back.labels.head(entry.uuid) for entry in back.episodes()]
         assert {head.label.x_um for head in heads} == {1000 * k - 2501 for k in range(6)}
         assert {(head.source, head.state) for head in heads} == {("human", "draft")}
     with Dataset.open(tmp_path / "nobody") as back:
-        Import(back, kind, out, ImportWish("root", None, "pot", "circle15")).write()
+        EpisodeImport(back, kind, out, ImportOptions("root", None, "pot", "circle15")).write()
         sources = {back.labels.head(entry.uuid).source for entry in back.episodes()}
         assert sources == {"measured"}
 
@@ -225,4 +225,4 @@ def test_a_changed_file_does_not_pass_for_the_export(hand: Hand, tmp_path: Path)
         Dataset.open(tmp_path / "back") as back,
         pytest.raises(InputError, match="changed since it was exported"),
     ):
-        Import(back, "robomimic", out, WISH)
+        EpisodeImport(back, "robomimic", out, WISH)

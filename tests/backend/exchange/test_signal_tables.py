@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Label
-from backend.core.faults import InputError
-from backend.core.flow import FINGERS, MARKERS, MarkerField
-from backend.exchange.exporting import export
-from backend.exchange.formats import export_format
-from backend.exchange.query import ExportQuery
 from tests.backend.catalogue.conftest import context_for
 from tests.backend.exchange.conftest import recorded_episode
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.values import FINGERS, MARKERS, MarkerField
+from touchdown.backend.exchange.exports import export_dataset, export_format
+from touchdown.backend.exchange.query import ExportQuery
 
 ALL = ExportQuery(states=("draft",))
 
@@ -47,7 +46,7 @@ def test_every_sample_is_in_its_table(tmp_path: Path) -> None:
         entry = dataset.record(
             episode, Label(1, 2, 0, 3), source="measured", context=context_for(dataset)
         )
-        done = export(dataset, export_format("csv", tables=True), ALL, tmp_path / "out")
+        done = export_dataset(dataset, export_format("csv", tables=True), ALL, tmp_path / "out")
         stored = dataset.read(entry.uuid)
     recording, onset_s = stored.recording, stored.onset_s
     assert recording is not None
@@ -88,6 +87,6 @@ def test_without_recorded_signals_there_are_labels_only(tmp_path: Path) -> None:
     silent = replace(recorded_episode(3, frames=False), recording=None)
     with Dataset.open(tmp_path / "data") as dataset:
         dataset.record(silent, Label(1, 2, 0, 3), source="measured", context=context_for(dataset))
-        done = export(dataset, export_format("csv", tables=True), ALL, tmp_path / "out")
+        done = export_dataset(dataset, export_format("csv", tables=True), ALL, tmp_path / "out")
     assert (done.folder / "episodes.csv").is_file()
     assert not (done.folder / "signals").exists()

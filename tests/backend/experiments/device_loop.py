@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from backend.assembly import SimulatedBenchChoice, simulated_session
-from backend.config.simulation import SimulationSettings
-from backend.core.facts import Fact
-from backend.runs.requests import StackRequest
-from backend.session import Keep
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.events import Event
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import StackRequest
 
 
-def run_on_devices(settings: SimulationSettings, request: StackRequest) -> list[Fact]:
+def run_on_devices(settings: SimulationSettings, request: StackRequest) -> list[Event]:
     """Return the facts of the run on the bench ``settings``."""
-    facts: list[Fact] = []
-    session = simulated_session(SimulatedBenchChoice(given=settings), keep=Keep(None))
+    facts: list[Event] = []
+    session = simulated_session(SimulatedBenchChoice(given=settings), keep=RecordingOptions(None))
     session.hub.subscribe(facts.append)
     try:
         session.run(request)

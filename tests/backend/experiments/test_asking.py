@@ -8,20 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.__main__ import main
-from backend.config.simulation import SpreadSettings, load_simulation
-from backend.experiments.elsewhere import drop, interval, press_figures
-from backend.experiments.given_models import adopt_models, models_that_ship
-from backend.experiments.kinds import KINDS
-from backend.experiments.nuisances import FACTORS, NUISANCES, scaled
-from backend.experiments.sensitivity import Sensitivity, sensitivity_rows
-from backend.experiments.sensitivity_page import sensitivity_page
-from backend.jobs.campaign import run_campaign
-from backend.jobs.executor import Serial
-from backend.jobs.store import JobStore
-from backend.learning.checkpoint import load_card
-from backend.simulation import nuisance
-from backend.simulation.release_mujoco import available
+from touchdown.backend.__main__ import main
+from touchdown.backend.config.simulation import SpreadSettings, load_simulation
+from touchdown.backend.experiments.domain_shift import format_drop, format_interval, press_scores
+from touchdown.backend.experiments.evaluation import FACTORS, NUISANCES, scale_nuisance
+from touchdown.backend.experiments.job_kinds import KINDS
+from touchdown.backend.experiments.models import adopt_models, models_that_ship
+from touchdown.backend.experiments.sensitivity import (
+    NuisanceSensitivity,
+    sensitivity_page,
+    sensitivity_rows,
+)
+from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
+from touchdown.backend.jobs.job import JobStore
+from touchdown.backend.learning.checkpoint import load_card
+from touchdown.backend.simulation import conditions
+from touchdown.backend.simulation.release_mujoco import mujoco_available
 
 BY_NAME = {found.name: found for found in NUISANCES}
 
@@ -34,8 +36,8 @@ def test_every_spread_but_that_of_a_jig_is_a_nuisance() -> None:
 @pytest.mark.parametrize("found", NUISANCES, ids=lambda found: found.name)
 def test_one_nuisance_grows_and_nothing_else(found) -> None:
     bench = load_simulation(preset="bench-v1")
-    assert scaled(bench, found, 1.0) == bench
-    before, after = bench.model_dump(), scaled(bench, found, 3.0).model_dump()
+    assert scale_nuisance(bench, found, 1.0) == bench
+    before, after = bench.model_dump(), scale_nuisance(bench, found, 3.0).model_dump()
     changed = {
         f"{section}.{name}"
         for section, content in before.items()
@@ -51,14 +53,14 @@ def test_one_nuisance_grows_and_nothing_else(found) -> None:
 
 def test_a_range_keeps_its_middle() -> None:
     bench = load_simulation(preset="bench-v1")
-    low, high = scaled(bench, BY_NAME["foundation"], 0.5).face.foundation_range_n_mm3
+    low, high = scale_nuisance(bench, BY_NAME["foundation"], 0.5).face.foundation_range_n_mm3
     assert low * high == pytest.approx(5.0 * 50.0)
     assert high / low == pytest.approx((50.0 / 5.0) ** 0.5)
 
 
 def test_without_tilt_no_board_is_tilted() -> None:
-    bench = scaled(load_simulation(preset="bench-v1"), BY_NAME["tilt"], 0.0)
-    draws = [nuisance.draw_mounting(bench, np.random.default_rng(k)) for k in range(3)]
+    bench = scale_nuisance(load_simulation(preset="bench-v1"), BY_NAME["tilt"], 0.0)
+    draws = [conditions.draw_mounting(bench, np.random.default_rng(k)) for k in range(3)]
     assert [draw.tilt_rad for draw in draws] == [(0.0, 0.0)] * 3
 
 
@@ -78,7 +80,7 @@ def test_figures_of_presses_join_their_parts() -> None:
         _part([0.2, 0.4], [True, False], [3.0, -2.0]),
         _part([0.6, 0.8], [True, True], [-1.0, 0.1]),
     ]
-    found = press_figures(parts, "M")
+    found = press_scores(parts, "M")
     assert found["iou"]["value"] == pytest.approx(0.5)
     assert found["iou"]["n"] == 4
     # One place is too close to call; of the three others two were told right.
@@ -90,22 +92,22 @@ def test_figures_of_presses_join_their_parts() -> None:
 
 def test_a_drop_is_told_in_points() -> None:
     here, there = ({"value": v, "low": v - 0.1, "high": v + 0.1} for v in (0.8, 0.65))
-    assert drop(here, there) == "-15.0"
-    assert interval(here) == "80.0 (70 to 90)"
-    assert drop(here, {"value": None}) == ""
+    assert format_drop(here, there) == "-15.0"
+    assert format_interval(here) == "80.0 (70 to 90)"
+    assert format_drop(here, {"value": None}) == ""
 
 
 def test_sensitivity_is_asked_once_for_the_bench_itself(tmp_path: Path) -> None:
     store, bench = JobStore(tmp_path), load_simulation(preset="quiet")
     source = adopt_models(store, *models_that_ship("quiet"))["pot", "FT+Tac"]
     asked = (BY_NAME["tilt"], BY_NAME["gain"])
-    plan = Sensitivity(bench, "test", "pot", source, ("short",), groups=4, nuisances=asked)
+    plan = NuisanceSensitivity(bench, "test", "pot", source, ("short",), groups=4, nuisances=asked)
     jobs = plan.jobs()
     assert len(jobs) == 1 + 2 * (len(FACTORS) - 1)
     # The bench itself comes first, then the ends of the range.
     assert all(job.seed == jobs[0].seed for job in jobs)
     some = jobs[:3]
-    assert {r.state for r in run_campaign(some, Serial(KINDS, store), store)} == {"done"}
+    assert {r.state for r in run_campaign(some, SerialExecutor(KINDS, store), store)} == {"done"}
     answer = plan.answer(store)
     tilt, gain = answer["nuisances"]
     assert [row["factor"] for row in tilt["at"]] == [0.0, 1.0]
@@ -121,7 +123,7 @@ def test_sensitivity_is_asked_once_for_the_bench_itself(tmp_path: Path) -> None:
 
 
 @pytest.mark.optional
-@pytest.mark.skipif(not available(), reason="needs the optional engine")
+@pytest.mark.skipif(not mujoco_available(), reason="needs the optional engine")
 def test_both_worlds_are_asked_the_same_and_only_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

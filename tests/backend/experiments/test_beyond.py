@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from backend.config.simulation import load_simulation
-from backend.experiments.beyond import Beyond
+from touchdown.backend.config.simulation import load_simulation
+from touchdown.backend.experiments.strategies import ClosedLoopComparison
 
 
 @pytest.mark.parametrize(("bottom", "trials"), [("long", 5), ("short+long", 23)])
 def test_no_two_trials_of_a_cell_have_the_same_seed(bottom: str, trials: int) -> None:
-    plan = Beyond(
+    plan = ClosedLoopComparison(
         load_simulation(preset="bench-v1"), "1", {"pot": "m", "barrel": "m"}, ("pot", "barrel"),
         (bottom,), ("paper",), trials,
     )  # fmt: skip

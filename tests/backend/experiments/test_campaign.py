@@ -9,37 +9,34 @@ from typing import Any
 import numpy as np
 import pytest
 
-from backend.assembly import make_scene
-from backend.config.simulation import SimulationSettings
-from backend.core.faults import InputError
-from backend.experiments.given_models import (
+from touchdown.backend.bench.assembly import make_scene
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.experiments.job_kinds import KINDS
+from touchdown.backend.experiments.models import (
     adopt_models,
     keep_models,
     load_model,
     models_that_ship,
 )
-from backend.experiments.kinds import KINDS
-from backend.experiments.recipes import (
-    BOTTOMS,
+from touchdown.backend.experiments.results import DATA, PAGE, write_tables
+from touchdown.backend.experiments.tables import (
     FULL,
     MODELS,
     PIECES,
     QUICK,
+    TABLE_BOTTOMS,
     TRAINING_BOTTOMS,
     Recipe,
     Scale,
+    agreement,
 )
-from backend.experiments.scenes import Case, balanced_offset, start_scene
-from backend.experiments.tables import agreement
-from backend.experiments.writing import DATA, PAGE, write_tables
-from backend.jobs.campaign import run_campaign
-from backend.jobs.executor import Serial
-from backend.jobs.running import run_job
-from backend.jobs.spec import JobSpec
-from backend.jobs.store import SPEC, JobStore
-from backend.objects.catalogue import load_catalogue
-from backend.objects.leaning import LEAN_MM
-from backend.runs.requests import SceneChoice
+from touchdown.backend.experiments.trials import SceneSetup, balanced_offset, start_scene
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.sampling import LEAN_MM
+from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
+from touchdown.backend.jobs.job import SPEC_FILE, JobSpec, JobStore, run_job
+from touchdown.backend.runs.requests import SceneChoice
 
 HARD = SimulationSettings.model_validate({"preset": "hard"})
 TINY = Scale("tiny", 30, 1, 4, 2, 5, 2, fused=3, pictured=40)
@@ -99,10 +96,10 @@ def test_no_seed_of_an_evaluation_serves_twice_or_in_training() -> None:
 
 
 def test_unseen_outlines_are_unlike_those_of_the_training() -> None:
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     line = np.arange(-20, 20, 0.1)
     grid = np.stack(np.meshgrid(line, line), axis=-1)
-    for unseen in (*BOTTOMS, "hex20", "rect12x28"):
+    for unseen in (*TABLE_BOTTOMS, "hex20", "rect12x28"):
         inside = catalogue.bottom(unseen).face.contains(grid)
         for known in TRAINING_BOTTOMS:
             other = catalogue.bottom(known).face.contains(grid)
@@ -111,7 +108,7 @@ def test_unseen_outlines_are_unlike_those_of_the_training() -> None:
 
 @pytest.mark.parametrize("stable", [True, False])
 def test_a_balanced_sample_is_what_it_says(stable: bool) -> None:
-    case = Case.of(load_catalogue(), "mushroom", ("short",), HARD)
+    case = SceneSetup.of(load_pieces(), "mushroom", ("short",), HARD)
     places = np.stack([balanced_offset(case, seed, 0, stable=stable) for seed in range(40)])
     # Both faces are round and the centre of mass is central: the edge is the smaller circle.
     assert ((np.hypot(*places.T) < 10.0) == stable).all()
@@ -120,8 +117,8 @@ def test_a_balanced_sample_is_what_it_says(stable: bool) -> None:
 
 @pytest.mark.parametrize("bottoms", [("short",), ("short", "long"), ("short", "rect12x28")])
 def test_a_trial_starts_where_the_devices_would_start_it(bottoms: tuple[str, ...]) -> None:
-    catalogue = load_catalogue()
-    case = Case.of(catalogue, "pot", bottoms, HARD)
+    catalogue = load_pieces()
+    case = SceneSetup.of(catalogue, "pot", bottoms, HARD)
     theirs = make_scene(catalogue, SceneChoice("pot", bottoms, 4), HARD)
     mine = start_scene(case, 4)
     assert mine is not None
@@ -130,7 +127,7 @@ def test_a_trial_starts_where_the_devices_would_start_it(bottoms: tuple[str, ...
 
 
 def test_two_bottoms_lean_by_up_to_six_millimetres() -> None:
-    case = Case.of(load_catalogue(), "pot", ("short", "long"), HARD)
+    case = SceneSetup.of(load_pieces(), "pot", ("short", "long"), HARD)
     scenes = [start_scene(case, seed) for seed in range(60)]
     reach = [np.hypot(*scene.bottoms.bodies[1].at_mm) for scene in scenes if scene]
     assert len(reach) >= 55
@@ -143,7 +140,7 @@ def test_a_tiny_campaign_gives_traced_tables_that_repeat(tmp_path: Path) -> None
     answers = []
     for name in ("first", "second"):
         store = JobStore(tmp_path / name / "jobs")
-        results = list(run_campaign(recipe.jobs(), Serial(KINDS, store), store))
+        results = list(run_campaign(recipe.jobs(), SerialExecutor(KINDS, store), store))
         assert [r.error for r in results if r.state == "failed"] == []
         answers.append(write_tables(tmp_path / name, recipe, store)[1])
     assert answers[0] == answers[1]
@@ -169,7 +166,7 @@ def assert_traced(cell: dict[str, Any], store: JobStore, recipe: Recipe) -> None
     """From the cell to its run folder: config, bench, program, seed, networks and their data."""
 
     def spec_of(job: str) -> JobSpec:
-        spec = JobSpec.parse((store.folder(job) / SPEC).read_text("utf-8"))
+        spec = JobSpec.parse((store.folder(job) / SPEC_FILE).read_text("utf-8"))
         assert (spec.id, spec.code) == (job, recipe.code)
         return spec
 

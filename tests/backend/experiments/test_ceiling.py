@@ -10,25 +10,38 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.__main__ import main
-from backend.config.simulation import SimulationSettings, load_simulation
-from backend.core.flow import ContactPatch
-from backend.experiments import worlds
-from backend.experiments.beyond import CHUNK, Beyond, beyond, counted, least_probes
-from backend.experiments.ceiling import FIRST_STEPS, NEXT_STEPS, CeilingReasoner, likely, moved
-from backend.experiments.compared import sheets
-from backend.experiments.recipes import QUICK, Recipe
-from backend.experiments.scenes import Case, start_scene
-from backend.experiments.worlds import Setting, Worlds, feel
-from backend.jobs.running import run_job
-from backend.jobs.store import JobStore
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import face_points
-from backend.placement.strategy import Touched
-from backend.simulation.holding import mounting_of
-from backend.simulation.lockstep import Lockstep
-from backend.simulation.mechanics import Carried
-from backend.simulation.scene import Scene
+from touchdown.backend.__main__ import main
+from touchdown.backend.config.simulation import SimulationSettings, load_simulation
+from touchdown.backend.core.values import ContactPatch
+from touchdown.backend.experiments import oracle
+from touchdown.backend.experiments.comparison import comparison_tables
+from touchdown.backend.experiments.oracle import (
+    FIRST_STEPS,
+    NEXT_STEPS,
+    HypothesisEnsemble,
+    OracleSetting,
+    OracleStrategy,
+    assimilate,
+    predict_press,
+    select_likely,
+)
+from touchdown.backend.experiments.strategies import (
+    TRIALS_PER_JOB,
+    ClosedLoopComparison,
+    count_outcomes,
+    least_probes,
+    run_closed_loop,
+)
+from touchdown.backend.experiments.tables import QUICK, Recipe
+from touchdown.backend.experiments.trials import SceneSetup, start_scene
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.jobs.job import JobStore, run_job
+from touchdown.backend.placement.strategies import ProbeObservation
+from touchdown.backend.simulation.batch import BatchedTrials
+from touchdown.backend.simulation.gripper import scene_mounting
+from touchdown.backend.simulation.mechanics import GraspHistory
+from touchdown.backend.simulation.scene import Scene
 
 SEED = 51
 
@@ -40,46 +53,46 @@ def bench_v1() -> SimulationSettings:
 
 @pytest.fixture(scope="module")
 def scene(bench_v1: SimulationSettings) -> Scene:
-    found = start_scene(Case.of(load_catalogue(), "pot", ("short",), bench_v1), SEED)
+    found = start_scene(SceneSetup.of(load_pieces(), "pot", ("short",), bench_v1), SEED)
     assert found is not None
     return found
 
 
-def setting_of(scene: Scene, *, known: bool = True) -> Setting:
-    return Setting(scene.piece, load_catalogue().bottom("short"), scene.settings, known)
+def setting_of(scene: Scene, *, known: bool = True) -> OracleSetting:
+    return OracleSetting(scene.piece, load_pieces().bottom("short"), scene.settings, known)
 
 
-def true_world(scene: Scene, bench: Lockstep, shift_mm: np.ndarray) -> np.ndarray:
+def true_world(scene: Scene, bench: BatchedTrials, shift_mm: np.ndarray) -> np.ndarray:
     """The scene's own draws as a row of standard normal scores."""
     spread, settings = scene.settings.spread, scene.settings
-    gripping, mounting = bench.grippings[0], mounting_of(scene)
+    gripping, mounting = bench.grippings[0], scene_mounting(scene)
     low, high = settings.face.foundation_range_n_mm3 or (1.0, 1.0)
     share = np.log(mounting.foundation_n_mm3 / low) / np.log(high / low)
     scores = np.linspace(-5.0, 5.0, 20001)
-    row = np.zeros(worlds.COLUMNS)
+    row = np.zeros(oracle.COLUMNS)
     row[:2] = shift_mm
-    row[[worlds.TILT_X, worlds.TILT_Y]] = np.array(mounting.tilt_rad) / spread.tilt_rad
-    row[worlds.STIFFNESS] = np.interp(share, worlds._share(scores), scores)
-    row[worlds.GEL] = (gripping.gel_factor - 1.0) / spread.gel
-    row[worlds.MU_GRIP] = (gripping.mu_grip / settings.mu_grip - 1.0) / spread.mu_grip
-    row[worlds.GRIP] = (gripping.grip_force_n - 10.0) / spread.grip_force_n
-    row[[worlds.GRASP_X, worlds.GRASP_Z]] = (
+    row[[oracle.TILT_X, oracle.TILT_Y]] = np.array(mounting.tilt_rad) / spread.tilt_rad
+    row[oracle.STIFFNESS] = np.interp(share, oracle._share(scores), scores)
+    row[oracle.GEL] = (gripping.gel_factor - 1.0) / spread.gel
+    row[oracle.MU_GRIP] = (gripping.mu_grip / settings.mu_grip - 1.0) / spread.mu_grip
+    row[oracle.GRIP] = (gripping.grip_force_n - 10.0) / spread.grip_force_n
+    row[[oracle.GRASP_X, oracle.GRASP_Z]] = (
         np.array(gripping.grasp_offset_mm) / spread.grasp_offset_mm
     )
-    row[worlds.YAW] = gripping.yaw_rad / spread.yaw_rad
-    row[[worlds.GAIN_LEFT, worlds.GAIN_RIGHT]] = (np.array(gripping.gain) - 1.0) / spread.gain
+    row[oracle.YAW] = gripping.yaw_rad / spread.yaw_rad
+    row[[oracle.GAIN_LEFT, oracle.GAIN_RIGHT]] = (np.array(gripping.gain) - 1.0) / spread.gain
     return row
 
 
 def test_the_true_world_feels_what_the_bench_felt(scene: Scene) -> None:
-    bench = Lockstep([scene])
+    bench = BatchedTrials([scene])
     at = bench.start_commands_mm()
     pressed = bench.press([0], at)
     row = true_world(scene, bench, pressed.true_mm[0] - at[0])
     wrong = row.copy()
-    wrong[worlds.TILT_X] += 2.0
-    both = Worlds(np.stack([row, wrong]), Carried.fresh(2))
-    felt = feel(setting_of(scene), both, (at[0, 0], at[0, 1]), np.random.default_rng(1))
+    wrong[oracle.TILT_X] += 2.0
+    both = HypothesisEnsemble(np.stack([row, wrong]), GraspHistory.fresh(2))
+    felt = predict_press(setting_of(scene), both, (at[0, 0], at[0, 1]), np.random.default_rng(1))
     # What the tare left is the same at all ticks: growth is compared, in N and N m.
     growth = np.diff(pressed.observation[0, [1, 19], -6:], axis=0)
     mine = np.diff(felt.observation[:, [1, 19], -6:], axis=1)[:, 0]
@@ -90,11 +103,11 @@ def test_the_true_world_feels_what_the_bench_felt(scene: Scene) -> None:
 
 
 def test_a_round_bottom_of_the_right_size_is_the_known_one(scene: Scene) -> None:
-    value = np.zeros((1, worlds.COLUMNS))
+    value = np.zeros((1, oracle.COLUMNS))
     value[0, :2] = 5.0, 2.0  # the middle of the diameters that may be is that of Short: 20 mm
-    one = Worlds(value, Carried.fresh(1))
+    one = HypothesisEnsemble(value, GraspHistory.fresh(1))
     known, unknown = (
-        feel(setting_of(scene, known=known), one, (0.0, 0.0), np.random.default_rng(4))
+        predict_press(setting_of(scene, known=known), one, (0.0, 0.0), np.random.default_rng(4))
         for known in (True, False)
     )
     assert np.array_equal(known.observation, unknown.observation)
@@ -109,7 +122,7 @@ def test_where_bayes_can_be_worked_out_the_steps_agree(factors: tuple[float, ...
     matrix, spread = np.array([[2.0, 1.0], [0.0, 0.5]]), np.diag([0.5, 1.0]) ** 2
     seen = np.array([1.5, -1.0])
     for factor in factors:
-        value = moved(value, value @ matrix.T, seen, spread, factor, rng)
+        value = assimilate(value, value @ matrix.T, seen, spread, factor, rng)
     precision = np.eye(2) + matrix.T @ np.linalg.inv(spread) @ matrix
     mean = np.linalg.solve(precision, matrix.T @ np.linalg.inv(spread) @ seen)
     assert value.mean(axis=0) == pytest.approx(mean, abs=0.05)
@@ -119,28 +132,28 @@ def test_where_bayes_can_be_worked_out_the_steps_agree(factors: tuple[float, ...
 def test_strays_and_failed_presses_do_not_go_on() -> None:
     felt = np.concatenate([np.zeros((36, 3)), np.full((2, 3), 100.0), np.zeros((2, 3))])
     usable = np.arange(40) < 38
-    kept = likely(felt, usable, np.zeros(3), np.eye(3), np.random.default_rng(2))
+    kept = select_likely(felt, usable, np.zeros(3), np.eye(3), np.random.default_rng(2))
     assert len(kept) == 40
     assert set(kept) == set(range(36))
 
 
 def test_a_probe_tells_where_the_piece_is(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("backend.experiments.ceiling.WORLDS", 40)
-    monkeypatch.setattr("backend.experiments.ceiling.FIRST_STEPS", (20.0, 1.05))
-    bench = Lockstep([scene])
+    monkeypatch.setattr("touchdown.backend.experiments.oracle.ENSEMBLE_SIZE", 40)
+    monkeypatch.setattr("touchdown.backend.experiments.oracle.FIRST_STEPS", (20.0, 1.05))
+    bench = BatchedTrials([scene])
     at = bench.start_commands_mm()
     here = (float(at[0, 0]), float(at[0, 1]))
     pressed = bench.press([0], at)
     points = face_points(scene.piece.face)
     patch = ContactPatch(points, np.full(len(points), 0.5))
-    reasoner = CeilingReasoner(setting_of(scene), here, SEED)
+    reasoner = OracleStrategy(setting_of(scene), here, SEED)
 
     def error_mm() -> float:
         true = reasoner.worlds.value[:, :2] + at[0]
         return float(np.hypot(*(true - pressed.true_mm[0]).T).mean())
 
     before = error_mm()
-    concluded = reasoner.conclude(Touched(pressed.observation[0], patch, here))
+    concluded = reasoner.conclude(ProbeObservation(pressed.observation[0], patch, here))
     assert error_mm() < 0.7 * before
     assert concluded.action.kind != "give_up"
 
@@ -148,10 +161,12 @@ def test_a_probe_tells_where_the_piece_is(scene: Scene, monkeypatch: pytest.Monk
 def test_trials_are_those_of_table_3(bench_v1: SimulationSettings) -> None:
     models = {("pot", "FT+Tac"): "m"}
     table = Recipe(QUICK, bench_v1, "1", models, ("pot",)).stacking("pot", ("long",), "paper")
-    plan = Beyond(bench_v1, "1", {"pot": "m"}, bottoms=("long",), strategies=("paper",), trials=5)
+    plan = ClosedLoopComparison(
+        bench_v1, "1", {"pot": "m"}, bottoms=("long",), strategies=("paper",), trials=5
+    )
     jobs = plan.jobs()
     assert table is not None
-    assert [job.seed - table.seed for job in jobs] == [0, CHUNK, 2 * CHUNK]
+    assert [job.seed - table.seed for job in jobs] == [0, TRIALS_PER_JOB, 2 * TRIALS_PER_JOB]
     assert [job.params["trials"] for job in jobs] == [2, 2, 1]
 
 
@@ -162,10 +177,10 @@ def test_counts_of_a_cell() -> None:
         {"outcome": "fell", "probes": 2, "least_probes": 2},
         {"outcome": "gave_up", "probes": 8, "least_probes": 3},
     ]
-    cell = counted(trials)
+    cell = count_outcomes(trials)
     assert (cell["placed"]["value"], cell["unsafe"]["value"]) == (0.5, 0.25)
     assert (cell["probes"], cell["excess_probes_median"]) == (3.5, 1.0)
-    assert counted([])["placed"]["value"] is None
+    assert count_outcomes([])["placed"]["value"] is None
 
 
 def test_the_least_number_of_probes(scene: Scene) -> None:
@@ -177,14 +192,16 @@ def test_the_least_number_of_probes(scene: Scene) -> None:
 def test_letting_go_untested_falls_from_every_start(
     bench_v1: SimulationSettings, tmp_path: Path
 ) -> None:
-    plan = Beyond(bench_v1, "1", {}, bottoms=("hex20",), strategies=("pick-and-place",), trials=2)
+    plan = ClosedLoopComparison(
+        bench_v1, "1", {}, bottoms=("hex20",), strategies=("pick-and-place",), trials=2
+    )
     store = JobStore(tmp_path)
     (job,) = plan.jobs()
-    assert run_job(job, {"beyond": beyond}, store).state == "done"
+    assert run_job(job, {"beyond": run_closed_loop}, store).state == "done"
     (cell,) = plan.table(store)["cells"]
     assert cell["unsafe"]["n"] == 2
     assert cell["placed"]["value"] == 0.0
-    (sheet,) = sheets({**plan.table(store), "gaps": []})
+    (sheet,) = comparison_tables({**plan.table(store), "gaps": []})
     assert [row[0] for row in sheet.rows] == [
         "pick-and-place pot hex20",
         "pick-and-place pooled one bottom",

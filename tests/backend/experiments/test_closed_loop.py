@@ -11,23 +11,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.assembly import make_scene, shipped_model
-from backend.config.method import StackSettings
-from backend.config.simulation import PRESETS, SimulationSettings, load_simulation
-from backend.core.facts import ActionChosen, EpisodeRecorded, TrialFinished
-from backend.core.flow import Outcome
-from backend.experiments.closed_loop import Model, pick_and_place_in_lockstep, stack_in_lockstep
-from backend.experiments.models import batch_model
-from backend.experiments.scenes import Case, start_scene
-from backend.learning.checkpoint import load_checkpoint
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import face_points
-from backend.runs.requests import SceneChoice, StackRequest
-from backend.sensing.episode import EpisodeLimits
-from backend.simulation.lockstep import Lockstep
-from backend.simulation.scene import Scene
 from tests.backend.brisk import RATE_HZ
 from tests.backend.experiments.device_loop import run_on_devices
+from touchdown.backend.bench.assembly import make_scene, shipped_model
+from touchdown.backend.config.method import StackSettings
+from touchdown.backend.config.simulation import PRESETS, SimulationSettings, load_simulation
+from touchdown.backend.core.events import ActionChosen, EpisodeRecorded, TrialFinished
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.experiments.models import batch_model
+from touchdown.backend.experiments.trials import (
+    BatchModel,
+    SceneSetup,
+    pick_and_place_in_lockstep,
+    stack_in_lockstep,
+    start_scene,
+)
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.learning.checkpoint import load_checkpoint
+from touchdown.backend.runs.requests import SceneChoice, StackRequest
+from touchdown.backend.sensing.episode import EpisodeLimits
+from touchdown.backend.simulation.batch import BatchedTrials
+from touchdown.backend.simulation.scene import Scene
 
 MECHANICAL = {
     **PRESETS["off"],
@@ -45,13 +50,13 @@ def settings() -> SimulationSettings:
 
 
 def three_scenes(settings: SimulationSettings) -> list[Scene]:
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     return [make_scene(catalogue, SceneChoice(seed=seed), settings) for seed in SEEDS]
 
 
 @pytest.mark.slow
 def test_the_batch_takes_the_course_of_the_devices(settings: SimulationSettings) -> None:
-    catalogue, request = load_catalogue(), StackRequest()
+    catalogue, request = load_pieces(), StackRequest()
     scenes = three_scenes(settings)
     model = batch_model(load_checkpoint(shipped_model("pot")), catalogue.top("pot"))
     ends = stack_in_lockstep(scenes, model, StackSettings(), EpisodeLimits())
@@ -71,7 +76,7 @@ def test_the_batch_takes_the_course_of_the_devices(settings: SimulationSettings)
 
 def test_a_lone_trial_ends_as_it_does_in_a_crowd(settings: SimulationSettings) -> None:
     scenes = three_scenes(settings)
-    together, alone = Lockstep(scenes), Lockstep(scenes[1:2])
+    together, alone = BatchedTrials(scenes), BatchedTrials(scenes[1:2])
     commands = together.start_commands_mm()
     crowd = together.press([0, 1, 2], commands)
     lone = alone.press([0], commands[1:2])
@@ -81,17 +86,17 @@ def test_a_lone_trial_ends_as_it_does_in_a_crowd(settings: SimulationSettings) -
 
 def test_the_start_of_a_scene_is_where_the_piece_is_pressed(settings: SimulationSettings) -> None:
     scene = three_scenes(settings)[0]
-    bench = Lockstep([scene])
+    bench = BatchedTrials([scene])
     felt = bench.press([0], bench.start_commands_mm())
     assert felt.valid.all()
     assert felt.true_mm[0] == pytest.approx(scene.start_mm, abs=0.3)
     assert felt.press_n[0] > 1.0
 
 
-def _constant(probability: float) -> Model:
-    piece = load_catalogue().top("pot")
+def _constant(probability: float) -> BatchModel:
+    piece = load_pieces().top("pot")
     points = face_points(piece.face)
-    return Model(lambda seen: np.full((len(seen), len(points)), probability), points, None)
+    return BatchModel(lambda seen: np.full((len(seen), len(points)), probability), points, None)
 
 
 def test_one_who_is_always_sure_lets_it_fall(settings: SimulationSettings) -> None:
@@ -114,10 +119,10 @@ def test_one_who_never_knows_gives_up(settings: SimulationSettings) -> None:
 
 def test_fusion_places_a_mug_over_its_centre_of_mass() -> None:
     """Told a mirrored centre it lets some of these fall, or ends within 0.1 mm of the edge."""
-    case = Case.of(load_catalogue(), "mug", ("short",), load_simulation(preset="bench-v1"))
+    case = SceneSetup.of(load_pieces(), "mug", ("short",), load_simulation(preset="bench-v1"))
     scenes = [scene for seed in (900, 901, 902) if (scene := start_scene(case, seed))]
     points = face_points(case.piece.face)
-    unasked = Model(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)
+    unasked = BatchModel(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)
     fused = StackSettings(strategy="fused")
     for end in stack_in_lockstep(scenes, unasked, fused, EpisodeLimits()):
         assert end.outcome is Outcome.PLACED

@@ -5,27 +5,31 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.core.flow import CHANNELS
-from backend.experiments.calibration import reliability
-from backend.experiments.distribution import find_twins, largest_marker_px
-from backend.experiments.statistics import Binary, mean, rate
-from backend.experiments.tables import scored, stacking_cell
+from touchdown.backend.core.values import CHANNELS
+from touchdown.backend.experiments.collection import find_ambiguous_pairs, largest_marker_px
+from touchdown.backend.experiments.statistics import (
+    VerdictCounts,
+    estimate_mean,
+    estimate_rate,
+    reliability_curve,
+)
+from touchdown.backend.experiments.tables import score_verdicts, stacking_cell
 
 
 @pytest.mark.parametrize(
     ("k", "n", "low", "high"), [(8, 10, 0.490, 0.943), (40, 60, 0.541, 0.773), (0, 60, 0.0, 0.060)]
 )
 def test_wilson_as_printed_for_the_papers_counts(k: int, n: int, low: float, high: float) -> None:
-    found = rate(k, n)
+    found = estimate_rate(k, n)
     assert (found.low, found.high) == (pytest.approx(low, abs=6e-4), pytest.approx(high, abs=6e-4))
-    assert rate(0, 0).value is None
+    assert estimate_rate(0, 0).value is None
 
 
 def test_the_interval_of_a_mean_covers_it_as_often_as_promised() -> None:
     rng = np.random.default_rng(3)
     held = 0
     for _ in range(400):
-        found = mean(np.clip(rng.normal(0.5, 0.1, 40), 0, 1).tolist())
+        found = estimate_mean(np.clip(rng.normal(0.5, 0.1, 40), 0, 1).tolist())
         assert found.low is not None
         assert found.high is not None
         held += found.low <= 0.5 <= found.high
@@ -38,7 +42,7 @@ def test_the_interval_of_a_mean_covers_it_as_often_as_promised() -> None:
     [((0.4, 0.6), 0.1960), ((0.3, 0.5, 0.7), 0.2263), ((0.5,), 0.5)],
 )
 def test_the_interval_of_few_values_by_hand(values: tuple[float, ...], half: float) -> None:
-    found = mean(values)
+    found = estimate_mean(values)
     assert (found.value, found.n) == (pytest.approx(0.5), len(values))
     assert found.low == pytest.approx(0.5 - half, abs=1e-4)
     assert found.high == pytest.approx(0.5 + half, abs=1e-4)
@@ -47,8 +51,8 @@ def test_the_interval_of_few_values_by_hand(values: tuple[float, ...], half: flo
 def test_counts_of_a_yes_or_no_answer() -> None:
     said = [True, True, True, False, False, False, False]
     true = [True, True, False, True, False, False, False]
-    binary = Binary.of(said, true)
-    assert binary == Binary(both=2, missed=1, unsafe=1, neither=3)
+    binary = VerdictCounts.of(said, true)
+    assert binary == VerdictCounts(both=2, missed=1, unsafe=1, neither=3)
     found = binary.as_json()
     assert found["accuracy"]["value"] == pytest.approx(5 / 7)
     assert found["balanced"] == pytest.approx(0.5 * (2 / 3 + 3 / 4))
@@ -59,11 +63,11 @@ def test_counts_of_a_yes_or_no_answer() -> None:
 def test_cases_too_close_to_call_are_left_out_and_no_support_is_not() -> None:
     margins = [[1.0, 1.0], [0.1, 0.1], [-0.3, -0.3], [None, None], [2.0, -1.0]]
     says = [True, True, True, False, True]
-    every, left_out = scored(says, margins, interface=1)
+    every, left_out = score_verdicts(says, margins, interface=1)
     assert left_out == 1
-    assert every == Binary(both=1, missed=0, unsafe=2, neither=1)
-    top, _ = scored(says, margins, interface=0)
-    assert top == Binary(both=2, missed=0, unsafe=1, neither=1)
+    assert every == VerdictCounts(both=1, missed=0, unsafe=2, neither=1)
+    top, _ = score_verdicts(says, margins, interface=0)
+    assert top == VerdictCounts(both=2, missed=0, unsafe=1, neither=1)
 
 
 def test_every_trial_counts() -> None:
@@ -85,12 +89,12 @@ def test_honest_probabilities_lie_on_the_diagonal_and_boasting_ones_do_not() -> 
     rng = np.random.default_rng(0)
     p = rng.random(60_000)
     truth = rng.random(60_000) < p
-    honest = reliability(p, truth)
+    honest = reliability_curve(p, truth)
     assert honest.ece < 0.01
     assert max(honest.count) - min(honest.count) <= 1
     boasting = np.where(p > 0.5, 0.5 + 0.5 * p, 0.5 * p)
     # An even number of bins: none lies across the middle, where both errors would cancel.
-    assert reliability(boasting, truth, bins=14).ece == pytest.approx(0.125, abs=0.01)
+    assert reliability_curve(boasting, truth, bins=14).ece == pytest.approx(0.125, abs=0.01)
 
 
 def test_planted_twins_are_found() -> None:
@@ -101,7 +105,7 @@ def test_planted_twins_are_found() -> None:
     patch = np.zeros((120, 40), bool)
     patch[:, :20] = True
     patch[70] = ~patch[70]
-    first = find_twins(signals, patch, 1)[0]
+    first = find_ambiguous_pairs(signals, patch, 1)[0]
     # 12 and 80 feel alike as well, but so are their patches.
     assert (first.first, first.second) == (11, 70)
     assert first.distance < 2e-3

@@ -8,11 +8,20 @@ from typing import Any
 
 import pytest
 
-from backend.__main__ import main
-from backend.core.faults import InputError
-from backend.experiments.by_seed import answers_in, group_lines, trial_lines, trials_in
-from backend.experiments.formats import BEYOND_FORMAT
-from backend.experiments.gap import gaps, merged_gaps, quantity
+from touchdown.backend.__main__ import main
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.experiments.comparison import (
+    merged_oracle_shares,
+    oracle_shares,
+    quantity_label,
+)
+from touchdown.backend.experiments.strategies import (
+    group_lines,
+    parse_trials,
+    parse_verdicts,
+    trial_lines,
+)
+from touchdown.backend.experiments.tables import BEYOND_FORMAT
 
 Json = dict[str, Any]
 
@@ -41,7 +50,9 @@ def stored(**strategies: list[Json]) -> Json:
 
 def test_between_nothing_and_everything_the_share_is_the_rate_itself() -> None:
     names = {"paper": cell(0, 80), "mine": cell(60, 80), "ceiling": cell(80, 80)}
-    row, unsafe = gaps({(name, "pot", "long"): trials for name, trials in names.items()}, {})
+    row, unsafe = oracle_shares(
+        {(name, "pot", "long"): trials for name, trials in names.items()}, {}
+    )
     half = 1.96 * (0.75 * 0.25 / 80) ** 0.5
     assert row["share"] == 0.75
     assert (row["share_low"], row["share_high"]) == pytest.approx(
@@ -54,11 +65,11 @@ def test_between_nothing_and_everything_the_share_is_the_rate_itself() -> None:
 def test_one_who_knows_less_of_the_bottom_is_a_ceiling_too() -> None:
     names = {"paper": cell(2, 10), "mine": cell(5, 10), "ceiling-diameter": cell(7, 10)}
     of_pot = {(name, "pot", "long"): trials for name, trials in names.items()}
-    (row, _) = gaps(of_pot, {})
+    (row, _) = oracle_shares(of_pot, {})
     assert (row["to"], row["share"]) == ("ceiling-diameter", pytest.approx(0.6))
-    rows = gaps({**of_pot, ("ceiling", "pot", "long"): cell(8, 10)}, {})
+    rows = oracle_shares({**of_pot, ("ceiling", "pot", "long"): cell(8, 10)}, {})
     # None of the two stands among those that are on their way.
-    placed = [(r["strategy"], quantity(r), r["share"]) for r in rows if r["what"] == "placed"]
+    placed = [(r["strategy"], quantity_label(r), r["share"]) for r in rows if r["what"] == "placed"]
     assert placed == [
         ("mine", "placed", pytest.approx(0.5)),
         ("mine", "placed, to ceiling-diameter", pytest.approx(0.6)),
@@ -67,7 +78,7 @@ def test_one_who_knows_less_of_the_bottom_is_a_ceiling_too() -> None:
 
 def test_a_way_that_may_not_exist_has_no_interval() -> None:
     names = {"paper": cell(9, 10), "mine": cell(10, 10), "ceiling": cell(10, 10)}
-    row, _ = gaps({(name, "pot", "long"): trials for name, trials in names.items()}, {})
+    row, _ = oracle_shares({(name, "pot", "long"): trials for name, trials in names.items()}, {})
     # Without the one seed that tells them apart, as in a third of all draws, there is no way.
     assert (row["share"], row["share_low"], row["share_high"]) == (1.0, None, None)
 
@@ -84,11 +95,11 @@ def test_lines_hold_what_the_shares_are_made_of() -> None:
     (line,) = group_lines({600: said})
     assert line == "600 1.25:1111:0011 -2:0100:0100 -:0010:0000"
     found = {"cells": [{"strategy": "mine", "piece": "pot", "bottom": "long", "asked": [line]}]}
-    back = answers_in({"statics": found})["mine", "pot", "long"][600]
+    back = parse_verdicts({"statics": found})["mine", "pot", "long"][600]
     assert back["margin_mm"] == [[1.25, 1.25], [-2.0, -2.0], [None, None]]
     assert (back["likely"], back["says"]) == (said["likely"], said["says"])
     trials = cell(1, 2, word="knocked_over")
-    assert trials_in(stored(mine=trials))["mine", "pot", "long"] == trials
+    assert parse_trials(stored(mine=trials))["mine", "pot", "long"] == trials
 
 
 def test_one_command_prints_the_shares_over_several_files(
@@ -119,4 +130,4 @@ def test_one_command_prints_the_shares_over_several_files(
 def test_other_benches_are_refused() -> None:
     other = {**stored(ceiling=cell(1, 1)), "bench_sha256": "b" * 64}
     with pytest.raises(InputError, match="different benches"):
-        merged_gaps([("one", stored(paper=cell(1, 1))), ("other", other)])
+        merged_oracle_shares([("one", stored(paper=cell(1, 1))), ("other", other)])

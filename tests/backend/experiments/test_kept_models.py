@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from backend.config.simulation import SimulationSettings
-from backend.core.faults import InputError
-from backend.experiments.given_models import WEIGHTS, adopt_models, keep_models
-from backend.experiments.recipes import FULL, Recipe
-from backend.jobs.store import JobStore
-from backend.learning.checkpoint import card_path, load_checkpoint
-from backend.verbs.experiment_report import written_whole
+from touchdown.backend.cli.experiment.command import report_write_errors
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.experiments.models import WEIGHTS, adopt_models, keep_models
+from touchdown.backend.experiments.tables import FULL, Recipe
+from touchdown.backend.jobs.job import JobStore
+from touchdown.backend.learning.checkpoint import card_path, load_checkpoint
 
-SHIPPED = Path(str(files("resources"))) / "models" / "bench-v1"
+SHIPPED = Path(str(files("touchdown.resources"))) / "models" / "bench-v1"
 RECIPE = Recipe(FULL, SimulationSettings(), "1", pieces=("pot",))
 NAMES = ("FT", "FT+Tac")
 
@@ -102,7 +102,7 @@ def test_a_full_disk_is_one_clear_error_and_the_next_try_is_whole(
     full = OSError(errno.ENOSPC, "No space left on device")
     with monkeypatch.context() as patch:
         at_call(patch, "fsync", 4, full)
-        with pytest.raises(InputError, match="No space left"), written_whole(tmp_path):
+        with pytest.raises(InputError, match="No space left"), report_write_errors(tmp_path):
             keep_models(stores[0], RECIPE, tmp_path)
     assert not list(tmp_path.glob(".*"))
     keep_models(stores[0], RECIPE, tmp_path)

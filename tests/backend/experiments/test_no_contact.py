@@ -5,32 +5,32 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.assembly import make_scene
-from backend.config.method import BeliefSettings, PolicySettings, StackSettings
-from backend.config.simulation import SimulationSettings
-from backend.core.flow import FloatArray, Outcome
-from backend.experiments.closed_loop import Model, TrialEnd, stack_in_lockstep
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import face_points
-from backend.runs.requests import SceneChoice
-from backend.sensing.episode import EpisodeLimits
-from backend.simulation.lockstep import Lockstep
+from touchdown.backend.bench.assembly import make_scene
+from touchdown.backend.config.method import BeliefSettings, PolicySettings, StackSettings
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.values import FloatArray, Outcome
+from touchdown.backend.experiments.trials import BatchModel, BatchTrialResult, stack_in_lockstep
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.requests import SceneChoice
+from touchdown.backend.sensing.episode import EpisodeLimits
+from touchdown.backend.simulation.batch import BatchedTrials
 
 BESIDE_MM = -18.5
 """A pot of 15 mm and a bottom of 20 mm part at 17.5 mm."""
 
 
-class Beside(Lockstep):
+class Beside(BatchedTrials):
     """Trials whose first press meets nothing; the first place of a spiral lies 3 mm nearer."""
 
     def start_commands_mm(self) -> FloatArray:
         return np.tile([BESIDE_MM, 0.0], (len(self.scenes), 1))
 
 
-def ended(strategy: str, most: int) -> TrialEnd:
-    catalogue = load_catalogue()
+def ended(strategy: str, most: int) -> BatchTrialResult:
+    catalogue = load_pieces()
     points = face_points(catalogue.top("pot").face)
-    model = Model(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)
+    model = BatchModel(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)
     settings = StackSettings.model_validate(
         {
             "strategy": strategy,

@@ -11,24 +11,33 @@ from typing import Any
 import numpy as np
 import pytest
 
-from backend.config.method import FusedSettings, StackSettings
-from backend.config.simulation import SimulationSettings, load_simulation
-from backend.experiments.beyond import FORMAT, Beyond, beyond, least_probes
-from backend.experiments.beyond_page import beyond_page
-from backend.experiments.compared import Compared, sheets
-from backend.experiments.gap import gaps
-from backend.experiments.given_models import adopt_models, models_that_ship
-from backend.experiments.promises import STEPS, Promises, chart_of, promises, scores
-from backend.experiments.recipes import QUICK, TWO, Recipe
-from backend.experiments.scenes import Case, start_scene
-from backend.experiments.writing import compared_beside, write_beyond
-from backend.jobs.running import run_job
-from backend.jobs.spec import JobSpec
-from backend.jobs.store import SPEC, JobStore
-from backend.learning.fused.checkpoint import save_fused, shipped_fused
-from backend.objects.catalogue import load_catalogue
-from backend.simulation.scene import Scene
-from backend.simulation.scoring import margin_mm
+from touchdown.backend.config.method import FusedSettings, StackSettings
+from touchdown.backend.config.simulation import SimulationSettings, load_simulation
+from touchdown.backend.experiments.comparison import (
+    StrategyComparison,
+    comparison_page,
+    comparison_tables,
+    oracle_shares,
+)
+from touchdown.backend.experiments.models import adopt_models, models_that_ship
+from touchdown.backend.experiments.results import comparison_beside, write_comparison
+from touchdown.backend.experiments.strategies import (
+    FORMAT,
+    PROBABILITY_STEPS,
+    ClosedLoopComparison,
+    StaticComparison,
+    least_probes,
+    reliability_of_counts,
+    run_closed_loop,
+    run_static_groups,
+    static_scores,
+)
+from touchdown.backend.experiments.tables import QUICK, TOWER, Recipe
+from touchdown.backend.experiments.trials import SceneSetup, start_scene
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.jobs.job import SPEC_FILE, JobSpec, JobStore, run_job
+from touchdown.backend.learning.fused.checkpoint import save_fused, shipped_fused
+from touchdown.backend.simulation.scene import Scene, true_margin_mm
 
 Json = dict[str, Any]
 NS = ("1", "2", "3", "5")
@@ -45,7 +54,7 @@ def store(tmp_path: Path) -> JobStore:
 
 
 def answer(says: list[bool], likely: list[bool], margins: list[float | None]) -> Json:
-    counts = np.zeros((3, STEPS))
+    counts = np.zeros((3, PROBABILITY_STEPS))
     counts[:, [40, 360]] = np.array([[10.0, 10.0], [1.0, 10.0], [1.0, 9.0]])
     return {
         "says": dict.fromkeys(NS, says),
@@ -59,7 +68,7 @@ def answer(says: list[bool], likely: list[bool], margins: list[float | None]) ->
 
 def test_scores_of_known_answers() -> None:
     margins = [3.0, -3.0, 2.0, None, 0.1]  # the last one is too close to be scored
-    found = scores([answer([True, False, False, False, True], [True] * 5, margins)])
+    found = static_scores([answer([True, False, False, False, True], [True] * 5, margins)])
     assert found["groups"] == 5
     assert found["released"]["3"]["balanced"] == pytest.approx(0.75)
     assert found["released"]["3"]["unsafe"]["value"] == 0.0
@@ -73,12 +82,12 @@ def test_counted_probabilities_make_the_chart_of_the_probabilities_themselves() 
     rng = np.random.default_rng(6)
     p = rng.uniform(size=20000)
     true = rng.uniform(size=20000) < p**2
-    step = np.minimum((p * STEPS).astype(int), STEPS - 1)
+    step = np.minimum((p * PROBABILITY_STEPS).astype(int), PROBABILITY_STEPS - 1)
     weights = (np.ones(len(p)), true.astype(float), p)
-    counts = np.stack([np.bincount(step, w, STEPS).astype(np.float64) for w in weights])
+    counts = np.stack([np.bincount(step, w, PROBABILITY_STEPS).astype(np.float64) for w in weights])
     # The mean distance between p and p squared is 1/2 - 1/3.
-    assert chart_of(counts)["ece"] == pytest.approx(1 / 6, abs=0.01)
-    assert sum(chart_of(counts)["count"]) == 20000
+    assert reliability_of_counts(counts)["ece"] == pytest.approx(1 / 6, abs=0.01)
+    assert sum(reliability_of_counts(counts)["count"]) == 20000
 
 
 def test_shares_of_the_way_count_what_all_three_did() -> None:
@@ -90,26 +99,26 @@ def test_shares_of_the_way_count_what_all_three_did() -> None:
         ("mine", "pot", "short"): cell("placed", "placed", "fell", "placed"),
         ("ceiling", "pot", "short"): cell("placed", "placed", "placed", "placed"),
     }
-    row, unsafe = gaps(trials, {})
+    row, unsafe = oracle_shares(trials, {})
     assert (row["n"], row["paper"], row["own"], row["ceiling"]) == (4, 0.25, 0.75, 1.0)
     assert row["share"] == pytest.approx(2 / 3)
     # Of the unsafe releases one of two is gone; the ceiling has none.
     assert (unsafe["what"], unsafe["paper"], unsafe["share"]) == ("unsafe", 0.5, 0.5)
-    assert gaps({k: v for k, v in trials.items() if k[0] != "ceiling"}, {}) == []
+    assert oracle_shares({k: v for k, v in trials.items() if k[0] != "ceiling"}, {}) == []
     said = {
         ("paper", "pot", "short"): {1: answer([False] * 2, [False] * 2, [2.0, -2.0])},
         ("mine", "pot", "short"): {1: answer([False] * 2, [True, False], [2.0, -2.0])},
         ("ceiling", "pot", "short"): {1: answer([False] * 2, [True, False], [2.0, -2.0])},
     }
-    rows = gaps({}, said)
+    rows = oracle_shares({}, said)
     assert [r["what"] for r in rows] == [f"balanced, n = {n}" for n in NS]
     assert (rows[0]["paper"], rows[0]["own"], rows[0]["share"]) == (0.5, 1.0, 1.0)
 
 
 def test_towers_have_the_seeds_of_table_3(bench_v1: SimulationSettings) -> None:
     models = {("pot", "FT+Tac"): "m"}
-    table = Recipe(QUICK, bench_v1, "1", models, ("pot",)).stacking("pot", TWO, "paper")
-    plan = Beyond(
+    table = Recipe(QUICK, bench_v1, "1", models, ("pot",)).stacking("pot", TOWER, "paper")
+    plan = ClosedLoopComparison(
         bench_v1, "1", {"pot": "m"}, bottoms=("short+long", "long"),
         strategies=("paper", "ceiling"), trials=2,
     )  # fmt: skip
@@ -126,7 +135,7 @@ def test_answers_of_another_network_are_other_jobs(
     ships, other = shipped_fused(), tmp_path / "other.safetensors"
     save_fused(other, {**ships.arrays, "mean": ships.arrays["mean"] + 1.0}, ships.card)
     asks = StackSettings(fused=FusedSettings(weights=str(other)))
-    for kind in (Promises, Beyond):
+    for kind in (StaticComparison, ClosedLoopComparison):
         plan = kind(bench_v1, "1", {"pot": "m"}, ("pot",), ("long",), ("paper", "fused"), 2)
         paper, fused = plan.jobs()
         _, theirs = replace(plan, method=asks).jobs()
@@ -139,7 +148,7 @@ def test_answers_of_another_network_are_other_jobs(
 def test_the_least_probes_on_a_tower_are_those_to_where_all_of_it_holds(
     bench_v1: SimulationSettings,
 ) -> None:
-    case = Case.of(load_catalogue(), "pot", TWO, bench_v1)
+    case = SceneSetup.of(load_pieces(), "pot", TOWER, bench_v1)
     scenes = [scene for seed in range(6) if (scene := start_scene(case, seed))]
     assert len(scenes) > 3
     around = np.arange(0.0, 2.0 * np.pi, np.pi / 12)
@@ -147,9 +156,11 @@ def test_the_least_probes_on_a_tower_are_those_to_where_all_of_it_holds(
         longest = 3.0 * (least_probes(scene) - 1)
         # The exact judge, asked all round: within the steps there is a place, one step less none.
         ways = np.arange(longest, longest - 3.0, -0.5)
-        assert any(margin_mm(scene, off(scene, w, a), 0.0) >= 0.2 for a in around for w in ways)
+        assert any(
+            true_margin_mm(scene, off(scene, w, a), 0.0) >= 0.2 for a in around for w in ways
+        )
         if longest > 3.3:
-            near = [margin_mm(scene, off(scene, longest - 3.3, a), 0.0) for a in around]
+            near = [true_margin_mm(scene, off(scene, longest - 3.3, a), 0.0) for a in around]
             assert max(near) < 0.2
 
 
@@ -162,23 +173,28 @@ def off(scene: Scene, way_mm: float, angle: float) -> tuple[float, float]:
 def test_a_tower_and_groups_from_end_to_end(bench_v1: SimulationSettings, store: JobStore) -> None:
     models = adopt_models(store, *models_that_ship("bench-v1"))
     source = {"pot": models["pot", "FT+Tac"]}
-    loops = Beyond(bench_v1, "1", source, bottoms=("short+long",), strategies=("fused",), trials=1)
-    said = Promises(bench_v1, "1", source, ("pot",), ("long",), ("paper",), 2)
-    plan = Compared(loops, said)
+    loops = ClosedLoopComparison(
+        bench_v1, "1", source, bottoms=("short+long",), strategies=("fused",), trials=1
+    )
+    said = StaticComparison(bench_v1, "1", source, ("pot",), ("long",), ("paper",), 2)
+    plan = StrategyComparison(loops, said)
     for job in plan.jobs():
-        assert run_job(job, {"beyond": beyond, "promises": promises}, store).state == "done"
+        assert (
+            run_job(job, {"beyond": run_closed_loop, "promises": run_static_groups}, store).state
+            == "done"
+        )
     found = plan.answer(store)
     (loop,), (cell,) = found["cells"], found["statics"]["cells"]
     assert loop["placed"]["n"] + loop["left_out"] == 1
     assert cell["groups"] == 2
     for traced, kind in ((loop, "beyond"), (cell, "promises")):
         (job,) = traced["jobs"]
-        spec = JobSpec.parse((store.folder(job) / SPEC).read_text("utf-8"))
+        spec = JobSpec.parse((store.folder(job) / SPEC_FILE).read_text("utf-8"))
         assert (spec.id, spec.kind, spec.seed) == (job, kind, traced["seed"])
     assert sum(cell["reliability"]["1"]["count"]) > 2 * 100
     assert cell["reliability"]["3"]["ece"] < 1.0
-    assert [len(sheet.columns) for sheet in sheets(found)] == [
-        len(sheet.rows[0]) for sheet in sheets(found)
+    assert [len(sheet.columns) for sheet in comparison_tables(found)] == [
+        len(sheet.rows[0]) for sheet in comparison_tables(found)
     ]
 
 
@@ -194,7 +210,7 @@ def compared(*strategies: str) -> Json:
         "excess_probes_median": 1.0,
         "left_out": 0,
     }
-    said = scores([answer([True, False], [True, False], [1.0, -1.0])])
+    said = static_scores([answer([True, False], [True, False], [1.0, -1.0])])
     return {
         "format": FORMAT,
         "bench_sha256": "a" * 64,
@@ -210,7 +226,7 @@ def compared(*strategies: str) -> Json:
 
 
 def test_the_page_shows_every_strategy_and_escapes_what_it_is_told() -> None:
-    page = beyond_page(compared("mine", "<b>"))
+    page = comparison_page(compared("mine", "<b>"))
     assert page.count("mine pot long") == 1
     assert page.count("<svg") == 4
     assert "<b>" not in page
@@ -219,8 +235,8 @@ def test_the_page_shows_every_strategy_and_escapes_what_it_is_told() -> None:
 
 
 def test_tables_show_the_comparison_beside_them_if_it_is_of_their_bench(tmp_path: Path) -> None:
-    write_beyond(tmp_path, compared("mine"))
-    assert compared_beside(tmp_path, "a" * 64) == compared("mine")
-    assert compared_beside(tmp_path, "b" * 64) is None
-    assert compared_beside(tmp_path / "none", "a" * 64) is None
+    write_comparison(tmp_path, compared("mine"))
+    assert comparison_beside(tmp_path, "a" * 64) == compared("mine")
+    assert comparison_beside(tmp_path, "b" * 64) is None
+    assert comparison_beside(tmp_path / "none", "a" * 64) is None
     assert "mine" in (tmp_path / "beyond.html").read_text("utf-8")

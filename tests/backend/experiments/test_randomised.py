@@ -8,12 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.__main__ import main
-from backend.config.simulation import SimulationSettings, load_simulation
-from backend.experiments.elsewhere import Both
-from backend.experiments.nuisances import FOUNDATION, NUISANCES
-from backend.experiments.paired import iou_change, signed
-from backend.experiments.randomised import LAWS, SIZES, RandomisedTraining, randomised
+from touchdown.backend.__main__ import main
+from touchdown.backend.config.simulation import SimulationSettings, load_simulation
+from touchdown.backend.experiments.domain_shift import (
+    LAW_FACTORS,
+    NUISANCE_FACTORS,
+    DomainShift,
+    RandomisedTraining,
+    randomise_bench,
+)
+from touchdown.backend.experiments.evaluation import FOUNDATION, NUISANCES
+from touchdown.backend.experiments.statistics import format_change, iou_change
 
 BENCH = load_simulation(preset="bench-v1")
 SEEDS = range(24)
@@ -22,7 +27,7 @@ SEEDS = range(24)
 @pytest.fixture(scope="module")
 def drawn() -> list[SimulationSettings]:
     """Return the benches of 24 mountings."""
-    return [randomised(BENCH, seed) for seed in SEEDS]
+    return [randomise_bench(BENCH, seed) for seed in SEEDS]
 
 
 def value(bench: SimulationSettings, key: str) -> np.ndarray:
@@ -32,19 +37,19 @@ def value(bench: SimulationSettings, key: str) -> np.ndarray:
 
 def test_a_mounting_is_the_same_bench_again_from_its_seed_and_no_other() -> None:
     before = BENCH.model_dump()
-    assert randomised(BENCH, 7) == randomised(BENCH, 7)
-    assert randomised(BENCH, 7) != randomised(BENCH, 8)
+    assert randomise_bench(BENCH, 7) == randomise_bench(BENCH, 7)
+    assert randomise_bench(BENCH, 7) != randomise_bench(BENCH, 8)
     assert BENCH.model_dump() == before
 
 
-@pytest.mark.parametrize("key", [key for key in LAWS if key != FOUNDATION])
+@pytest.mark.parametrize("key", [key for key in LAW_FACTORS if key != FOUNDATION])
 def test_laws_fill_their_range_and_pairs_stay_pairs(
     key: str, drawn: list[SimulationSettings]
 ) -> None:
     factors = np.array([value(bench, key) / value(BENCH, key) for bench in drawn])
-    low, high = LAWS[key]
+    low, high = LAW_FACTORS[key]
     # Hysteresis is a size and a law at once.
-    wide = SIZES if key == "grasp.hysteresis_share" else (1.0, 1.0)
+    wide = NUISANCE_FACTORS if key == "grasp.hysteresis_share" else (1.0, 1.0)
     assert factors.min() >= low * wide[0]
     assert factors.max() <= high * wide[1]
     assert np.ptp(np.log(factors), axis=1) == pytest.approx(np.zeros(len(factors)))
@@ -55,9 +60,9 @@ def test_laws_fill_their_range_and_pairs_stay_pairs(
 
 
 def test_every_nuisance_has_a_size_of_its_own(drawn: list[SimulationSettings]) -> None:
-    keys = [n.keys[0] for n in NUISANCES if n.keys[0] not in {FOUNDATION, *LAWS}]
+    keys = [n.keys[0] for n in NUISANCES if n.keys[0] not in {FOUNDATION, *LAW_FACTORS}]
     sizes = np.array([float(value(drawn[3], key)[0] / value(BENCH, key)[0]) for key in keys])
-    assert ((sizes >= SIZES[0]) & (sizes <= SIZES[1])).all()
+    assert ((sizes >= NUISANCE_FACTORS[0]) & (sizes <= NUISANCE_FACTORS[1])).all()
     assert len(set(sizes.round(9))) == len(keys)
 
 
@@ -67,7 +72,7 @@ def test_the_contact_is_softer_or_harder_as_a_whole(drawn: list[SimulationSettin
     ours = np.log(BENCH.face.foundation_range_n_mm3)
     assert np.exp(middle - ours.mean()).min() < 1.0 < 3.0 < np.exp(middle - ours.mean()).max()
     shares = half / (0.5 * np.ptp(ours))
-    assert ((shares >= SIZES[0]) & (shares <= SIZES[1])).all()
+    assert ((shares >= NUISANCE_FACTORS[0]) & (shares <= NUISANCE_FACTORS[1])).all()
 
 
 def test_a_collection_is_one_job_a_mounting_and_as_large_as_the_paper_s() -> None:
@@ -93,13 +98,15 @@ def test_changes_are_paired_by_group_and_jobs_that_lost_one_do_not_count() -> No
     assert found["n"] == 2
     # Standard error of 0.1 and 0.2: 0.05.
     assert found["high"] - found["value"] == pytest.approx(1.96 * 0.05, abs=1e-4)
-    assert signed(found) == "+15.0 ± 9.8"
+    assert format_change(found) == "+15.0 ± 9.8"
 
 
 def test_both_worlds_begin_where_they_are_told_to_and_wait_for_the_training() -> None:
     own = RandomisedTraining(BENCH, "test", "pot", "randomised", probes=60)
     given = {"FT+Tac": "given", "FT": "too"}
-    plan = Both(BENCH, "test", "pot", given, ("short",), ("paper", "fused"), 2, 2, (own,), first=40)
+    plan = DomainShift(
+        BENCH, "test", "pot", given, ("short",), ("paper", "fused"), 2, 2, (own,), first=40
+    )
     jobs = plan.jobs()
     assert [spec.kind for spec in jobs[:7]] == ["simulate"] * 6 + ["train"]
     pressed = [spec for spec in jobs[7:] if spec.kind == "asked-presses"]

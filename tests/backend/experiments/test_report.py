@@ -10,17 +10,17 @@ import cv2
 import numpy as np
 import pytest
 
-from backend.core.facts import (
+from touchdown.backend.core.events import (
     ActionChosen,
     BeliefUpdated,
-    Fact,
+    Event,
     RunStarted,
     StabilityJudged,
     TrialFinished,
     TrialStarted,
 )
-from backend.core.flow import BeliefMap, Outcome, PlaceAction, Stability, SupportKind
-from backend.experiments.report import write_report
+from touchdown.backend.core.values import BeliefMap, Outcome, PlaceAction, Stability, SupportKind
+from touchdown.backend.experiments.run_report import write_run_report
 
 HULL = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [0.0, 2.0]])
 
@@ -31,8 +31,8 @@ def belief() -> BeliefMap:
     return BeliefMap(log_odds, np.ones((5, 7), dtype=bool), (-3.0, -2.0), 1.0, 1)
 
 
-def facts(outcome: Outcome = Outcome.PLACED, probes: int = 2, piece: str = "pot") -> list[Fact]:
-    told: list[Fact] = [
+def facts(outcome: Outcome = Outcome.PLACED, probes: int = 2, piece: str = "pot") -> list[Event]:
+    told: list[Event] = [
         RunStarted(0.0, "r", piece, "short", "paper", 3, 1, True, "{}"),
         TrialStarted(0.0, 1, 3, (1.0, 2.0)),
     ]
@@ -49,9 +49,9 @@ def facts(outcome: Outcome = Outcome.PLACED, probes: int = 2, piece: str = "pot"
     return told
 
 
-def page(tmp_path: Path, *runs: list[Fact]) -> str:
+def page(tmp_path: Path, *runs: list[Event]) -> str:
     path = tmp_path / "report.html"
-    write_report(path, runs, {"short": np.array([[0.0, 0], [1, 0], [0, 1]])})
+    write_run_report(path, runs, {"short": np.array([[0.0, 0], [1, 0], [0, 1]])})
     return path.read_text("utf-8")
 
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.config.simulation import load_simulation
-from backend.experiments import statics
-from backend.experiments.scenes import Case
-from backend.objects.catalogue import load_catalogue
-from backend.simulation.lockstep import Lockstep, Presses
+from touchdown.backend.config.simulation import load_simulation
+from touchdown.backend.experiments import statics
+from touchdown.backend.experiments.trials import SceneSetup
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.simulation.batch import BatchedTrials, TrialPresses
 
 SEEDS = [70, 71, 72, 73]
 
@@ -19,15 +19,15 @@ SEEDS = [70, 71, 72, 73]
 def test_a_group_without_observations_is_left_out_and_counted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    case = Case.of(load_catalogue(), "pot", ("short",), load_simulation(preset="off"))
+    case = SceneSetup.of(load_pieces(), "pot", ("short",), load_simulation(preset="off"))
     whole = statics.probe_groups(case, SEEDS, 2)
-    real = Lockstep.press
+    real = BatchedTrials.press
 
-    def deaf(self: Lockstep, trials: list[int], commands_mm: np.ndarray) -> Presses:
+    def deaf(self: BatchedTrials, trials: list[int], commands_mm: np.ndarray) -> TrialPresses:
         felt = real(self, trials, commands_mm)
         return replace(felt, valid=felt.valid & (np.asarray(trials) != 1))
 
-    monkeypatch.setattr(Lockstep, "press", deaf)
+    monkeypatch.setattr(BatchedTrials, "press", deaf)
     monkeypatch.setattr(statics, "ATTEMPTS", 2)
     groups = statics.probe_groups(case, SEEDS, 2)
     assert (groups.left_out, whole.left_out) == (1, 0)

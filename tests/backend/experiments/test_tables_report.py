@@ -10,12 +10,10 @@ from typing import Any
 
 import pytest
 
-from backend.__main__ import main
-from backend.core.faults import InputError
-from backend.experiments.document import Grid, Report, Section
-from backend.experiments.reading import read_report
-from backend.experiments.tables_page import tables_page
-from backend.experiments.tables_report import report_of
+from touchdown.backend.__main__ import main
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.experiments.document import Report, ReportSection, ReportTable, report_page
+from touchdown.backend.experiments.results import read_report, report_of
 
 Json = dict[str, Any]
 RESULTS = Path(__file__).parents[3] / "docs/results"
@@ -28,14 +26,14 @@ def full() -> Json:
     return found
 
 
-def grid_of(report: Report, title: str) -> Grid:
+def grid_of(report: Report, title: str) -> ReportTable:
     section = section_of(report, title)
     grid = section.parts[0]
-    assert isinstance(grid, Grid)
+    assert isinstance(grid, ReportTable)
     return grid
 
 
-def section_of(report: Report, title: str) -> Section:
+def section_of(report: Report, title: str) -> ReportSection:
     return next(section for section in report.sections if section.title.startswith(title))
 
 
@@ -124,7 +122,7 @@ class Tags(HTMLParser):
 
 def test_the_page_is_whole_needs_nothing_and_says_every_cell_of_the_report(full: Json) -> None:
     report = report_of({**full, "code": "<1>"})
-    page = tables_page(report)
+    page = report_page(report)
     tags = Tags()
     tags.feed(re.sub(r"<(path|rect|circle|polyline|polygon|image)[^>]*/>", "", page))
     assert tags.open == []
@@ -132,7 +130,7 @@ def test_the_page_is_whole_needs_nothing_and_says_every_cell_of_the_report(full:
     assert not re.findall(r"(?:href|src)=\"(?!data:)", page)
     for section in report.sections:
         for part in section.parts:
-            if isinstance(part, Grid):
+            if isinstance(part, ReportTable):
                 for _, entries in part.rows:
                     assert all(f">{entry.value}<" in page for entry in entries)
             else:
@@ -141,7 +139,7 @@ def test_the_page_is_whole_needs_nothing_and_says_every_cell_of_the_report(full:
 
 def test_the_published_report_is_what_its_data_give_and_names_a_job_for_every_cell() -> None:
     found, report = read_report(FULL)
-    assert FULL.with_suffix(".html").read_text("utf-8") == tables_page(report)
+    assert FULL.with_suffix(".html").read_text("utf-8") == report_page(report)
     cells = [
         c for table in ("table1", "table2", "table3") for row in found[table] for c in row["cells"]
     ]
@@ -218,7 +216,7 @@ def test_a_film_of_a_foreign_file_only_draws(full: Json, inside: str) -> None:
         return {"title": "Pot", "end": "", "probes": [{"svg": svg, "why": "<b>"}]}
 
     fine = {"films": [film('<svg width="9"><rect fill="#123456"/></svg>')]}
-    assert "&lt;b&gt;" in tables_page(report_of({**full, "figures": fine}))
+    assert "&lt;b&gt;" in report_page(report_of({**full, "figures": fine}))
     for svg in (f"<svg>{inside}</svg>", f'<!DOCTYPE svg [<!ENTITY a "b">]><svg>{inside}</svg>'):
         with pytest.raises(ValueError, match="drawing"):
             report_of({**full, "figures": {"films": [film(svg)]}})

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from backend.experiments.within import within
+from touchdown.backend.experiments.statistics import compare_intervals
 
 
 def tables(iou: float, right: float, placed: float, half: float) -> dict[str, Any]:
@@ -28,7 +28,7 @@ def tables(iou: float, right: float, placed: float, half: float) -> dict[str, An
 
 
 def test_cells_whose_interval_misses_the_value_are_named() -> None:
-    found = within(tables(0.5, 0.6, 0.7, 0.1), tables(0.59, 0.6, 0.85, 0.01))
+    found = compare_intervals(tables(0.5, 0.6, 0.7, 0.1), tables(0.59, 0.6, 0.85, 0.01))
     assert found.cells == 3
     assert found.outside == ("table3 paper one pot short",)
     assert found.share == pytest.approx(2 / 3)
@@ -36,5 +36,5 @@ def test_cells_whose_interval_misses_the_value_are_named() -> None:
 
 def test_the_width_of_the_small_one_decides() -> None:
     narrow, wide = tables(0.5, 0.6, 0.7, 0.01), tables(0.55, 0.65, 0.75, 0.1)
-    assert len(within(narrow, wide).outside) == 3
-    assert within(wide, narrow).outside == ()
+    assert len(compare_intervals(narrow, wide).outside) == 3
+    assert compare_intervals(wide, narrow).outside == ()

@@ -9,24 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from backend.core.faults import InputError
-from backend.jobs.running import Workplace
-from backend.jobs.spec import JobSpec
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.jobs.job import JobContext, JobSpec
 
 
-def draw(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
+def draw(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Sum random numbers, and leave them as a file."""
     values = np.random.default_rng(spec.seed).standard_normal(int(spec.params["n"]))
     np.save(place.folder / "values.npy", values)
     return {"sum": float(values.sum())}
 
 
-def add(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
+def add(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Add the answers of the inputs."""
     return {"sum": sum(float(place.store.result(i)["sum"]) for i in spec.inputs)}
 
 
-def die(spec: JobSpec, _: Workplace) -> Mapping[str, Any]:
+def die(spec: JobSpec, _: JobContext) -> Mapping[str, Any]:
     """Kill the worker the first ``times`` times."""
     diary = Path(str(spec.params["diary"]))
     lived = diary.read_text().count("x") if diary.exists() else 0
@@ -36,13 +35,13 @@ def die(spec: JobSpec, _: Workplace) -> Mapping[str, Any]:
     return {"deaths": lived}
 
 
-def refuse(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
+def refuse(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Fail half-way, after a file was written."""
     (place.folder / "half").write_text("half")
     raise InputError("Bad.", spec.id, "Never mind.")
 
 
-def threads(_: JobSpec, __: Workplace) -> Mapping[str, Any]:
+def threads(_: JobSpec, __: JobContext) -> Mapping[str, Any]:
     """Say what the worker was told about threads and priority."""
     nice = os.nice(0) if os.name == "posix" else None
     return {"omp": os.environ.get("OMP_NUM_THREADS"), "nice": nice}

@@ -7,12 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from backend.jobs.campaign import run_campaign
-from backend.jobs.cluster import DaskCluster
-from backend.jobs.executor import Serial
-from backend.jobs.spec import JobSpec
-from backend.jobs.store import JobStore
 from tests.backend.jobs.sample_kinds import KINDS
+from touchdown.backend.jobs.cluster import DaskCluster
+from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
+from touchdown.backend.jobs.job import JobSpec, JobStore
 
 pytestmark = [pytest.mark.optional, pytest.mark.slow]
 
@@ -24,7 +22,7 @@ def test_two_dask_workers_give_the_numbers_of_one_process(tmp_path: Path) -> Non
     total = JobSpec("add", inputs=tuple(spec.id for spec in draws))
     specs = [*draws, total, JobSpec("refuse")]
     alone, shared = JobStore(tmp_path / "1"), JobStore(tmp_path / "2")
-    list(run_campaign(specs, Serial(KINDS, alone), alone))
+    list(run_campaign(specs, SerialExecutor(KINDS, alone), alone))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with distributed.LocalCluster(

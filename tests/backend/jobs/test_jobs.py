@@ -9,14 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.core.faults import InputError
-from backend.core.niceness import NICENESS
-from backend.jobs.campaign import parse_shard, run_campaign, shard_of, startable
-from backend.jobs.executor import DEATHS, Executor, LocalPool, Serial
-from backend.jobs.running import JobResult, run_job
-from backend.jobs.spec import JobSpec
-from backend.jobs.store import RESULT, JobStore
 from tests.backend.jobs.sample_kinds import KINDS
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.scheduling import NICENESS
+from touchdown.backend.jobs.execution import (
+    MAX_WORKER_DEATHS,
+    Executor,
+    ProcessPool,
+    SerialExecutor,
+    independent_jobs,
+    parse_shard,
+    run_campaign,
+    shard_of,
+)
+from touchdown.backend.jobs.job import RESULT_FILE, JobResult, JobSpec, JobStore, run_job
 
 
 def draws(count: int) -> list[JobSpec]:
@@ -62,7 +68,7 @@ def test_a_spec_without_a_number_has_no_name() -> None:
 def test_a_finished_job_is_not_done_again(tmp_path: Path) -> None:
     store, spec = JobStore(tmp_path), draws(1)[0]
     assert run_job(spec, KINDS, store).state == "done"
-    path = store.folder(spec.id) / RESULT
+    path = store.folder(spec.id) / RESULT_FILE
     path.write_text(json.dumps({"sum": 42.0}))
     assert run_job(spec, KINDS, store).state == "done"
     assert store.result(spec.id) == {"sum": 42.0}
@@ -81,7 +87,7 @@ def test_a_failed_job_leaves_nothing_and_says_why(tmp_path: Path) -> None:
 def test_a_damaged_result_names_its_file(tmp_path: Path) -> None:
     store, spec = JobStore(tmp_path), draws(1)[0]
     run_job(spec, KINDS, store)
-    (store.folder(spec.id) / RESULT).write_text("{")
+    (store.folder(spec.id) / RESULT_FILE).write_text("{")
     with pytest.raises(InputError, match="no readable result"):
         store.result(spec.id)
 
@@ -91,7 +97,7 @@ def test_a_campaign_respects_inputs_and_survives_a_failure(tmp_path: Path) -> No
     total = JobSpec("add", inputs=tuple(spec.id for spec in parts))
     bad = JobSpec("refuse")
     lost = JobSpec("add", inputs=(bad.id,))
-    results = run([lost, total, bad, *parts], Serial(KINDS, store), store)
+    results = run([lost, total, bad, *parts], SerialExecutor(KINDS, store), store)
     assert store.result(total.id)["sum"] == pytest.approx(sum(numbers(store, parts)))
     assert {k for k, result in results.items() if result.state == "failed"} == {bad.id, lost.id}
     assert bad.id in results[lost.id].error
@@ -99,13 +105,13 @@ def test_a_campaign_respects_inputs_and_survives_a_failure(tmp_path: Path) -> No
 
 def test_a_resumed_campaign_does_only_what_is_missing(tmp_path: Path) -> None:
     store, specs = JobStore(tmp_path), draws(4)
-    first = run_campaign(specs, Serial(KINDS, store), store)
+    first = run_campaign(specs, SerialExecutor(KINDS, store), store)
     for _ in range(2):
         next(first)
     first.close()
     before = {p.name: p.stat().st_mtime_ns for p in tmp_path.iterdir()}
     assert len(before) == 2
-    assert len(run(specs, Serial(KINDS, store), store)) == 4
+    assert len(run(specs, SerialExecutor(KINDS, store), store)) == 4
     after = {p.name: p.stat().st_mtime_ns for p in tmp_path.iterdir()}
     assert before.items() <= after.items()
     assert len(after) == 4
@@ -114,9 +120,9 @@ def test_a_resumed_campaign_does_only_what_is_missing(tmp_path: Path) -> None:
 def test_two_processes_give_the_numbers_of_one(tmp_path: Path) -> None:
     specs = draws(6)
     alone, shared = JobStore(tmp_path / "1"), JobStore(tmp_path / "2")
-    run(specs, Serial(KINDS, alone), alone)
+    run(specs, SerialExecutor(KINDS, alone), alone)
     told = JobSpec("threads")
-    results = run([*specs, told], LocalPool(KINDS, shared, 2), shared)
+    results = run([*specs, told], ProcessPool(KINDS, shared, 2), shared)
     assert all(result.state == "done" for result in results.values())
     assert numbers(alone, specs) == numbers(shared, specs)
     assert shared.result(told.id)["omp"] == "1"
@@ -129,7 +135,7 @@ def test_a_killed_worker_loses_no_finished_job(tmp_path: Path) -> None:
     store = JobStore(tmp_path / "store")
     mortal = JobSpec("die", {"diary": str(tmp_path / "diary"), "times": 1})
     specs = [*draws(3), mortal]
-    results = run(specs, LocalPool(KINDS, store, 2), store)
+    results = run(specs, ProcessPool(KINDS, store, 2), store)
     assert {result.state for result in results.values()} == {"done"}
     assert store.result(mortal.id)["deaths"] == 1
     assert len(numbers(store, draws(3))) == 3
@@ -141,10 +147,10 @@ def test_a_killed_worker_loses_no_finished_job(tmp_path: Path) -> None:
 def test_a_job_that_always_kills_its_worker_is_given_up(tmp_path: Path) -> None:
     store = JobStore(tmp_path / "store")
     deadly = JobSpec("die", {"diary": str(tmp_path / "diary"), "times": 99})
-    results = run([deadly], LocalPool(KINDS, store, 1), store)
+    results = run([deadly], ProcessPool(KINDS, store, 1), store)
     assert results[deadly.id].state == "failed"
-    assert f"died {DEATHS + 1} times" in results[deadly.id].error
-    assert (tmp_path / "diary").read_text() == "x" * (DEATHS + 1)
+    assert f"died {MAX_WORKER_DEATHS + 1} times" in results[deadly.id].error
+    assert (tmp_path / "diary").read_text() == "x" * (MAX_WORKER_DEATHS + 1)
 
 
 def test_shards_are_a_partition(tmp_path: Path) -> None:
@@ -156,10 +162,10 @@ def test_shards_are_a_partition(tmp_path: Path) -> None:
     store = JobStore(tmp_path)
     total = JobSpec("add", inputs=(specs[0].id, specs[1].id))
     everything = [*specs, total]
-    assert startable(everything, [total, specs[0]], store) == [specs[0]]
+    assert independent_jobs(everything, [total, specs[0]], store) == [specs[0]]
     for spec in specs[:2]:
         run_job(spec, KINDS, store)
-    assert startable(everything, [total, specs[0]], store) == [total, specs[0]]
+    assert independent_jobs(everything, [total, specs[0]], store) == [total, specs[0]]
 
 
 @pytest.mark.parametrize("text", ["", "1", "2/2", "-1/2", "1/0", "a/b", "0/"])

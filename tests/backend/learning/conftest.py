@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.dataset.pack_file import EpisodeRow, write_packs
-from backend.dataset.rows import patch_hex
-from backend.objects.catalogue import Piece, load_catalogue
-from backend.objects.surface import face_points
+from touchdown.backend.episodes.packs import PackedEpisode, write_packs
+from touchdown.backend.episodes.training_rows import patch_hex
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import Piece, load_pieces
 
 
 @pytest.fixture
 def pot() -> Piece:
-    return load_catalogue().piece("pot")
+    return load_pieces().piece("pot")
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def write_data(pot: Piece) -> Callable[[Path, int], Path]:
     """Write episodes whose torque tells which half of the pot's face is in contact."""
     points = face_points(pot.face)
 
-    def rows(count: int) -> Iterator[EpisodeRow]:
+    def rows(count: int) -> Iterator[PackedEpisode]:
         rng = np.random.default_rng(6)
         for i in range(count):
             side = 1.0 if i % 3 else -1.0
@@ -35,7 +35,7 @@ def write_data(pot: Piece) -> Callable[[Path, int], Path]:
                 "geometry": pot.sha256, "grip_id": f"g{i // 3}", "mounting_id": f"m{i // 6}",
                 "person": "simulated", "seed": i,
             }  # fmt: skip
-            yield EpisodeRow(observation, label)
+            yield PackedEpisode(observation, label)
 
     def write(folder: Path, count: int = 24) -> Path:
         write_packs(folder, "w", rows(count), {"test": "yes"})

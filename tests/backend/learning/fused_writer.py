@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from backend.learning.fused.checkpoint import FusedCard, FusedSizes, save_fused
-from backend.learning.fused.shape import FusedShape, expected_arrays
+from touchdown.backend.learning.fused.checkpoint import FusedCard, FusedSizes, save_fused
+from touchdown.backend.learning.fused.features import FusedShape, expected_fused_arrays
 
 SHAPE = FusedShape(width=16, heads=2, layers=1, inner=24, parts=2)
 NAME = "fused.safetensors"
@@ -23,7 +23,8 @@ NAME = "fused.safetensors"
 def write(folder: Path, number: int) -> None:
     """Write a network whose every weight is ``number``."""
     arrays = {
-        name: np.full(size, number, np.float32) for name, size in expected_arrays(SHAPE).items()
+        name: np.full(size, number, np.float32)
+        for name, size in expected_fused_arrays(SHAPE).items()
     }
     sizes = FusedSizes(**SHAPE.as_json())
     facts = {"bench_sha256": "b", "data_sha256": "d", "seed": number, "program_version": "0"}

@@ -5,8 +5,7 @@ import sys
 import numpy as np
 import torch
 
-from backend.learning.adam import Adam
-from backend.learning.device import one_thread
+from touchdown.backend.learning.training import Adam, use_one_thread
 
 RATE = 0.01
 
@@ -42,7 +41,7 @@ def test_steps_follow_the_formula_and_go_on_from_kept_moments() -> None:
 
 def test_a_training_does_not_load_the_compiler_of_torch() -> None:
     """Loading it takes as long as loading torch, at the start of every training."""
-    one_thread()
+    use_one_thread()
     assert torch.are_deterministic_algorithms_enabled()
     assert not torch.is_deterministic_algorithms_warn_only_enabled()
     parameter = torch.nn.Parameter(torch.ones(2))

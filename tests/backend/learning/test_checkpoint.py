@@ -10,25 +10,25 @@ import pytest
 import torch
 from safetensors.numpy import save_file
 
-from backend.core.faults import InputError
-from backend.learning.checkpoint import (
-    Card,
-    Sizes,
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.learning.checkpoint import (
+    ModelCard,
+    NetworkSizes,
     card_path,
     load_checkpoint,
     parse_arrays,
     save_checkpoint,
-    save_half,
+    save_half_precision,
 )
-from backend.learning.model import network, new_model
-from backend.learning.shape import ARCH, Shape, expected_arrays
+from touchdown.backend.learning.inference import ARCH, NetworkShape, expected_arrays
+from touchdown.backend.learning.training import load_network, new_model
 
 
 def save_small(path: Path) -> dict[str, np.ndarray]:
     """Save a small new model with its card; return its arrays."""
-    model = new_model(Shape(6, 8, 2, 5), 4)
-    card = Card(
-        arch=ARCH, hyper=Sizes(inputs=6, hidden=8, layers=2, points=5), modality="FT",
+    model = new_model(NetworkShape(6, 8, 2, 5), 4)
+    card = ModelCard(
+        arch=ARCH, hyper=NetworkSizes(inputs=6, hidden=8, layers=2, points=5), modality="FT",
         piece="pot", geometry="ab" * 32, base_rate=0.3, seed=4, program_version="0.1.0",
         weights_sha256="",
     )  # fmt: skip
@@ -63,16 +63,18 @@ def refused(path: Path, words: str) -> InputError:
 
 def test_a_model_comes_back_exactly(path: Path) -> None:
     loaded = load_checkpoint(path)
-    expected = new_model(Shape(6, 8, 2, 5), 4)
+    expected = new_model(NetworkShape(6, 8, 2, 5), 4)
     x = torch.randn(3, 20, 6)
-    model = network(loaded)
+    model = load_network(loaded)
     assert torch.equal(model(x), expected(x))
     assert not model.training
     assert loaded.card.weights_sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-@pytest.mark.parametrize("shape", [Shape(6, 8, 2, 5), Shape(258, 16, 1, 3), Shape(252, 4, 3, 1)])
-def test_the_expected_arrays_are_those_of_the_network(shape: Shape) -> None:
+@pytest.mark.parametrize(
+    "shape", [NetworkShape(6, 8, 2, 5), NetworkShape(258, 16, 1, 3), NetworkShape(252, 4, 3, 1)]
+)
+def test_the_expected_arrays_are_those_of_the_network(shape: NetworkShape) -> None:
     arrays = new_model(shape, 0).arrays()
     assert {name: array.shape for name, array in arrays.items()} == expected_arrays(shape)
 
@@ -103,7 +105,7 @@ def test_a_truncated_file_is_refused(path: Path) -> None:
 def test_weights_of_16_bits_are_half_as_large_and_answer_alike(path: Path) -> None:
     whole = load_checkpoint(path)
     half = path.with_name("half.safetensors")
-    save_half(half, whole)
+    save_half_precision(half, whole)
     loaded = load_checkpoint(half)
     assert {a.dtype for a in loaded.arrays.values()} == {np.dtype(np.float32)}
     assert half.stat().st_size < 0.7 * path.stat().st_size
@@ -111,7 +113,7 @@ def test_weights_of_16_bits_are_half_as_large_and_answer_alike(path: Path) -> No
         assert np.array_equal(loaded.arrays[name], whole.arrays[name])
     x = torch.randn(50, 20, 6, generator=torch.Generator().manual_seed(1))
     with torch.no_grad():
-        first, second = (torch.sigmoid(network(m)(x)) for m in (whole, loaded))
+        first, second = (torch.sigmoid(load_network(m)(x)) for m in (whole, loaded))
     assert 0.0 < float((first - second).abs().max()) < 0.002
 
 

@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from backend.__main__ import main
-from backend.core.faults import InputError
-from backend.learning.device import computes_bfloat16, device_of, name_of
-from backend.learning.training import Trainer
 from tests.backend.learning.test_learning import SMALL, rows
+from touchdown.backend.__main__ import main
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.learning.training import (
+    Trainer,
+    computes_bfloat16,
+    device_name,
+    select_device,
+)
 
 GPU = torch.cuda.is_available()
 
@@ -19,11 +23,11 @@ def test_a_graphics_processor_is_taken_where_torch_finds_one(monkeypatch):
         (False, "cpu", "cpu"), (True, "cuda", "cuda"),
     ):  # fmt: skip
         monkeypatch.setattr(torch.cuda, "is_available", lambda found=found: found)
-        assert device_of(asked).type == chosen
+        assert select_device(asked).type == chosen
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(InputError, match="no graphics processor"):
-        device_of("cuda")
-    assert name_of(device_of("auto")) == "cpu"
+        select_device("cuda")
+    assert device_name(select_device("auto")) == "cpu"
 
 
 @pytest.mark.skipif(GPU, reason="there is one")
@@ -41,7 +45,7 @@ def test_a_training_on_what_is_not_there_is_refused_in_one_sentence(tmp_path, wr
 def test_a_graphics_processor_trains_what_a_processor_trains():
     data = rows(24)
     settings = SMALL.model_copy(update={"epochs": 3})
-    here, there = Trainer(data, settings), Trainer(data, settings, device_of("cuda"))
+    here, there = Trainer(data, settings), Trainer(data, settings, select_device("cuda"))
     for ours, theirs in zip(here.epochs(), there.epochs(), strict=True):
         assert theirs.validation_loss == pytest.approx(ours.validation_loss, rel=1e-3)
     assert np.allclose(here.predict_held_out(), there.predict_held_out(), atol=1e-2)

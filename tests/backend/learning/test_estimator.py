@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from backend.core.faults import InputError
-from backend.core.flow import Episode, EpisodeQuality
-from backend.learning.checkpoint import Card, Sizes, save_checkpoint
-from backend.learning.features import Modality, columns
-from backend.learning.model import new_model
-from backend.learning.shape import ARCH, Shape
-from backend.objects.catalogue import Piece, load_catalogue
-from backend.objects.surface import face_points
-from backend.placement.estimator import Estimator
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.values import Episode, EpisodeQuality
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import Piece, load_pieces
+from touchdown.backend.learning.checkpoint import ModelCard, NetworkSizes, save_checkpoint
+from touchdown.backend.learning.inference import ARCH, Modality, NetworkShape, modality_columns
+from touchdown.backend.learning.training import new_model
+from touchdown.backend.placement.estimator import Estimator
 
 
 def episode(observation: np.ndarray, piece: str = "pot") -> Episode:
@@ -24,15 +23,15 @@ def episode(observation: np.ndarray, piece: str = "pot") -> Episode:
 
 
 def write_model(path: Path, of: Piece, modality: Modality = "FT+Tac", **card: object) -> Path:
-    inputs = columns(modality).stop - columns(modality).start
+    inputs = modality_columns(modality).stop - modality_columns(modality).start
     points = len(face_points(of.face))
-    model = new_model(Shape(inputs, 256, 2, points), 9)
+    model = new_model(NetworkShape(inputs, 256, 2, points), 9)
     fields = {
         "arch": ARCH, "modality": modality, "piece": of.name, "geometry": of.sha256,
-        "hyper": Sizes(inputs=inputs, hidden=256, layers=2, points=points), "base_rate": 0.3,
+        "hyper": NetworkSizes(inputs=inputs, hidden=256, layers=2, points=points), "base_rate": 0.3,
         "seed": 9, "program_version": "0", "weights_sha256": "",
     }  # fmt: skip
-    save_checkpoint(path, model.arrays(), Card.model_validate(fields | card))
+    save_checkpoint(path, model.arrays(), ModelCard.model_validate(fields | card))
     return path
 
 
@@ -43,8 +42,8 @@ def test_equals_the_network_on_the_channels_of_its_modality(
     estimator = Estimator.load(write_model(tmp_path / "m.safetensors", pot, modality), pot)
     observation = np.random.default_rng(1).normal(size=(20, 258)).astype(np.float32)
     patch = estimator.estimate(episode(observation))
-    inputs = columns(modality).stop - columns(modality).start
-    model = new_model(Shape(inputs, 256, 2, 177), 9).eval()
+    inputs = modality_columns(modality).stop - modality_columns(modality).start
+    model = new_model(NetworkShape(inputs, 256, 2, 177), 9).eval()
     x = {"FT": observation[:, 252:], "Tac": observation[:, :252]}.get(modality, observation)
     with torch.no_grad():
         expected = torch.sigmoid(model(torch.from_numpy(x.copy())[None]))[0].numpy()
@@ -104,7 +103,7 @@ def test_episodes_that_do_not_belong_are_refused(tmp_path: Path, pot: Piece) -> 
 
 
 def test_models_that_do_not_belong_are_refused_by_name(tmp_path: Path, pot: Piece) -> None:
-    barrel = load_catalogue().piece("barrel")
+    barrel = load_pieces().piece("barrel")
     path = tmp_path / "m.safetensors"
     other = hashlib.sha256(b"other").hexdigest()
     cases = [

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from backend.config.method import TrainingSettings
-from backend.core.faults import InputError
-from backend.learning.fitting import fit
-from backend.learning.job import TrainingJob, threads_here
+from touchdown.backend.config.method import TrainingSettings
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.learning.fitting import fit_model
+from touchdown.backend.learning.job import TrainingJob, default_threads
 
 
 def test_divergence_is_named_and_leaves_no_model(
@@ -23,7 +23,7 @@ def test_divergence_is_named_and_leaves_no_model(
         threads=1,
     )
     with pytest.raises(InputError, match="diverged"):
-        fit(job, lambda _: None, lambda: False)
+        fit_model(job, lambda _: None, lambda: False)
     assert not out.exists()
 
 
@@ -32,4 +32,4 @@ def test_a_training_alone_takes_two_threads_where_there_are_two_cores(
     cores: int | None, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: cores)
-    assert threads_here() == threads
+    assert default_threads() == threads

@@ -8,19 +8,22 @@ import numpy as np
 import pytest
 import torch
 
-from backend.assembly import shipped_model
-from backend.learning.checkpoint import Checkpoint, load_checkpoint
-from backend.learning.features import Normaliser, columns
-from backend.learning.forward import PatchForward
-from backend.learning.model import PatchNet, network, new_model
-from backend.learning.shape import Shape
+from touchdown.backend.bench.assembly import shipped_model
+from touchdown.backend.learning.checkpoint import Checkpoint, load_checkpoint
+from touchdown.backend.learning.inference import (
+    NetworkShape,
+    Normaliser,
+    PatchForward,
+    modality_columns,
+)
+from touchdown.backend.learning.training import PatchNet, load_network, new_model
 
 CLOSE = 2e-5
 """Float32 over 20 ticks, sums in another order; logits are of size 1 to 20."""
 
 
 def forward_of(checkpoint: Checkpoint) -> PatchForward:
-    return PatchForward(checkpoint.arrays, Shape(**checkpoint.card.hyper.model_dump()))
+    return PatchForward(checkpoint.arrays, NetworkShape(**checkpoint.card.hyper.model_dump()))
 
 
 def torch_logits(model: PatchNet, rows: np.ndarray) -> np.ndarray:
@@ -29,9 +32,9 @@ def torch_logits(model: PatchNet, rows: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "shape", [Shape(258, 256, 2, 177), Shape(6, 5, 1, 3), Shape(252, 33, 3, 7)]
+    "shape", [NetworkShape(258, 256, 2, 177), NetworkShape(6, 5, 1, 3), NetworkShape(252, 33, 3, 7)]
 )
-def test_equals_torch_on_random_weights_and_inputs(shape: Shape) -> None:
+def test_equals_torch_on_random_weights_and_inputs(shape: NetworkShape) -> None:
     rng = np.random.default_rng(shape.hidden)
     model = new_model(shape, 3).eval()
     mean, scale = rng.normal(size=(2, shape.inputs)).astype(np.float32)
@@ -46,13 +49,15 @@ def test_equals_torch_on_random_weights_and_inputs(shape: Shape) -> None:
 @pytest.mark.parametrize("piece", ["pot", "mushroom", "barrel"])
 def test_equals_torch_on_the_shipped_models(piece: str) -> None:
     checkpoint = load_checkpoint(shipped_model(piece))
-    forward, model = forward_of(checkpoint), network(checkpoint)
+    forward, model = forward_of(checkpoint), load_network(checkpoint)
     rng = np.random.default_rng(5)
     mean, scale = checkpoint.arrays["mean"], checkpoint.arrays["scale"]
     for size in (0.3, 1.0, 3.0):
         # Walks that grow from zero, as a press does, in the units of the channels.
         walk = np.cumsum(rng.normal(scale=size / 4, size=(20, 258)), axis=0)
-        rows = (mean + scale * walk).astype(np.float32)[:, columns(checkpoint.card.modality)]
+        rows = (mean + scale * walk).astype(np.float32)[
+            :, modality_columns(checkpoint.card.modality)
+        ]
         ours = forward.logits(forward.run(rows, forward.start))
         theirs = torch_logits(model, rows)
         assert np.abs(ours - theirs).max() < CLOSE * max(1.0, np.abs(theirs).max())
@@ -60,7 +65,7 @@ def test_equals_torch_on_the_shipped_models(piece: str) -> None:
 
 @pytest.mark.parametrize("cut", [1, 10, 19])
 def test_a_sequence_can_be_cut_anywhere(cut: int) -> None:
-    shape = Shape(12, 16, 2, 4)
+    shape = NetworkShape(12, 16, 2, 4)
     forward = PatchForward(new_model(shape, 1).arrays(), shape)
     rows = np.random.default_rng(2).normal(size=(20, 12)).astype(np.float32)
     begun = forward.run(rows[:cut], forward.start)
@@ -74,9 +79,9 @@ def test_a_sequence_can_be_cut_anywhere(cut: int) -> None:
 def test_an_estimator_needs_no_torch() -> None:
     code = (
         "import sys\n"
-        "from backend.assembly import shipped_model\n"
-        "from backend.objects.catalogue import load_catalogue\n"
-        "from backend.placement.estimator import Estimator\n"
+        "from touchdown.backend.bench.assembly import shipped_model\n"
+        "from touchdown.backend.geometry.pieces import load_catalogue\n"
+        "from touchdown.backend.placement.estimator import Estimator\n"
         "Estimator.load(shipped_model('pot'), load_catalogue().piece('pot'))\n"
         "sys.exit('torch' in sys.modules)"
     )

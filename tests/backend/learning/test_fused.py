@@ -13,37 +13,43 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from backend.config.simulation import load_simulation
-from backend.core.faults import InputError
-from backend.experiments import worlds
-from backend.experiments.worlds import Setting, Worlds, feel
-from backend.learning.fused.checkpoint import FusedCard, FusedSizes, load_fused, save_fused
-from backend.learning.fused.forward import FusedForward, point_inputs
-from backend.learning.fused.left_out import Part
-from backend.learning.fused.net import FusedNet, arrays_of
-from backend.learning.fused.shape import FusedShape, expected_arrays
-from backend.learning.fused.summary import (
-    TICKS,
-    Face,
-    acting_mm,
-    mirrored,
-    probe_inputs,
-    typical_fields,
+from touchdown.backend.config.simulation import load_simulation
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.experiments import oracle
+from touchdown.backend.experiments.oracle import HypothesisEnsemble, OracleSetting, predict_press
+from touchdown.backend.geometry.outlines import circle, face_points, inset_mm, rectangle
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.learning.fused.checkpoint import (
+    FusedCard,
+    FusedSizes,
+    load_fused,
+    save_fused,
 )
-from backend.learning.fused.training import (
+from touchdown.backend.learning.fused.features import (
+    TICKS,
+    FusedShape,
+    GraspedFace,
+    InputPart,
+    acting_point_mm,
+    expected_fused_arrays,
+    field_components,
+    mirror_signals,
+    probe_inputs,
+)
+from touchdown.backend.learning.fused.inference import FusedForward, point_inputs
+from touchdown.backend.learning.fused.training import (
+    FusedNet,
     FusedTrainer,
     FusedTraining,
-    Sequences,
-    sequences,
+    ProbeSequences,
+    checkpoint_arrays,
+    prepare_sequences,
 )
-from backend.objects.catalogue import load_catalogue
-from backend.objects.shapes import circle, inset_mm, rectangle
-from backend.objects.surface import face_points
-from backend.simulation.gel import build_gel
-from backend.simulation.mechanics import Carried
+from touchdown.backend.simulation.marker_fields import build_gel
+from touchdown.backend.simulation.mechanics import GraspHistory
 
 SMALL = FusedShape(width=16, heads=2, layers=2, inner=24, parts=2)
-FACE = Face.of(face_points(circle(15.0)), np.array([0.5, -1.0]), np.array(30.0))
+FACE = GraspedFace.of(face_points(circle(15.0)), np.array([0.5, -1.0]), np.array(30.0))
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -55,13 +61,13 @@ def signals(rng: np.random.Generator, count: int) -> tuple[NDArray[np.float32], 
 def weights(seed: int) -> dict[str, NDArray[np.float32]]:
     """Random ones: the network's own, a scaling, and marker fields."""
     rng = np.random.default_rng(seed)
-    sizes = expected_arrays(SMALL)
+    sizes = expected_fused_arrays(SMALL)
     about = {
         "mean": rng.normal(size=sizes["mean"]),
         "scale": rng.uniform(0.5, 2.0, sizes["scale"]),
         "modes": rng.normal(size=sizes["modes"]),
     }
-    net = {name: value.numpy() for name, value in arrays_of(FusedNet(SMALL, seed)).items()}
+    net = {name: value.numpy() for name, value in checkpoint_arrays(FusedNet(SMALL, seed)).items()}
     biases = {n: rng.normal(size=a.shape) for n, a in net.items() if n.endswith("bias")}
     return {
         name: np.asarray(array, np.float32) for name, array in {**about, **net, **biases}.items()
@@ -117,28 +123,33 @@ def test_a_mixture_exceeds_what_draws_from_it_exceed() -> None:
 
 @pytest.mark.parametrize(("across_x", "across_y"), [(True, False), (False, True), (True, True)])
 def test_signals_mirror_as_a_mirrored_bench_feels_them(across_x: bool, across_y: bool) -> None:
-    bench, catalogue = load_simulation(preset="bench-v1"), load_catalogue()
-    setting = Setting(catalogue.top("pot"), catalogue.bottom("circle15"), bench)
+    bench, catalogue = load_simulation(preset="bench-v1"), load_pieces()
+    setting = OracleSetting(catalogue.top("pot"), catalogue.bottom("circle15"), bench)
     rng = np.random.default_rng(5)
-    value = 0.7 * rng.standard_normal((3, worlds.COLUMNS))
-    value[:, : worlds.TILT_X] *= 4.0
+    value = 0.7 * rng.standard_normal((3, oracle.COLUMNS))
+    value[:, : oracle.TILT_X] *= 4.0
     other = value.copy()
     x, y = (-1.0 if across else 1.0 for across in (across_x, across_y))
-    other[:, [worlds.SHIFT_X, worlds.GRASP_X]] *= x
-    other[:, worlds.SHIFT_Y] *= y
+    other[:, [oracle.SHIFT_X, oracle.GRASP_X]] *= x
+    other[:, oracle.SHIFT_Y] *= y
     # A tilt turns about its axis, which keeps its sense when that very axis is mirrored.
-    other[:, worlds.TILT_X] *= y
-    other[:, worlds.TILT_Y] *= x
-    other[:, worlds.YAW] *= x * y
+    other[:, oracle.TILT_X] *= y
+    other[:, oracle.TILT_Y] *= x
+    other[:, oracle.YAW] *= x * y
     if across_y:
-        gains = [worlds.GAIN_LEFT, worlds.GAIN_RIGHT]
+        gains = [oracle.GAIN_LEFT, oracle.GAIN_RIGHT]
         other[:, gains] = other[:, gains[::-1]]
     one, two = (
-        feel(setting, Worlds(v, Carried.fresh(3)), (0.0, 0.0), np.random.default_rng(8))
+        predict_press(
+            setting,
+            HypothesisEnsemble(v, GraspHistory.fresh(3)),
+            (0.0, 0.0),
+            np.random.default_rng(8),
+        )
         for v in (value, other)
     )
     assert one.usable.all()
-    wrench, field = mirrored(
+    wrench, field = mirror_signals(
         one.observation[..., 252:],
         one.observation[..., :252],
         across_x=across_x,
@@ -152,10 +163,10 @@ def test_signals_mirror_as_a_mirrored_bench_feels_them(across_x: bool, across_y:
 def test_a_face_mirrors_like_its_points() -> None:
     points = face_points(rectangle(20.0, 12.0)) @ np.array([[0.8, 0.6], [-0.6, 0.8]])
     com = np.array([1.0, 0.5])
-    whole = Face.of(points, com, np.array(30.0))
+    whole = GraspedFace.of(points, com, np.array(30.0))
     for across_x, across_y in ((True, False), (False, True), (True, True)):
         signs = np.where([across_x, across_y], -1.0, 1.0)
-        expected = Face.of(points * signs, com * signs, np.array(30.0))
+        expected = GraspedFace.of(points * signs, com * signs, np.array(30.0))
         found = whole.mirrored(across_x=across_x, across_y=across_y)
         np.testing.assert_allclose(found.inputs(), expected.inputs(), atol=1e-9)
 
@@ -164,8 +175,8 @@ def test_where_a_growing_force_acts() -> None:
     # 8 N down at (3, -2) mm of the face, with a lateral part, at a sensor 150 mm above it.
     fx, fy, fz = 0.8, -0.4, 8.0
     growth = np.array([fx, fy, fz, 1e-3 * (-2 * fz + 150 * fy), 1e-3 * (-3 * fz - 150 * fx), 0.0])
-    np.testing.assert_allclose(acting_mm(growth, np.array(150.0)), [3.0, -2.0], atol=1e-9)
-    np.testing.assert_allclose(acting_mm(0.05 * growth, np.array(150.0)), 0.0)
+    np.testing.assert_allclose(acting_point_mm(growth, np.array(150.0)), [3.0, -2.0], atol=1e-9)
+    np.testing.assert_allclose(acting_point_mm(0.05 * growth, np.array(150.0)), 0.0)
 
 
 def test_typical_fields_hold_all_that_a_pad_can_do() -> None:
@@ -174,8 +185,8 @@ def test_typical_fields_hold_all_that_a_pad_can_do() -> None:
     fields = np.einsum("ntfm,fmk->ntfk", moves, gel.map).reshape(60, 8, 2, 63, 2)
     fields = fields + rng.normal(size=(60, 1, 2, 1, 2))  # a shift of the reference
     flat = fields.swapaxes(-1, -2).reshape(60, 8, 252).astype(np.float32)
-    modes = typical_fields(flat)
-    again = typical_fields(flat[::2])
+    modes = field_components(flat)
+    again = field_components(flat[::2])
     for finger in range(2):
         # The span is that of all fields, whichever are looked at.
         lost = again[finger] - again[finger] @ modes[finger].T @ modes[finger]
@@ -207,8 +218,8 @@ def test_the_true_inset_is_that_of_the_outline() -> None:
     outline = rectangle(14.0, 10.0)
     padded = np.concatenate([outline.polygon(), np.repeat(outline.polygon()[-1:], 28, axis=0)])
     arrays["support_mm"] = np.tile(padded.astype(np.float32), (2, 1, 1))
-    modes = typical_fields(arrays["field"])
-    data: Sequences = sequences(arrays, modes, mirror=True)
+    modes = field_components(arrays["field"])
+    data: ProbeSequences = prepare_sequences(arrays, modes, mirror=True)
     points = torch.tensor([[1.0, 2.0], [-3.0, 0.5]]).expand(8, 2, 2, 2)
     found = data.inset_mm(torch.arange(8), points).numpy()
     expected = inset_mm(outline, (points + data.true_mm[:, :, None]).numpy().astype(np.float64))
@@ -273,7 +284,7 @@ def test_a_bad_file_is_refused_by_name(kept: Path, what: str) -> None:
 
 
 @pytest.mark.parametrize("part", ["wrench", "fields", "others"])
-def test_what_an_ablation_leaves_out_changes_nothing(part: Part) -> None:
+def test_what_an_ablation_leaves_out_changes_nothing(part: InputPart) -> None:
     settings = FusedTraining(2, 16, seed=3, shape=SMALL, without=part)
     trainer = FusedTrainer(made_up(24, 1), made_up(8, 2), settings)
     list(trainer.steps())

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.core.faults import InputError
-from backend.learning.fused.checkpoint import load_fused
 from tests.backend.learning.fused_writer import NAME, write
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.learning.fused.checkpoint import load_fused
 
 WRITER = [sys.executable, "-m", "tests.backend.learning.fused_writer"]
 ROOT = Path(__file__).parents[3]

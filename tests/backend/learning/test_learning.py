@@ -8,21 +8,26 @@ import numpy as np
 import pytest
 import torch
 
-from backend.config.method import TrainingSettings
-from backend.core.faults import InputError
-from backend.dataset.rows import TrainingRows
-from backend.dataset.splits import split_rows
-from backend.learning.device import computes_bfloat16
-from backend.learning.features import (
+from touchdown.backend.config.method import TrainingSettings
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.episodes.training_rows import TrainingRows, split_rows
+from touchdown.backend.learning.inference import (
     MODALITIES,
+    NetworkShape,
     channel_groups,
-    columns,
-    fit_in_parts,
+    fit_normaliser_in_parts,
+    modality_columns,
 )
-from backend.learning.model import new_model
-from backend.learning.resume import load_state, save_state
-from backend.learning.shape import Shape
-from backend.learning.training import Trainer, bce, fingerprint, predict
+from touchdown.backend.learning.training import (
+    Trainer,
+    binary_cross_entropy,
+    computes_bfloat16,
+    fingerprint,
+    load_training_state,
+    new_model,
+    predict,
+    save_training_state,
+)
 
 
 def rows(count: int, per_grip: int = 2, mountings: int = 1, points: int = 9) -> TrainingRows:
@@ -52,7 +57,7 @@ SMALL = TrainingSettings(
     [(258, 505, 528_384, 129_785), (252, 177, 522_240, 45_489), (6, 349, 270_336, 89_693)],
 )
 def test_parameter_counts_of_the_method(inputs: int, points: int, layer_1: int, head: int) -> None:
-    model = new_model(Shape(inputs, 256, 2, points), 0)
+    model = new_model(NetworkShape(inputs, 256, 2, points), 0)
     count = {name: p.numel() for name, p in model.named_parameters()}
     assert sum(n for name, n in count.items() if name.endswith("_l0")) == layer_1
     assert sum(n for name, n in count.items() if name.endswith("_l1")) == 526_336
@@ -64,12 +69,14 @@ def test_loss_against_a_hand_computation() -> None:
     logits = torch.tensor([[0.0, math.log(3)], [-math.log(3), math.log(9)]])
     targets = torch.tensor([[1.0, 1.0], [0.0, 0.0]])
     by_hand = -(math.log(1 / 2) + math.log(3 / 4) + math.log(3 / 4) + math.log(1 / 10)) / 4
-    assert float(bce(logits, targets)) == pytest.approx(by_hand, rel=1e-6)
-    assert math.isfinite(float(bce(torch.tensor([[-200.0]]), torch.tensor([[1.0]]))))
+    assert float(binary_cross_entropy(logits, targets)) == pytest.approx(by_hand, rel=1e-6)
+    assert math.isfinite(
+        float(binary_cross_entropy(torch.tensor([[-200.0]]), torch.tensor([[1.0]])))
+    )
 
 
 def test_modalities_cover_the_vector() -> None:
-    sizes = {m: columns(m).stop - columns(m).start for m in MODALITIES}
+    sizes = {m: modality_columns(m).stop - modality_columns(m).start for m in MODALITIES}
     assert sizes == {"FT": 6, "Tac": 252, "FT+Tac": 258}
     groups = channel_groups()
     assert np.bincount(groups).tolist() == [63, 63, 63, 63, 1, 1, 1, 1, 1, 1]
@@ -80,8 +87,8 @@ def test_standardised_channels_have_zero_mean_and_unit_scale_per_group(modality:
     rng = np.random.default_rng(1)
     spread = np.geomspace(1e-3, 1e3, 258)
     x = (rng.normal(size=(50, 20, 258)) * spread + spread).astype(np.float32)
-    part = columns(modality)  # type: ignore[arg-type]
-    fit = fit_in_parts([x], modality)  # type: ignore[arg-type]
+    part = modality_columns(modality)  # type: ignore[arg-type]
+    fit = fit_normaliser_in_parts([x], modality)  # type: ignore[arg-type]
     z = ((x[:, :, part] - fit.mean) / fit.scale).reshape(-1, part.stop - part.start)
     assert np.abs(z.mean(axis=0)).max() < 1e-3
     groups = channel_groups()[part]
@@ -92,20 +99,20 @@ def test_standardised_channels_have_zero_mean_and_unit_scale_per_group(modality:
 def test_fitting_in_parts_equals_fitting_at_once() -> None:
     x = np.random.default_rng(8).normal(3.0, 2.0, (50, 20, 258)).astype(np.float32)
     x[30:] *= 5
-    whole = fit_in_parts([x], "FT+Tac")
-    parts = fit_in_parts([x[:1], x[1:33], x[33:]], "FT+Tac")
+    whole = fit_normaliser_in_parts([x], "FT+Tac")
+    parts = fit_normaliser_in_parts([x[:1], x[1:33], x[33:]], "FT+Tac")
     assert np.allclose(parts.mean, whole.mean, rtol=1e-6)
     assert np.allclose(parts.scale, whole.scale, rtol=1e-6)
     assert np.allclose(whole.mean, x.reshape(-1, 258).mean(0), rtol=1e-4)
 
 
 def test_a_channel_that_never_changes_is_left_alone() -> None:
-    fit = fit_in_parts([np.zeros((3, 20, 258), np.float32)], "FT+Tac")
+    fit = fit_normaliser_in_parts([np.zeros((3, 20, 258), np.float32)], "FT+Tac")
     assert (fit.scale == 1).all()
 
 
 def test_the_order_of_time_matters() -> None:
-    model = new_model(Shape(6, 16, 2, 4), 1)
+    model = new_model(NetworkShape(6, 16, 2, 4), 1)
     x = torch.randn(1, 20, 6, generator=torch.Generator().manual_seed(1))
     assert not torch.allclose(model(x), model(x.flip(1)))
     assert model(x).shape == (1, 4)
@@ -150,7 +157,7 @@ def test_eight_episodes_are_learnt_by_heart() -> None:
     assert reports[0].train_loss == pytest.approx(math.log(2), abs=0.05)
     assert reports[-1].train_loss < 0.02
     known = trainer.split.train
-    predicted = predict(trainer.model, data.observation[known], columns("FT+Tac")) > 0.5
+    predicted = predict(trainer.model, data.observation[known], modality_columns("FT+Tac")) > 0.5
     assert np.array_equal(predicted, data.patch[known])
     assert [r.epoch for r in reports] == list(range(1, 61))
 
@@ -179,9 +186,9 @@ def test_resume_equals_uninterrupted_bit_for_bit(tmp_path: Path) -> None:
 
     first = Trainer(data, SMALL)
     got = list(itertools.islice(first.epochs(), 2))
-    save_state(tmp_path / "a.resume.safetensors", first, name)
+    save_training_state(tmp_path / "a.resume.safetensors", first, name)
     second = Trainer(data, SMALL)
-    load_state(tmp_path / "a.resume.safetensors", second, name)
+    load_training_state(tmp_path / "a.resume.safetensors", second, name)
     got += list(second.epochs())
 
     assert got == expected
@@ -203,18 +210,18 @@ def test_a_cancelled_epoch_leaves_no_report_and_resume_repeats_it(tmp_path: Path
 def test_resume_refuses_other_data_other_settings_and_damage(tmp_path: Path) -> None:
     data, path = rows(24), tmp_path / "a.resume.safetensors"
     with pytest.raises(InputError, match="no usable"):
-        load_state(path, Trainer(data, SMALL), "x")
+        load_training_state(path, Trainer(data, SMALL), "x")
     trainer = Trainer(data, SMALL)
     next(trainer.epochs())
-    save_state(path, trainer, "x")
+    save_training_state(path, trainer, "x")
     with pytest.raises(InputError, match="other data"):
-        load_state(path, Trainer(data, SMALL), "y")
+        load_training_state(path, Trainer(data, SMALL), "y")
     other = SMALL.model_copy(update={"learning_rate": 0.1})
     with pytest.raises(InputError, match="other data or settings"):
-        load_state(path, Trainer(data, other), "x")
+        load_training_state(path, Trainer(data, other), "x")
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(InputError, match="no usable"):
-        load_state(path, Trainer(data, SMALL), "x")
+        load_training_state(path, Trainer(data, SMALL), "x")
 
 
 def test_fingerprint_sees_every_target() -> None:
@@ -256,10 +263,10 @@ def test_the_rate_falls_as_a_cosine_and_so_across_a_resume(tmp_path: Path) -> No
     for report in trainer.epochs():
         rates.append(trainer.optimiser.rate)
         if report.epoch == 2:
-            save_state(tmp_path / "a.resume.safetensors", trainer, "x")
+            save_training_state(tmp_path / "a.resume.safetensors", trainer, "x")
     # 1e-3 (1 + cos(pi k / 4)) / 2 for k = 0, 1, 2, 3
     assert rates == pytest.approx([1e-3, 0.853553e-3, 0.5e-3, 0.146447e-3], rel=1e-5)
     again = Trainer(data, SMALL)
-    load_state(tmp_path / "a.resume.safetensors", again, "x")
+    load_training_state(tmp_path / "a.resume.safetensors", again, "x")
     next(again.epochs())
     assert again.optimiser.rate == rates[2]

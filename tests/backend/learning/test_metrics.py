@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from shapely import MultiPoint, Point
 
-from backend.learning.metrics import (
+from touchdown.backend.learning.metrics import (
     hull_margin_mm,
     iou,
     point_accuracy,
     score,
     stable_flags,
-    wilson,
+    wilson_interval,
 )
 
 
@@ -32,11 +32,11 @@ def test_iou_is_a_mean_over_samples_and_an_empty_union_counts_one() -> None:
     [(8, 10, 0.490, 0.943), (40, 60, 0.541, 0.773), (34, 60, 0.441, 0.684)],
 )
 def test_wilson_intervals_as_published(k: int, n: int, low: float, high: float) -> None:
-    assert wilson(k, n) == pytest.approx((low, high), abs=5e-4)
+    assert wilson_interval(k, n) == pytest.approx((low, high), abs=5e-4)
 
 
 def test_wilson_without_trials_knows_nothing() -> None:
-    assert wilson(0, 0) == (0.0, 1.0)
+    assert wilson_interval(0, 0) == (0.0, 1.0)
 
 
 def test_hull_margin_agrees_with_shapely() -> None:

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from backend.__main__ import main
-from backend.learning.checkpoint import load_checkpoint
-from backend.objects.catalogue import load_catalogue
-from backend.placement.estimator import Estimator
+from touchdown.backend.__main__ import main
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.learning.checkpoint import load_checkpoint
+from touchdown.backend.placement.estimator import Estimator
 
 
 def test_the_recipe_leaves_a_measured_model(
@@ -26,5 +26,5 @@ def test_the_recipe_leaves_a_measured_model(
     assert card.data["recipe"]["seed"] == 1
     assert set(card.metrics["unseen_bottoms"]) == bottoms
     assert card.metrics["unseen_bottoms"]["all"]["episodes"] == 8
-    assert Estimator.load(path, load_catalogue().piece("pot")).card == card
+    assert Estimator.load(path, load_pieces().piece("pot")).card == card
     assert sorted(p.name for p in tmp_path.iterdir()) == ["pot.json", "pot.safetensors"]

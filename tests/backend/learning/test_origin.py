@@ -6,27 +6,27 @@ from pathlib import Path
 
 import numpy as np
 
-from backend.__main__ import main
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.training_set import load_training_set
-from backend.catalogue.values import EpisodeContext, Label
-from backend.config.bench_facts import BenchFacts, simulated_facts
-from backend.config.simulation import SimulationSettings
-from backend.core.flow import Episode, EpisodeQuality
-from backend.dataset.splits import split_rows
-from backend.learning.evaluation import hardware_part
-from backend.learning.origin import benches_of, manifest_of, only_simulated
-from backend.learning.registry import Registry
-from backend.objects.catalogue import load_catalogue
-from backend.runs.store import models_folder
+from touchdown.backend.__main__ import main
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.training_set import load_training_set
+from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.config.bench_description import BenchDescription, describe_simulation
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.values import Episode, EpisodeQuality
+from touchdown.backend.episodes.training_rows import split_rows
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.learning.fitting import hardware_rows
+from touchdown.backend.learning.registry import ModelRegistry
+from touchdown.backend.learning.training_data import only_simulated, read_benches, training_manifest
+from touchdown.backend.runs.recorder import models_folder
 
-HERE = simulated_facts(SimulationSettings())
-LAB = BenchFacts(mode="hardware", sha256="c" * 64, mm_per_px=(0.06, 0.06), ft_frame="flange")
+HERE = describe_simulation(SimulationSettings())
+LAB = BenchDescription(mode="hardware", sha256="c" * 64, mm_per_px=(0.06, 0.06), ft_frame="flange")
 
 
-def fill(folder: Path, benches: list[tuple[str, BenchFacts]], each: int = 3) -> Path:
+def fill(folder: Path, benches: list[tuple[str, BenchDescription]], each: int = 3) -> Path:
     """Write a dataset with one mounting a bench, its labels waiting for review."""
-    catalogue, rng = load_catalogue(), np.random.default_rng(2)
+    catalogue, rng = load_pieces(), np.random.default_rng(2)
     quality = EpisodeQuality(True, (), 0, 0.0, 0, 5.0, 0.01)
     with Dataset.open(folder, person="setup") as dataset:
         pair = dataset.geometry.store_pair(catalogue.piece("pot"), catalogue.piece("circle15"))
@@ -48,17 +48,17 @@ def fill(folder: Path, benches: list[tuple[str, BenchFacts]], each: int = 3) -> 
 def test_the_benches_of_a_dataset_are_told(tmp_path: Path) -> None:
     folder = fill(tmp_path / "data", [("stepped", HERE), ("lab", LAB), ("lab", LAB)])
     rows = load_training_set(folder, labels="submitted")
-    assert set(benches_of(folder, rows)) == {HERE, LAB}
+    assert set(read_benches(folder, rows)) == {HERE, LAB}
     assert not only_simulated(rows)
-    real = hardware_part(rows)
+    real = hardware_rows(rows)
     assert real is not None
     assert len(real) == 6
-    listed = json.loads(manifest_of(rows, split_rows(rows, 0.3, 0)))["episodes"]
+    listed = json.loads(training_manifest(rows, split_rows(rows, 0.3, 0)))["episodes"]
     assert len({e["file_sha256"] for e in listed}) == len(rows) == 9
     assert all(e["revision"] for e in listed)
     one_mounting = replace(rows, mounting_id=("m",) * len(rows))
     told = [
-        json.loads(manifest_of(r, split_rows(r, 0.3, 0, divide_series=True)))
+        json.loads(training_manifest(r, split_rows(r, 0.3, 0, divide_series=True)))
         for r in (rows, one_mounting)
     ]
     assert "warnings" not in told[0]
@@ -66,18 +66,18 @@ def test_the_benches_of_a_dataset_are_told(tmp_path: Path) -> None:
 
 
 def test_an_imported_episode_is_not_taken_for_a_simulation(tmp_path: Path) -> None:
-    folder = fill(tmp_path / "data", [("imported", BenchFacts())])
+    folder = fill(tmp_path / "data", [("imported", BenchDescription())])
     rows = load_training_set(folder, labels="submitted")
     assert not only_simulated(rows)
-    assert hardware_part(rows) is None
+    assert hardware_rows(rows) is None
 
 
 def test_evaluation_on_hardware_probes_is_kept(tmp_path: Path, capsys) -> None:
-    from backend.assembly import shipped_model
-    from backend.learning.checkpoint import load_card
+    from touchdown.backend.bench.assembly import shipped_model
+    from touchdown.backend.learning.checkpoint import load_card
 
     model = shipped_model("pot")
-    sha256, registry = load_card(model).weights_sha256, Registry(models_folder())
+    sha256, registry = load_card(model).weights_sha256, ModelRegistry(models_folder())
     simulated = fill(tmp_path / "simulated", [("stepped", HERE)])
     assert main(["evaluate", str(model), str(simulated), "--labels", "submitted", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["hardware_probes"] == 0

@@ -8,17 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from backend.__main__ import main
-from backend.learning.checkpoint import load_checkpoint
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import face_points
+from touchdown.backend.__main__ import main
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.learning.checkpoint import load_checkpoint
 
 
 @pytest.fixture(scope="module")
 def pieces(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a smaller pot of the operator's own."""
     folder = tmp_path_factory.mktemp("pieces")
-    text = files("resources").joinpath("objects", "pot.toml").read_text("utf-8")
+    text = files("touchdown.resources").joinpath("objects", "pot.toml").read_text("utf-8")
     assert "diameter_mm = " in text
     lines = [
         "diameter_mm = 20.0" if line.startswith("diameter_mm") else line
@@ -42,8 +42,8 @@ def model(pieces: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_models_are_made_of_the_faces_of_own_pieces(pieces: Path, model: Path) -> None:
-    points = face_points(load_catalogue(pieces).piece("own").face)
-    assert len(points) != len(face_points(load_catalogue().piece("pot").face))
+    points = face_points(load_pieces(pieces).piece("own").face)
+    assert len(points) != len(face_points(load_pieces().piece("pot").face))
     card = load_checkpoint(model).card
     assert card.piece == "own"
     assert card.metrics["unseen_bottoms"]["all"]["episodes"] == 8

@@ -8,15 +8,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.config.method import TrainingSettings
-from backend.core.faults import FaultError, InputError
-from backend.dataset.rows import load_rows
-from backend.learning.job import Epoch, Finished, Loaded
-from backend.learning.metrics import calibration_error, reliability
-from backend.learning.overview import Candidate, candidates, overview
-from backend.learning.recorded import RecordedTraining, TrainingRequest, request_of
-from backend.learning.samples import load_samples
-from backend.learning.training_runs import read_training_run, training_runs
+from touchdown.backend.config.method import TrainingSettings
+from touchdown.backend.core.faults import FaultError, InputError
+from touchdown.backend.episodes.training_rows import load_rows
+from touchdown.backend.learning.job import TrainingEpoch, TrainingFinished, TrainingLoaded
+from touchdown.backend.learning.metrics import calibration_error, load_samples, reliability
+from touchdown.backend.learning.training_data import (
+    TrainingCandidate,
+    training_candidates,
+    training_set_overview,
+)
+from touchdown.backend.learning.training_runs import (
+    RecordedTraining,
+    TrainingRequest,
+    list_training_runs,
+    read_training_run,
+    resume_request,
+)
 
 Data = Callable[[Path, int], Path]
 SMALL = TrainingSettings(hidden=12, epochs=3, batch=8, validation_share=0.25)
@@ -27,9 +35,15 @@ def test_a_finished_training_is_kept_whole(tmp_path: Path, write_data: Data) -> 
     data = write_data(tmp_path / "data", 24)
     training = RecordedTraining(TrainingRequest(data, "pot", SMALL))
     reports = list(training.reports())
-    assert [type(r) for r in reports] == [Loaded, Epoch, Epoch, Epoch, Finished]
-    (run,) = training_runs(data)
-    epochs = [r for r in reports if isinstance(r, Epoch)]
+    assert [type(r) for r in reports] == [
+        TrainingLoaded,
+        TrainingEpoch,
+        TrainingEpoch,
+        TrainingEpoch,
+        TrainingFinished,
+    ]
+    (run,) = list_training_runs(data)
+    epochs = [r for r in reports if isinstance(r, TrainingEpoch)]
     assert run.state == "finished"
     assert run.curves["iou"] == tuple((e.epoch, e.iou) for e in epochs)
     assert run.reliability[2] == epochs[1].reliability
@@ -40,7 +54,7 @@ def test_a_finished_training_is_kept_whole(tmp_path: Path, write_data: Data) -> 
     manifest = (run.folder / "manifest.json").read_bytes()
     assert run.card.manifest_sha256 == run.about.manifest == sha256(manifest).hexdigest()
     sides = [e["split"] for e in json.loads(manifest)["episodes"]]
-    held_out = next(r for r in reports if isinstance(r, Loaded)).held_out
+    held_out = next(r for r in reports if isinstance(r, TrainingLoaded)).held_out
     assert sides.count("held out") == held_out
     figures = run.card.metrics["validation"]
     bottoms = figures["bottoms"]
@@ -63,12 +77,12 @@ def test_cancelled_and_gone_on_with_equals_uninterrupted(tmp_path: Path, write_d
     list(whole.reports())
     first = RecordedTraining(TrainingRequest(data, "pot", longer))
     for report in first.reports():
-        if isinstance(report, Epoch) and report.epoch == 2:
+        if isinstance(report, TrainingEpoch) and report.epoch == 2:
             first.cancel()
     cut = read_training_run(first.folder)
     assert cut.state == "cancelled"
     assert cut.can_resume
-    second = RecordedTraining(request_of(cut, data))
+    second = RecordedTraining(resume_request(cut, data))
     list(second.reports())
     one, two = read_training_run(whole.folder), read_training_run(second.folder)
     assert two.about.params["resumed"] == cut.uuid
@@ -76,19 +90,19 @@ def test_cancelled_and_gone_on_with_equals_uninterrupted(tmp_path: Path, write_d
     assert two.reliability == one.reliability
     assert two.model.read_bytes() == one.model.read_bytes()
     with pytest.raises(InputError, match="nothing to go on with"):
-        request_of(two, data)
+        resume_request(two, data)
 
 
 def test_a_killed_child_leaves_a_failed_run(tmp_path: Path, write_data: Data) -> None:
     data = write_data(tmp_path / "data", 24)
     training = RecordedTraining(TrainingRequest(data, "pot", ENDLESS))
     reports = training.reports()
-    assert isinstance([next(reports), next(reports)][1], Epoch)
+    assert isinstance([next(reports), next(reports)][1], TrainingEpoch)
     assert training._child is not None
     training._child._child.kill()
     with pytest.raises(FaultError, match="ended early"):
         list(reports)
-    (run,) = training_runs(data)
+    (run,) = list_training_runs(data)
     assert (run.state, run.can_resume) == ("failed", True)
     assert "ended early" in run.about.reason
 
@@ -97,7 +111,7 @@ def test_a_refusal_is_kept_as_the_reason(tmp_path: Path, write_data: Data) -> No
     data = write_data(tmp_path / "data", 24)
     with pytest.raises(InputError, match="of 'barrel'"):
         list(RecordedTraining(TrainingRequest(data, "barrel", SMALL)).reports())
-    (run,) = training_runs(data)
+    (run,) = list_training_runs(data)
     assert (run.state, run.can_resume) == ("failed", False)
 
 
@@ -114,9 +128,9 @@ def test_reliability_of_known_probabilities() -> None:
 
 def test_the_overview_counts_what_training_will_see(tmp_path: Path, write_data: Data) -> None:
     data = write_data(tmp_path / "data", 24)
-    seen = overview(candidates(data, "approved"), "", 0.25, 0)
+    seen = training_set_overview(training_candidates(data, "approved"), "", 0.25, 0)
     (loaded, *_) = RecordedTraining(TrainingRequest(data, "pot", SMALL)).reports()
-    assert isinstance(loaded, Loaded)
+    assert isinstance(loaded, TrainingLoaded)
     assert (seen.piece, seen.train + seen.held_out) == ("pot", loaded.episodes)
     assert (seen.held_out, seen.kept_together) == (loaded.held_out, loaded.kept_together)
     assert [(p.bottom, p.train + p.held_out) for p in seen.pairs] == [
@@ -125,34 +139,36 @@ def test_the_overview_counts_what_training_will_see(tmp_path: Path, write_data: 
     ]
     assert seen.kept_together == "series"
     assert not any("Leakage" in words for words in seen.warnings)
-    leaking = overview(candidates(data, "approved"), "", 0.25, 0, divide_series=True)
+    leaking = training_set_overview(
+        training_candidates(data, "approved"), "", 0.25, 0, divide_series=True
+    )
     assert leaking.kept_together == "grip"
     assert leaking.warnings[0].startswith("Leakage: ")
     assert "on both sides" in leaking.warnings[0]
 
 
-def of(count: int, mountings: int, content: str = "") -> list[Candidate]:
+def of(count: int, mountings: int, content: str = "") -> list[TrainingCandidate]:
     return [
-        Candidate("pot", "short", f"g{i}", f"m{i % mountings}", content or f"{i}")
+        TrainingCandidate("pot", "short", f"g{i}", f"m{i % mountings}", content or f"{i}")
         for i in range(count)
     ]
 
 
 def test_leakage_is_told() -> None:
-    whole = overview(of(400, 40), "pot", 0.1, 0)
+    whole = training_set_overview(of(400, 40), "pot", 0.1, 0)
     assert (whole.kept_together, whole.warnings) == ("mounting", ())
-    twins = overview(of(400, 40, "same"), "pot", 0.1, 0)
+    twins = training_set_overview(of(400, 40, "same"), "pot", 0.1, 0)
     assert "training has a copy" in twins.warnings[0]
-    single = overview([Candidate("pot", "short", "g", "m")] * 9, "pot", 0.1, 0)
+    single = training_set_overview([TrainingCandidate("pot", "short", "g", "m")] * 9, "pot", 0.1, 0)
     assert "one series only of pot on short" in single.error
     assert "Collect another campaign" in single.error
     assert single.pairs[0].train == 9
-    assert overview([], "", 0.1, 0).error
+    assert training_set_overview([], "", 0.1, 0).error
 
 
 def test_few_held_out_episodes_are_counted_in_words() -> None:
     ends = []
     for share in (0.1, 0.2):
-        warnings = overview(of(10, 10), "pot", share, 0).warnings
+        warnings = training_set_overview(of(10, 10), "pot", share, 0).warnings
         ends += [said.partition(" held out")[0] for said in warnings if said.startswith("Only")]
     assert ends == ["Only 1 episode is", "Only 2 episodes are"]

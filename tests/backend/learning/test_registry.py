@@ -6,10 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.core.faults import InputError
-from backend.learning.checkpoint import Card, Sizes, load_checkpoint, save_checkpoint
-from backend.learning.registry import ENSEMBLES, HISTORY, SHIPPED, Registry, models_below
-from backend.learning.shape import ARCH, Shape, expected_arrays
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.learning.checkpoint import (
+    ModelCard,
+    NetworkSizes,
+    load_checkpoint,
+    save_checkpoint,
+)
+from touchdown.backend.learning.inference import ARCH, NetworkShape, expected_arrays
+from touchdown.backend.learning.registry import (
+    ENSEMBLES,
+    HISTORY,
+    SHIPPED,
+    ModelRegistry,
+    models_below,
+)
 
 Make = Callable[[str, int], Path]
 
@@ -17,14 +28,14 @@ Make = Callable[[str, int], Path]
 @pytest.fixture
 def make(tmp_path: Path) -> Make:
     def made(piece: str, seed: int) -> Path:
-        shape = Shape(6, 2, 1, 3)
+        shape = NetworkShape(6, 2, 1, 3)
         rng = np.random.default_rng(seed)
         arrays = {
             name: rng.uniform(0.5, 1.0, size).astype(np.float32)
             for name, size in expected_arrays(shape).items()
         }
-        card = Card(
-            arch=ARCH, hyper=Sizes(**shape.as_json()), modality="FT", piece=piece, geometry="g",
+        card = ModelCard(
+            arch=ARCH, hyper=NetworkSizes(**shape.as_json()), modality="FT", piece=piece, geometry="g",
             base_rate=0.5, seed=seed, program_version="0", weights_sha256="",
         )  # fmt: skip
         path = tmp_path / f"{piece}-{seed}.safetensors"
@@ -40,7 +51,7 @@ def sha(path: Path | None) -> str:
 
 
 def test_the_shipped_model_is_in_use_until_another_is(tmp_path: Path, make: Make) -> None:
-    registry = Registry(tmp_path / "models")
+    registry = ModelRegistry(tmp_path / "models")
     assert (registry.in_use("pot"), registry.before("pot"), registry.history()) == (None, None, [])
     one, two = make("pot", 1), make("pot", 2)
     registry.promote(one, "Ann", "run-1")
@@ -61,13 +72,13 @@ def test_the_shipped_model_is_in_use_until_another_is(tmp_path: Path, make: Make
 
 
 def test_promoting_what_is_in_use_changes_nothing(tmp_path: Path, make: Make) -> None:
-    registry, model = Registry(tmp_path / "models"), make("pot", 1)
+    registry, model = ModelRegistry(tmp_path / "models"), make("pot", 1)
     assert registry.promote(model) == registry.promote(model)
     assert len(registry.history()) == 1
 
 
 def test_a_model_in_use_survives_its_training_folder(tmp_path: Path, make: Make) -> None:
-    registry, model = Registry(tmp_path / "models"), make("pot", 1)
+    registry, model = ModelRegistry(tmp_path / "models"), make("pot", 1)
     wanted = sha(model)
     registry.promote(model)
     model.unlink()
@@ -76,7 +87,7 @@ def test_a_model_in_use_survives_its_training_folder(tmp_path: Path, make: Make)
 
 
 def test_a_damaged_model_is_never_put_in_use(tmp_path: Path, make: Make) -> None:
-    registry, model = Registry(tmp_path / "models"), make("pot", 1)
+    registry, model = ModelRegistry(tmp_path / "models"), make("pot", 1)
     model.write_bytes(model.read_bytes()[:-4] + b"\0\0\0\0")
     with pytest.raises(InputError, match="SHA-256"):
         registry.promote(model)
@@ -84,7 +95,7 @@ def test_a_damaged_model_is_never_put_in_use(tmp_path: Path, make: Make) -> None
 
 
 def test_a_torn_line_of_the_history_is_passed_over(tmp_path: Path, make: Make) -> None:
-    registry, one, two = Registry(tmp_path / "models"), make("pot", 1), make("pot", 2)
+    registry, one, two = ModelRegistry(tmp_path / "models"), make("pot", 1), make("pot", 2)
     registry.promote(one)
     file = registry.folder / HISTORY
     whole = file.read_bytes()
@@ -105,14 +116,14 @@ def test_a_torn_line_of_the_history_is_passed_over(tmp_path: Path, make: Make) -
     ],
 )
 def test_a_history_made_by_others_names_no_foreign_file(tmp_path: Path, line: str) -> None:
-    registry = Registry(tmp_path)
+    registry = ModelRegistry(tmp_path)
     (tmp_path / HISTORY).write_text(line + "\n")
     with pytest.raises(InputError, match="damaged"):
         registry.in_use("pot")
 
 
 def test_hardware_probes_are_counted_per_model(tmp_path: Path) -> None:
-    registry = Registry(tmp_path)
+    registry = ModelRegistry(tmp_path)
     assert registry.hardware_probes("a") == 0
     registry.note_hardware("a", 20, 0.7, 0.8)
     registry.note_hardware("a", 60, 0.7, 0.8)
@@ -121,7 +132,7 @@ def test_hardware_probes_are_counted_per_model(tmp_path: Path) -> None:
 
 
 def test_several_models_pre_label_together_until_none_is_chosen(tmp_path: Path, make: Make) -> None:
-    registry = Registry(tmp_path / "models")
+    registry = ModelRegistry(tmp_path / "models")
     assert registry.ensemble("pot") == ()
     make("barrel", 1)
     make("pot", 1), make("pot", 2)
@@ -144,4 +155,4 @@ def test_several_models_pre_label_together_until_none_is_chosen(tmp_path: Path, 
 def test_a_list_of_models_made_by_others_names_no_foreign_file(tmp_path: Path) -> None:
     (tmp_path / ENSEMBLES).write_text('{"piece": "pot", "weights_sha256": ["../x"]}\n')
     with pytest.raises(InputError, match="damaged"):
-        Registry(tmp_path).ensemble("pot")
+        ModelRegistry(tmp_path).ensemble("pot")

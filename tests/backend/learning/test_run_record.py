@@ -9,16 +9,20 @@ from typing import Any
 
 import pytest
 
-from backend.__main__ import main
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.run_folder import About
-from backend.config.method import TrainingSettings
-from backend.core.faults import FaultError
-from backend.learning.checkpoint import load_card
-from backend.learning.child import TrainingProcess
-from backend.learning.job import Cancelled, Epoch, TrainingJob
-from backend.learning.run_record import CURVES, note, recorded
 from tests.backend.catalogue.test_packs_in_datasets import write_pack
+from touchdown.backend.__main__ import main
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.run_tracking import RunInfo
+from touchdown.backend.config.method import TrainingSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.learning.checkpoint import load_card
+from touchdown.backend.learning.job import TrainingCancelled, TrainingEpoch, TrainingJob
+from touchdown.backend.learning.training_runs import (
+    CURVES,
+    TrainingProcess,
+    record_report,
+    record_training,
+)
 
 
 @pytest.fixture
@@ -39,7 +43,7 @@ def job(folder: Path, **changes: Any) -> TrainingJob:
     )
 
 
-def only_run(folder: Path) -> About:
+def only_run(folder: Path) -> RunInfo:
     with Dataset.open(folder, write=False) as dataset:
         (run,) = dataset.runs.entries("train")
         return run
@@ -75,11 +79,11 @@ def test_the_train_verb_records_its_run(folder: Path, capfd: pytest.CaptureFixtu
 def test_a_dataset_that_is_open_elsewhere_gets_its_run_too(folder: Path) -> None:
     with Dataset.open(folder) as window:
         asked = job(folder)
-        with recorded(asked, pytest.fail) as run, TrainingProcess(asked) as training:
+        with record_training(asked, pytest.fail) as run, TrainingProcess(asked) as training:
             assert run is not None
             states = set()
             for report in training.reports():
-                note(run, report)
+                record_report(run, report)
                 states.add(window.runs.entry(run.uuid).state)
         assert states == {"running", "finished"}
         assert len(window.runs.metrics(run.uuid, "iou")) == 2
@@ -87,13 +91,13 @@ def test_a_dataset_that_is_open_elsewhere_gets_its_run_too(folder: Path) -> None
 
 def test_a_cancelled_training_is_a_cancelled_run(folder: Path) -> None:
     asked = job(folder, epochs=100_000)
-    with recorded(asked, lambda _: None) as run, TrainingProcess(asked) as training:
+    with record_training(asked, lambda _: None) as run, TrainingProcess(asked) as training:
         assert run is not None
         for report in training.reports():
-            note(run, report)
-            if isinstance(report, Epoch):
+            record_report(run, report)
+            if isinstance(report, TrainingEpoch):
                 training.cancel()
-    assert isinstance(report, Cancelled)
+    assert isinstance(report, TrainingCancelled)
     assert only_run(folder).state == "cancelled"
 
 
@@ -101,10 +105,10 @@ def test_a_killed_child_is_a_failed_run(folder: Path) -> None:
     asked = job(folder, epochs=100_000)
 
     def train() -> None:
-        with recorded(asked, lambda _: None) as run, TrainingProcess(asked) as training:
+        with record_training(asked, lambda _: None) as run, TrainingProcess(asked) as training:
             assert run is not None
             for report in training.reports():
-                note(run, report)
+                record_report(run, report)
                 training._child.kill()
 
     with pytest.raises(FaultError):

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from backend.__main__ import main
-from backend.learning.checkpoint import load_card
-from backend.learning.device import computes_bfloat16
+from touchdown.backend.__main__ import main
+from touchdown.backend.learning.checkpoint import load_card
+from touchdown.backend.learning.training import computes_bfloat16
 
 PRECISION = "bfloat16" if computes_bfloat16(torch.device("cpu")) else "float32"
 Data = Callable[[Path, int], Path]

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from backend.dataset.rows import TrainingRows
-from backend.dataset.splits import split_rows
-from backend.learning.features import fit_in_parts
-from backend.learning.training import Trainer, bce, predict_logits
 from tests.backend.learning.test_learning import SMALL, rows
+from touchdown.backend.episodes.training_rows import TrainingRows, split_rows
+from touchdown.backend.learning.inference import fit_normaliser_in_parts
+from touchdown.backend.learning.training import Trainer, binary_cross_entropy, predict_logits
 
 
 def unlike_held_out() -> TrainingRows:
@@ -31,7 +30,7 @@ def test_base_rate_and_normaliser_are_those_of_the_training_side() -> None:
     train = trainer.split.train
     assert 0 < len(train) < len(data)
     assert trainer.base_rate == pytest.approx(6 / 9)
-    expected = fit_in_parts([data.observation[train]], SMALL.modality)
+    expected = fit_normaliser_in_parts([data.observation[train]], SMALL.modality)
     np.testing.assert_allclose(trainer.model.mean.numpy(), expected.mean, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(trainer.model.scale.numpy(), expected.scale, rtol=1e-5)
 
@@ -47,7 +46,9 @@ def test_the_weights_that_are_kept_are_those_of_the_best_epoch() -> None:
     held_out = trainer.split.held_out
     truth = torch.from_numpy(data.patch[order][held_out].astype(np.float32))
     seen = torch.from_numpy(data.observation[held_out])
-    loss = float(bce(predict_logits(trainer.best_model(), seen), truth))
+    loss = float(binary_cross_entropy(predict_logits(trainer.best_model(), seen), truth))
     assert loss == pytest.approx(min(losses), rel=1e-5)
     p = torch.from_numpy(trainer.predict_held_out())
-    assert float(bce(torch.logit(p), truth)) == pytest.approx(min(losses), rel=1e-4)
+    assert float(binary_cross_entropy(torch.logit(p), truth)) == pytest.approx(
+        min(losses), rel=1e-4
+    )

@@ -5,13 +5,19 @@ from pathlib import Path
 
 import pytest
 
-from backend.config.method import TrainingSettings
-from backend.core.faults import FaultError, InputError
-from backend.learning.checkpoint import load_checkpoint
-from backend.learning.child import TrainingProcess
-from backend.learning.fitting import fit
-from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
-from backend.learning.resume import resume_path
+from touchdown.backend.config.method import TrainingSettings
+from touchdown.backend.core.faults import FaultError, InputError
+from touchdown.backend.learning.checkpoint import load_checkpoint
+from touchdown.backend.learning.fitting import fit_model
+from touchdown.backend.learning.job import (
+    TrainingCancelled,
+    TrainingEpoch,
+    TrainingFinished,
+    TrainingJob,
+    TrainingLoaded,
+)
+from touchdown.backend.learning.training import resume_path
+from touchdown.backend.learning.training_runs import TrainingProcess
 
 Data = Callable[[Path], Path]
 
@@ -28,8 +34,14 @@ def test_the_child_trains_and_equals_training_here(tmp_path: Path, write_data: D
     out = tmp_path / "pot.safetensors"
     with TrainingProcess(job(data, out)) as training:
         reports = list(training.reports())
-    assert [type(r) for r in reports] == [Loaded, Epoch, Epoch, Epoch, Finished]
-    assert isinstance(reports[0], Loaded)
+    assert [type(r) for r in reports] == [
+        TrainingLoaded,
+        TrainingEpoch,
+        TrainingEpoch,
+        TrainingEpoch,
+        TrainingFinished,
+    ]
+    assert isinstance(reports[0], TrainingLoaded)
     assert (reports[0].episodes, reports[0].points, reports[0].kept_together) == (24, 177, "series")
     card = load_checkpoint(out).card
     assert card.data["episodes"] == {"circle15": 12, "short": 12}
@@ -37,7 +49,7 @@ def test_the_child_trains_and_equals_training_here(tmp_path: Path, write_data: D
 
     here = tmp_path / "here.safetensors"
     told: list[object] = []
-    fit(job(data, here), told.append, lambda: False)
+    fit_model(job(data, here), told.append, lambda: False)
     assert told[:-1] == reports[:-1]
     assert here.read_bytes() == out.read_bytes()
 
@@ -45,15 +57,15 @@ def test_the_child_trains_and_equals_training_here(tmp_path: Path, write_data: D
 def test_cancelled_then_resumed_equals_uninterrupted(tmp_path: Path, write_data: Data) -> None:
     data = write_data(tmp_path / "data")
     whole, parts = tmp_path / "whole.safetensors", tmp_path / "parts.safetensors"
-    fit(job(data, whole), lambda _: None, lambda: False)
+    fit_model(job(data, whole), lambda _: None, lambda: False)
 
     told: list[object] = []
-    fit(job(data, parts), told.append, lambda: len(told) >= 2)
-    assert isinstance(told[-1], Cancelled)
+    fit_model(job(data, parts), told.append, lambda: len(told) >= 2)
+    assert isinstance(told[-1], TrainingCancelled)
     assert told[-1].done == 1
     assert not parts.exists()
-    fit(job(data, parts, resume=True), told.append, lambda: False)
-    assert isinstance(told[-1], Finished)
+    fit_model(job(data, parts, resume=True), told.append, lambda: False)
+    assert isinstance(told[-1], TrainingFinished)
     assert parts.read_bytes() == whole.read_bytes()
 
 
@@ -66,7 +78,7 @@ def test_the_child_stops_when_asked(tmp_path: Path, write_data: Data) -> None:
             reports.append(report)
             if len(reports) == 3:
                 training.cancel()
-    assert isinstance(reports[-1], Cancelled)
+    assert isinstance(reports[-1], TrainingCancelled)
     assert reports[-1].done >= 2
     assert reports[-1].state.exists()
 
@@ -102,4 +114,4 @@ def test_a_child_that_dies_is_a_fault_with_the_next_step(tmp_path: Path, write_d
 
 def test_a_wrong_ending_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="safetensors"):
-        fit(job(tmp_path, tmp_path / "pot.pt"), lambda _: None, lambda: False)
+        fit_model(job(tmp_path, tmp_path / "pot.pt"), lambda _: None, lambda: False)

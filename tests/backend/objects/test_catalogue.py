@@ -3,9 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from backend.core.faults import InputError
-from backend.objects import shapes
-from backend.objects.catalogue import load_catalogue
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.geometry import outlines
+from touchdown.backend.geometry.pieces import load_pieces
 
 CUP = """
 title = "Cup"
@@ -27,7 +27,7 @@ across_corners_mm = 30.0
 
 
 def test_shipped_pieces_have_the_nominal_sizes() -> None:
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     assert catalogue.tops == ("barrel", "mug", "mushroom", "pot")
     assert set(catalogue.bottoms) == {
         "short", "long", "hex20", "rect12x28", "circle15", "circle25", "square15", "barrel",
@@ -43,22 +43,22 @@ def test_shipped_pieces_have_the_nominal_sizes() -> None:
         "pot": (15.0, 38, 20, 15, 30),
         "mug": (20.0, 45, 21, 24, 32),
     }
-    assert catalogue.piece("short").face == shapes.circle(20.0)
-    assert catalogue.piece("long").face == shapes.circle(18.0)
-    assert catalogue.piece("hex20").face == shapes.regular(6, 20.0)
-    assert catalogue.piece("rect12x28").face == shapes.rectangle(12.0, 28.0)
-    assert catalogue.piece("square15").face == shapes.square(15.0)
+    assert catalogue.piece("short").face == outlines.circle(20.0)
+    assert catalogue.piece("long").face == outlines.circle(18.0)
+    assert catalogue.piece("hex20").face == outlines.regular_polygon(6, 20.0)
+    assert catalogue.piece("rect12x28").face == outlines.rectangle(12.0, 28.0)
+    assert catalogue.piece("square15").face == outlines.square(15.0)
 
 
 def test_the_centre_of_mass_of_the_mug_alone_is_off_its_middle() -> None:
-    pieces = load_catalogue().pieces
+    pieces = load_pieces().pieces
     off = {name: p.com_xy_mm for name, p in pieces.items() if p.com_xy_mm != (0.0, 0.0)}
     assert off == {"mug": (1.7, -0.9)}
     assert pieces["mug"].body((3.0, 4.0)).com_xy_mm == (1.7, -0.9)
 
 
 def test_only_the_board_is_fixed_and_measured() -> None:
-    pieces = load_catalogue().pieces.values()
+    pieces = load_pieces().pieces.values()
     board = {"circle15", "circle25", "square15"}
     assert {p.name for p in pieces if p.fixed} == board
     assert {p.name for p in pieces if not p.nominal} == board
@@ -67,7 +67,7 @@ def test_only_the_board_is_fixed_and_measured() -> None:
 
 
 def test_roles_are_kept_apart() -> None:
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     assert catalogue.bottom("short").name == "short"
     with pytest.raises(InputError, match=r"cannot be grasped.*barrel, mug, mushroom, pot"):
         catalogue.top("short")
@@ -78,7 +78,7 @@ def test_roles_are_kept_apart() -> None:
 
 def test_unknown_piece_names_file_and_known_ones() -> None:
     with pytest.raises(InputError) as caught:
-        load_catalogue().piece("teapot")
+        load_pieces().piece("teapot")
     assert "teapot.toml" in caught.value.where
     assert "barrel" in caught.value.fix
 
@@ -86,9 +86,9 @@ def test_unknown_piece_names_file_and_known_ones() -> None:
 def test_an_operator_adds_and_replaces_pieces(tmp_path: Path) -> None:
     (tmp_path / "cup.toml").write_text(CUP)
     (tmp_path / "pot.toml").write_text(CUP)
-    catalogue = load_catalogue(tmp_path)
+    catalogue = load_pieces(tmp_path)
     cup = catalogue.piece("cup")
-    assert (cup.lower, cup.upper) == (shapes.circle(18.0), shapes.regular(8, 30.0))
+    assert (cup.lower, cup.upper) == (outlines.circle(18.0), outlines.regular_polygon(8, 30.0))
     assert cup.face == cup.lower
     assert catalogue.piece("pot").height_mm == 50.0
     body = cup.body((3.0, 4.0), 0.1)
@@ -98,18 +98,18 @@ def test_an_operator_adds_and_replaces_pieces(tmp_path: Path) -> None:
 def test_a_bottom_meets_the_piece_with_its_upper_face(tmp_path: Path) -> None:
     text = CUP.replace('"top", ', "").replace("grip_height_mm = 25.0", "")
     (tmp_path / "foot.toml").write_text(text)
-    foot = load_catalogue(tmp_path).piece("foot")
-    assert (foot.upper, foot.lower) == (shapes.circle(18.0), shapes.regular(8, 30.0))
+    foot = load_pieces(tmp_path).piece("foot")
+    assert (foot.upper, foot.lower) == (outlines.circle(18.0), outlines.regular_polygon(8, 30.0))
     assert foot.grip_height_mm is None
 
 
 def test_the_hash_follows_the_content_not_the_text(tmp_path: Path) -> None:
     (tmp_path / "cup.toml").write_text(CUP)
-    first = load_catalogue(tmp_path).piece("cup").sha256
+    first = load_pieces(tmp_path).piece("cup").sha256
     (tmp_path / "cup.toml").write_text("# measured\n" + CUP.replace("50.0", "50"))
-    assert load_catalogue(tmp_path).piece("cup").sha256 == first
+    assert load_pieces(tmp_path).piece("cup").sha256 == first
     (tmp_path / "cup.toml").write_text(CUP.replace("diameter_mm = 18.0", "diameter_mm = 18.1"))
-    assert load_catalogue(tmp_path).piece("cup").sha256 != first
+    assert load_pieces(tmp_path).piece("cup").sha256 != first
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_bad_file_gives_one_error_with_file_key_and_reason(
     assert old in CUP
     path.write_text(CUP.replace(old, new, 1))
     with pytest.raises(InputError) as caught:
-        load_catalogue(tmp_path)
+        load_pieces(tmp_path)
     assert caught.value.where == str(path)
     assert key in caught.value.what
     assert key in caught.value.fix
@@ -148,16 +148,16 @@ def test_a_polygon_must_be_convex(tmp_path: Path) -> None:
     head, tail = CUP.split("[face]")[0], "vertices_mm = [[-5, -5], [5, -5], [-4, -4], [-5, 5]]\n"
     (tmp_path / "cup.toml").write_text(f'{head}[face]\nshape = "polygon"\n{tail}')
     with pytest.raises(InputError, match=r"face.*counter-clockwise"):
-        load_catalogue(tmp_path)
+        load_pieces(tmp_path)
 
 
 def test_broken_toml_bad_name_and_missing_folder(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder"):
-        load_catalogue(tmp_path / "none")
+        load_pieces(tmp_path / "none")
     (tmp_path / "My Cup.toml").write_text(CUP)
     with pytest.raises(InputError, match="Rename the file"):
-        load_catalogue(tmp_path)
+        load_pieces(tmp_path)
     (tmp_path / "My Cup.toml").rename(tmp_path / "cup.toml")
     (tmp_path / "cup.toml").write_text("mass_g = = 3")
     with pytest.raises(InputError, match="not valid TOML"):
-        load_catalogue(tmp_path)
+        load_pieces(tmp_path)

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from shapely.geometry import Point, Polygon
 
-from backend.objects import shapes
-from backend.objects.shapes import Outline
+from touchdown.backend.geometry import outlines
+from touchdown.backend.geometry.outlines import Outline
 
 ALL = [
-    shapes.circle(20.0),
-    shapes.square(15.0),
-    shapes.rectangle(12.0, 28.0),
-    shapes.regular(6, 20.0),
-    shapes.regular(5, 18.0, 0.3),
-    shapes.convex(((-3.0, -5.0), (12.0, -2.0), (-3.0, 9.0))),
+    outlines.circle(20.0),
+    outlines.square(15.0),
+    outlines.rectangle(12.0, 28.0),
+    outlines.regular_polygon(6, 20.0),
+    outlines.regular_polygon(5, 18.0, 0.3),
+    outlines.convex_polygon(((-3.0, -5.0), (12.0, -2.0), (-3.0, 9.0))),
 ]
 
 
@@ -44,37 +44,39 @@ def test_area_and_extents_of_polygons(outline: Outline) -> None:
 
 
 def test_closed_forms() -> None:
-    assert shapes.circle(15.0).area_mm2 == pytest.approx(176.7146)
-    assert shapes.regular(6, 20.0).area_mm2 == pytest.approx(3 * math.sqrt(3) / 2 * 100)
-    assert shapes.regular(6, 20.0).half_extents_mm == pytest.approx((10.0, 5 * math.sqrt(3)))
-    assert shapes.circle(20.0).half_extents_mm == (10.0, 10.0)
+    assert outlines.circle(15.0).area_mm2 == pytest.approx(176.7146)
+    assert outlines.regular_polygon(6, 20.0).area_mm2 == pytest.approx(3 * math.sqrt(3) / 2 * 100)
+    assert outlines.regular_polygon(6, 20.0).half_extents_mm == pytest.approx(
+        (10.0, 5 * math.sqrt(3))
+    )
+    assert outlines.circle(20.0).half_extents_mm == (10.0, 10.0)
 
 
 def test_circle_polygon_is_inscribed_within_4_um() -> None:
-    polygon = Polygon(shapes.circle(25.0).polygon())
+    polygon = Polygon(outlines.circle(25.0).polygon())
     assert polygon.exterior.is_ccw
     inradius = polygon.exterior.distance(Point(0, 0))
     assert 12.5 - 0.004 < inradius < 12.5
 
 
 def test_placed_turns_then_moves() -> None:
-    corners = shapes.rectangle(4.0, 2.0).placed((10.0, 5.0), math.pi / 2)
+    corners = outlines.rectangle(4.0, 2.0).placed((10.0, 5.0), math.pi / 2)
     assert corners == pytest.approx(np.array([[11, 3], [11, 7], [9, 7], [9, 3]]))
 
 
 def test_the_inset_is_the_distance_to_the_edge() -> None:
     points = np.array([[0.0, 0.0], [3.0, 0.0], [12.0, 0.0]])
-    assert shapes.inset_mm(shapes.circle(20.0), points) == pytest.approx([10.0, 7.0, -2.0])
-    hexagon = shapes.regular(6, 20.0)
+    assert outlines.inset_mm(outlines.circle(20.0), points) == pytest.approx([10.0, 7.0, -2.0])
+    hexagon = outlines.regular_polygon(6, 20.0)
     expected = [10.0 * math.cos(math.pi / 6)]
-    assert shapes.inset_mm(hexagon, np.zeros((1, 2))) == pytest.approx(expected)
+    assert outlines.inset_mm(hexagon, np.zeros((1, 2))) == pytest.approx(expected)
 
 
 def test_outlines_are_values() -> None:
-    assert shapes.circle(15.0) == shapes.circle(15.0)
-    assert hash(shapes.square(15.0)) == hash(shapes.rectangle(15.0, 15.0))
+    assert outlines.circle(15.0) == outlines.circle(15.0)
+    assert hash(outlines.square(15.0)) == hash(outlines.rectangle(15.0, 15.0))
     with pytest.raises(ValueError, match="read-only"):
-        shapes.square(15.0).polygon()[0, 0] = 1.0
+        outlines.square(15.0).polygon()[0, 0] = 1.0
 
 
 @pytest.mark.parametrize(
@@ -90,10 +92,10 @@ def test_outlines_are_values() -> None:
 )
 def test_bad_polygons_are_refused(vertices: tuple[tuple[float, float], ...], reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
-        shapes.convex(vertices)
+        outlines.convex_polygon(vertices)
 
 
 @pytest.mark.parametrize("diameter", [0.0, -1.0, math.nan, math.inf])
 def test_bad_circles_are_refused(diameter: float) -> None:
     with pytest.raises(ValueError, match="diameter"):
-        shapes.circle(diameter)
+        outlines.circle(diameter)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from backend.placement.alike import FEWEST, FLOOR_MM, strangeness
+from touchdown.backend.placement.label_review import ALIKE_FEWEST, FLOOR_MM, neighbour_residual
 
 COUNT, WRONG = 1500, 8
 MIXED = np.random.default_rng(8).normal(size=(3, 6))
@@ -27,7 +27,7 @@ def test_labels_some_mm_off_come_first_where_signals_tell_the_place(probes):
     wrong = np.flatnonzero((at_mm[:, 0] < -4) & (np.abs(at_mm[:, 1]) < 6))[:WRONG]
     labels_mm = at_mm.copy()
     labels_mm[wrong] += [0.0, 2.5]
-    found = strangeness(felt, labels_mm)
+    found = neighbour_residual(felt, labels_mm)
     assert len(set(np.argsort(-found)[: 2 * WRONG].tolist()) & set(wrong.tolist())) >= WRONG - 1
 
 
@@ -36,19 +36,19 @@ def test_nothing_is_strange_where_alike_signals_have_labels_all_over(probes):
     blind = np.flatnonzero(at_mm[:, 0] > 3)
     labels_mm = at_mm.copy()
     labels_mm[blind[0], 1] = -at_mm[blind[0], 1]  # as good a guess as any other
-    found = strangeness(felt, labels_mm)
+    found = neighbour_residual(felt, labels_mm)
     assert found[blind].max() < 4.0
 
 
 def test_the_distance_is_counted_in_that_of_the_others_by_hand():
     # One signal for all: the fit is the (robust) middle of the others' labels.
-    labels_mm = np.zeros((FEWEST + 1, 2))
+    labels_mm = np.zeros((ALIKE_FEWEST + 1, 2))
     labels_mm[0] = [2.0, 0.0]
-    found = strangeness(np.zeros((FEWEST + 1, 3)), labels_mm)
+    found = neighbour_residual(np.zeros((ALIKE_FEWEST + 1, 3)), labels_mm)
     assert found[0] == pytest.approx(2.0 / FLOOR_MM)
     assert found[1:].max() < 0.01
 
 
 def test_few_episodes_tell_nothing():
-    few = FEWEST - 1
-    assert np.isnan(strangeness(np.zeros((few, 3)), np.zeros((few, 2)))).all()
+    few = ALIKE_FEWEST - 1
+    assert np.isnan(neighbour_residual(np.zeros((few, 3)), np.zeros((few, 2)))).all()

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.core.flow import FloatArray
-from backend.placement.balance import centre_of_pressure_mm, pressed_at_mm
+from touchdown.backend.core.values import FloatArray
+from touchdown.backend.placement.equilibrium import centre_of_pressure_mm, pressed_at_mm
 
 # Bench reference, table of section 3.8 (mushroom on circle15): Fx Fy Fz in N, Tx Ty in N·m at the
 # wrist, and the centre of pressure in mm. Grip height 33 mm, sensor 120 mm above the pivot.

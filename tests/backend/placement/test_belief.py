@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from backend.config.method import BeliefSettings
-from backend.core.faults import InputError
-from backend.core.flow import BeliefMap, ContactPatch
-from backend.placement.belief import Belief
+from touchdown.backend.config.method import BeliefSettings
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.values import BeliefMap, ContactPatch
+from touchdown.backend.placement.belief import Belief
 
 RAW = BeliefSettings(min_shift_mm=0.0)
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.config.method import BeliefSettings, TowerSettings
-from backend.core.faults import InputError
-from backend.objects.catalogue import Catalogue, load_catalogue
-from backend.objects.shapes import circle
-from backend.objects.surface import face_points
-from backend.objects.tower import Tower, judge
-from backend.placement.below import DRAWS, Below, normal_draws
+from touchdown.backend.config.method import BeliefSettings, TowerSettings
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.geometry.outlines import circle, face_points
+from touchdown.backend.geometry.pieces import PieceLibrary, load_pieces
+from touchdown.backend.geometry.tower import Tower, judge_tower
+from touchdown.backend.placement.support_tower import DRAWS, SupportTower, normal_draws
 
 EXACT = 1e-6
 FACE = face_points(circle(15.0))
@@ -19,19 +18,21 @@ SMALL = BeliefSettings(half_extent_mm=16.0)
 
 
 @pytest.fixture(scope="module")
-def catalogue() -> Catalogue:
-    return load_catalogue()
+def catalogue() -> PieceLibrary:
+    return load_pieces()
 
 
-def below_of(catalogue: Catalogue, offset_mm: tuple[float, float], sigma_mm: float) -> Below:
+def below_of(
+    catalogue: PieceLibrary, offset_mm: tuple[float, float], sigma_mm: float
+) -> SupportTower:
     bottoms = [catalogue.bottom(name) for name in ("short", "long")]
     entry = TowerSettings(offset_mm=(offset_mm,), sigma_mm=sigma_mm)
-    found = Below.entered(catalogue.top("pot"), bottoms, entry)
+    found = SupportTower.entered(catalogue.top("pot"), bottoms, entry)
     assert found is not None
     return found
 
 
-def test_what_is_known_exactly_is_judged_as_the_exact_judge_does(catalogue: Catalogue) -> None:
+def test_what_is_known_exactly_is_judged_as_the_exact_judge_does(catalogue: PieceLibrary) -> None:
     rng = np.random.default_rng(8)
     names = ("square15", "short", "rect12x28", "hex20")
     bottoms = [catalogue.bottom(name) for name in names]
@@ -40,13 +41,13 @@ def test_what_is_known_exactly_is_judged_as_the_exact_judge_does(catalogue: Cata
         steps = rng.uniform(-6.0, 6.0, (3, 2))
         place = rng.uniform(-8.0, 8.0, 2)
         entry = TowerSettings(offset_mm=tuple(map(tuple, steps)), sigma_mm=EXACT)
-        below = Below.entered(catalogue.top("pot"), bottoms, entry)
+        below = SupportTower.entered(catalogue.top("pot"), bottoms, entry)
         assert below is not None
         insets = below.insets_mm(place)
         at = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
         bodies = [b.body((float(x), float(y))) for b, (x, y) in zip(bottoms, at, strict=True)]
         top = catalogue.top("pot").body(tuple(at[-1] + place))
-        exact = min(judge(Tower((*bodies, top))).margins_mm[:-1])
+        exact = min(judge_tower(Tower((*bodies, top))).margins_mm[:-1])
         assert insets.shape == (DRAWS,)
         assert np.ptp(insets) < 1e-4
         assert (insets[0] > 0) == (exact > 0)
@@ -56,7 +57,7 @@ def test_what_is_known_exactly_is_judged_as_the_exact_judge_does(catalogue: Cata
     assert 5 < inside < 30
 
 
-def test_a_vague_entry_leaves_towers_that_would_fall(catalogue: Catalogue) -> None:
+def test_a_vague_entry_leaves_towers_that_would_fall(catalogue: PieceLibrary) -> None:
     place = np.array([2.0, 0.0])
     exact = below_of(catalogue, (4.0, 0.0), EXACT).insets_mm(place)
     vague = below_of(catalogue, (4.0, 0.0), 3.0).insets_mm(place)
@@ -72,12 +73,12 @@ def test_draws_are_standard_normal_and_joints_differ() -> None:
     assert abs((draws[:, 0] * draws[:, 1]).mean()) < 0.2
 
 
-def test_an_entry_of_another_tower_is_refused(catalogue: Catalogue) -> None:
+def test_an_entry_of_another_tower_is_refused(catalogue: PieceLibrary) -> None:
     short, long = (catalogue.bottom(name) for name in ("short", "long"))
     pot = catalogue.top("pot")
-    assert Below.entered(pot, [short], TowerSettings()) is None
-    centred = Below.entered(pot, [short, long], TowerSettings())
+    assert SupportTower.entered(pot, [short], TowerSettings()) is None
+    centred = SupportTower.entered(pot, [short, long], TowerSettings())
     assert centred is not None
     assert centred.offset_mm == ((0.0, 0.0),)
     with pytest.raises(InputError, match="1 bottoms above the lowest, 2 were entered"):
-        Below.entered(pot, [short, long], TowerSettings(offset_mm=((1.0, 0.0), (0.0, 0.0))))
+        SupportTower.entered(pot, [short, long], TowerSettings(offset_mm=((1.0, 0.0), (0.0, 0.0))))

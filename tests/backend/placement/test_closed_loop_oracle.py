@@ -13,9 +13,9 @@ from shapely import contains_xy
 from shapely.affinity import translate
 from shapely.geometry import Point, Polygon, box
 
-from backend.config.method import StackSettings
-from backend.core.flow import ContactPatch
-from backend.placement.strategy import XY, Held, PaperReasoner, Touched
+from touchdown.backend.config.method import StackSettings
+from touchdown.backend.core.values import ContactPatch
+from touchdown.backend.placement.strategies import XY, GraspedPiece, PaperStrategy, ProbeObservation
 
 FACE_RADIUS_MM = {"mushroom": 12.7, "barrel": 10.6, "pot": 7.5, "mug": 10.0}
 COM_MM = {"mug": (1.7, -0.9)}
@@ -69,12 +69,12 @@ def run_once(
     shape = BOTTOMS[bottom]
     here = random_start(rng, piece, shape)
     face = lattice(FACE_RADIUS_MM[piece])
-    reasoner = PaperReasoner(Held(COM_MM.get(piece, (0.0, 0.0)), 30.0), settings, here)
+    reasoner = PaperStrategy(GraspedPiece(COM_MM.get(piece, (0.0, 0.0)), 30.0), settings, here)
     unread = np.zeros((20, 258), np.float32)
     for probe in range(1, settings.policy.max_probes + 2):
         truth = contains_xy(shape, face[:, 0] + here[0], face[:, 1] + here[1])
         patch = ContactPatch(face.copy(), truth.astype(np.float64))
-        action = reasoner.conclude(Touched(unread, patch, here)).action
+        action = reasoner.conclude(ProbeObservation(unread, patch, here)).action
         if action.kind != "shift":
             return action.kind, probe, exact_margin_mm(piece, shape, here)
         assert math.hypot(*action.step_mm) <= settings.policy.longest_step_mm + 1e-9

@@ -6,11 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from backend.core.flow import ContactPatch
-from backend.objects.shapes import circle
-from backend.objects.surface import face_points, true_patch
-from backend.placement.ensemble import Ensemble, mixture
-from backend.placement.offset_fit import OffsetFit, OffsetGrid
+from touchdown.backend.core.values import ContactPatch
+from touchdown.backend.geometry.outlines import circle, face_points, true_patch
+from touchdown.backend.placement.estimator import Ensemble, OffsetFit, OffsetGrid, mix_fits
 
 FACE, BOTTOM = circle(20.0), circle(15.0)
 POINTS = face_points(FACE)
@@ -34,7 +32,7 @@ def grid():
 
 
 def test_the_mixture_by_hand():
-    fit, spread_mm = mixture([OffsetFit((1.0, 0.0), 0.3), OffsetFit((3.0, 0.0), 0.5)])
+    fit, spread_mm = mix_fits([OffsetFit((1.0, 0.0), 0.3), OffsetFit((3.0, 0.0), 0.5)])
     # Variance between, per axis: (1 + 0) / 2; own: (0.09 + 0.25) / 2.
     assert fit.offset_mm == (2.0, 0.0)
     assert spread_mm == pytest.approx(math.sqrt(0.5))

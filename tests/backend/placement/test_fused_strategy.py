@@ -11,66 +11,72 @@ from typing import Any
 import numpy as np
 import pytest
 
-from backend.config.method import BeliefSettings, FusedSettings, PolicySettings, StackSettings
-from backend.config.simulation import load_simulation
-from backend.core.faults import InputError
-from backend.core.flow import ContactPatch
-from backend.learning.fused.checkpoint import shipped_fused
-from backend.learning.fused.forward import Inset
-from backend.learning.fused.summary import Face, felt_at
-from backend.objects.catalogue import load_catalogue
-from backend.objects.shapes import circle
-from backend.objects.surface import face_points
-from backend.objects.tower import Body, Tower, judge
-from backend.placement.below import Below
-from backend.placement.fused import FARTHEST_MM, FusedReasoner, deepest
-from backend.placement.strategies import begin
-from backend.placement.strategy import (
-    XY,
-    Conclusion,
-    Held,
-    PaperReasoner,
-    SeekingReasoner,
-    Touched,
+from touchdown.backend.config.method import (
+    BeliefSettings,
+    FusedSettings,
+    PolicySettings,
+    StackSettings,
 )
-from backend.simulation.lockstep import Lockstep, Presses
-from backend.simulation.scene import Scene
+from touchdown.backend.config.simulation import load_simulation
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.values import ContactPatch
+from touchdown.backend.geometry.outlines import circle, face_points
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.tower import Body, Tower, judge_tower
+from touchdown.backend.learning.fused.checkpoint import shipped_fused
+from touchdown.backend.learning.fused.features import GraspedFace, wrench_at_sensor
+from touchdown.backend.learning.fused.inference import InsetDistribution
+from touchdown.backend.placement.strategies import (
+    FARTHEST_MM,
+    XY,
+    FusedStrategy,
+    GraspedPiece,
+    PaperStrategy,
+    PlaceDecision,
+    ProbeObservation,
+    SearchingStrategy,
+    deepest_shift,
+    make_strategy,
+)
+from touchdown.backend.placement.support_tower import SupportTower
+from touchdown.backend.simulation.batch import BatchedTrials, TrialPresses
+from touchdown.backend.simulation.scene import Scene
 
 PLACES = ((7.0, 2.0), (4.5, 1.0), (2.0, 0.5))
 FACE = face_points(circle(15.0))
-HELD = Held((0.0, 0.0), 30.0, sensor_height_mm=120.0)
+HELD = GraspedPiece((0.0, 0.0), 30.0, sensor_height_mm=120.0)
 SMALL = BeliefSettings(half_extent_mm=20.0)
 SETTINGS = StackSettings(strategy="fused", belief=SMALL)
 MOUNTINGS = 5
 
 
 @pytest.fixture(scope="module")
-def presses() -> list[Presses]:
+def presses() -> list[TrialPresses]:
     """The pot on a disc of 24 mm, five mountings, pressed at three places in turn."""
-    piece, face = load_catalogue().top("pot"), circle(24.0)
+    piece, face = load_pieces().top("pot"), circle(24.0)
     tower = Tower((Body("disc", face, face, 20.0, 0.0, 10.0, fixed=True),))
     bench = load_simulation(preset="bench-v1")
     scenes = [Scene(piece, tower, (0.0, 0.0), 700 + k, bench) for k in range(MOUNTINGS)]
-    lockstep = Lockstep(scenes)
+    lockstep = BatchedTrials(scenes)
     return [lockstep.press(range(MOUNTINGS), np.tile(place, (MOUNTINGS, 1))) for place in PLACES]
 
 
 def concluded(
-    presses: list[Presses],
+    presses: list[TrialPresses],
     trial: int,
     settings: StackSettings = SETTINGS,
-    held: Held = HELD,
+    held: GraspedPiece = HELD,
     places: tuple[XY, ...] = PLACES,
-) -> tuple[FusedReasoner, list[Conclusion]]:
-    reasoner = FusedReasoner(held, settings, places[0])
+) -> tuple[FusedStrategy, list[PlaceDecision]]:
+    reasoner = FusedStrategy(held, settings, places[0])
     found = []
     for felt, place in zip(presses, places, strict=True):
         patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.5))
-        found.append(reasoner.conclude(Touched(felt.observation[trial], patch, place)))
+        found.append(reasoner.conclude(ProbeObservation(felt.observation[trial], patch, place)))
     return reasoner, found
 
 
-def test_three_presses_say_where_the_support_is(presses: list[Presses]) -> None:
+def test_three_presses_say_where_the_support_is(presses: list[TrialPresses]) -> None:
     right = wrong = 0
     parted: list[float] = []
     for trial in range(MOUNTINGS):
@@ -90,7 +96,7 @@ def test_three_presses_say_where_the_support_is(presses: list[Presses]) -> None:
     assert wrong <= 1
 
 
-def test_a_release_needs_the_accepted_risk(presses: list[Presses]) -> None:
+def test_a_release_needs_the_accepted_risk(presses: list[TrialPresses]) -> None:
     bold = StackSettings(belief=SMALL, fused=FusedSettings(risk=0.9, inset_mm=0.0))
     shy = StackSettings(
         belief=SMALL,
@@ -105,22 +111,22 @@ def test_a_release_needs_the_accepted_risk(presses: list[Presses]) -> None:
         assert not conclusion.stability.stable
 
 
-def test_another_height_of_the_sensor_is_made_up_for(presses: list[Presses]) -> None:
+def test_another_height_of_the_sensor_is_made_up_for(presses: list[TrialPresses]) -> None:
     seen = presses[0].observation[:1].copy()
     # A sensor 30 mm higher has a lever longer by that, so a lateral force turns more.
     seen[..., -3] += 0.03 * seen[..., -5]
     seen[..., -2] -= 0.03 * seen[..., -6]
     np.testing.assert_allclose(
-        felt_at(seen[..., -6:], 150.0), presses[0].observation[:1, :, -6:], atol=1e-5
+        wrench_at_sensor(seen[..., -6:], 150.0), presses[0].observation[:1, :, -6:], atol=1e-5
     )
     with pytest.raises(InputError, match="height of the wrist sensor"):
-        FusedReasoner(replace(HELD, sensor_height_mm=None), SETTINGS, (0.0, 0.0))
+        FusedStrategy(replace(HELD, sensor_height_mm=None), SETTINGS, (0.0, 0.0))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3e38])
 @pytest.mark.parametrize("where", [(0, 0), (19, 257), (7, 252), np.s_[:, 126:150], np.s_[:, 252:]])
 def test_signals_that_are_no_numbers_end_the_trial_without_a_release(
-    presses: list[Presses], value: float, where: Any
+    presses: list[TrialPresses], value: float, where: Any
 ) -> None:
     """One value, a finger or the wrist, after a good probe; ready to let go at any other."""
     bold = StackSettings(belief=SMALL, fused=FusedSettings(risk=0.999))
@@ -129,21 +135,21 @@ def test_signals_that_are_no_numbers_end_the_trial_without_a_release(
     observation = presses[1].observation[0].copy()
     observation[where] = value
     patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.5))
-    conclusion = reasoner.conclude(Touched(observation, patch, PLACES[1]))
+    conclusion = reasoner.conclude(ProbeObservation(observation, patch, PLACES[1]))
     assert conclusion.action.kind == "give_up"
     assert not conclusion.stability.stable
 
 
 def test_before_a_probe_nothing_is_known() -> None:
-    reasoner = begin(HELD, SETTINGS, (0.0, 0.0))
+    reasoner = make_strategy(HELD, SETTINGS, (0.0, 0.0))
     assert not reasoner.likely_at((0.0, 0.0))
     assert not reasoner.stable_at((0.0, 0.0))
 
 
-def test_a_place_without_contact_sends_it_half_way_back(presses: list[Presses]) -> None:
-    begun = begin(HELD, StackSettings(strategy="fused", belief=SMALL), (0.0, 0.0))
-    assert isinstance(begun, SeekingReasoner)
-    assert not isinstance(PaperReasoner(HELD, SETTINGS, (0.0, 0.0)), SeekingReasoner)
+def test_a_place_without_contact_sends_it_half_way_back(presses: list[TrialPresses]) -> None:
+    begun = make_strategy(HELD, StackSettings(strategy="fused", belief=SMALL), (0.0, 0.0))
+    assert isinstance(begun, SearchingStrategy)
+    assert not isinstance(PaperStrategy(HELD, SETTINGS, (0.0, 0.0)), SearchingStrategy)
     # Nothing was felt yet: other places, each 3 mm from the last at most, none of them twice.
     here, been = (0.0, 0.0), [(0.0, 0.0)]
     for _ in range(6):
@@ -161,7 +167,7 @@ def test_a_place_without_contact_sends_it_half_way_back(presses: list[Presses]) 
         assert action.step_mm == pytest.approx((-way, 0.0))
 
 
-def test_a_step_after_a_missed_contact_is_3_mm_at_most(presses: list[Presses]) -> None:
+def test_a_step_after_a_missed_contact_is_3_mm_at_most(presses: list[TrialPresses]) -> None:
     reasoner, _ = concluded(presses[:1], 0, places=PLACES[:1])
     x, y = PLACES[0]
     action = reasoner.missed((x + 8.0, y - 6.0))
@@ -171,13 +177,13 @@ def test_a_step_after_a_missed_contact_is_3_mm_at_most(presses: list[Presses]) -
 
 
 def test_on_a_leaning_tower_it_neither_lets_go_nor_aims_where_the_lower_bottom_tips(
-    presses: list[Presses],
+    presses: list[TrialPresses],
 ) -> None:
     """The same presses; under the disc of 24 mm a narrow one stands far to its left."""
     disc, narrow = circle(24.0), circle(14.0)
     low = Body("low", narrow, narrow, 20.0, 30.0, 10.0)
     touched = Body("disc", disc, disc, 20.0, 10.0, 10.0)
-    tower = Below((low, touched), ((5.0, 0.0),), 0.5, piece_g=15.0)
+    tower = SupportTower((low, touched), ((5.0, 0.0),), 0.5, piece_g=15.0)
     bold = StackSettings(belief=SMALL, fused=FusedSettings(risk=0.4, inset_mm=0.0))
     alone, found = concluded(presses, 0, bold)
     assert found[-1].action.kind == "release"
@@ -190,39 +196,39 @@ def test_on_a_leaning_tower_it_neither_lets_go_nor_aims_where_the_lower_bottom_t
         at = middle[0] + at_mm, middle[1]
         # The exact judge of the tower that was entered, with the piece there.
         bodies = (low, replace(touched, at_mm=(5.0, 0.0)))
-        piece = load_catalogue().top("pot").body((5.0 + at_mm, 0.0))
-        assert judge(Tower((*bodies, piece))).stands is not falls
+        piece = load_pieces().top("pot").body((5.0 + at_mm, 0.0))
+        assert judge_tower(Tower((*bodies, piece))).stands is not falls
         assert alone.likely_at(at)
         assert wary.likely_at(at) is not falls
     assert leaning[-1].action.target_mm[0] < middle[0]
 
 
-MUG = load_catalogue().top("mug").com_xy_mm
+MUG = load_pieces().top("mug").com_xy_mm
 DISC_MM, MIDDLE_MM = 9.0, (3.0, -2.0)
 
 
 def one_who_knows(
-    held: Held, settings: StackSettings = SETTINGS, middle_mm: XY = MIDDLE_MM
-) -> tuple[FusedReasoner, list[Face]]:
+    held: GraspedPiece, settings: StackSettings = SETTINGS, middle_mm: XY = MIDDLE_MM
+) -> tuple[FusedStrategy, list[GraspedFace]]:
     """A reasoner whose network knows the disc that it stands over; and what faces it was told."""
-    faces: list[Face] = []
+    faces: list[GraspedFace] = []
 
-    def known(wrench: Any, fields: Any, offset_mm: Any, face: Face) -> Any:
+    def known(wrench: Any, fields: Any, offset_mm: Any, face: GraspedFace) -> Any:
         faces.append(face)
         return offset_mm
 
-    def inset(here_mm: Any, points_mm: Any, from_first_mm: Any) -> Inset:
+    def inset(here_mm: Any, points_mm: Any, from_first_mm: Any) -> InsetDistribution:
         deep = DISC_MM - np.hypot(*(here_mm + points_mm - middle_mm).T)[:, None]
-        return Inset(np.ones_like(deep), deep, np.full_like(deep, 0.2))
+        return InsetDistribution(np.ones_like(deep), deep, np.full_like(deep, 0.2))
 
-    reasoner = FusedReasoner(held, settings, (6.0, 4.0))
+    reasoner = FusedStrategy(held, settings, (6.0, 4.0))
     reasoner._forward = SimpleNamespace(known=known, inset=inset)  # type: ignore[assignment]
     return reasoner, faces
 
 
-def touch(reasoner: FusedReasoner, at: XY) -> Conclusion:
+def touch(reasoner: FusedStrategy, at: XY) -> PlaceDecision:
     patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.5))
-    return reasoner.conclude(Touched(np.zeros((20, 258), np.float32), patch, at))
+    return reasoner.conclude(ProbeObservation(np.zeros((20, 258), np.float32), patch, at))
 
 
 def test_the_centre_of_mass_of_a_mug_is_judged_and_brought_over_the_middle() -> None:
@@ -257,7 +263,9 @@ def test_on_a_tower_a_mug_stands_where_a_centred_piece_would_under_the_same_load
     """The lower bottom is narrow and stands aside, so that both its sides matter."""
     disc, narrow = circle(2.0 * DISC_MM), circle(10.0)
     low = Body("low", narrow, narrow, 20.0, 30.0, 10.0)
-    tower = Below((low, Body("disc", disc, disc, 20.0, 10.0, 10.0)), ((-2.0, 3.0),), 0.3, 25.0)
+    tower = SupportTower(
+        (low, Body("disc", disc, disc, 20.0, 10.0, 10.0)), ((-2.0, 3.0),), 0.3, 25.0
+    )
     mug, _ = one_who_knows(replace(HELD, com_xy_mm=MUG, below=tower))
     centred, _ = one_who_knows(replace(HELD, below=tower))
     for reasoner in (mug, centred):
@@ -275,8 +283,8 @@ def test_it_goes_where_the_centre_of_mass_lies_deepest() -> None:
     cells = np.stack(np.meshgrid(np.arange(-3.0, 4.0), np.arange(-3.0, 4.0)), axis=-1)
     cells = cells.reshape(-1, 2)
     inset = 5.0 - np.hypot(*(cells - (2.0, -1.0)).T)
-    assert deepest(inset, cells) == (2.0, -1.0)
-    assert deepest(inset, cells - (1.0, 0.0)) == (1.0, -1.0)
+    assert deepest_shift(inset, cells) == (2.0, -1.0)
+    assert deepest_shift(inset, cells - (1.0, 0.0)) == (1.0, -1.0)
 
 
 def test_the_network_that_ships_says_what_it_was_made_from() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, QhullError
 from shapely.geometry import MultiPoint, Point
 
-from backend.placement.hull import convex_hull, inside, signed_margin_mm
+from touchdown.backend.placement.equilibrium import convex_hull, inside_hull, signed_margin_mm
 
 cells = st.lists(st.tuples(st.integers(-12, 12), st.integers(-12, 12)), max_size=60)
 lengths = st.floats(-30, 30, allow_nan=False, width=32)
@@ -96,6 +96,6 @@ def test_inside_agrees_with_the_margin() -> None:
     hull = convex_hull(rng.integers(-9, 10, (12, 2)))
     places = rng.uniform(-12, 12, (500, 2))
     by_margin = [signed_margin_mm(hull, (x, y)) >= 0 for x, y in places]
-    assert inside(hull, places).tolist() == by_margin
-    assert inside(hull, hull).all()
-    assert not inside(hull[:2], places).any()
+    assert inside_hull(hull, places).tolist() == by_margin
+    assert inside_hull(hull, hull).all()
+    assert not inside_hull(hull[:2], places).any()

@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from backend.placement.label_doubt import FEWEST, doubts, signals_of
+from touchdown.backend.placement.label_review import (
+    DOUBT_FEWEST,
+    displacement_doubt,
+    summarise_signals,
+)
 
 COUNT, WRONG = 300, 8
 FLAT_MM = 4.0
@@ -30,7 +34,7 @@ def judged():
     wrong = outside[:WRONG]
     labels_mm[wrong] += [0.0, 2.0]
     felt /= felt.std(axis=0)
-    return doubts(felt, labels_mm), felt, labels_mm, set(wrong.tolist())
+    return displacement_doubt(felt, labels_mm), felt, labels_mm, set(wrong.tolist())
 
 
 def test_wrong_labels_come_first_and_where_nothing_is_felt_nothing_is_doubted(judged):
@@ -40,7 +44,7 @@ def test_wrong_labels_come_first_and_where_nothing_is_felt_nothing_is_doubted(ju
     inside = np.linalg.norm(labels_mm, axis=1) < FLAT_MM - 3.0
     assert np.percentile(found[inside], 90) < 0.2 * np.median(found[sorted(wrong)])
     assert (found >= 0).all()
-    np.testing.assert_array_equal(found, doubts(felt, labels_mm))
+    np.testing.assert_array_equal(found, displacement_doubt(felt, labels_mm))
 
 
 def test_right_labels_are_doubted_alike_where_it_is_noisy_and_where_not(judged):
@@ -52,13 +56,13 @@ def test_right_labels_are_doubted_alike_where_it_is_noisy_and_where_not(judged):
 
 
 def test_few_episodes_tell_nothing():
-    few = FEWEST - 1
-    assert np.isnan(doubts(np.zeros((few, 3)), np.zeros((few, 2)))).all()
+    few = DOUBT_FEWEST - 1
+    assert np.isnan(displacement_doubt(np.zeros((few, 3)), np.zeros((few, 2)))).all()
 
 
 def test_signals_are_few_and_scaled_alike():
     rng = np.random.default_rng(1)
-    found = signals_of(rng.uniform(0, 1, (50, 200)), rng.normal(3, 9, (50, 6)))
+    found = summarise_signals(rng.uniform(0, 1, (50, 200)), rng.normal(3, 9, (50, 6)))
     assert found.shape == (50, 16)
     np.testing.assert_allclose(found.std(axis=0), 1.0)
     np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=1e-9)

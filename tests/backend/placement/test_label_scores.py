@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from backend.assembly import shipped_model
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeContext, Label
-from backend.core.flow import Episode, EpisodeQuality
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import face_points
-from backend.placement.ensemble import Ensemble
-from backend.placement.estimator import Estimator
-from backend.placement.label_scores import score_labels
-from backend.simulation.episodes import Plan, simulate
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.bench.assembly import shipped_model
+from touchdown.backend.core.values import Episode, EpisodeQuality
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.placement.estimator import Ensemble, Estimator
+from touchdown.backend.placement.label_review import score_labels
+from touchdown.backend.simulation.batch import BatchPlan, simulate_episodes
 
 EPISODES, WRONG = 60, 3
 QUALITY = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
@@ -21,11 +20,11 @@ QUALITY = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
 @pytest.fixture
 def dataset(tmp_path):
     """Simulated probes; the labels of the first few were moved by 8 mm."""
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     pot, bottom = catalogue.top("pot"), catalogue.bottom("circle15")
-    plan = Plan("pot", "circle15", pot.face, bottom.face, face_points(pot.face), 30.0, 30.0,
+    plan = BatchPlan("pot", "circle15", pot.face, bottom.face, face_points(pot.face), 30.0, 30.0,
                 EPISODES, 5, probes_per_grip=1, grips_per_mounting=1)  # fmt: skip
-    batch = next(iter(simulate(plan)))
+    batch = next(iter(simulate_episodes(plan)))
     rng = np.random.default_rng(0)
     with Dataset.open(tmp_path / "dataset", person="setup") as made:
         pair = made.geometry.store_pair(pot, bottom)
@@ -42,7 +41,7 @@ def dataset(tmp_path):
 
 @pytest.mark.slow
 def test_wrong_labels_come_first(dataset):
-    pot = load_catalogue().top("pot")
+    pot = load_pieces().top("pot")
     models = Ensemble([Estimator.load(shipped_model("pot"), pot)])
     wrong = {entry.uuid for entry in dataset.episodes()[:WRONG]}
     before = {entry.uuid: dataset.labels.head(entry.uuid) for entry in dataset.episodes()}
@@ -64,6 +63,6 @@ def test_wrong_labels_come_first(dataset):
 
 @pytest.mark.slow
 def test_stopping_keeps_what_was_found(dataset):
-    models = Ensemble([Estimator.load(shipped_model("pot"), load_catalogue().top("pot"))])
+    models = Ensemble([Estimator.load(shipped_model("pot"), load_pieces().top("pot"))])
     assert score_labels(dataset, lambda piece: models, lambda k, n: k < 5) == 5
     assert len(dataset.queue("uncertainty", "Ann")) == 5

@@ -7,13 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.core.flow import ContactPatch, Episode, EpisodeQuality
-from backend.objects.catalogue import load_catalogue
-from backend.objects.shapes import circle, square
-from backend.objects.surface import face_points, true_patch
-from backend.placement.estimator import Estimator
-from backend.placement.offset_fit import OffsetFit, OffsetGrid, mean_entropy, sigmas_apart
-from backend.simulation.episodes import Plan, simulate
+from touchdown.backend.core.values import ContactPatch, Episode, EpisodeQuality
+from touchdown.backend.geometry.outlines import circle, face_points, square, true_patch
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.placement.estimator import (
+    Estimator,
+    OffsetFit,
+    OffsetGrid,
+    mean_entropy,
+    sigmas_apart,
+)
+from touchdown.backend.simulation.batch import BatchPlan, simulate_episodes
 
 POT = face_points(circle(15.0))
 
@@ -67,14 +71,16 @@ def test_entropy_is_greatest_where_the_model_is_unsure():
 @pytest.mark.slow
 def test_displacements_of_simulated_episodes_are_found_within_their_uncertainty():
     """The shipped model on fresh probes of a bottom it was trained on."""
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     pot, bottom = catalogue.top("pot"), catalogue.bottom("circle15")
-    plan = Plan("pot", "circle15", pot.face, bottom.face, POT, 30.0, 30.0, 120, 99,
+    plan = BatchPlan("pot", "circle15", pot.face, bottom.face, POT, 30.0, 30.0, 120, 99,
                 probes_per_grip=1, grips_per_mounting=1)  # fmt: skip
-    batches = list(simulate(plan))
+    batches = list(simulate_episodes(plan))
     offset = np.concatenate([b.offset_mm for b in batches])
     observation = np.concatenate([b.observation for b in batches])
-    model = Estimator.load(Path(str(files("resources"))) / "models" / "pot.safetensors", pot)
+    model = Estimator.load(
+        Path(str(files("touchdown.resources"))) / "models" / "pot.safetensors", pot
+    )
     quality = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
     grid = OffsetGrid.of(POT, bottom.face)
     fits = [

@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from backend.config.method import BeliefSettings, PolicySettings, StabilitySettings
-from backend.core.flow import ContactPatch, PlaceAction, Stability
-from backend.placement.belief import Belief
-from backend.placement.policy import choose
-from backend.placement.stability import judge
+from touchdown.backend.config.method import BeliefSettings, PolicySettings, StabilitySettings
+from touchdown.backend.core.values import ContactPatch, PlaceAction, Stability
+from touchdown.backend.placement.belief import Belief
+from touchdown.backend.placement.policy import choose_action, judge_stability
 
 XY = tuple[float, float]
 HERE = (10.0, 20.0)
@@ -38,8 +37,8 @@ def act(
     margin_mm: float = 0.0,
 ) -> tuple[Stability, PlaceAction]:
     how = StabilitySettings(margin_mm=margin_mm)
-    stability = judge(belief, patch, com, here, how)
-    return stability, choose(stability, belief, here, policy or PolicySettings(), how)
+    stability = judge_stability(belief, patch, com, here, how)
+    return stability, choose_action(stability, belief, here, policy or PolicySettings(), how)
 
 
 def block(x: tuple[int, int], y: tuple[int, int]) -> np.ndarray:

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from backend.config.method import BeliefSettings, StabilitySettings
-from backend.core.flow import ContactPatch, Stability, SupportKind
-from backend.placement.belief import Belief
-from backend.placement.stability import judge, threshold
+from touchdown.backend.config.method import BeliefSettings, StabilitySettings
+from touchdown.backend.core.values import ContactPatch, Stability, SupportKind
+from touchdown.backend.placement.belief import Belief
+from touchdown.backend.placement.policy import judge_stability, log_odds_threshold
 
 PAPER = StabilitySettings()
 HERE = (4.0, -2.5)
@@ -35,11 +35,11 @@ def judged(
 ) -> Stability:
     patch = patch_of(touching)
     belief = Belief.unknown(BeliefSettings(), HERE).updated(patch, HERE)
-    return judge(belief, patch, com, HERE, how)
+    return judge_stability(belief, patch, com, HERE, how)
 
 
 def test_threshold_of_the_paper() -> None:
-    assert threshold(0.9) == pytest.approx(2.1972, abs=5e-5)
+    assert log_odds_threshold(0.9) == pytest.approx(2.1972, abs=5e-5)
 
 
 @pytest.mark.parametrize("source", ["belief", "patch"])
@@ -86,7 +86,7 @@ def test_three_cells_are_an_area_and_exactly_delta_is_not_support() -> None:
     assert judged({(-1.0, -1.0), (1.0, -1.0), (0.0, 2.0)}).stable
     patch = patch_of({(-1.0, -1.0), (1.0, -1.0), (0.0, 2.0)}, high=0.9)
     belief = Belief.unknown(BeliefSettings(), HERE).updated(patch, HERE)
-    assert judge(belief, patch, (0.0, 0.0), HERE, PAPER).support is SupportKind.NONE
+    assert judge_stability(belief, patch, (0.0, 0.0), HERE, PAPER).support is SupportKind.NONE
 
 
 def test_support_beside_the_piece_does_not_count() -> None:
@@ -96,7 +96,7 @@ def test_support_beside_the_piece_does_not_count() -> None:
     belief = Belief.unknown(BeliefSettings(), (0.0, 0.0)).updated(left, (0.0, 0.0))
     right = ContactPatch(points.copy(), np.where(points[:, 0] > 3, 0.95, 0.05))
     belief = belief.updated(right, (9.0, 0.0))
-    stability = judge(belief, right, (0.0, 0.0), (9.0, 0.0), PAPER)
+    stability = judge_stability(belief, right, (0.0, 0.0), (9.0, 0.0), PAPER)
     assert not stability.stable
     assert stability.hull_mm[:, 0].min() > 9.0
     assert stability.margin_mm == pytest.approx(-4.0)
@@ -112,10 +112,10 @@ def test_no_number_is_no_estimate_and_never_stable(source: str, bad: float) -> N
     belief = Belief.unknown(BeliefSettings(), HERE).updated(good, HERE).updated(broken, HERE)
     how = StabilitySettings(judge_from=source)
     for stability in (
-        judge(belief, broken, (0.0, 0.0), HERE, how),
-        judge(belief, good, (math.nan, 0.0), HERE, how),
-        judge(belief, good, (0.0, 0.0), (HERE[0], math.nan), how),
-        judge(belief, ContactPatch(np.zeros((0, 2)), np.zeros(0)), (0.0, 0.0), HERE, how),
+        judge_stability(belief, broken, (0.0, 0.0), HERE, how),
+        judge_stability(belief, good, (math.nan, 0.0), HERE, how),
+        judge_stability(belief, good, (0.0, 0.0), (HERE[0], math.nan), how),
+        judge_stability(belief, ContactPatch(np.zeros((0, 2)), np.zeros(0)), (0.0, 0.0), HERE, how),
     ):
         assert stability.support is SupportKind.NO_ESTIMATE
         assert math.isnan(stability.margin_mm)

@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.config.method import BeliefSettings, StackSettings
-from backend.core.faults import InputError
-from backend.core.flow import ContactPatch
-from backend.objects.catalogue import load_catalogue
-from backend.objects.shapes import circle
-from backend.objects.surface import face_points
-from backend.placement.strategies import begin
-from backend.placement.strategy import Conclusion, Held, Touched
+from touchdown.backend.config.method import BeliefSettings, StackSettings
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.values import ContactPatch
+from touchdown.backend.geometry.outlines import circle, face_points
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.placement.strategies import (
+    GraspedPiece,
+    PlaceDecision,
+    ProbeObservation,
+    make_strategy,
+)
 
 FACE = face_points(circle(15.0))
 
@@ -28,12 +31,12 @@ def press(at_mm: tuple[float, float], rise_n: float = 7.6) -> np.ndarray:
 
 def zero_wrench(
     *presses: np.ndarray, com: tuple[float, float] = (0.0, 0.0)
-) -> tuple[Conclusion, bool]:
+) -> tuple[PlaceDecision, bool]:
     settings = StackSettings(belief=BeliefSettings(half_extent_mm=16.0), strategy="zero-wrench")
-    reasoner = begin(Held(com, 30.0, sensor_height_mm=120.0), settings, (0.0, 0.0))
+    reasoner = make_strategy(GraspedPiece(com, 30.0, sensor_height_mm=120.0), settings, (0.0, 0.0))
     patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.9))
     for seen in presses:
-        concluded = reasoner.conclude(Touched(seen, patch, (0.0, 0.0)))
+        concluded = reasoner.conclude(ProbeObservation(seen, patch, (0.0, 0.0)))
     return concluded, reasoner.stable_at((0.0, 0.0))
 
 
@@ -48,7 +51,7 @@ def test_zero_wrench_lets_go_where_the_push_turns_nothing_and_follows_it_otherwi
 
 
 def test_zero_wrench_lets_a_mug_go_where_the_push_acts_under_its_centre_of_mass() -> None:
-    mug = load_catalogue().top("mug").com_xy_mm
+    mug = load_pieces().top("mug").com_xy_mm
     under, stable = zero_wrench(press((1.8, -1.0)), com=mug)
     assert (under.action.kind, stable) == ("release", True)
     assert under.stability.centre_mm == pytest.approx(mug)
@@ -67,9 +70,13 @@ def test_zero_wrench_needs_a_push_and_gives_up_in_the_end() -> None:
 
 def test_without_the_height_of_the_sensor_no_moment_can_be_read() -> None:
     with pytest.raises(InputError, match="height of the wrist sensor"):
-        begin(Held((0.0, 0.0), 30.0), StackSettings(strategy="zero-wrench"), (0.0, 0.0))
+        make_strategy(
+            GraspedPiece((0.0, 0.0), 30.0), StackSettings(strategy="zero-wrench"), (0.0, 0.0)
+        )
 
 
 def test_letting_go_untested_concludes_nothing() -> None:
     with pytest.raises(InputError, match="does not probe"):
-        begin(Held((0.0, 0.0), 30.0), StackSettings(strategy="pick-and-place"), (0.0, 0.0))
+        make_strategy(
+            GraspedPiece((0.0, 0.0), 30.0), StackSettings(strategy="pick-and-place"), (0.0, 0.0)
+        )

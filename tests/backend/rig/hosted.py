@@ -4,14 +4,13 @@ import threading
 
 import numpy as np
 
-from backend.devices.interlock import Limits
-from backend.devices.motion import CommandedMotion
-from backend.devices.protocols import DeviceState, GripStatus
-from backend.rig.host import Devices, RigHost
-from backend.rig.memory import BACKEND_BEAT, STOPS, drop, make
-from backend.rig.messages import read_error, read_fault
 from tests.backend.devices.emulated_arm import Rig
 from tests.backend.rig.scripted import ScriptedDevice
+from touchdown.backend.devices.interlock import Limits
+from touchdown.backend.devices.protocols import CommandedMotion, DeviceState, GripStatus
+from touchdown.backend.rig.host import Devices, RigHost
+from touchdown.backend.rig.memory import BACKEND_BEAT, STOPS, drop, make
+from touchdown.backend.rig.messages import read_error, read_fault
 
 ROUND_US = 4000
 

@@ -6,23 +6,29 @@ import itertools
 import threading
 from contextlib import ExitStack
 
-from backend.assembly import Models, SimulatedBenchChoice, SimulatedScoring, make_scene
-from backend.config.bench_facts import simulated_facts
-from backend.config.method import StackSettings
-from backend.core.faults import FaultError
-from backend.core.stream import SampleStream
-from backend.devices.melfa.force_program import PLACE_LATE_S
-from backend.devices.sim.bench import BenchStreams, SimulatedBench
-from backend.objects.catalogue import load_catalogue
-from backend.rig.host import Devices, RigHost
-from backend.rig.link import LATE_S, NOT_STARTED, RigMotion
-from backend.rig.memory import BACKEND_BEAT, STOPS, drop, make
-from backend.rig.messages import pack, read_error, read_fault, receive
-from backend.rig.remote import RigArm, RigForceTorque, RigGripper
-from backend.runs.stage import Stage
-from backend.sensing.tare import gripper_payload
-from backend.session import Keep, Session
 from tests.backend.devices.emulated_arm import on_bench
+from touchdown.backend.bench.assembly import (
+    Models,
+    SimulatedBenchChoice,
+    SimulatedScoring,
+    make_scene,
+)
+from touchdown.backend.bench.session import Session
+from touchdown.backend.config.bench_description import describe_simulation
+from touchdown.backend.config.method import StackSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.devices.melfa.force_program import PLACE_LATE_S
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.rig.host import Devices, RigHost
+from touchdown.backend.rig.link import LATE_S, NOT_STARTED, RigMotion
+from touchdown.backend.rig.memory import BACKEND_BEAT, STOPS, drop, make
+from touchdown.backend.rig.messages import pack, read_error, read_fault, receive
+from touchdown.backend.rig.remote import RigArm, RigForceTorque, RigGripper
+from touchdown.backend.runs.bench import SceneDevices
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.sensing.zeroing import gripper_payload
+from touchdown.backend.simulation.devices.bench import BenchStreams, SimulatedBench
 
 ROUND_US = 4000
 
@@ -132,12 +138,12 @@ class InlineBench:
     def __init__(self, method=None, mode="software"):
         self._mode = mode
         self._settings, self._method = SimulatedBenchChoice().settings(), method or StackSettings()
-        self._catalogue, facts = load_catalogue(None), simulated_facts(self._settings)
+        self._catalogue, facts = load_pieces(None), describe_simulation(self._settings)
         self._models = Models(None, facts, self._method.belief.pitch_mm)
         self.links, self._ends = [], ExitStack()
         self.session = Session(
             self._make_stage, lambda choice: {}, self._catalogue,
-            settings=self._method, keep=Keep(None), facts=facts,
+            settings=self._method, keep=RecordingOptions(None), facts=facts,
         )  # fmt: skip
 
     def close(self):
@@ -175,7 +181,7 @@ class InlineBench:
         gripper = RigGripper("gripper", link, now_s, open_ones)
         wrist = RigForceTorque("force_torque", link, now_s, open_ones)
         loose = self._settings.wrist
-        return Stage(
+        return SceneDevices(
             clock=bench.clock,
             devices={**bench.devices, "arm": arm, "gripper": gripper, "force_torque": wrist},
             arm=arm,

@@ -2,9 +2,8 @@
 
 import threading
 
-from backend.core.faults import Fault, FaultError
-from backend.devices.protocols import DeviceState, Health, Identity
-from backend.devices.steps import Steps
+from touchdown.backend.core.faults import Fault, FaultError
+from touchdown.backend.devices.protocols import DeviceState, Health, Identity, Steps
 
 LINES = ("force_torque", "tactile_left", "tactile_right", "gripper", "arm")
 

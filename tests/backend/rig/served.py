@@ -9,23 +9,23 @@ import time
 
 import numpy as np
 
-from backend.config.hardware import HardwareSettings
-from backend.core.faults import FaultError, RefusedError
-from backend.core.flow import Pose
-from backend.core.stream import SampleStream
-from backend.devices.interlock import Interlock
-from backend.devices.melfa.orders import Orders
-from backend.emulators.dynpick import EmulatedDynpick
-from backend.emulators.faults import Faults
-from backend.emulators.front import TcpFront
-from backend.emulators.loads import hanging, noisy
-from backend.emulators.melfa import EmulatedMelfa, MelfaFront
-from backend.emulators.melfa_controller import READY_RAD
-from backend.emulators.wsg import EmulatedWsg
-from backend.rig.link import RigLink
-from backend.rig.remote import RigArm, RigForceTorque, RigGripper
 from tests.backend.devices.emulated_arm import settings as melfa_settings
 from tests.busy_computer import STARVED
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaFront
+from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
+from touchdown.backend.devices.melfa.status import Orders
+from touchdown.backend.devices.wsg.emulator import EmulatedWsg
+from touchdown.backend.emulation.fault_plan import Faults
+from touchdown.backend.emulation.loads import hanging, noisy
+from touchdown.backend.emulation.servers import TcpFront
+from touchdown.backend.rig.link import RigLink
+from touchdown.backend.rig.remote import RigArm, RigForceTorque, RigGripper
 
 TOP = Pose(0.0, 0.0, 160.0)
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from backend.core.faults import InputError, RefusedError
-from backend.devices.interlock import Interlock
-from backend.rig.connection import Connection
-from backend.runs.standing import latch
 from tests.backend.devices.waiting import until
 from tests.backend.rig.scripted import LINES, held, scripted
+from touchdown.backend.core.faults import InputError, RefusedError
+from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.rig.connection import Connection
+from touchdown.backend.runs.manual_control import latch_device_faults
 
 
 def made(**more):
@@ -129,10 +129,10 @@ def test_a_lost_device_is_told_and_its_line_says_what_to_do():
     connection.begin()
     connection.wait(60.0)
     interlock = Interlock()
-    latch(devices.values(), interlock)
+    latch_device_faults(devices.values(), interlock)
     assert not interlock.latched
     devices["force_torque"].lose()
-    latch(devices.values(), interlock)
+    latch_device_faults(devices.values(), interlock)
     assert [fault.code for fault in interlock.faults] == ["LINK"]
     assert line(connection, "force_torque").fault.next_step == "Plug it in."
     connection.begin()

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.core.faults import RefusedError
-from backend.devices.interlock import Limits
-from backend.rig.core import BACKEND_SILENT_S, Inbox, Outbox, RigCore
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.devices.interlock import Limits
+from touchdown.backend.rig.core import BACKEND_SILENT_S, Inbox, Outbox, RigCore
 
 ROUND_S = 0.004
 FOREVER = math.inf

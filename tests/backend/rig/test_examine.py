@@ -2,11 +2,11 @@
 
 import pytest
 
-from backend.config.hardware import HardwareSettings
-from backend.devices.melfa.arm import MelfaArm
-from backend.emulators.serving import Choice, emulate
-from backend.rig import examine as looking
-from backend.rig.examine import examine
+from touchdown.backend.bench.serving import Choice, emulate
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.devices.melfa.arm import MelfaArm
+from touchdown.backend.rig import connection as looking
+from touchdown.backend.rig.connection import examine
 
 
 @pytest.fixture

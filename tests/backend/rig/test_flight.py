@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.core.facts import FaultRaised, RunFinished, RunStarted
-from backend.rig.flight import RESERVED_BYTES, FlightRecorder
-from backend.rig.link import GONE
-from backend.rig.memory import drop, make
-from backend.rig.reserve import Reserve
+from touchdown.backend.core.events import FaultRaised, RunFinished, RunStarted
+from touchdown.backend.rig.flight_recorder import RESERVED_BYTES, FlightRecorder, Reserve
+from touchdown.backend.rig.link import GONE
+from touchdown.backend.rig.memory import drop, make
 
 ROOT = Path(__file__).resolve().parents[3]
 RUN = RunStarted(0.0, "run", "pot", "short", "touch", 7, 1, False, "{}")
@@ -23,8 +22,8 @@ SAMPLES = 5000
 RECORDING = """
 import os, signal, sys
 from pathlib import Path
-from backend.core.facts import FaultRaised
-from backend.rig.link import GONE
+from touchdown.backend.core.events import FaultRaised
+from touchdown.backend.rig.link import GONE
 from tests.backend.rig.test_flight import RUN, recorder
 
 folder, moment = Path(sys.argv[1]), sys.argv[2]

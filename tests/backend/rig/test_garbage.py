@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from backend.rig.channel import Channel
-from backend.rig.memory import NOTES, POSES, ROUNDS, STATE, WRENCH, drop, make
-from backend.rig.messages import KINDS, LENGTH, MOST_BYTES, pack
 from tests.backend.rig.hosted import Hosted
+from touchdown.backend.rig.memory import NOTES, POSES, ROUNDS, STATE, WRENCH, drop, make
+from touchdown.backend.rig.messages import KINDS, LENGTH, MOST_BYTES, Channel, pack
 
 LIMIT_S = 30.0
 PLAIN = st.sampled_from([None, True, 0, -1, 10**30, 0.5, math.nan, math.inf, "", "x"])

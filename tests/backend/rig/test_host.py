@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from backend.core.facts import FaultRaised
-from backend.core.faults import FaultError, RefusedError
-from backend.devices.protocols import DeviceState, GripStatus, RobotMode
-from backend.rig.flight import FlightRecorder
-from backend.rig.link import GONE
 from tests.backend.rig.hosted import Hosted
+from touchdown.backend.core.events import FaultRaised
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.devices.protocols import DeviceState, GripStatus, RobotMode
+from touchdown.backend.rig.flight_recorder import FlightRecorder
+from touchdown.backend.rig.link import GONE
 
 
 @pytest.fixture

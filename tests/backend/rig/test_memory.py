@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.rig.memory import BACKEND_BEAT, PREFIX, attach, drop, make
+from touchdown.backend.rig.memory import BACKEND_BEAT, PREFIX, attach, drop, make
 
 
 @pytest.fixture
@@ -107,7 +107,7 @@ def test_notes_are_kept_in_order_and_cut_where_too_long(both):
 
 def test_what_a_killed_program_left_is_swept_at_the_next_start():
     gone = subprocess.run(
-        [sys.executable, "-c", "from backend.rig.memory import make; print(make()[1])"],
+        [sys.executable, "-c", "from touchdown.backend.rig.memory import make; print(make()[1])"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     left = Path(gone.stdout.strip())

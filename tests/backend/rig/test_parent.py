@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from backend.rig.parent import Parent, dying
+from touchdown.backend.rig.residence import Parent, dying
 
 # proc(5): pid, name, state, five numbers, flags, ...; the 31st field holds the waiting signals.
 ALIVE = (
@@ -50,7 +50,7 @@ sys.stdin.read()
 """
 GRANDCHILD = """
 import sys, time
-from backend.rig.parent import Parent
+from touchdown.backend.rig.residence import Parent
 parent = Parent()
 print(parent.gone(), flush=True)
 while not parent.gone():

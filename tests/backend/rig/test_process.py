@@ -13,12 +13,12 @@ from pathlib import Path
 import psutil
 import pytest
 
-from backend.config.hardware import HardwareSettings
-from backend.core.faults import FaultError, InputError
-from backend.core.flow import Pose
-from backend.devices.protocols import DeviceState
 from tests.backend.devices.waiting import until
 from tests.backend.rig.served import Backend, Served
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.faults import FaultError, InputError
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.protocols import DeviceState
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.core.faults import RefusedError
-from backend.devices.held import ByHand
-from backend.devices.interlock import ReleaseEvidence
-from backend.devices.putting_back import JigEvidence
-from backend.rig.release import Measured, refuse_opening
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.devices.interlock import JigEvidence, ReleaseEvidence
+from touchdown.backend.devices.protocols import ByHand
+from touchdown.backend.rig.host import Measured, refuse_opening
 
 TOLD = ReleaseEvidence(
     verdict_stable=True, verdict_of_last_probe=True, verdict_age_s=1.0, margin_mm=1.0,

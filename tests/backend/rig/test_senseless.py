@@ -7,12 +7,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from backend.core.faults import RefusedError, TouchdownError
-from backend.emulators.melfa_controller import READY_RAD
-from backend.rig.release import refuse_opening
-from backend.wire.melfa_mxt import decode_request
 from tests.backend.rig.hosted import Hosted
 from tests.backend.rig.test_release import MEASURED, TOLD
+from touchdown.backend.core.faults import RefusedError, TouchdownError
+from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
+from touchdown.backend.devices.melfa.protocol_mxt import decode_request
+from touchdown.backend.rig.host import refuse_opening
 
 CASES = 2000
 SENSELESS = (math.nan, math.inf, -math.inf, 1e308, -1e308)

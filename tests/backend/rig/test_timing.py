@@ -7,15 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from backend.core.clock import HandClock
-from backend.core.stream import SampleStream
-from backend.rig.timing import Timing, watch
+from touchdown.backend.core.clock import ManualClock
+from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.rig.timing import Timing, watch
 
 
 class Sensor:
     """Delivers a sample every ``period_us``, stamped ``delay_us`` before it comes."""
 
-    def __init__(self, clock: HandClock, period_us: int, delay_us: int, silent=range(0)) -> None:
+    def __init__(self, clock: ManualClock, period_us: int, delay_us: int, silent=range(0)) -> None:
         self.stream = SampleStream("sensor", 1, 10_000)
         self._clock, self._period_us, self._delay_us = clock, period_us, delay_us
         self._silent = silent
@@ -35,7 +35,7 @@ class Sensor:
 
 @pytest.fixture
 def report() -> dict[str, Timing]:
-    clock = HandClock()
+    clock = ManualClock()
     sensors = {
         "steady": Sensor(clock, 4000, 1000),
         "late": Sensor(clock, 40_000, 30_000),

@@ -5,16 +5,16 @@ import time
 
 import pytest
 
-from backend.config.hardware import HardwareSettings
-from backend.core.faults import FaultError, InputError
-from backend.core.flow import FINGERS
-from backend.core.stream import SampleStream, Stream
-from backend.devices.interlock import Interlock
-from backend.devices.protocols import DeviceState
-from backend.emulators.dynpick import EmulatedDynpick
-from backend.emulators.front import TcpFront
-from backend.emulators.loads import hanging, noisy
-from backend.rig.wired import WiredDevices
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.faults import FaultError, InputError
+from touchdown.backend.core.streams import SampleStream, Stream
+from touchdown.backend.core.values import FINGERS
+from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.emulation.loads import hanging, noisy
+from touchdown.backend.emulation.servers import TcpFront
+from touchdown.backend.rig.connection import WiredDevices
 
 
 def wired(**tables):

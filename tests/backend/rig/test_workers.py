@@ -4,10 +4,10 @@ import threading
 
 import pytest
 
-from backend.devices.protocols import DeviceState
-from backend.rig import process
-from backend.rig.workers import Workers
 from tests.backend.rig.hosted import Hosted
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.rig import process
+from touchdown.backend.rig.messages import Workers
 
 
 @pytest.fixture

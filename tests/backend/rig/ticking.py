@@ -5,13 +5,13 @@ import threading
 
 import numpy as np
 
-from backend.core.stream import SampleStream
-from backend.devices.interlock import Interlock
-from backend.devices.protocols import ArmStatus, GripStatus, RobotMode, SafetyMode
-from backend.rig.host import Devices
-from backend.rig.remote import RigForceTorque, RigGripper
 from tests.backend.rig.inline import InlineLink
 from tests.backend.rig.scripted import ScriptedDevice
+from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.devices.protocols import ArmStatus, GripStatus, RobotMode, SafetyMode
+from touchdown.backend.rig.host import Devices
+from touchdown.backend.rig.remote import RigForceTorque, RigGripper
 
 ROUND_S = 0.004
 

@@ -13,29 +13,28 @@ from types import MappingProxyType
 
 import numpy as np
 
-from backend.assembly import make_scene
-from backend.config.method import ProbeSettings, StackSettings
-from backend.config.simulation import SimulationSettings
-from backend.core.facts import Fact
-from backend.core.flow import FINGERS, FloatArray, Pose
-from backend.core.hub import Hub
-from backend.core.hush import Hush
-from backend.core.stream import SampleStream, Stream
-from backend.devices.guarded import GuardedArm, GuardedGripper
-from backend.devices.interlock import Interlock, Limits
-from backend.devices.protocols import Arm
-from backend.devices.sim.bench import BenchStreams, SimulatedBench
-from backend.objects.catalogue import load_catalogue
-from backend.runs.bench import Bench, NoModel
-from backend.runs.engine import Engine
-from backend.runs.gate import Gate
-from backend.runs.plan import Plan
-from backend.runs.requests import SceneChoice
-from backend.runs.store import RunStore
-from backend.sensing.live import LiveSensing, RawStreams
-from backend.sensing.tare import gripper_payload
-from backend.simulation.conditions import true_offset_mm
-from backend.simulation.holding import Holding, start_command_mm
+from touchdown.backend.bench.assembly import make_scene
+from touchdown.backend.config.method import ProbeSettings, StackSettings
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.event_bus import EventBus
+from touchdown.backend.core.events import Event
+from touchdown.backend.core.scheduling import RepaintHold
+from touchdown.backend.core.streams import SampleStream, Stream
+from touchdown.backend.core.values import FINGERS, FloatArray, Pose
+from touchdown.backend.devices.guarded import GuardedArm, GuardedGripper
+from touchdown.backend.devices.interlock import Interlock, Limits
+from touchdown.backend.devices.protocols import Arm
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.bench import Bench, NoEstimator, OperatorPrompt
+from touchdown.backend.runs.engine import Engine
+from touchdown.backend.runs.plan import Plan
+from touchdown.backend.runs.recorder import RunStore
+from touchdown.backend.runs.requests import SceneChoice
+from touchdown.backend.sensing.live import LiveSensing, RawStreams
+from touchdown.backend.sensing.zeroing import gripper_payload
+from touchdown.backend.simulation.conditions import true_offset_mm
+from touchdown.backend.simulation.devices.bench import BenchStreams, SimulatedBench
+from touchdown.backend.simulation.gripper import HeldPiece, start_command_mm
 
 BRISK = StackSettings(probe=ProbeSettings(start_height_mm=1.0, travel_mm_s=50.0, approach_mm_s=4.0))
 """Short ways: a touch takes less than a second of the bench's time."""
@@ -56,14 +55,14 @@ class BlindBench:
         settings = SimulationSettings.model_validate(
             {"preset": preset, "cycle_us": STEP_US, **changes}
         )
-        scene = make_scene(load_catalogue(), choice, settings)
+        scene = make_scene(load_pieces(), choice, settings)
         streams = BenchStreams.new()
         self.simulated = SimulatedBench(scene, streams=streams)
         for name, device in self.simulated.devices.items():
             if not name.startswith("tactile"):
                 device.connect(1.0, threading.Event())
-        self.facts: list[Fact] = []
-        hub, self.interlock = Hub(), Interlock(Limits(contact_speed_mm_s=4.0))
+        self.facts: list[Event] = []
+        hub, self.interlock = EventBus(), Interlock(Limits(contact_speed_mm_s=4.0))
         hub.subscribe(self.facts.append)
         now_s = self.simulated.clock.now_s
         self.engine = Engine(hub, self.interlock, now_s)
@@ -85,23 +84,23 @@ class BlindBench:
             gripper=GuardedGripper(self.simulated.gripper, self.interlock, now_s),
             interlock=self.interlock,
             sensing=self.sensing,
-            estimator=NoModel(),
+            estimator=NoEstimator(),
             piece=scene.piece,
             bottom="+".join(choice.bottoms),
             store=RunStore(None, {}),
-            gate=Gate(),
+            gate=OperatorPrompt(),
             settings=BRISK,
             scoring=None,
             wall_s=time.perf_counter,
             probe_count=lambda: 0,
             felt_count=lambda: 0,
-            hush=Hush(),
+            hush=RepaintHold(),
             outline=scene.surface,
             jig=Pose(*start_command_mm(scene).tolist()),
         )
         self.centres_mm: list[FloatArray] = []
         """Per grip, where the hand truly has to be for the face to lie over the bottom's centre."""
-        self._held: Holding | None = None
+        self._held: HeldPiece | None = None
         self._advance()
 
     def run(self, plan: Callable[[Bench], Plan[object]]) -> object:

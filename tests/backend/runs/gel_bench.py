@@ -11,23 +11,25 @@ from functools import cache
 
 import numpy as np
 
-from backend.calibration.estimate import Estimate, Quantity
-from backend.calibration.gels import as_numbers
-from backend.calibration.store import CalibrationStore
-from backend.config.hardware import GelsightSettings
-from backend.core.flow import FINGERS, MARKERS, TactileFrame
-from backend.core.stream import Stream
-from backend.devices.cameras.gate import Gate
-from backend.devices.protocols import GripStatus
-from backend.emulators.gelsight import encode
-from backend.rig.connection import Connection
-from backend.runs.calibrated import keep
-from backend.runs.gel_check import GelCheck
-from backend.simulation.gel_look import load_look, mirrored
-from backend.simulation.optics import FingerOptics
 from tests.backend.rig.scripted import scripted
+from touchdown.backend.bench.gelsight_emulator import encode
+from touchdown.backend.calibration.cameras import dots_to_numbers
+from touchdown.backend.calibration.records import CalibrationStore
+from touchdown.backend.calibration.result import CalibrationEstimate, Quantity
+from touchdown.backend.config.hardware import GelsightSettings
+from touchdown.backend.core.streams import Stream
+from touchdown.backend.core.values import FINGERS, MARKERS, TactileFrame
+from touchdown.backend.devices.cameras.frames import Gate
+from touchdown.backend.devices.protocols import GripStatus
+from touchdown.backend.rig.connection import Connection
+from touchdown.backend.runs.calibrations import GelCheck, accept_calibration
+from touchdown.backend.simulation.finger_camera import (
+    TactileRenderer,
+    load_gel_appearance,
+    mirror_appearance,
+)
 
-LOOKS = {"left": load_look(), "right": mirrored(load_look())}
+LOOKS = {"left": load_gel_appearance(), "right": mirror_appearance(load_gel_appearance())}
 NOBODY = np.zeros(MARKERS, dtype=bool)
 PERIOD_S = 0.04
 SCALES = ("left_u_mm_px", "left_v_mm_px", "right_u_mm_px", "right_v_mm_px")
@@ -38,7 +40,7 @@ class Gel:
     ``fitted`` makes another gel of it."""
 
     def __init__(self, look, seed: int, creep_px=(0.0, 0.0), light=1.0, fitted=np.asarray) -> None:
-        self.look, optics = look, FingerOptics(look, seed)
+        self.look, optics = look, TactileRenderer(look, seed)
         moved_px = np.tile(creep_px, (MARKERS, 1))
         shown = [fitted(optics.render(moved_px, NOBODY)) for _ in range(3)]
         levels = [light * one.astype(np.float64) for one in shown]
@@ -80,12 +82,14 @@ class GelBench:
     def calibrate(self, *, fingerprint: bool = True) -> None:
         """Accept a calibration of the gels as they are."""
         self._connected()
-        numbers = [n for gel in self.gels.values() for n in as_numbers(gel.look.rest_px)]
+        numbers = [n for gel in self.gels.values() for n in dots_to_numbers(gel.look.rest_px)]
         codes = ("exchanged", "left_mirror", "right_mirror")
         quantities = [Quantity(name, 0.0, 0.0, "") for name in codes]
         quantities += [Quantity(name, 0.06, 0.0, "mm/px") for name in SCALES]
-        found = Estimate(tuple(quantities), np.zeros((7, 7)), np.zeros(4), 1.7, 3.0, "px")
-        keep(
+        found = CalibrationEstimate(
+            tuple(quantities), np.zeros((7, 7)), np.zeros(4), 1.7, 3.0, "px"
+        )
+        accept_calibration(
             self.store,
             replace(found, gels_px=tuple(numbers if fingerprint else ())).told(0.0, "camera"),
             self.devices,

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from backend.assembly import simulated_session
-from backend.config.method import StackSettings
-from backend.core.facts import Fact
-from backend.core.flow import ContactPatch, Episode
-from backend.devices.sim.bench import SimulatedBench
-from backend.objects.surface import face_points, true_patch
-from backend.runs.fact_codec import encode
-from backend.runs.requests import StackRequest
-from backend.session import Keep
 from tests.backend.brisk import RATE_HZ, brisk_bench, brisk_method
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.config.method import StackSettings
+from touchdown.backend.core.events import Event
+from touchdown.backend.core.values import ContactPatch, Episode
+from touchdown.backend.geometry.outlines import face_points, true_patch
+from touchdown.backend.runs.event_log import encode_event
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import StackRequest
+from touchdown.backend.simulation.devices.bench import SimulatedBench
 
 
 class Oracle:
@@ -53,10 +53,10 @@ class OracleSession:
     ) -> None:
         self.benches: list[SimulatedBench] = []
         self.oracles: list[Oracle] = []
-        self.facts: list[Fact] = []
+        self.facts: list[Event] = []
         self.session = simulated_session(
             brisk_bench(preset, rate_hz, faults),
-            keep=Keep(runs),
+            keep=RecordingOptions(runs),
             method=method or brisk_method(),
             estimate=self._oracle,
         )
@@ -67,14 +67,14 @@ class OracleSession:
         self.oracles.append(Oracle(bench))
         return self.oracles[-1]
 
-    def of(self, kind: type[Fact]) -> list[Fact]:
+    def of(self, kind: type[Event]) -> list[Event]:
         return [fact for fact in self.facts if isinstance(fact, kind)]
 
     def record(self) -> list[dict[str, object]]:
         """Return all facts as plain data, without what a wall clock or a run name decides."""
         lines = []
         for fact in self.facts:
-            line = encode(fact)
+            line = encode_event(fact)
             for key in ("latency_ms", "run_id"):
                 line.pop(key, None)
             lines.append(line)

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from backend.core.flow import FloatArray, Pose
-from backend.core.stream import Samples, SampleStream
-from backend.core.turning import turn_about
-from backend.devices.protocols import Arm
+from touchdown.backend.core.rotations import rotation_from_vector
+from touchdown.backend.core.streams import Samples, SampleStream
+from touchdown.backend.core.values import FloatArray, Pose
+from touchdown.backend.devices.protocols import Arm
 
 
 class SkewedPoses(SampleStream):
@@ -29,7 +29,7 @@ class SkewedArm:
     """Believes to be at ``turn @ true + off_mm``: what it does is right for another bench."""
 
     def __init__(self, arm: Arm, off_mm: FloatArray, tilt_rad: FloatArray) -> None:
-        self._arm, self._off_mm, self._turn = arm, off_mm, turn_about(tilt_rad)
+        self._arm, self._off_mm, self._turn = arm, off_mm, rotation_from_vector(tilt_rad)
         self.poses = SkewedPoses(arm.poses, self)
 
     def __getattr__(self, name: str) -> object:

@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.calibration.applied import NOWHERE, placed_by
-from backend.calibration.board import LIMIT_MM
-from backend.calibration.estimate import Estimate, Quantity
-from backend.calibration.store import CalibrationStore
-from backend.core.flow import Pose
-from backend.runs import touching
-from backend.runs.calibrate_board import measure_board
-from backend.runs.calibrated import surface_of
-from backend.runs.descents import place_over
-from backend.runs.jig import approach, pick, put_back
-from backend.runs.requests import CalibrateRequest
-from backend.runs.touching import BELOW_MM, touched_mm
 from tests.backend.runs.blind_bench import BlindBench
 from tests.backend.runs.skewed_arm import SkewedArm
+from touchdown.backend.calibration.applied import UNCALIBRATED, calibrated_positions
+from touchdown.backend.calibration.estimators import BOARD_LIMIT_MM
+from touchdown.backend.calibration.records import CalibrationStore
+from touchdown.backend.calibration.result import CalibrationEstimate, Quantity
+from touchdown.backend.core.values import Pose
+from touchdown.backend.runs import touch_probing
+from touchdown.backend.runs.calibrate import measure_board
+from touchdown.backend.runs.calibrations import contact_height_mm
+from touchdown.backend.runs.jig import approach_with_piece, pick_piece, return_piece
+from touchdown.backend.runs.motions import descent_start
+from touchdown.backend.runs.requests import CalibrateRequest
+from touchdown.backend.runs.touch_probing import BELOW_MM, touch_height_mm
 
 OFF_MM = np.array([0.45, -0.4, -0.6])
 TILT_RAD = np.array([0.01, 0.008, 0.0])
@@ -31,18 +31,18 @@ ABOUT = "pot on square15"
 def touch_there(bench):
     """Go to ``WANTED_MM`` over the bottom as a campaign does; return place, and height of contact
     as expected and as felt."""
-    yield from pick(bench)
+    yield from pick_piece(bench)
     centre = bench.placed.origin((0.0, 0.0), 0.2, bench.bottom)
     there = (centre.x_mm + WANTED_MM[0], centre.y_mm + WANTED_MM[1])
-    start = place_over(bench, there)
-    yield from approach(bench, start)
-    felt_mm = yield from touched_mm(bench, np.array(there), start.z_mm, BELOW_MM)
-    yield from put_back(bench)
+    start = descent_start(bench, there)
+    yield from approach_with_piece(bench, start)
+    felt_mm = yield from touch_height_mm(bench, np.array(there), start.z_mm, BELOW_MM)
+    yield from return_piece(bench)
     return np.array(there), start.z_mm - bench.settings.probe.start_height_mm, felt_mm
 
 
 def test_a_wrong_prior_is_put_right_by_the_board(tmp_path, monkeypatch):
-    monkeypatch.setattr(touching, "SEARCH_MM", 1.6)
+    monkeypatch.setattr(touch_probing, "SEARCH_MM", 1.6)
     request = CalibrateRequest("board", seed=5)
     skewed = []
 
@@ -60,36 +60,40 @@ def test_a_wrong_prior_is_put_right_by_the_board(tmp_path, monkeypatch):
     store = CalibrationStore(tmp_path, "simulated")
     store.accept(found.told(0.0, "board", ABOUT), {})
     used = store.in_use({}, required=False)
-    placed = placed_by(used)
+    placed = calibrated_positions(used)
     misses: dict[str, tuple[float, float]] = {}
-    for name, known in (("calibrated", placed), ("not", NOWHERE)):
+    for name, known in (("calibrated", placed), ("not", UNCALIBRATED)):
         bench = replace(blind.bench, placed=known)
         there_mm, expected_mm, felt_mm = blind.run(lambda _, bench=bench: touch_there(bench))
         hand_mm = skewed[0].true(np.array([*there_mm, felt_mm]))[:2]
         off_mm = hand_mm - blind.centres_mm[-1] - WANTED_MM
         misses[name] = (np.abs(off_mm).max(), abs(felt_mm - expected_mm))
-    assert max(misses["calibrated"]) <= LIMIT_MM
+    assert max(misses["calibrated"]) <= BOARD_LIMIT_MM
     assert misses["not"][0] > 0.3
     assert misses["not"][1] > 0.4
     # Of another bottom it says nothing; with another piece, nothing of the height.
-    assert placed.origin((0.0, 0.0), 0.2, "short") == NOWHERE.origin((0.0, 0.0), 0.2, "short")
+    assert placed.origin((0.0, 0.0), 0.2, "short") == UNCALIBRATED.origin((0.0, 0.0), 0.2, "short")
     assert placed.board is not None
     assert not placed.board.is_of("barrel", "square15")
     # The guard of the arm goes by the height that was felt, of this piece on this bottom alone.
     pot = blind.bench.piece
-    assert surface_of(pot, "square15", used) == found.value("z_mm")
-    assert surface_of(pot, "short", used) == surface_of(pot, "square15", {}) == pot.grip_height_mm
+    assert contact_height_mm(pot, "square15", used) == found.value("z_mm")
+    assert (
+        contact_height_mm(pot, "short", used)
+        == contact_height_mm(pot, "square15", {})
+        == pot.grip_height_mm
+    )
     assert abs(found.value("z_mm") - pot.grip_height_mm) > 0.3
 
 
 def test_the_hand_stands_off_a_known_bottom_by_the_face(tmp_path):
-    estimate = Estimate(
+    estimate = CalibrationEstimate(
         (Quantity("face_x_mm", 0.3, 0.05, "mm"), Quantity("face_y_mm", -0.2, 0.05, "mm")),
         np.eye(2), np.zeros(2), 0.05, 0.2, "mm",
     )  # fmt: skip
     store = CalibrationStore(tmp_path, "simulated")
     store.accept(estimate.told(0.0, "tool"), {})
-    placed = placed_by(store.in_use({}, required=False))
+    placed = calibrated_positions(store.in_use({}, required=False))
     at = placed.origin((10.0, 5.0), 0.2, "short")
     assert (at.x_mm, at.y_mm) == pytest.approx((9.7, 5.2))
     assert at.sigma_mm == pytest.approx(np.hypot(0.2, 0.05))

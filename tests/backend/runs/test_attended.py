@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.assembly import simulated_session
-from backend.core.facts import (
-    Fact,
+from tests.backend.brisk import brisk_bench, brisk_method
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.cli.connection import parse_outcome
+from touchdown.backend.core.events import (
+    Event,
     FaultRaised,
     HandOverAwaited,
     OutcomeAwaited,
@@ -18,16 +20,14 @@ from backend.core.facts import (
     SetUpAwaited,
     TrialFinished,
 )
-from backend.core.flow import Outcome
-from backend.objects.catalogue import load_catalogue
-from backend.objects.tower import Tower, judge
-from backend.runs.attended import judged
-from backend.runs.requests import StackRequest
-from backend.session import Keep
-from backend.verbs.attending import read_outcome
-from tests.backend.brisk import brisk_bench, brisk_method
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.tower import Tower, judge_tower
+from touchdown.backend.runs.outcome import outcome_from_signals
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import StackRequest
 
-POT = load_catalogue().piece("pot")
+POT = load_pieces().piece("pot")
 HEAVY = replace(POT, mass_g=200.0)
 
 
@@ -35,7 +35,10 @@ class Attended:
     """A simulated bench that keeps its truth to itself, and an operator who answers."""
 
     def __init__(self, tmp_path, seen=(Outcome.PLACED, ""), faults=()):
-        bench, keep = brisk_bench("quiet", faults=faults), Keep(tmp_path, episodes=False)
+        bench, keep = (
+            brisk_bench("quiet", faults=faults),
+            RecordingOptions(tmp_path, episodes=False),
+        )
         self.session = simulated_session(bench, keep=keep, method=brisk_method())
         make = self.session._make_stage
         self.stages = []
@@ -45,10 +48,10 @@ class Attended:
             return replace(self.stages[-1], scoring=None)
 
         self.session._make_stage = blind
-        self.seen, self.ready, self.facts, self.asks = seen, True, list[Fact](), []
+        self.seen, self.ready, self.facts, self.asks = seen, True, list[Event](), []
         self.session.hub.subscribe(self._answer)
 
-    def _answer(self, fact: Fact) -> None:
+    def _answer(self, fact: Event) -> None:
         self.facts.append(fact)
         if isinstance(fact, SetUpAwaited | HandOverAwaited):
             self.asks.append((self.session.status().asks, self.session.hand.holding))
@@ -76,8 +79,8 @@ def test_a_trial_is_set_up_started_where_it_would_fall_and_judged_by_the_operato
         ("set the scene", False), ("a hand at the jaws", False), ("say the outcome", False)
     ]  # fmt: skip
     # The static judge, asked here once more: the piece would fall from where it starts.
-    at = Tower((load_catalogue().piece("short").body(),)).with_top(POT.body(asked.start_mm))
-    assert judge(at).margin_mm < 0
+    at = Tower((load_pieces().piece("short").body(),)).with_top(POT.body(asked.start_mm))
+    assert judge_tower(at).margin_mm < 0
     pressed = next(f for f in attended.facts if isinstance(f, PhaseEntered) and f.phase == "press")
     poses = attended.session.raw.poses.window(0.0, pressed.t_s).values
     assert poses[-1, :2] == pytest.approx(np.add(asked.start_mm, (1.0, -2.0)), abs=0.2)
@@ -148,7 +151,7 @@ def test_starts_follow_from_the_seed_and_differ(tmp_path):
     ],
 )
 def test_wrist_and_gripper_propose(piece, side_n, left_n, holding, outcome):
-    found, why = judged(piece, side_n=side_n, left_n=left_n, holding=holding)
+    found, why = outcome_from_signals(piece, side_n=side_n, left_n=left_n, holding=holding)
     assert found is outcome
     assert why.endswith(".")
 
@@ -170,4 +173,4 @@ STUCK = OutcomeAwaited(0.0, Outcome.ABORTED, "It hangs.")
     ],
 )
 def test_a_line_says_what_was_seen(line, asked, said):
-    assert read_outcome(line, asked) == said
+    assert parse_outcome(line, asked) == said

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from backend.assembly import simulated_session
-from backend.core import doing as doings
-from backend.core.doing import SharedLock, doing, done_by
-from backend.core.facts import FaultRaised
-from backend.core.standstill import LATEST_S, ThreadRest
-from backend.runs.bench_watch import LOOK_S, STILL_S, WORKS_S, BenchWatch
-from backend.runs.requests import SceneChoice
 from tests.backend.brisk import brisk_bench
 from tests.backend.devices.waiting import until
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.core import scheduling as doings
+from touchdown.backend.core.events import FaultRaised
+from touchdown.backend.core.scheduling import SharedLock, blocking_section, blocking_section_of
+from touchdown.backend.core.watchdog import LONGEST_STEP_S, ThreadStallDetector
+from touchdown.backend.runs.engine import LOOK_S, STILL_S, WORKS_S, ThreadWatchdog
+from touchdown.backend.runs.requests import SceneChoice
 
 pytestmark = pytest.mark.skipif(
     not Path("/proc/self/task").is_dir(), reason="threads are seen on Linux only"
@@ -33,8 +33,8 @@ class Watched:
         self.thread = threading.Thread(target=act, args=(self.over,), daemon=True)
         self.thread.start()
         number = self.thread.native_id
-        self.rest = ThreadRest(os.getpid(), number)
-        self.watch = BenchWatch(number, lambda: self.steps, STEP_S, self.told.append)
+        self.rest = ThreadStallDetector(os.getpid(), number)
+        self.watch = ThreadWatchdog(number, lambda: self.steps, STEP_S, self.told.append)
         self.now_s = time.monotonic()
 
     def rests(self):
@@ -97,7 +97,7 @@ def test_a_thread_that_waits_without_a_word_is_told_within_ten_looks(watched):
 
 def test_a_watch_that_comes_late_itself_knows_nothing_by_it(watched):
     one = watched(waits).settled()
-    looks = int(STILL_S / LATEST_S)
+    looks = int(STILL_S / LONGEST_STEP_S)
     assert one.look(looks, every_s=1e4) == [], "as if the whole computer had slept in between"
 
 
@@ -113,17 +113,20 @@ def test_one_that_polls_is_told_only_after_long(watched):
 
 def test_one_that_says_what_it_does_has_as_long_as_it_said(watched):
     def sets(over):
-        with doing("sets the scene", 60.0), doing("waits for the devices", 1.0):
+        with (
+            blocking_section("sets the scene", 60.0),
+            blocking_section("waits for the devices", 1.0),
+        ):
             over.wait()
 
     one = watched(sets).settled()
-    said = done_by(one.thread.native_id)
+    said = blocking_section_of(one.thread.native_id)
     assert said.what == "sets the scene"
     assert one.look(3 * LOOKS) == []
     one.now_s = said.until_s
     assert one.look(1)[0].endswith("It sets the scene, and that comes to no end.")
     one.close()
-    assert done_by(one.thread.native_id) is None
+    assert blocking_section_of(one.thread.native_id) is None
 
 
 def test_who_waits_for_a_lock_that_others_hold_over_a_disk_says_so():
@@ -137,11 +140,11 @@ def test_who_waits_for_a_lock_that_others_hold_over_a_disk_says_so():
     with lock:
         other = threading.Thread(target=waiter)
         other.start()
-        until(lambda: number and done_by(number[0]))
+        until(lambda: number and blocking_section_of(number[0]))
         assert not through.is_set()
     other.join()
     assert through.is_set()
-    assert number[0] not in doings._NOW
+    assert number[0] not in doings._SECTIONS
 
 
 def test_a_deadlock_of_the_thread_of_the_bench_is_a_fault_and_told_again_after_a_reset():

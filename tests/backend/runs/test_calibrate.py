@@ -8,44 +8,54 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.assembly import SimulatedBenchChoice, simulated_session
-from backend.calibration.estimate import Estimate
-from backend.calibration.gels import NUMBERS
-from backend.config.simulation import SimulationSettings
-from backend.core.facts import CalibrationMeasured, Said
-from backend.core.faults import FaultError, RefusedError
-from backend.devices.interlock import LEAST_OVERRIDE, Limits
-from backend.devices.melfa.link_faults import VOID
-from backend.devices.motion import CommandedMotion
-from backend.devices.protocols import Arm, Motion
-from backend.devices.sim.arm import SimArm
-from backend.devices.streamed.pressing import UNFELT
-from backend.objects.shapes import circle, rectangle, regular, square
-from backend.rig.core import LAPSED
-from backend.runs import calibrate_board, calibrate_pushes, touching
-from backend.runs.again import TOUCH_TRIES
-from backend.runs.calibrate_board import along_edges, measure_board
-from backend.runs.calibrate_payload import measure_payload, measure_wrist
-from backend.runs.calibrate_tool import measure_tool
-from backend.runs.descents import middle_of_overlap
-from backend.runs.jig import pick
-from backend.runs.motions import LEASE_TRIES, MOVE_S, REFERENCE_S, go, take_piece, zero_wrench
-from backend.runs.requests import CalibrateRequest
-from backend.sensing.reference import take_reference
-from backend.session import Keep
-from backend.simulation.disturbances import Disturbance, Script
 from tests.backend.runs.blind_bench import BRISK, BlindBench
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
+from touchdown.backend.calibration.cameras import NUMBERS
+from touchdown.backend.calibration.result import CalibrationEstimate
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.events import CalibrationMeasured, Said
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.devices.interlock import LEAST_OVERRIDE, Limits
+from touchdown.backend.devices.melfa.faults import VOID
+from touchdown.backend.devices.protocols import Arm, CommandedMotion, Motion
+from touchdown.backend.devices.streamed.press import UNFELT
+from touchdown.backend.emulation.disturbances import Disturbance, DisturbanceScript
+from touchdown.backend.geometry.outlines import circle, rectangle, regular_polygon, square
+from touchdown.backend.rig.core import LAPSED
+from touchdown.backend.runs import calibrate, touch_probing
+from touchdown.backend.runs.calibrate import (
+    along_edges,
+    measure_board,
+    measure_payload,
+    measure_tool,
+    measure_wrist,
+)
+from touchdown.backend.runs.jig import pick_piece
+from touchdown.backend.runs.motions import (
+    LEASE_TRIES,
+    MOVE_S,
+    REFERENCE_S,
+    TOUCH_TRIES,
+    middle_of_overlap,
+    take_piece,
+    zero_wrench,
+)
+from touchdown.backend.runs.motions import move_to as motions_move_to
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import CalibrateRequest
+from touchdown.backend.sensing.zeroing import take_reference
+from touchdown.backend.simulation.devices.arm import SimArm
 
 
 @pytest.fixture
 def near(monkeypatch) -> None:
     """Look for edges close to where they should be: fewer touches."""
-    monkeypatch.setattr(touching, "SEARCH_MM", 0.8)
+    monkeypatch.setattr(touch_probing, "SEARCH_MM", 0.8)
 
 
-def measured(blind: BlindBench, measure, request: CalibrateRequest) -> Estimate:
+def measured(blind: BlindBench, measure, request: CalibrateRequest) -> CalibrationEstimate:
     found = blind.run(lambda bench: measure(bench, request))
-    assert isinstance(found, Estimate)
+    assert isinstance(found, CalibrationEstimate)
     return found
 
 
@@ -89,7 +99,7 @@ def test_a_move_may_take_as_long_as_the_override_makes_it() -> None:
     high = replace(here, z_mm=here.z_mm + 160.0)
     begun_s = blind.bench.now_s()
     # 5 mm/s: longer than any move at full speed.
-    blind.run(lambda bench: go(bench, high, "the hand to rise"))
+    blind.run(lambda bench: motions_move_to(bench, high, "the hand to rise"))
     assert blind.bench.now_s() - begun_s > MOVE_S
     assert blind.bench.arm.pose(1.0).z_mm == pytest.approx(high.z_mm, abs=0.01)
 
@@ -119,18 +129,18 @@ def test_a_move_whose_permission_lapsed_is_ordered_again_but_not_for_ever(times:
     here = blind.bench.arm.pose(1.0)
     high = replace(here, z_mm=here.z_mm + 5.0)
     if times < LEASE_TRIES:
-        blind.run(lambda bench: go(bench, high, "the hand to rise"))
+        blind.run(lambda bench: motions_move_to(bench, high, "the hand to rise"))
         assert blind.bench.arm.pose(1.0).z_mm == pytest.approx(high.z_mm, abs=0.01)
     else:
         with pytest.raises(FaultError, match="LEASE-LAPSED"):
-            blind.run(lambda bench: go(bench, high, "the hand to rise"))
+            blind.run(lambda bench: motions_move_to(bench, high, "the hand to rise"))
 
 
 @pytest.mark.parametrize("bursts", [1, 40])
 def test_a_spoilt_tare_of_the_empty_hand_is_taken_again_for_so_long(bursts: int) -> None:
     blind = BlindBench(CalibrateRequest("payload").scene())
     found = (Disturbance("force_torque", "nan", 0.2 + 0.15 * n, 0.1) for n in range(bursts))
-    blind.simulated._script = Script(tuple(found))
+    blind.simulated._script = DisturbanceScript(tuple(found))
     if bursts == 1:
         blind.run(zero_wrench)
     else:
@@ -169,14 +179,14 @@ def test_the_board_is_where_the_bench_was_built_with_it(near) -> None:
 def test_a_board_beyond_its_limit_is_felt_once_more(near, monkeypatch, wrong_mm, rounds) -> None:
     """One edge that was felt in the wrong place spoils a round, and no calibration."""
     felt = []
-    edge_mm = calibrate_board.edge_mm
+    edge_mm = calibrate.edge_mm
 
     def felt_wrong(*args):
         at_mm = yield from edge_mm(*args)
         felt.append(at_mm)
         return at_mm + (wrong_mm if len(felt) == 1 else 0.0)
 
-    monkeypatch.setattr(calibrate_board, "edge_mm", felt_wrong)
+    monkeypatch.setattr(calibrate, "edge_mm", felt_wrong)
     request = CalibrateRequest("board", seed=5)
     blind = BlindBench(request.scene())
     found = measured(blind, measure_board, request)
@@ -222,8 +232,8 @@ def test_a_void_touch_is_made_again_but_not_for_ever(voids, fault, monkeypatch) 
     blind = BlindBench(CalibrateRequest("board", seed=5).scene())
 
     def height(bench):
-        yield from pick(bench)
-        return (yield from touching.find_height(bench, np.zeros(2)))
+        yield from pick_piece(bench)
+        return (yield from touch_probing.find_height(bench, np.zeros(2)))
 
     if voids == TOUCH_TRIES:
         with pytest.raises(FaultError, match="PRESS-VOID"):
@@ -245,7 +255,7 @@ def test_edges_are_felt_where_one_of_both_outlines_runs_along_the_other() -> Non
     for face, bottom in (
         (circle(15.0), circle(20.0)),
         (square(15.0), square(15.0)),
-        (circle(15.0), regular(6, 20.0)),
+        (circle(15.0), regular_polygon(6, 20.0)),
     ):
         assert along_edges(face, bottom).yaw_of == ""
 
@@ -258,7 +268,7 @@ def test_the_middle_of_an_overlap_is_its_centroid() -> None:
 @pytest.mark.slow
 def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch) -> None:
     # A few pictures per second: every one of them is drawn and tracked. Each side is pressed once.
-    monkeypatch.setattr(calibrate_pushes, "ROUNDS", 1)
+    monkeypatch.setattr(calibrate, "PUSH_ROUNDS", 1)
     looks = []
 
     def taken(fields):
@@ -267,9 +277,11 @@ def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch) -> None:
             raise RefusedError("MARKERS", "62 of 63 markers are seen.")
         return take_reference(fields)
 
-    monkeypatch.setattr(calibrate_pushes, "take_reference", taken)
+    monkeypatch.setattr(calibrate, "take_reference", taken)
     settings = SimulationSettings.model_validate({"tactile": {"rate_hz": 8.0}})
-    session = simulated_session(SimulatedBenchChoice(given=settings), keep=Keep(None), method=BRISK)
+    session = simulated_session(
+        SimulatedBenchChoice(given=settings), keep=RecordingOptions(None), method=BRISK
+    )
     session.interlock.limits = Limits(contact_speed_mm_s=4.0)
     told = []
     session.hub.subscribe(lambda f: told.append(f) if isinstance(f, CalibrationMeasured) else None)

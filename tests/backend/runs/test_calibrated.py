@@ -9,43 +9,52 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from backend.assembly import SimulatedBenchChoice, simulated_session
-from backend.calibration.applied import overruled, seen_by
-from backend.calibration.estimate import Estimate, Quantity
-from backend.calibration.gels import as_places, turned
-from backend.calibration.kinds import KINDS, WHATS
-from backend.calibration.store import CalibrationStore
-from backend.config.hardware import GelsightSettings
-from backend.core.facts import EpisodeRecorded
-from backend.core.faults import RefusedError
-from backend.devices.protocols import Identity
-from backend.lab import LabChoice, lab_session
-from backend.rig.connection import Connection
-from backend.runs.calibrated import calibrations_for, device_names, keep, payload_of
-from backend.runs.requests import (
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
+from touchdown.backend.bench.lab import LabChoice, lab_session
+from touchdown.backend.calibration.applied import calibrated_cameras, camera_conflicts
+from touchdown.backend.calibration.cameras import mirrored_dots, numbers_to_dots
+from touchdown.backend.calibration.records import CalibrationStore
+from touchdown.backend.calibration.result import (
+    CALIBRATION_KINDS,
+    CALIBRATION_NAMES,
+    CalibrationEstimate,
+    Quantity,
+)
+from touchdown.backend.config.hardware import GelsightSettings
+from touchdown.backend.core.events import EpisodeRecorded
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.devices.protocols import Identity
+from touchdown.backend.rig.connection import Connection
+from touchdown.backend.runs.calibrations import (
+    accept_calibration,
+    calibrations_for,
+    device_names,
+    payload_wrench,
+)
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import (
     CalibrateRequest,
     CollectRequest,
     ProbeRequest,
     SceneChoice,
     StackRequest,
 )
-from backend.session import Keep
-from backend.simulation.gel_look import load_look
+from touchdown.backend.simulation.finger_camera import load_gel_appearance
 
 NOW = datetime.now(UTC)
-WEIGHED = Estimate(
+WEIGHED = CalibrationEstimate(
     (
         Quantity("mass_kg", 1.5, 0.01, "kg"),
         Quantity("com_x_mm", 2.0, 0.1, "mm"),
         Quantity("com_y_mm", -1.0, 0.1, "mm"),
         Quantity("face_x_mm", 0.1, 0.05, "mm"),
         Quantity("face_y_mm", 0.2, 0.05, "mm"),
-        *(Quantity(name, 0.5, 0.01, "mm") for name in KINDS["board"].values),
-        *(Quantity(name, 0.06, 0.01, "mm/px") for name in KINDS["camera"].values),
+        *(Quantity(name, 0.5, 0.01, "mm") for name in CALIBRATION_KINDS["board"].values),
+        *(Quantity(name, 0.06, 0.01, "mm/px") for name in CALIBRATION_KINDS["camera"].values),
     ),
     np.eye(14), np.zeros(6), 0.05, 0.3, "N",
 )  # fmt: skip
-FELT = Estimate(
+FELT = CalibrationEstimate(
     tuple(
         Quantity(name, value, 0.01, "mm")
         for name, value in (
@@ -54,7 +63,7 @@ FELT = Estimate(
     ),
     np.eye(5), np.zeros(5), 0.05, 0.1, "mm",
 )  # fmt: skip
-SEEN = Estimate(
+SEEN = CalibrationEstimate(
     (
         Quantity("exchanged", 1.0, 0.0, ""),
         Quantity("left_mirror", 2.0, 0.0, ""),
@@ -81,7 +90,7 @@ class Camera:
 
 def filled(folder, devices, mode="hardware", at=NOW) -> CalibrationStore:
     store = CalibrationStore(folder, mode)
-    for what in WHATS:
+    for what in CALIBRATION_NAMES:
         store.accept(WEIGHED.told(0.0, what), device_names(devices), now=at)
     return store
 
@@ -95,7 +104,7 @@ def test_campaigns_on_hardware_need_calibrations_that_hold(tmp_path, request_) -
     with pytest.raises(RefusedError, match=r"Board: expired 39 days ago.*calibrate board"):
         calibrations_for(request_, "hardware", old, {})
     good = filled(tmp_path / "good", {})
-    assert set(calibrations_for(request_, "hardware", good, {})) == set(WHATS)
+    assert set(calibrations_for(request_, "hardware", good, {})) == set(CALIBRATION_NAMES)
 
 
 def test_a_board_felt_on_another_bottom_is_no_board_of_this_one(tmp_path) -> None:
@@ -112,39 +121,44 @@ def test_cameras_are_kept_as_they_sit_whatever_the_settings_were(tmp_path) -> No
         for finger, serial, mirror in (("left", "AAAA-1111", "x"), ("right", "BBBB-2222", "none"))
     }
     store = CalibrationStore(tmp_path, "hardware")
-    at_px = {"A": load_look().rest_px, "B": load_look().rest_px + np.array([5.0, -3.0])}
-    shown = (turned(at_px["A"], "x"), at_px["B"])
+    at_px = {
+        "A": load_gel_appearance().rest_px,
+        "B": load_gel_appearance().rest_px + np.array([5.0, -3.0]),
+    }
+    shown = (mirrored_dots(at_px["A"], "x"), at_px["B"])
     gels_px = tuple(np.concatenate([px.ravel() for px in shown]).tolist())
-    keep(store, replace(SEEN, gels_px=gels_px).told(0.0, "camera"), devices)
+    accept_calibration(store, replace(SEEN, gels_px=gels_px).told(0.0, "camera"), devices)
     record = store.standing("camera", {}).record
     assert record is not None
     # The fingerprints go with their cameras, and are those of the raw pictures.
     for name, gel in (("tactile_left", "B"), ("tactile_right", "A")):
-        np.testing.assert_allclose(as_places(record.file.gels[name]), at_px[gel], atol=1e-3)
+        np.testing.assert_allclose(numbers_to_dots(record.file.gels[name]), at_px[gel], atol=1e-3)
     settings = GelsightSettings.model_validate(
         {
             "left": {"serial": "AAAA-1111", "mirror": "x"},
             "right": {"serial": "BBBB-2222", "crop_fraction": 0.2},
         }
     )
-    seen = seen_by(settings, record)
+    seen = calibrated_cameras(settings, record)
     # The left finger is the camera B, of which y is reversed; of the camera A, x was set and is
     # reversed again.
     assert (seen.left.serial, seen.left.mirror, seen.left.crop_fraction) == ("BBBB-2222", "y", 0.2)
     assert (seen.right.serial, seen.right.mirror) == ("AAAA-1111", "none")
     assert (seen.mm_per_px_x, seen.mm_per_px_y) == pytest.approx((0.0585, 0.06))
     # What it corrects is the file, however often it is read; other cameras are left alone.
-    assert seen_by(seen, record) == seen
+    assert calibrated_cameras(seen, record) == seen
     # That it counts is said, of each camera that is named otherwise.
-    told = overruled(settings, record, "touchdown calibrate camera")
+    told = camera_conflicts(settings, record, "touchdown calibrate camera")
     assert list(told) == ["tactile_left", "tactile_right"]
     assert "names AAAA-1111 for the left finger" in told["tactile_left"]
     assert "found BBBB-2222 there, which counts" in told["tactile_left"]
     assert "run 'touchdown calibrate camera'" in told["tactile_left"]
     assert told["tactile_right"].endswith("found AAAA-1111 there, which counts")
-    assert overruled(seen, record, "") == overruled(GelsightSettings(), record, "") == {}
+    assert (
+        camera_conflicts(seen, record, "") == camera_conflicts(GelsightSettings(), record, "") == {}
+    )
     other = GelsightSettings.model_validate({"left": {"serial": "CCCC-3333"}})
-    assert seen_by(other, record) == other
+    assert calibrated_cameras(other, record) == other
 
 
 def test_everything_else_begins_without_them(tmp_path) -> None:
@@ -156,13 +170,13 @@ def test_everything_else_begins_without_them(tmp_path) -> None:
 
 
 def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(tmp_path) -> None:
-    session = simulated_session(SimulatedBenchChoice(preset="off"), keep=Keep(None))
+    session = simulated_session(SimulatedBenchChoice(preset="off"), keep=RecordingOptions(None))
     recorded = []
     session.hub.subscribe(lambda f: recorded.append(f) if isinstance(f, EpisodeRecorded) else None)
     session.prepare(SceneChoice(estimates=False))
     store = session.calibrations = filled(tmp_path, session.devices, "simulated")
     session.prepare(SceneChoice(estimates=False))
-    payload = payload_of(store, session.devices)
+    payload = payload_wrench(store, session.devices)
     assert payload is not None
     # Weight down; its arm turns the hand as the cross product says.
     force = np.array([0.0, 0.0, -1.5 * 9.80665])
@@ -171,7 +185,7 @@ def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(tmp_path) ->
     session.run(ProbeRequest())
     session.close()
     told = dict(recorded[0].episode.metadata)
-    for what in WHATS:
+    for what in CALIBRATION_NAMES:
         standing = store.standing(what, device_names(session.devices))
         assert standing.record is not None
         assert told[f"calibration_{what}"] == standing.record.sha256
@@ -180,10 +194,10 @@ def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(tmp_path) ->
 def test_a_run_has_the_payload_it_was_checked_with_though_the_file_is_damaged_since(
     tmp_path, monkeypatch
 ) -> None:
-    session = simulated_session(SimulatedBenchChoice(preset="off"), keep=Keep(None))
+    session = simulated_session(SimulatedBenchChoice(preset="off"), keep=RecordingOptions(None))
     session.prepare(SceneChoice(estimates=False))
     store = session.calibrations = filled(tmp_path, session.devices, "simulated")
-    checked = payload_of(store, session.devices)
+    checked = payload_wrench(store, session.devices)
     make_stage = session._make_stage
 
     def damaging(choice, raw):
@@ -193,13 +207,13 @@ def test_a_run_has_the_payload_it_was_checked_with_though_the_file_is_damaged_si
 
     monkeypatch.setattr(session, "_make_stage", damaging)
     session.run(StackRequest(strategy="pick-and-place"))
-    assert payload_of(store, session.devices) is None
+    assert payload_wrench(store, session.devices) is None
     np.testing.assert_array_equal(session._scene.sensing.tare.payload, checked)
     session.close()
 
 
 def test_a_sensor_that_was_changed_needs_a_new_payload(tmp_path) -> None:
-    session = simulated_session(SimulatedBenchChoice(preset="off"), keep=Keep(None))
+    session = simulated_session(SimulatedBenchChoice(preset="off"), keep=RecordingOptions(None))
     session.prepare(SceneChoice(estimates=False))
     store = filled(tmp_path, session.devices, "simulated")
     names = device_names(session.devices)
@@ -213,11 +227,11 @@ def test_a_sensor_that_was_changed_needs_a_new_payload(tmp_path) -> None:
 def test_a_lab_of_hardware_refuses_to_stack_and_looks_beside_its_file(
     tmp_path, monkeypatch
 ) -> None:
-    template = files("resources") / "benches" / "lab.toml"
+    template = files("touchdown.resources") / "benches" / "lab.toml"
     path = tmp_path / "lab.toml"
     path.write_text(template.read_text(encoding="utf-8"))
     monkeypatch.setattr(Connection, "missing", lambda _self: ())
-    session = lab_session(LabChoice(path), keep=Keep(None))
+    session = lab_session(LabChoice(path), keep=RecordingOptions(None))
     try:
         with pytest.raises(RefusedError, match=r"Payload: never calibrated.*calibrate payload"):
             session.start(StackRequest(mode="approve"))

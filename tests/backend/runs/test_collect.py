@@ -8,11 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from backend.assembly import simulated_session
-from backend.catalogue import diskspace
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeFilter
-from backend.core.facts import (
+from tests.backend.brisk import RATE_HZ, brisk_bench, brisk_method
+from touchdown.backend.annotations import storage
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import EpisodeFilter
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.core.events import (
     CampaignBegan,
     DecisionAwaited,
     EpisodeDecided,
@@ -22,13 +23,12 @@ from backend.core.facts import (
     ProbeCollected,
     RunFinished,
 )
-from backend.core.faults import Fault, FaultError, InputError, RefusedError
-from backend.runs import jig
-from backend.runs.campaign import newest_campaign, read_campaign
-from backend.runs.requests import CollectRequest, RunState
-from backend.sensing.board import Homography
-from backend.session import Keep
-from tests.backend.brisk import RATE_HZ, brisk_bench, brisk_method
+from touchdown.backend.core.faults import Fault, FaultError, InputError, RefusedError
+from touchdown.backend.runs import jig
+from touchdown.backend.runs.campaign import newest_campaign, read_campaign
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import CollectRequest, RunState
+from touchdown.backend.sensing.scene_camera import Homography
 
 pytestmark = pytest.mark.slow
 
@@ -39,7 +39,9 @@ class Collected:
     def __init__(self, folder, method=None, **limits):
         self.dataset = Dataset.open(folder, person="ann")
         self.session = simulated_session(
-            brisk_bench("quiet"), keep=Keep(None), method=method or brisk_method(**limits)
+            brisk_bench("quiet"),
+            keep=RecordingOptions(None),
+            method=method or brisk_method(**limits),
         )
         self.session.dataset = self.dataset
         # By default a short campaign grips anew for each probe; here one grip is enough.
@@ -270,7 +272,7 @@ def test_a_campaign_pauses_before_the_next_probe_while_the_disk_has_no_room(
             usage.free = free[0]
             return usage
 
-        monkeypatch.setattr(diskspace.shutil, "disk_usage", look)
+        monkeypatch.setattr(storage.shutil, "disk_usage", look)
         pressed = []
 
         def watch(fact):
@@ -294,7 +296,7 @@ def test_a_campaign_pauses_before_the_next_probe_while_the_disk_has_no_room(
 def test_a_campaign_is_refused_with_the_figure_below_1_gb(tmp_path, monkeypatch) -> None:
     with collecting(tmp_path / "ds") as collected:
         usage = SimpleNamespace(free=900_000_000)
-        monkeypatch.setattr(diskspace.shutil, "disk_usage", lambda _place: usage)
+        monkeypatch.setattr(storage.shutil, "disk_usage", lambda _place: usage)
         with pytest.raises(InputError, match=r"Only 0\.90 GB are free; recording needs 1\.00 GB"):
             collected.run(count=2)
         assert collected.of(PhaseEntered) == []

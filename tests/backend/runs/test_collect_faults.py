@@ -8,25 +8,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.assembly import simulated_session
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeFilter
-from backend.core.facts import Fact, FaultRaised, PhaseEntered, ProbeCollected, RunFinished
-from backend.runs.campaign import newest_campaign
-from backend.runs.requests import CollectRequest
-from backend.session import Keep
-from backend.simulation.disturbances import Disturbance, Script
 from tests.backend.brisk import brisk_bench, brisk_method
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import EpisodeFilter
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.core.events import (
+    Event,
+    FaultRaised,
+    PhaseEntered,
+    ProbeCollected,
+    RunFinished,
+)
+from touchdown.backend.emulation.disturbances import Disturbance, DisturbanceScript
+from touchdown.backend.runs.campaign import newest_campaign
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import CollectRequest
 
 
 class Failing:
     """A session that collects, and of which a device fails within a press."""
 
     def __init__(self, dataset: Dataset) -> None:
-        self.facts: list[Fact] = []
+        self.facts: list[Event] = []
         self.dataset = dataset
         self.session = simulated_session(
-            brisk_bench("quiet"), keep=Keep(None), method=brisk_method()
+            brisk_bench("quiet"), keep=RecordingOptions(None), method=brisk_method()
         )
         self.session.dataset = dataset
         self.session.hub.subscribe(self._take)
@@ -41,13 +47,13 @@ class Failing:
     def fail_in_press(self, number: int, device: str, kind: str, much: float | None = None) -> None:
         self._fails = (number, device, kind, much)
 
-    def _take(self, fact: Fact) -> None:
+    def _take(self, fact: Event) -> None:
         self.facts.append(fact)
         pressed = [f for f in self.facts if isinstance(f, PhaseEntered) and f.phase == "press"]
         if self._fails is not None and len(pressed) == self._fails[0]:
             _, device, kind, much = self._fails
             self.fails_s = fact.t_s + 0.3
-            script = Script((Disturbance(device, kind, self.fails_s, much=much),))
+            script = DisturbanceScript((Disturbance(device, kind, self.fails_s, much=much),))
             bench = self.session._scene.stage.advance.__self__
             for part in (bench, bench._world, *bench.tactile.values()):
                 part._script = script
@@ -114,7 +120,7 @@ def test_a_failing_sensor_within_a_press_is_no_probe_and_the_campaign_goes_on(
 def test_a_piece_that_is_lost_within_a_probe_is_no_probe(phase: str, failing: Failing) -> None:
     lost_s: list[float] = []
 
-    def lose(fact: Fact) -> None:
+    def lose(fact: Event) -> None:
         if isinstance(fact, PhaseEntered) and fact.phase == phase and not lost_s:
             jaws = failing.session._scene.stage.gripper._world.jaws
             jaws.piece_present = jaws.holding = False

@@ -8,22 +8,29 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Label
-from backend.config.method import StackSettings
-from backend.core.faults import InputError
-from backend.dataset.coverage import coverage
-from backend.objects.catalogue import load_catalogue
-from backend.objects.shapes import circle, rectangle
-from backend.objects.surface import overlap_area_mm2
-from backend.runs.campaign import Campaign, new_campaign, newest_campaign, read_campaign
-from backend.runs.collect_plan import PATTERNS, Target, grid_mm, planned_mm
-from backend.runs.collect_report import pair_coverage
-from backend.runs.requests import GRIPS, MOUNTINGS, CollectRequest
 from tests.backend.catalogue.conftest import context_for, small_episode
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.config.method import StackSettings
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.episodes.quality import count_coverage
+from touchdown.backend.geometry.outlines import circle, overlap_area_mm2, rectangle
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.campaign import (
+    PATTERNS,
+    Campaign,
+    ProbeTarget,
+    grid_displacements_mm,
+    new_campaign,
+    newest_campaign,
+    pair_coverage,
+    planned_displacement_mm,
+    read_campaign,
+)
+from touchdown.backend.runs.requests import GRIPS, MOUNTINGS, CollectRequest
 
-TARGET = Target(circle(15.0), rectangle(12.0, 28.0))
-EMPTY = coverage(np.empty((0, 2)), TARGET.face, TARGET.bottom)
+TARGET = ProbeTarget(circle(15.0), rectangle(12.0, 28.0))
+EMPTY = count_coverage(np.empty((0, 2)), TARGET.face, TARGET.bottom)
 
 
 @pytest.fixture
@@ -33,13 +40,15 @@ def dataset(tmp_path):
 
 
 def places(pattern, count, target=TARGET, seed=3):
-    return np.array([planned_mm(pattern, target, seed, k, count, EMPTY) for k in range(count)])
+    return np.array(
+        [planned_displacement_mm(pattern, target, seed, k, count, EMPTY) for k in range(count)]
+    )
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
 @pytest.mark.parametrize("within", [None, 6.0], ids=str)
 def test_every_pattern_stays_where_the_faces_overlap(pattern, within) -> None:
-    target = Target(TARGET.face, TARGET.bottom, within)
+    target = ProbeTarget(TARGET.face, TARGET.bottom, within)
     found = places(pattern, 40, target)
     assert (overlap_area_mm2(target.face, found, target.bottom) >= 6.0).all()
     assert np.abs(found).max() <= (within or 99.0)
@@ -47,15 +56,17 @@ def test_every_pattern_stays_where_the_faces_overlap(pattern, within) -> None:
 
 
 def test_random_places_are_uniform() -> None:
-    found = places("random", 400, Target(circle(15.0), circle(15.0), 5.0), seed=0)
+    found = places("random", 400, ProbeTarget(circle(15.0), circle(15.0), 5.0), seed=0)
     for axis in range(2):
         assert kstest(found[:, axis], "uniform", args=(-5.0, 10.0)).pvalue > 0.01
-    assert not np.allclose(found, places("random", 400, Target(*[circle(15.0)] * 2, 5.0), seed=4))
+    assert not np.allclose(
+        found, places("random", 400, ProbeTarget(*[circle(15.0)] * 2, 5.0), seed=4)
+    )
 
 
 @pytest.mark.parametrize("count", [1, 7, 50, 200])
 def test_a_grid_has_the_wanted_number_of_even_places(count) -> None:
-    found = grid_mm(TARGET, count)
+    found = grid_displacements_mm(TARGET, count)
     assert len(np.unique(found, axis=0)) == count
     if count >= 50:
         apart = np.hypot(*(found[:, None] - found).transpose(2, 0, 1))
@@ -66,14 +77,14 @@ def test_a_grid_has_the_wanted_number_of_even_places(count) -> None:
 def test_adaptive_places_leave_no_hole_before_they_repeat() -> None:
     seen, holes = EMPTY, EMPTY.holes
     for k in range(holes):
-        seen = seen.with_offset(planned_mm("adaptive", TARGET, 5, k, holes, seen))
+        seen = seen.with_offset(planned_displacement_mm("adaptive", TARGET, 5, k, holes, seen))
     assert seen.counts[seen.possible].max() <= 2
     assert seen.covered > 0.97
 
 
 def test_a_range_that_holds_no_grid_is_refused() -> None:
     with pytest.raises(InputError, match="Not enough displacements"):
-        grid_mm(Target(circle(15.0), circle(15.0), 0.1), 400)
+        grid_displacements_mm(ProbeTarget(circle(15.0), circle(15.0), 0.1), 400)
 
 
 def test_a_campaign_survives_a_restart(tmp_path) -> None:
@@ -125,9 +136,9 @@ def test_holes_are_those_of_all_campaigns_that_somebody_stands_for(dataset: Data
     for uuid in made[1:3]:
         dataset.labels.accept("ann", uuid)
     dataset.labels.approve("bea", made[1])
-    pieces = load_catalogue()
+    pieces = load_pieces()
     seen = pair_coverage(
-        dataset, mine, Target(pieces.piece("pot").face, pieces.piece("circle15").face)
+        dataset, mine, ProbeTarget(pieces.piece("pot").face, pieces.piece("circle15").face)
     )
     # Mine as a draft, theirs approved and submitted; not their draft, nor what is no observation.
     found = [seen.centre_mm(i, j) for i, j in zip(*np.nonzero(seen.counts), strict=True)]

@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.collect.decide import decide_stored
-from backend.assembly import simulated_session
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.labels import LabelBook
-from backend.catalogue.values import EpisodeFilter
-from backend.core.facts import (
+from tests.app.label.conftest import make_episode
+from tests.backend.brisk import brisk_bench, brisk_method
+from touchdown.app.collect.requests import decide_stored
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.labels import LabelStore
+from touchdown.backend.annotations.values import EpisodeFilter
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.core.events import (
     EpisodeDecided,
     EpisodeRecorded,
     FaultRaised,
@@ -21,18 +23,15 @@ from backend.core.facts import (
     ProbeCollected,
     RunFinished,
 )
-from backend.core.faults import Fault, FaultError
-from backend.runs import campaign as campaigns
-from backend.runs import collecting
-from backend.runs.campaign import campaign_now, newest_campaign, read_campaign
-from backend.runs.collected import Measured
-from backend.runs.collecting import Collector
-from backend.runs.judged import Felt
-from backend.runs.plan import CancelledError
-from backend.runs.requests import CollectRequest
-from backend.session import Keep
-from tests.app.label.conftest import make_episode
-from tests.backend.brisk import brisk_bench, brisk_method
+from touchdown.backend.core.faults import Fault, FaultError
+from touchdown.backend.runs import campaign as campaigns
+from touchdown.backend.runs import collector as collecting
+from touchdown.backend.runs.bench import PressedProbe
+from touchdown.backend.runs.campaign import current_campaign, newest_campaign, read_campaign
+from touchdown.backend.runs.collector import Collector, MeasuredOffset
+from touchdown.backend.runs.plan import CancelledError
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import CollectRequest
 
 
 @pytest.fixture
@@ -41,15 +40,17 @@ def collect(tmp_path, monkeypatch):
 
     def run(goes_on, when_told=None, kind=EpisodeRecorded):
         def mounting(self, bench, target, origin, context, after=0):
-            felt = Felt(make_episode(7, frames=1), 1, bench.now_s(), 0.0)
-            where = Measured(np.array([1.0, -2.0]), 0.1, 20.0)
+            felt = PressedProbe(make_episode(7, frames=1), 1, bench.now_s(), 0.0)
+            where = MeasuredOffset(np.array([1.0, -2.0]), 0.1, 20.0)
             context = replace(context, grip_id=f"{context.mounting_id}/grip-1", plan_item=0)
-            self._enter(collecting._Taken(felt, 0, where, 0.0), context)
+            self._enter(collecting._PendingEpisode(felt, 0, where, 0.0), context)
             yield from goes_on(self, bench)
             return True
 
         monkeypatch.setattr(Collector, "mounting", mounting)
-        session = simulated_session(brisk_bench("quiet"), keep=Keep(None), method=brisk_method())
+        session = simulated_session(
+            brisk_bench("quiet"), keep=RecordingOptions(None), method=brisk_method()
+        )
         facts, error = [], None
 
         def take(fact):
@@ -101,7 +102,7 @@ def skip_the_probe(collector, bench):
 
 
 def test_a_decision_waits_for_room_and_is_carried_out_then(collect, tmp_path, monkeypatch):
-    delete, refused = LabelBook.delete, []
+    delete, refused = LabelStore.delete, []
 
     def full(self, *args):
         if len(refused) < 2:
@@ -109,7 +110,7 @@ def test_a_decision_waits_for_room_and_is_carried_out_then(collect, tmp_path, mo
             raise FaultError(Fault("DISK-FULL", "The disk is full.", "Not saved.", "Room."))
         delete(self, *args)
 
-    monkeypatch.setattr(LabelBook, "delete", full)
+    monkeypatch.setattr(LabelStore, "delete", full)
     facts, _, _ = collect(skip_the_probe, lambda session: session.engine.resume(), Paused)
     assert [fact.fault.code for fact in facts if isinstance(fact, Paused)] == ["DISK-FULL"] * 2
     assert [fact.decision for fact in facts if isinstance(fact, EpisodeDecided)] == ["skip"]
@@ -152,7 +153,7 @@ def test_the_plan_waits_for_room_before_and_after_a_mounting(
 def skipped_items(folder):
     """Return the items that a campaign leaves out when it goes on."""
     with Dataset.open(folder) as dataset:
-        plan = campaign_now(dataset, newest_campaign(folder))
+        plan = current_campaign(dataset, newest_campaign(folder))
         assert plan.todo(dataset.episodes()) == []
         return plan.skipped
 
@@ -174,7 +175,7 @@ def test_a_cancel_while_a_skip_waits_for_room_does_not_lose_it(
     collect, tmp_path, monkeypatch, refusals
 ):
     """There is room for it again at the end; or there is not: then the card says what to do."""
-    delete, refused = LabelBook.delete, []
+    delete, refused = LabelStore.delete, []
 
     def full(self, *args):
         if len(refused) < refusals:
@@ -182,7 +183,7 @@ def test_a_cancel_while_a_skip_waits_for_room_does_not_lose_it(
             raise FaultError(Fault("DISK-FULL", "The disk is full.", "Not saved.", "Room."))
         delete(self, *args)
 
-    monkeypatch.setattr(LabelBook, "delete", full)
+    monkeypatch.setattr(LabelStore, "delete", full)
     facts, (uuid,), _ = collect(skip_the_probe, lambda session: session.engine.cancel(), Paused)
     assert facts[-1].ending == "cancelled"
     decided = [fact.decision for fact in facts if isinstance(fact, EpisodeDecided)]
@@ -203,5 +204,5 @@ def test_a_skipped_probe_that_is_brought_back_is_done(collect, tmp_path):
     _, (uuid,), _ = collect(skip_the_probe)
     with Dataset.open(tmp_path / "ds", person="ann") as dataset:
         dataset.labels.restore("ann", uuid)
-        plan = campaign_now(dataset, newest_campaign(tmp_path / "ds"))
+        plan = current_campaign(dataset, newest_campaign(tmp_path / "ds"))
         assert plan.todo(dataset.episodes()) == []

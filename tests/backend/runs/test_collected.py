@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.config.method import CollectSettings
-from backend.core.flow import Episode, EpisodeQuality, Recording
-from backend.runs.collected import Origin, last_signals, measured
+from touchdown.backend.config.method import CollectSettings
+from touchdown.backend.core.values import Episode, EpisodeQuality, Recording
+from touchdown.backend.runs.collector import BottomOrigin, last_signals, measure_offset
 
 
 def test_the_label_is_where_the_arm_was_at_contact_seen_from_the_origin() -> None:
@@ -19,7 +19,7 @@ def test_the_label_is_where_the_arm_was_at_contact_seen_from_the_origin() -> Non
     observation = np.zeros((20, 258), np.float32)
     episode = Episode("e", "pot", observation, np.array([7.0, 9.0]), 1.04, quality, recording)
     settings = CollectSettings(arm_sigma_mm=0.02, grip_sigma_mm=0.03)
-    found = measured(episode, Origin(8.5, -1.25, 0.06), settings)
+    found = measure_offset(episode, BottomOrigin(8.5, -1.25, 0.06), settings)
     assert found.offset_mm == pytest.approx((1.62, -2.95))
     assert found.contact_mm == pytest.approx(20.92)
     assert found.sigma_mm == pytest.approx(0.07)

@@ -8,18 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from backend.calibration.applied import NOWHERE
-from backend.config.method import StackSettings
-from backend.core.flow import Pose
-from backend.dataset.coverage import coverage
-from backend.objects.catalogue import load_catalogue
-from backend.objects.shapes import circle
-from backend.runs.campaign import Campaign
-from backend.runs.collected import Origin
-from backend.runs.collecting import Collector
-from backend.runs.gate import Decisions
+from touchdown.backend.calibration.applied import UNCALIBRATED
+from touchdown.backend.config.method import StackSettings
+from touchdown.backend.core.values import Pose
+from touchdown.backend.episodes.quality import count_coverage
+from touchdown.backend.geometry.outlines import circle
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.bench import PendingDecision
+from touchdown.backend.runs.campaign import Campaign
+from touchdown.backend.runs.collector import BottomOrigin, Collector
 
-SEEN = coverage(np.empty((0, 2)), circle(15.0), circle(25.0))
+SEEN = count_coverage(np.empty((0, 2)), circle(15.0), circle(25.0))
 
 
 class Reached(Exception):  # noqa: N818
@@ -28,7 +27,7 @@ class Reached(Exception):  # noqa: N818
 
 def collector(*entries: Any) -> Collector:
     campaign = Campaign("c", "pot", "circle25", "random", 2, 5, skipped=(4,))
-    return Collector(campaign, None, Decisions(), SEEN, list(entries))  # type: ignore[arg-type]
+    return Collector(campaign, None, PendingDecision(), SEEN, list(entries))  # type: ignore[arg-type]
 
 
 def test_a_probe_goes_to_its_displacement_from_the_origin() -> None:
@@ -40,12 +39,12 @@ def test_a_probe_goes_to_its_displacement_from_the_origin() -> None:
 
     bench: Any = SimpleNamespace(
         settings=StackSettings(),
-        piece=load_catalogue().top("pot"),
-        placed=NOWHERE,
+        piece=load_pieces().top("pot"),
+        placed=UNCALIBRATED,
         real_time=False,
         arm=SimpleNamespace(move_to=move_to),
     )
-    origin = Origin(10.0, -4.0, 0.1)
+    origin = BottomOrigin(10.0, -4.0, 0.1)
     with pytest.raises(Reached):
         list(collector()._probe(bench, 0, (1.5, -2.25), origin, 21.0))
     above_mm = StackSettings().probe.start_height_mm

@@ -9,18 +9,24 @@ from pathlib import Path
 
 import pytest
 
-from backend.assembly import simulated_session
-from backend.core.facts import EpisodeRecorded, FaultRaised, Paused, Released, RunFinished
-from backend.core.faults import RefusedError
-from backend.core.flow import Outcome
-from backend.dataset.episode_reading import read_episode
-from backend.runs.requests import RunState, SceneChoice
-from backend.session import Keep
-from backend.simulation.disturbances import Disturbance, Script
 from tests.backend.brisk import brisk_bench
 from tests.backend.runs.oracle_bench import OracleSession, request
 from tests.backend.runs.test_hand import hold, order, position
 from tests.backend.runs.test_stack import last_trial
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.core.events import (
+    EpisodeRecorded,
+    FaultRaised,
+    Paused,
+    Released,
+    RunFinished,
+)
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.emulation.disturbances import Disturbance, DisturbanceScript
+from touchdown.backend.episodes.episode_file import read_episode
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import RunState, SceneChoice
 
 MOST_S = 40.0
 
@@ -49,7 +55,9 @@ class Slowed(OracleSession):
     def fail(self, kind: str) -> None:
         """Let the wrist sensor fail from now on, for good."""
         bench = self.benches[-1]
-        bench._script = Script((Disturbance("force_torque", kind, self.session.clock_s()),))
+        bench._script = DisturbanceScript(
+            (Disturbance("force_torque", kind, self.session.clock_s()),)
+        )
 
 
 @pytest.mark.parametrize(
@@ -79,7 +87,9 @@ def test_a_sensor_lost_while_its_run_stands_degraded_ends_it_and_keeps_the_probe
 
 
 def test_with_a_slow_sensor_the_arm_only_jogs_away_and_holds_what_it_holds() -> None:
-    made = simulated_session(brisk_bench(faults=("force_torque:slow=300@0",)), keep=Keep(None))
+    made = simulated_session(
+        brisk_bench(faults=("force_torque:slow=300@0",)), keep=RecordingOptions(None)
+    )
     made.prepare(SceneChoice(estimates=False))
     while made.clock_s() < 1.3:
         made.advance()

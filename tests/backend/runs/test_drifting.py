@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.assembly import simulated_session
-from backend.core.facts import EpisodeRecorded, Noticed
-from backend.core.flow import FINGERS, Pose
-from backend.core.stream import SampleStream, Stream
-from backend.devices.protocols import GripStatus
-from backend.runs.drifting import DriftTeller, Place
-from backend.runs.requests import ProbeRequest, SceneChoice
-from backend.sensing.live import LiveSensing, RawStreams
 from tests.backend.brisk import brisk_bench, brisk_method
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.core.events import EpisodeRecorded, Noticed
+from touchdown.backend.core.streams import SampleStream, Stream
+from touchdown.backend.core.values import FINGERS, Pose
+from touchdown.backend.devices.protocols import GripStatus
+from touchdown.backend.runs.calibrations import DriftMonitor, DriftScene
+from touchdown.backend.runs.requests import ProbeRequest, SceneChoice
+from touchdown.backend.sensing.live import LiveSensing, RawStreams
 
 SURFACE_MM = 30.0
 
@@ -31,8 +31,8 @@ class Bench:
         self.now_s, self.force_n, self.told = 0.0, -15.0, list[Noticed]()
         self.at, self.grip = Pose(0.0, 0.0, SURFACE_MM + 3.0), GripStatus(24.0, 10.0, True)
         self._rng = np.random.default_rng(3)
-        place = Place(lambda: self.now_s, self, self, lambda: SURFACE_MM)  # type: ignore[arg-type]
-        self._teller = DriftTeller(place, self.sensing, self.told.append)  # type: ignore[arg-type]
+        place = DriftScene(lambda: self.now_s, self, self, lambda: SURFACE_MM)  # type: ignore[arg-type]
+        self._teller = DriftMonitor(place, self.sensing, self.told.append)  # type: ignore[arg-type]
 
     def pose(self, _max_age_s: float) -> Pose:
         return self.at

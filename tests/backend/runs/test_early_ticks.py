@@ -2,12 +2,12 @@
 
 import pytest
 
-from backend.config.method import EARLY_TICKS, PolicySettings
-from backend.core.facts import ActionChosen, Fact
-from backend.core.flow import ContactPatch, Episode
-from backend.core.hush import Hush
 from tests.backend.brisk import brisk_method
 from tests.backend.runs.oracle_bench import Oracle, OracleSession, request
+from touchdown.backend.config.method import EARLY_TICKS, PolicySettings
+from touchdown.backend.core.events import ActionChosen, Event
+from touchdown.backend.core.scheduling import RepaintHold
+from touchdown.backend.core.values import ContactPatch, Episode
 
 
 @pytest.mark.parametrize("preset", ["quiet", "hard"])
@@ -29,9 +29,9 @@ def test_nobody_draws_beside_a_decision(monkeypatch: pytest.MonkeyPatch) -> None
     method = brisk_method().model_copy(update={"policy": PolicySettings(max_probes=1)})
     bench = OracleSession(preset="quiet", method=method)
     session, after = bench.session, []
-    session.hush = Hush(lambda: 0.0)
+    session.hush = RepaintHold(lambda: 0.0)
 
-    def choose(fact: Fact) -> None:
+    def choose(fact: Event) -> None:
         if isinstance(fact, ActionChosen):
             after.append(session.hush.on)
 

@@ -6,30 +6,30 @@ from collections.abc import Callable
 
 import pytest
 
-from backend.core.clock import HandClock
-from backend.core.facts import Fact, FaultRaised, Paused, RunFinished, RunStarted, Said
-from backend.core.faults import Fault, InputError, RefusedError
-from backend.core.hub import Hub
-from backend.devices.interlock import Interlock
-from backend.runs.engine import Engine
-from backend.runs.plan import (
+from touchdown.backend.core.clock import ManualClock
+from touchdown.backend.core.event_bus import EventBus
+from touchdown.backend.core.events import Event, FaultRaised, Paused, RunFinished, RunStarted, Said
+from touchdown.backend.core.faults import Fault, InputError, RefusedError
+from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.runs.engine import Engine
+from touchdown.backend.runs.plan import (
     CancelledError,
-    Checkpoint,
+    PausePoint,
     Plan,
     StoppedError,
-    Waiting,
-    stopped_words,
+    Wait,
+    stopped_message,
 )
-from backend.runs.requests import RunState
+from touchdown.backend.runs.requests import RunState
 
 
 class Rig:
     """An engine on a hand-wound clock, and everything it published."""
 
     def __init__(self) -> None:
-        self.clock, self.hub, self.interlock = HandClock(), Hub(), Interlock()
+        self.clock, self.hub, self.interlock = ManualClock(), EventBus(), Interlock()
         self.engine = Engine(self.hub, self.interlock, self.clock.now_s)
-        self.facts: list[Fact] = []
+        self.facts: list[Event] = []
         self.hub.subscribe(self.facts.append)
 
     def advance(self) -> None:
@@ -53,16 +53,16 @@ def started() -> RunStarted:
     return RunStarted(0.0, "r1", "pot", "short", "paper", 0, 1, True, "{}")
 
 
-def waits(now_s: Callable[[], float], seconds: float) -> Waiting:
+def waits(now_s: Callable[[], float], seconds: float) -> Wait:
     until_s = now_s() + seconds
-    return Waiting(lambda: now_s() >= until_s, 100.0, "time")
+    return Wait(lambda: now_s() >= until_s, 100.0, "time")
 
 
 def two_steps(rig: Rig) -> Plan[str]:
     yield started()
     try:
         for name in ("one", "two"):
-            yield Checkpoint()
+            yield PausePoint()
             yield Said(rig.clock.now_s(), name)
             yield waits(rig.clock.now_s, 0.1)
     except CancelledError:
@@ -154,7 +154,7 @@ def test_a_plan_may_end_itself_in_an_orderly_way_after_stop(rig: Rig) -> None:
 def test_a_wait_that_never_ends_becomes_a_latched_fault(rig: Rig) -> None:
     def plan() -> Plan[None]:
         yield started()
-        yield Waiting(lambda: False, 1.0, "a device that is dead")
+        yield Wait(lambda: False, 1.0, "a device that is dead")
 
     with pytest.raises(Exception, match="a device that is dead"):
         rig.engine.run(plan(), rig.advance)
@@ -274,7 +274,7 @@ def told_to_its_end(rig: Rig) -> Plan[str]:
     yield started()
     try:
         while True:
-            yield Checkpoint()
+            yield PausePoint()
             yield waits(rig.clock.now_s, 0.1)
     except StoppedError as cause:
         yield Said(rig.clock.now_s(), str(cause))
@@ -299,5 +299,5 @@ def test_a_stopped_run_tells_how_its_trial_ended_also_out_of_a_pause(
 
 
 def test_a_stop_that_was_reset_before_anybody_asked_names_nobody() -> None:
-    assert stopped_words("F12") == "stopped by F12"
-    assert stopped_words("") == "stopped"
+    assert stopped_message("F12") == "stopped by F12"
+    assert stopped_message("") == "stopped"

@@ -11,29 +11,28 @@ from types import SimpleNamespace
 
 import pytest
 
-from backend.catalogue import diskspace
-from backend.core.facts import (
+from tests.backend.runs.oracle_bench import OracleSession, request
+from touchdown.backend.annotations import storage
+from touchdown.backend.core.events import (
     EpisodeRecorded,
-    Fact,
+    Event,
     FaultRaised,
     Paused,
     PhaseEntered,
     RunFinished,
     TrialFinished,
 )
-from backend.core.faults import InputError
-from backend.core.flow import Outcome
-from backend.dataset.episode_reading import read_episode
-from backend.runs.fact_codec import encode
-from backend.runs.journal import Journal, read_journal
-from backend.runs.requests import RunState
-from tests.backend.runs.oracle_bench import OracleSession, request
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.episodes.episode_file import read_episode
+from touchdown.backend.runs.event_log import EventLog, encode_event, read_events
+from touchdown.backend.runs.requests import RunState
 
 ROOT = Path(__file__).resolve().parents[3]
 CHILD = """
 import json, resource, sys
 from pathlib import Path
-from backend.core.facts import EpisodeRecorded, Paused
+from touchdown.backend.core.events import EpisodeRecorded, Paused
 from tests.backend.runs.oracle_bench import OracleSession, request
 
 bench = OracleSession(runs=Path(sys.argv[1]))
@@ -55,7 +54,7 @@ print(json.dumps([codes, bench.benches[-1].truth().stands, str(bench.session.run
 """
 
 
-def _stacked(folder: Path, seed: int, then: str) -> tuple[list[str], bool, list[Fact]]:
+def _stacked(folder: Path, seed: int, then: str) -> tuple[list[str], bool, list[Event]]:
     """Return (codes of the faults that are latched, whether the piece stands, what was told)."""
     done = subprocess.run(
         [sys.executable, "-c", CHILD, str(folder), str(seed), then],
@@ -66,7 +65,7 @@ def _stacked(folder: Path, seed: int, then: str) -> tuple[list[str], bool, list[
     )
     assert done.stderr == ""
     codes, stands, run = json.loads(done.stdout)
-    return codes, stands, list(read_journal(Path(run)))
+    return codes, stands, list(read_events(Path(run)))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits of POSIX")
@@ -113,7 +112,7 @@ def test_a_run_is_refused_below_1_gb_and_pauses_before_the_next_probe_below_half
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     usage = SimpleNamespace(free=900_000_000)
-    monkeypatch.setattr(diskspace.shutil, "disk_usage", lambda _place: usage)
+    monkeypatch.setattr(storage.shutil, "disk_usage", lambda _place: usage)
     bench = OracleSession(runs=tmp_path)
     with pytest.raises(InputError, match=r"Only 0\.90 GB are free; recording needs 1\.00 GB"):
         bench.session.run(request())
@@ -122,7 +121,7 @@ def test_a_run_is_refused_below_1_gb_and_pauses_before_the_next_probe_below_half
     usage.free = 10**12
     states: list[tuple[RunState, str]] = []
 
-    def watch(fact: Fact) -> None:
+    def watch(fact: Event) -> None:
         if isinstance(fact, EpisodeRecorded):
             usage.free = 420_000_000
         elif isinstance(fact, Paused):
@@ -146,23 +145,23 @@ def test_a_journal_without_room_is_held_in_memory_and_written_in_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = OracleSession(runs=tmp_path)
-    plain, full = Journal._append, []
+    plain, full = EventLog._append, []
 
-    def torn(journal: Journal, line: dict[str, object]) -> None:
+    def torn(journal: EventLog, line: dict[str, object]) -> None:
         if full:
             journal._file.write(b'{"torn":')
             journal._file.flush()
             raise OSError(errno.ENOSPC, "No space left on device")
         plain(journal, line)
 
-    def watch(fact: Fact) -> None:
+    def watch(fact: Event) -> None:
         if isinstance(fact, PhaseEntered) and fact.phase == "press":
             full.append(fact)
         elif isinstance(fact, Paused):
             full.clear()
             bench.session.engine.resume()
 
-    monkeypatch.setattr(Journal, "_append", torn)
+    monkeypatch.setattr(EventLog, "_append", torn)
     bench.session.hub.subscribe(watch)
     bench.session.run(request())
     folder = bench.session.run_folder
@@ -173,5 +172,7 @@ def test_a_journal_without_room_is_held_in_memory_and_written_in_order(
         "store",
         "store",
     ]
-    assert [encode(fact) for fact in read_journal(folder)] == [encode(fact) for fact in bench.facts]
+    assert [encode_event(fact) for fact in read_events(folder)] == [
+        encode_event(fact) for fact in bench.facts
+    ]
     assert bench.session.interlock.faults == ()

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.emulators.gel_pictures import other_gel, small_dots
-from backend.runs.gel_check import GelCheck
 from tests.backend.runs.gel_bench import LOOKS, Gel, GelBench
+from touchdown.backend.bench.gelsight_emulator import other_gel, small_dots
+from touchdown.backend.runs.calibrations import GelCheck
 
 FINE = {finger: Gel(look, 3 + seed) for seed, (finger, look) in enumerate(LOOKS.items())}
 LEFT = LOOKS["left"]

@@ -5,16 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.assembly import simulated_session
-from backend.core.facts import Refused, Said
-from backend.core.faults import Fault, RefusedError
-from backend.core.flow import Pose
-from backend.devices.interlock import LEASE_S
-from backend.devices.jog import JogOrder
-from backend.devices.jog_axes import TOOL_SIGNS, way_of
-from backend.runs.requests import ProbeRequest, SceneChoice, StackRequest
-from backend.session import Keep
 from tests.backend.brisk import brisk_bench
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.core.events import Refused, Said
+from touchdown.backend.core.faults import Fault, RefusedError
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.interlock import LEASE_S
+from touchdown.backend.devices.jog import TOOL_SIGNS, JogOrder, way_of
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import ProbeRequest, SceneChoice, StackRequest
 
 STEP_S = 0.02
 MOST_S = 0.3
@@ -22,7 +21,7 @@ MOST_S = 0.3
 
 @pytest.fixture
 def session():
-    made = simulated_session(brisk_bench(), keep=Keep(None))
+    made = simulated_session(brisk_bench(), keep=RecordingOptions(None))
     made.prepare(SceneChoice(estimates=False))
     for _ in range(30):
         made.advance()

@@ -7,26 +7,33 @@ from collections.abc import Callable
 
 import pytest
 
-from backend.assembly import simulated_session
-from backend.catalogue.dataset import Dataset
-from backend.core.facts import Fact, HandOverAwaited, MountingAwaited, PhaseEntered, RunFinished
-from backend.runs.campaign import newest_campaign, read_campaign
-from backend.runs.requests import CollectRequest
-from backend.session import Keep, Session
 from tests.backend.brisk import brisk_bench, brisk_method
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.bench.session import Session
+from touchdown.backend.core.events import (
+    Event,
+    HandOverAwaited,
+    MountingAwaited,
+    PhaseEntered,
+    RunFinished,
+)
+from touchdown.backend.runs.campaign import newest_campaign, read_campaign
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import CollectRequest
 
 
-def collected(dataset: Dataset, answer: Callable[[Fact], bool], **asked):
+def collected(dataset: Dataset, answer: Callable[[Event], bool], **asked):
     """Collect by hand-over; returns the session, the facts, and what was asked when."""
     session: Session = simulated_session(
-        brisk_bench("quiet"), keep=Keep(None), method=brisk_method()
+        brisk_bench("quiet"), keep=RecordingOptions(None), method=brisk_method()
     )
     session.dataset = dataset
-    facts: list[Fact] = []
+    facts: list[Event] = []
     session.hub.subscribe(facts.append)
     asked_of: list[tuple[str, bool]] = []
 
-    def hold(fact: Fact) -> None:
+    def hold(fact: Event) -> None:
         if isinstance(fact, MountingAwaited):
             asked_of.append((f"fitted since {fact.mounting}", session.hand.holding))
             session.answer(answer(fact))

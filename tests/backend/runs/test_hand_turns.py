@@ -6,17 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.assembly import simulated_session
-from backend.core.facts import Refused
-from backend.core.faults import Fault, RefusedError
-from backend.core.flow import FINGERS, Pose
-from backend.core.turning import tilt_rad, turn_of, vector_of
-from backend.devices.interlock import LEASE_S, Limits
-from backend.devices.jog import JogOrder
-from backend.devices.jog_axes import JOINTS, TURNS
-from backend.devices.turn_limits import falls_mm, refuse_place, refuse_turning
-from backend.runs.requests import ProbeRequest, SceneChoice
-from backend.session import Keep
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.core.events import Refused
+from touchdown.backend.core.faults import Fault, RefusedError
+from touchdown.backend.core.rotations import pose_rotation, rotation_vector, tilt_rad
+from touchdown.backend.core.values import FINGERS, Pose
+from touchdown.backend.devices.interlock import LEASE_S, Limits
+from touchdown.backend.devices.jog import JOINTS, TURNS, JogOrder
+from touchdown.backend.devices.jog_limits import falls_mm, refuse_place, refuse_turning
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import ProbeRequest, SceneChoice
 
 STEP_S = 0.02
 FIVE, FAST = math.radians(5.0), math.radians(15.0)
@@ -24,7 +23,7 @@ FIVE, FAST = math.radians(5.0), math.radians(15.0)
 
 @pytest.fixture
 def session():
-    made = simulated_session(keep=Keep(None))
+    made = simulated_session(keep=RecordingOptions(None))
     made.prepare(SceneChoice(estimates=False))
     for finger in FINGERS:
         # No picture is drawn that nobody looks at, and nobody waits for one.
@@ -88,11 +87,11 @@ def steps(session, axis, distance, frame="XYZ", speed=FAST):
 def test_a_held_turn_turns_about_its_axis_and_a_release_ends_it(high):
     where = pose(high)
     for number, axis in enumerate(TURNS, 1):
-        before = turn_of(pose(high))
+        before = pose_rotation(pose(high))
         hold(high, 0.5, axis, number=number)
         high.hand.jog.end(number)
         rest(high)
-        turned = vector_of(turn_of(pose(high)) @ before.T)
+        turned = rotation_vector(pose_rotation(pose(high)) @ before.T)
         at = TURNS.index(axis)
         assert 0.5 * FIVE * 0.48 < turned[at] < FIVE * 0.5
         assert np.delete(turned, at) == pytest.approx([0.0, 0.0], abs=1e-9)
@@ -193,7 +192,7 @@ def test_a_turn_ends_where_the_hand_leans_as_far_as_it_may(high):
     with pytest.raises(RefusedError, match=r"LIMIT|JOG-ENDED"):
         hold(high, 3.0, "rx", math.radians(15.0))
     rest(high)
-    lean = tilt_rad(turn_of(pose(high)))
+    lean = tilt_rad(pose_rotation(pose(high)))
     assert most - math.radians(0.5) < lean <= most + 1e-6
     assert not [f for f in facts if isinstance(f, Refused) and f.reason != "LIMIT"]
 

@@ -11,73 +11,73 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.core import facts, flow
-from backend.core.faults import Fault, InputError
-from backend.runs.journal import NAME, Journal, read_journal
+from touchdown.backend.core import events, values
+from touchdown.backend.core.faults import Fault, InputError
+from touchdown.backend.runs.event_log import EVENT_LOG_NAME, EventLog, read_events
 
-EPISODE = flow.Episode(
+EPISODE = values.Episode(
     episode_id="e1",
     piece="pot",
     observation=np.arange(20 * 258, dtype=np.float32).reshape(20, 258),
     offset_mm=np.array([1.5, -2.25]),
     onset_s=3.25,
-    quality=flow.EpisodeQuality(True, (), 1, 0.01, 0, 12.5, 0.02),
+    quality=values.EpisodeQuality(True, (), 1, 0.01, 0, 12.5, 0.02),
     metadata=(("grip_id", "g1"),),
 )
-PATCH = flow.ContactPatch(np.array([[0.0, 1.0], [2.0, 3.0]]), np.array([0.1, 0.9]))
-BELIEF = flow.BeliefMap(
+PATCH = values.ContactPatch(np.array([[0.0, 1.0], [2.0, 3.0]]), np.array([0.1, 0.9]))
+BELIEF = values.BeliefMap(
     np.linspace(-3, 3, 12).reshape(3, 4), np.eye(3, 4, dtype=bool), (-1.0, 2.0), 1.0, 2
 )
-STABILITY = flow.Stability(
-    True, 0.75, flow.SupportKind.AREA, np.array([[0.0, 0], [1, 0], [0, 1]]), (0.2, 0.3), "belief"
+STABILITY = values.Stability(
+    True, 0.75, values.SupportKind.AREA, np.array([[0.0, 0], [1, 0], [0, 1]]), (0.2, 0.3), "belief"
 )
-ACTION = flow.PlaceAction("shift", (1.0, -2.0), (4.0, 5.0), True, "why")
-FALL = flow.Fall(np.array([0.0, 0.1]), np.zeros((2, 1, 7)), ("pot",))
+ACTION = values.PlaceAction("shift", (1.0, -2.0), (4.0, 5.0), True, "why")
+FALL = values.Fall(np.array([0.0, 0.1]), np.zeros((2, 1, 7)), ("pot",))
 ALL = [
-    facts.RunStarted(0.0, "r", "pot", "short", "paper", 7, 2, True, "{}"),
-    facts.TrialStarted(0.1, 1, 7, (1.0, 2.0)),
-    facts.TrialStarted(0.1, 1, 7, None),
-    facts.PhaseEntered(0.2, "press", 1),
-    facts.EpisodeRecorded(0.3, EPISODE, 1, "e1.mcap"),
-    facts.PatchEstimated(0.4, PATCH, (1.5, -2.25), 1),
-    facts.BeliefUpdated(0.5, BELIEF, 1),
-    facts.StabilityJudged(0.6, STABILITY, 1),
-    facts.StabilityJudged(
+    events.RunStarted(0.0, "r", "pot", "short", "paper", 7, 2, True, "{}"),
+    events.TrialStarted(0.1, 1, 7, (1.0, 2.0)),
+    events.TrialStarted(0.1, 1, 7, None),
+    events.PhaseEntered(0.2, "press", 1),
+    events.EpisodeRecorded(0.3, EPISODE, 1, "e1.mcap"),
+    events.PatchEstimated(0.4, PATCH, (1.5, -2.25), 1),
+    events.BeliefUpdated(0.5, BELIEF, 1),
+    events.StabilityJudged(0.6, STABILITY, 1),
+    events.StabilityJudged(
         0.6,
-        flow.Stability(
-            False, -math.inf, flow.SupportKind.NONE, np.zeros((0, 2)), (0.0, 0.0), "patch"
+        values.Stability(
+            False, -math.inf, values.SupportKind.NONE, np.zeros((0, 2)), (0.0, 0.0), "patch"
         ),
         1,
     ),
-    facts.ActionChosen(0.7, ACTION, 1, 3.5),
-    facts.ApprovalAwaited(0.8, dataclasses.replace(ACTION, target_mm=None), 1),
-    facts.Released(0.9, 1, False, -1.25, FALL),
-    facts.Released(0.9, 1, True, None, None),
-    facts.TrialFinished(1.0, 1, 7, flow.Outcome.FELL, "because", 3, None, -1.25),
-    facts.CalibrationMeasured(
+    events.ActionChosen(0.7, ACTION, 1, 3.5),
+    events.ApprovalAwaited(0.8, dataclasses.replace(ACTION, target_mm=None), 1),
+    events.Released(0.9, 1, False, -1.25, FALL),
+    events.Released(0.9, 1, True, None, None),
+    events.TrialFinished(1.0, 1, 7, values.Outcome.FELL, "because", 3, None, -1.25),
+    events.CalibrationMeasured(
         2.9, "payload", ("mass_kg",), (1.5,), (0.01,), ("kg",), (0.1, 0.05), 0.1, 0.3, "N", "", ""
     ),
-    facts.FaultRaised(1.1, Fault("X", "what", "so", "then", "arm")),
-    facts.FaultsReset(1.2),
-    facts.Progress(1.3, 1, 2, "half"),
-    facts.Said(1.4, "words"),
-    facts.RunFinished(1.5, "r", "finished", "done"),
-    facts.CampaignBegan(1.6, "c", "s", "/data", 3, 20),
-    facts.Gripped(1.7, 1, 2, 16.5),
-    facts.OriginChecked(1.8, (0.1, -0.2), 0.05, True),
-    facts.DecisionAwaited(1.9, "u", 4),
-    facts.HandOverAwaited(1.95, "pot", gives=True),
-    facts.MountingAwaited(1.97, "circle15", 2),
-    facts.ProbeCollected(
+    events.FaultRaised(1.1, Fault("X", "what", "so", "then", "arm")),
+    events.FaultsReset(1.2),
+    events.Progress(1.3, 1, 2, "half"),
+    events.Said(1.4, "words"),
+    events.RunFinished(1.5, "r", "finished", "done"),
+    events.CampaignBegan(1.6, "c", "s", "/data", 3, 20),
+    events.Gripped(1.7, 1, 2, 16.5),
+    events.OriginChecked(1.8, (0.1, -0.2), 0.05, True),
+    events.DecisionAwaited(1.9, "u", 4),
+    events.HandOverAwaited(1.95, "pot", gives=True),
+    events.MountingAwaited(1.97, "circle15", 2),
+    events.ProbeCollected(
         2.0, "u", 4, 1, 4, 20, (1.0, 2.0), (1.1, 2.1), 0.15, (1.0, 2.0, 0.1, 0.2, 9.0), 0.0, 0.1, ""
     ),
-    facts.Refused(2.2, "IN-CONTACT", "words"),
-    facts.EpisodeDecided(2.1, "u", 4, "keep", "ann"),
-    facts.Paused(2.3, Fault("DISK-LOW", "what", "so", "then", "disk")),
-    facts.Noticed(2.35, Fault("FT-DRIFT", "what", "so", "then", "force_torque")),
-    facts.SetUpAwaited(2.4, "pot", "short", (1.0, -2.0), holds=False),
-    facts.OutcomeAwaited(2.5, flow.Outcome.PLACED, "why"),
-    facts.PhotoKept(2.6, 1, "trial-1.jpg"),
+    events.Refused(2.2, "IN-CONTACT", "words"),
+    events.EpisodeDecided(2.1, "u", 4, "keep", "ann"),
+    events.Paused(2.3, Fault("DISK-LOW", "what", "so", "then", "disk")),
+    events.Noticed(2.35, Fault("FT-DRIFT", "what", "so", "then", "force_torque")),
+    events.SetUpAwaited(2.4, "pot", "short", (1.0, -2.0), holds=False),
+    events.OutcomeAwaited(2.5, values.Outcome.PLACED, "why"),
+    events.PhotoKept(2.6, 1, "trial-1.jpg"),
 ]
 
 
@@ -92,7 +92,7 @@ def same(a: object, b: object) -> bool:
 
 
 def written(folder: Path) -> Path:
-    journal = Journal(folder)
+    journal = EventLog(folder)
     for fact in ALL:
         journal(fact)
     journal.close()
@@ -102,14 +102,14 @@ def written(folder: Path) -> Path:
 def test_every_kind_of_fact_is_in_the_test() -> None:
     kinds = {
         value
-        for value in vars(facts).values()
-        if isinstance(value, type) and issubclass(value, facts.Fact) and value is not facts.Fact
+        for value in vars(events).values()
+        if isinstance(value, type) and issubclass(value, events.Event) and value is not events.Event
     }
     assert kinds == {type(fact) for fact in ALL}
 
 
 def test_all_facts_come_back_equal(tmp_path: Path) -> None:
-    back = list(read_journal(written(tmp_path / "run")))
+    back = list(read_events(written(tmp_path / "run")))
     assert len(back) == len(ALL)
     for before, after in zip(ALL, back, strict=True):
         assert same(before, after), type(before).__name__
@@ -117,20 +117,20 @@ def test_all_facts_come_back_equal(tmp_path: Path) -> None:
 
 def test_a_torn_last_line_costs_that_line_only(tmp_path: Path) -> None:
     folder = written(tmp_path / "run")
-    content = (folder / NAME).read_bytes()
+    content = (folder / EVENT_LOG_NAME).read_bytes()
     lines = content.splitlines(keepends=True)
     for cut in (1, 10, len(lines[-1]) - 1):
-        (folder / NAME).write_bytes(content[:-cut])
-        assert len(list(read_journal(folder))) == len(ALL) - 1
+        (folder / EVENT_LOG_NAME).write_bytes(content[:-cut])
+        assert len(list(read_events(folder))) == len(ALL) - 1
 
 
 def test_damage_in_the_middle_names_file_and_line(tmp_path: Path) -> None:
     folder = written(tmp_path / "run")
-    lines = (folder / NAME).read_bytes().splitlines(keepends=True)
+    lines = (folder / EVENT_LOG_NAME).read_bytes().splitlines(keepends=True)
     lines[5] = b'{"kind": "PatchEst\n'
-    (folder / NAME).write_bytes(b"".join(lines))
+    (folder / EVENT_LOG_NAME).write_bytes(b"".join(lines))
     with pytest.raises(InputError, match="line 6"):
-        list(read_journal(folder))
+        list(read_events(folder))
 
 
 @pytest.mark.parametrize(
@@ -143,34 +143,34 @@ def test_damage_in_the_middle_names_file_and_line(tmp_path: Path) -> None:
 )
 def test_a_forged_array_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
     folder = written(tmp_path / "run")
-    lines = (folder / NAME).read_bytes().splitlines()
+    lines = (folder / EVENT_LOG_NAME).read_bytes().splitlines()
     line = json.loads(lines[6])
     line["patch"]["probability"].update(change)
     lines[6] = json.dumps(line).encode()
-    (folder / NAME).write_bytes(b"\n".join(lines) + b"\n")
+    (folder / EVENT_LOG_NAME).write_bytes(b"\n".join(lines) + b"\n")
     with pytest.raises(InputError, match="Damaged fact PatchEstimated"):
-        list(read_journal(folder))
+        list(read_events(folder))
 
 
 def test_foreign_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no run journal"):
-        list(read_journal(tmp_path))
-    (tmp_path / NAME).write_text('{"program": "other"}\n')
+        list(read_events(tmp_path))
+    (tmp_path / EVENT_LOG_NAME).write_text('{"program": "other"}\n')
     with pytest.raises(InputError, match="not a Touchdown journal"):
-        list(read_journal(tmp_path))
+        list(read_events(tmp_path))
 
 
 def test_an_existing_run_is_never_written_over(tmp_path: Path) -> None:
     written(tmp_path / "run")
     with pytest.raises(FileExistsError):
-        Journal(tmp_path / "run")
+        EventLog(tmp_path / "run")
 
 
 def test_each_fact_is_on_the_disk_before_the_next_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At every sync of the file all lines so far are in it, and each line has a sync of its own."""
-    path, synced = tmp_path / "run" / NAME, []
+    path, synced = tmp_path / "run" / EVENT_LOG_NAME, []
     fsync = os.fsync
 
     def noted(handle: int) -> None:
@@ -179,7 +179,7 @@ def test_each_fact_is_on_the_disk_before_the_next_one(
         fsync(handle)
 
     monkeypatch.setattr(os, "fsync", noted)
-    journal = Journal(tmp_path / "run")
+    journal = EventLog(tmp_path / "run")
     for fact in ALL[:3]:
         journal(fact)
     assert synced == [1, 2, 3, 4]

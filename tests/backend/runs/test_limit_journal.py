@@ -5,21 +5,23 @@ from dataclasses import replace
 
 import pytest
 
-from backend.assembly import SimulatedBenchChoice, simulated_session
-from backend.core.facts import Said
-from backend.core.faults import InputError, RefusedError
-from backend.devices.interlock import Limits
-from backend.devices.jog import JogOrder
-from backend.runs.limit_journal import NAME, write_change
-from backend.runs.requests import SceneChoice
-from backend.session import Keep
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
+from touchdown.backend.core.events import Said
+from touchdown.backend.core.faults import InputError, RefusedError
+from touchdown.backend.devices.interlock import Limits
+from touchdown.backend.devices.jog import JogOrder
+from touchdown.backend.runs.event_log import LIMIT_LOG_NAME, log_limit_change
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import SceneChoice
 
 LOWER = replace(Limits(), jog_mm_s=30.0)
 
 
 @pytest.fixture
 def session(tmp_path):
-    made = simulated_session(SimulatedBenchChoice(preset="quiet"), keep=Keep(tmp_path / "runs"))
+    made = simulated_session(
+        SimulatedBenchChoice(preset="quiet"), keep=RecordingOptions(tmp_path / "runs")
+    )
     made.prepare(SceneChoice(estimates=False))
     for _ in range(60):
         made.advance()
@@ -28,12 +30,12 @@ def session(tmp_path):
 
 
 def lines(folder):
-    return [json.loads(line) for line in (folder / NAME).read_text().splitlines()]
+    return [json.loads(line) for line in (folder / LIMIT_LOG_NAME).read_text().splitlines()]
 
 
 def test_each_change_is_one_line_with_before_and_after(tmp_path):
-    write_change(tmp_path, "Bench 2", "anna", Limits(), LOWER)
-    write_change(tmp_path, "Bench 2", "ben", LOWER, replace(LOWER, press_n=20.0))
+    log_limit_change(tmp_path, "Bench 2", "anna", Limits(), LOWER)
+    log_limit_change(tmp_path, "Bench 2", "ben", LOWER, replace(LOWER, press_n=20.0))
     first, second = lines(tmp_path)
     assert (first["bench"], first["person"]) == ("Bench 2", "anna")
     assert first["changed"] == {"jog_mm_s": [50.0, 30.0]}

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from backend.config.method import StackSettings
-from backend.core.stream import SampleStream
-from backend.devices.interlock import ReleaseEvidence
-from backend.devices.protocols import GripStatus
-from backend.runs.motions import release_evidence
+from touchdown.backend.config.method import StackSettings
+from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.devices.interlock import ReleaseEvidence
+from touchdown.backend.devices.protocols import GripStatus
+from touchdown.backend.runs.motions import release_evidence
 
 NOW_S, JUDGED_S = 10.0, 8.75
 

@@ -5,14 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.core.facts import ActionChosen, EpisodeRecorded, StabilityJudged, TrialFinished
-from backend.core.flow import Outcome
-from backend.objects.catalogue import load_catalogue
 from tests.backend.runs.oracle_bench import OracleSession, request
+from touchdown.backend.core.events import (
+    ActionChosen,
+    EpisodeRecorded,
+    StabilityJudged,
+    TrialFinished,
+)
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.geometry.pieces import load_pieces
 
 
 def test_a_mug_is_released_with_its_centre_of_mass_over_the_support() -> None:
-    com = np.array(load_catalogue().top("mug").com_xy_mm)
+    com = np.array(load_pieces().top("mug").com_xy_mm)
     bench = OracleSession(preset="quiet")
     bench.session.run(request(piece="mug"))
     (end,) = bench.of(TrialFinished)

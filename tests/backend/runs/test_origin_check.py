@@ -7,16 +7,15 @@ import json
 import numpy as np
 import pytest
 
-from backend.core.facts import OriginChecked, RunFinished
-from backend.dataset.contents import read_first
-from backend.runs.collected import Origin
-from backend.runs.motions import take_piece
-from backend.runs.origin_check import Check, check_origin
-from backend.runs.requests import SceneChoice
-from backend.simulation.conditions import true_offset_mm
 from tests.backend.brisk import PROBE, brisk_method
 from tests.backend.runs.blind_bench import BlindBench
 from tests.backend.runs.test_collect import collecting
+from touchdown.backend.core.events import OriginChecked, RunFinished
+from touchdown.backend.episodes.mcap import read_first
+from touchdown.backend.runs.collector import BottomOrigin, OriginCheck, check_origin
+from touchdown.backend.runs.motions import take_piece
+from touchdown.backend.runs.requests import SceneChoice
+from touchdown.backend.simulation.conditions import true_offset_mm
 
 pytestmark = pytest.mark.slow
 # Some thirty touches, each from 1 mm above instead of 3: the way through the air is no claim.
@@ -28,10 +27,10 @@ def test_an_origin_that_is_right_agrees() -> None:
 
     def grip_and_check(bench):
         yield from take_piece(bench)
-        return (yield from check_origin(bench, Origin(0.0, 0.0, 0.1)))
+        return (yield from check_origin(bench, BottomOrigin(0.0, 0.0, 0.1)))
 
     check = blind.run(grip_and_check)
-    assert isinstance(check, Check)
+    assert isinstance(check, OriginCheck)
     assert check.agrees
     assert np.abs(check.residual_mm - blind.centres_mm[0]).max() <= 0.15
 

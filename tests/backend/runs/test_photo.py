@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from backend.core.faults import InputError
-from backend.runs.photo import keep_photo
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.runs.recorder import keep_photo
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from backend.assembly import simulated_session
-from backend.core.facts import Fact, PhaseEntered, RunFinished
-from backend.runs.requests import ProbeRequest, SceneChoice
-from backend.session import Keep
 from tests.backend.brisk import brisk_bench, brisk_method
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.core.events import Event, PhaseEntered, RunFinished
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import ProbeRequest, SceneChoice
 
 
 def test_after_the_piece_was_let_go_a_probe_says_that_and_what_to_do() -> None:
-    session = simulated_session(brisk_bench("quiet"), keep=Keep(None), method=brisk_method())
+    session = simulated_session(
+        brisk_bench("quiet"), keep=RecordingOptions(None), method=brisk_method()
+    )
     session.prepare(SceneChoice(estimates=False))
-    facts: list[Fact] = []
+    facts: list[Event] = []
     session.hub.subscribe(facts.append)
     assert session.hand is not None
     for order in (lambda hand: hand.grip(8.0), lambda hand: hand.open(confirmed=True)):

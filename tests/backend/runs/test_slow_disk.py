@@ -5,10 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from backend.runs import store as store_module
-from backend.runs.plan import Waiting
-from backend.runs.room import durable
-from backend.runs.store import RunStore
+from touchdown.backend.runs import recorder as store_module
+from touchdown.backend.runs.plan import Wait
+from touchdown.backend.runs.recorder import RunStore, wait_until_durable
 
 
 @pytest.fixture
@@ -25,9 +24,9 @@ def slow(tmp_path, monkeypatch):
 
 def test_a_plan_goes_on_waiting_by_steps_until_the_episode_is_written(slow):
     store, done = slow
-    plan = durable(SimpleNamespace(store=store, real_time=True))
+    plan = wait_until_durable(SimpleNamespace(store=store, real_time=True))
     waiting = next(plan)
-    assert isinstance(waiting, Waiting)
+    assert isinstance(waiting, Wait)
     assert not waiting.until()
     done.set()
     store._pending.result(30.0)
@@ -41,5 +40,5 @@ def test_a_stepped_bench_lets_no_time_of_its_own_pass(slow):
     store, done = slow
     threading.Timer(0.05, done.set).start()
     with pytest.raises(StopIteration) as ended:
-        next(durable(SimpleNamespace(store=store, real_time=False)))
+        next(wait_until_durable(SimpleNamespace(store=store, real_time=False)))
     assert ended.value.value.name == "one.mcap"

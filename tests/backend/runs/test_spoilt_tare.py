@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from backend.core.facts import Fact, FaultRaised, PhaseEntered, TrialFinished
-from backend.core.flow import Outcome
-from backend.runs.motions import REFERENCE_S
-from backend.simulation.disturbances import Disturbance, Script
 from tests.backend.runs.oracle_bench import OracleSession, request
+from touchdown.backend.core.events import Event, FaultRaised, PhaseEntered, TrialFinished
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.emulation.disturbances import Disturbance, DisturbanceScript
+from touchdown.backend.runs.motions import REFERENCE_S
 
 BURST_S, EVERY_S = 0.15, 0.25
 """Shorter than what counts as silent, and no window of a tare is free of it."""
@@ -16,13 +16,13 @@ def spoil(bench: OracleSession, bursts: int) -> list[float]:
     """Let so many bursts without a number begin with the first reference; return when it began."""
     began: list[float] = []
 
-    def hear(fact: Fact) -> None:
+    def hear(fact: Event) -> None:
         if isinstance(fact, PhaseEntered) and fact.phase == "reference" and not began:
             began.append(fact.t_s)
             # The first one lies in the window of the first try.
             at = [fact.t_s + 0.4 + EVERY_S * n for n in range(bursts)]
             found = (Disturbance("force_torque", "nan", t_s, BURST_S) for t_s in at)
-            bench.benches[-1]._script = Script(tuple(found))
+            bench.benches[-1]._script = DisturbanceScript(tuple(found))
 
     bench.session.hub.subscribe(hear)
     return began
@@ -38,7 +38,7 @@ def test_a_spoilt_tare_is_taken_again() -> None:
     bench = OracleSession()
     began = spoil(bench, bursts)
 
-    def enough(fact: Fact) -> None:
+    def enough(fact: Event) -> None:
         if isinstance(fact, PhaseEntered) and fact.phase == "approach":
             bench.session.stop()
 

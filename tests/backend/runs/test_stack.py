@@ -8,13 +8,20 @@ from pathlib import Path
 
 import pytest
 
-from backend.config.method import FusedSettings, PolicySettings, StackSettings, TowerSettings
-from backend.core.facts import (
+from tests.backend.brisk import brisk_method
+from tests.backend.runs.oracle_bench import Oracle, OracleSession, request
+from touchdown.backend.config.method import (
+    FusedSettings,
+    PolicySettings,
+    StackSettings,
+    TowerSettings,
+)
+from touchdown.backend.core.events import (
     ActionChosen,
     ApprovalAwaited,
     BeliefUpdated,
     EpisodeRecorded,
-    Fact,
+    Event,
     FaultRaised,
     PatchEstimated,
     PhaseEntered,
@@ -26,17 +33,13 @@ from backend.core.facts import (
     TrialFinished,
     TrialStarted,
 )
-from backend.core.flow import ContactPatch, Episode, Outcome
-from backend.dataset.episode_reading import read_episode
-from backend.devices.melfa.link_faults import VOID
-from backend.devices.motion import CommandedMotion
-from backend.devices.protocols import PressCommand
-from backend.devices.sim.arm import SimArm
-from backend.devices.sim.motion import SimPressMotion
-from backend.runs.excuse import excused_by
-from backend.runs.journal import Journal, read_journal
-from tests.backend.brisk import brisk_method
-from tests.backend.runs.oracle_bench import Oracle, OracleSession, request
+from touchdown.backend.core.values import ContactPatch, Episode, Outcome
+from touchdown.backend.devices.melfa.faults import VOID
+from touchdown.backend.devices.protocols import CommandedMotion, PressCommand
+from touchdown.backend.episodes.episode_file import read_episode
+from touchdown.backend.runs.event_log import EventLog, read_events
+from touchdown.backend.runs.outcome import excusing_fault
+from touchdown.backend.simulation.devices.arm import SimArm, SimPressMotion
 
 PROBE = (PatchEstimated, BeliefUpdated, StabilityJudged, ActionChosen)
 
@@ -86,7 +89,7 @@ def test_the_journal_gives_the_run_back_and_every_episode_is_on_disk(whole: Orac
     bench = whole
     folder = bench.session.run_folder
     assert folder is not None
-    back = list(read_journal(folder))
+    back = list(read_events(folder))
     assert [type(f) for f in back] == [type(f) for f in bench.facts]
     for fact, oracle in zip(bench.of(EpisodeRecorded), bench.oracles[0].asked, strict=True):
         assert isinstance(fact, EpisodeRecorded)
@@ -156,11 +159,11 @@ def test_without_contact_only_a_strategy_that_asks_for_it_presses_elsewhere() ->
     assert not bench.of(EpisodeRecorded)
 
 
-def after(bench: OracleSession, kind: type[Fact], phase: str, act: object) -> None:
+def after(bench: OracleSession, kind: type[Event], phase: str, act: object) -> None:
     """Call ``act`` once when a fact of ``kind`` (and phase) is published."""
     done = threading.Event()
 
-    def listen(fact: Fact) -> None:
+    def listen(fact: Event) -> None:
         match = isinstance(fact, kind) and getattr(fact, "phase", phase) == phase
         if match and not done.is_set():
             done.set()
@@ -176,7 +179,7 @@ def test_stop_in_every_phase_ends_the_run_and_keeps_the_piece(phase: str) -> Non
     bench.session.run(request())
     assert last_trial(bench).outcome is Outcome.ABORTED
     assert last_trial(bench).probes == len(bench.of(PatchEstimated)), "only what was felt counts"
-    assert excused_by(last_trial(bench), phase) == ""
+    assert excusing_fault(last_trial(bench), phase) == ""
     end = bench.facts[-1]
     assert isinstance(end, RunFinished)
     assert end.ending == "stopped"
@@ -229,12 +232,12 @@ def test_a_failing_sensor_ends_in_one_clear_fault(
     assert isinstance(raised, FaultRaised)
     assert (raised.fault.code, raised.fault.device) == (code, device)
     phase = [f for f in bench.of(PhaseEntered) if isinstance(f, PhaseEntered)][-1].phase
-    assert excused_by(last_trial(bench), phase) == ("" if code == "FT-TRIP" else code)
+    assert excusing_fault(last_trial(bench), phase) == ("" if code == "FT-TRIP" else code)
     for letting_go in ("release", "rise"):
-        assert excused_by(last_trial(bench), letting_go) == ""
+        assert excusing_fault(last_trial(bench), letting_go) == ""
     assert bench.benches[-1].gripper.status().holding
     assert folder is not None
-    assert isinstance(list(read_journal(folder))[-1], RunFinished)
+    assert isinstance(list(read_events(folder))[-1], RunFinished)
 
 
 def test_a_short_nan_burst_voids_the_probe_and_the_run_goes_on() -> None:
@@ -251,7 +254,7 @@ def test_approve_mode_moves_only_after_a_yes_and_judges_again() -> None:
     bench = OracleSession()
     asked: list[str] = []
 
-    def answer(fact: Fact) -> None:
+    def answer(fact: Event) -> None:
         if isinstance(fact, ApprovalAwaited):
             asked.append(fact.action.kind)
             force = bench.session.wrench.latest(bench.session.clock_s(), 1.0)[1][2]
@@ -345,16 +348,16 @@ def test_a_disk_that_fails_stops_the_run_and_keeps_what_was_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after_facts: int
 ) -> None:
     bench = OracleSession(runs=tmp_path)
-    plain = Journal._append
+    plain = EventLog._append
     written: list[int] = []
 
-    def failing(journal: Journal, line: dict[str, object]) -> None:
+    def failing(journal: EventLog, line: dict[str, object]) -> None:
         written.append(1)
         if len(written) > after_facts + 1:
             raise OSError(errno.EIO, "Input/output error")
         plain(journal, line)
 
-    monkeypatch.setattr(Journal, "_append", failing)
+    monkeypatch.setattr(EventLog, "_append", failing)
     bench.session.run(request())
     folder = bench.session.run_folder
     bench.session.close()
@@ -362,7 +365,7 @@ def test_a_disk_that_fails_stops_the_run_and_keeps_what_was_written(
     assert last_trial(bench).outcome is Outcome.ABORTED
     assert bench.benches[-1].truth().stands is None
     assert folder is not None
-    assert len(list(read_journal(folder))) == after_facts
+    assert len(list(read_events(folder))) == after_facts
 
 
 @pytest.mark.parametrize(("voids", "outcome"), [(2, Outcome.PLACED), (3, Outcome.ABORTED)])
@@ -380,7 +383,7 @@ def test_a_void_press_is_made_again_but_not_for_ever(
     monkeypatch.setattr(SimArm, "press", remembered)
     bench = OracleSession(rate_hz=25.0)
 
-    def lose(fact: Fact) -> None:
+    def lose(fact: Event) -> None:
         if isinstance(fact, PhaseEntered) and fact.phase == "press" and len(pressing) <= voids:
             pressing[-1].end(VOID)
 

@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass, replace
 
-from backend.assembly import SimulatedBenchChoice, simulated_session
-from backend.core.faults import Fault
-from backend.devices.protocols import DeviceState
-from backend.runs.requests import SceneChoice
-from backend.session import Keep
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
+from touchdown.backend.core.faults import Fault
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import SceneChoice
 
 POWER = Fault("WSG-DEVICE", "Its supply voltage is out of range.", "It stands.", "Look at it.")
 
@@ -20,7 +20,7 @@ class Failing:
 
 
 def test_a_fault_of_a_device_is_latched_with_the_next_step():
-    session = simulated_session(SimulatedBenchChoice(), keep=Keep(None))
+    session = simulated_session(SimulatedBenchChoice(), keep=RecordingOptions(None))
     session.prepare(SceneChoice("pot", ("short",), 1))
     scene, gripper = session._scene, Failing()
     devices = {**scene.stage.devices, "gripper": gripper}

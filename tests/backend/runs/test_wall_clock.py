@@ -8,25 +8,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.assembly import simulated_session
-from backend.catalogue.dataset import Dataset
-from backend.core.facts import Fact, PhaseEntered, Said
-from backend.runs.journal import read_journal
-from backend.runs.recording import CLOCK_SET
-from backend.runs.requests import CollectRequest
-from backend.session import Keep
 from tests.backend.brisk import brisk_bench, brisk_method
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.core.events import Event, PhaseEntered, Said
+from touchdown.backend.runs.event_log import read_events
+from touchdown.backend.runs.recorder import CLOCK_SET, RecordingOptions
+from touchdown.backend.runs.requests import CollectRequest
 
 HOUR_NS = 3600 * 1_000_000_000
 
 
 def recorded(folder: Path, monkeypatch: pytest.MonkeyPatch, back_ns: int) -> tuple[bytes, int]:
     """Collect one probe during whose press the clock is set back; its numbers and its time."""
-    keep = Keep(folder / "runs", episodes=False)
+    keep = RecordingOptions(folder / "runs", episodes=False)
     session = simulated_session(brisk_bench("quiet"), keep=keep, method=brisk_method())
     clock, clock_ns = time.time, time.time_ns
 
-    def set_back(fact: Fact) -> None:
+    def set_back(fact: Event) -> None:
         if isinstance(fact, PhaseEntered) and fact.phase == "press":
             monkeypatch.setattr(time, "time", lambda: clock() - 1e-9 * back_ns)
             monkeypatch.setattr(time, "time_ns", lambda: clock_ns() - back_ns)
@@ -40,7 +39,7 @@ def recorded(folder: Path, monkeypatch: pytest.MonkeyPatch, back_ns: int) -> tup
     session.close()
     monkeypatch.undo()
     (run,) = (folder / "runs").iterdir()
-    told = [fact.text for fact in read_journal(run) if isinstance(fact, Said)]
+    told = [fact.text for fact in read_events(run) if isinstance(fact, Said)]
     jumps = [text for text in told if "clock of this computer" in text]
     assert jumps == ([CLOCK_SET.format(-1e-9 * back_ns)] if back_ns else [])
     assert np.isfinite(episode.observation).all()

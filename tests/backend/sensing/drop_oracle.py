@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from backend.core.flow import FINGERS, Finger, MarkerField, Recording
-from backend.sensing.episode import assemble
+from touchdown.backend.core.values import FINGERS, Finger, MarkerField, Recording
+from touchdown.backend.sensing.episode import assemble_episode
 
 ONSET_S, PERIOD_S, COUNT = 5.0, 0.04, 60
 ONSET_US, TICKS_US = 5_000_000, tuple(range(5_100_000, 7_000_001, 100_000))
@@ -71,7 +71,7 @@ def broken(patterns: int, whole: Recording, seed: int = 5) -> tuple[list[str], i
         kind = KINDS[pattern % len(KINDS)]
         kept = {finger: _kept(kind, rng) for finger in FINGERS}
         came = [field for field in fields if kept[field.finger][field.sequence]]
-        episode = assemble(
+        episode = assemble_episode(
             replace(whole, fields=tuple(came)), onset_s=ONSET_S, offset_mm=np.zeros(2), piece="pot"
         )
         told: dict[Finger, Expected] = {

@@ -16,8 +16,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from backend.core.flow import TactileFrame
-from backend.sensing.markers import MarkerTracker
+from touchdown.backend.core.values import TactileFrame
+from touchdown.backend.sensing.tracker import MarkerTracker
 
 GELSIGHT = Path(__file__).resolve().parents[2] / "data" / "gelsight"
 REST_FRAME = GELSIGHT / "nocontact_train_sensor.png"

@@ -6,14 +6,18 @@ import cv2
 import numpy as np
 import pytest
 
-from backend.assembly import make_scene
-from backend.config.simulation import SimulationSettings
-from backend.core.faults import InputError
-from backend.objects.board import DOTS_MM
-from backend.objects.catalogue import load_catalogue
-from backend.runs.requests import SceneChoice
-from backend.sensing.board import Homography, calibrate, fit_homography
-from backend.simulation.scene_camera import camera_matrix, picture
+from touchdown.backend.bench.assembly import make_scene
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.geometry.outlines import BOARD_DOTS_MM
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.requests import SceneChoice
+from touchdown.backend.sensing.scene_camera import (
+    Homography,
+    calibrate_scene_camera,
+    fit_homography,
+)
+from touchdown.backend.simulation.scene_camera import camera_matrix, render_scene
 
 TRUE = camera_matrix()[:, [0, 1, 3]] / camera_matrix()[2, 3]
 
@@ -21,7 +25,7 @@ TRUE = camera_matrix()[:, [0, 1, 3]] / camera_matrix()[2, 3]
 @pytest.fixture(scope="module")
 def scene():
     choice = SceneChoice("pot", ("circle25",), 3, jig=True)
-    return make_scene(load_catalogue(), choice, SimulationSettings())
+    return make_scene(load_pieces(), choice, SimulationSettings())
 
 
 def test_exact_points_give_the_homography_and_its_inverse() -> None:
@@ -46,16 +50,16 @@ def test_noisy_points_leave_a_residual() -> None:
 
 
 def test_a_picture_of_the_bench_is_a_calibration(scene) -> None:
-    fitted = calibrate(picture(scene, (-80.0, 0.0), 0.0, 3.0))
+    fitted = calibrate_scene_camera(render_scene(scene, (-80.0, 0.0), 0.0, 3.0))
     there = np.array([[0.0, 0.0], [12.5, 0.0], [0.0, -12.5], [-9.0, 9.0]])
     assert np.abs(fitted.to_px(there) - Homography(TRUE, 0.0).to_px(there)).max() < 0.5
     assert Homography.parse(fitted.text()).text() == fitted.text()
 
 
 def test_the_face_is_drawn_where_the_homography_says(scene) -> None:
-    fitted = calibrate(picture(scene, (-80.0, 0.0), 0.0, 3.0))
-    with_piece = picture(scene, (6.0, -4.0), 0.0, 0.0).astype(int)
-    without = picture(scene, (500.0, 0.0), 0.0, 0.0).astype(int)
+    fitted = calibrate_scene_camera(render_scene(scene, (-80.0, 0.0), 0.0, 3.0))
+    with_piece = render_scene(scene, (6.0, -4.0), 0.0, 0.0).astype(int)
+    without = render_scene(scene, (500.0, 0.0), 0.0, 0.0).astype(int)
     changed = np.argwhere(np.abs(with_piece - without).sum(axis=2) > 0)[:, ::-1]
     ring = np.array([6.0, -4.0]) + scene.piece.face.polygon(200)
     # The lowest edge of the piece in the picture is the near side of its face.
@@ -73,12 +77,12 @@ def test_points_on_a_line_and_hidden_dots_are_refused(scene) -> None:
     line = np.column_stack([np.arange(6.0), 2 * np.arange(6.0)])
     with pytest.raises(InputError, match="line"):
         fit_homography(line, line)
-    image = picture(scene, (-80.0, 0.0), 0.0, 3.0)
-    x, y = Homography(TRUE, 0.0).to_px(DOTS_MM[:1])[0].astype(int)
+    image = render_scene(scene, (-80.0, 0.0), 0.0, 3.0)
+    x, y = Homography(TRUE, 0.0).to_px(BOARD_DOTS_MM[:1])[0].astype(int)
     hidden = image.copy()
     hidden[y - 30 : y + 30, x - 30 : x + 30] = 0
     with pytest.raises(InputError, match="3 dots are seen"):
-        calibrate(hidden)
+        calibrate_scene_camera(hidden)
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"matrix": [1], "residual_px": 0}',

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.sensing.drift import NAMED_N, Drift, DriftWatch
+from touchdown.backend.sensing.zeroing import NAMED_N, DriftWatch, WrenchDrift
 
 WEIGHT_N = np.array([0.3, -0.2, -15.2])
 NOISE_N = 0.1
@@ -114,10 +114,10 @@ def test_samples_that_are_no_numbers_are_left_out() -> None:
     for k in range(600):
         t_s = 0.02 * k + np.array([0.01, 0.02])
         watch.feed(t_s, np.array([[np.nan] * 3, [0.0, 0.0, 1.0]]))
-    assert watch.drift() == Drift(0.0, pytest.approx(watch.drift().over_s))
+    assert watch.drift() == WrenchDrift(0.0, pytest.approx(watch.drift().over_s))
 
 
 def test_the_words_of_a_drift() -> None:
-    assert Drift(0.124, 42.2).words() == "drift 0.12 N in 42 s"
-    assert Drift(0.124, 240.0).words() == "drift 0.12 N in 4 min"
-    assert Drift(0.124, 240.0).text() == "0.124 N in 240.0 s"
+    assert WrenchDrift(0.124, 42.2).words() == "drift 0.12 N in 42 s"
+    assert WrenchDrift(0.124, 240.0).words() == "drift 0.12 N in 4 min"
+    assert WrenchDrift(0.124, 240.0).text() == "0.124 N in 240.0 s"

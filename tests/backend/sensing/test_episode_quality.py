@@ -5,9 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.core.flow import FINGERS, Episode, Finger, MarkerField, MarkerState, Recording
-from backend.sensing.episode import EpisodeLimits, assemble
 from tests.backend.sensing.drop_oracle import broken
+from touchdown.backend.core.values import (
+    FINGERS,
+    Episode,
+    Finger,
+    MarkerField,
+    MarkerState,
+    Recording,
+)
+from touchdown.backend.sensing.episode import EpisodeLimits, assemble_episode
 
 ONSET_S = 5.0
 
@@ -45,7 +52,9 @@ def record(by_finger: dict[Finger, list[MarkerField]], press_n: float = 7.8) -> 
 
 
 def build(recording: Recording) -> Episode:
-    return assemble(recording, onset_s=ONSET_S, offset_mm=np.array([3.0, -1.0]), piece="pot")
+    return assemble_episode(
+        recording, onset_s=ONSET_S, offset_mm=np.array([3.0, -1.0]), piece="pot"
+    )
 
 
 def test_a_good_probe_is_accepted() -> None:
@@ -131,7 +140,7 @@ def test_a_bridged_tick_is_named() -> None:
 
 def test_a_limit_of_nan_or_bad_position_refuses() -> None:
     recording = record(frames())
-    strict = assemble(
+    strict = assemble_episode(
         recording,
         onset_s=ONSET_S,
         offset_mm=np.zeros(2),
@@ -139,7 +148,9 @@ def test_a_limit_of_nan_or_bad_position_refuses() -> None:
         limits=EpisodeLimits(contact_n=float("nan")),
     )
     assert not strict.quality.accepted
-    nowhere = assemble(recording, onset_s=ONSET_S, offset_mm=np.array([0.0, np.nan]), piece="pot")
+    nowhere = assemble_episode(
+        recording, onset_s=ONSET_S, offset_mm=np.array([0.0, np.nan]), piece="pot"
+    )
     assert not nowhere.quality.accepted
 
 

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from backend.sensing.assignment import assign_rest, nearest_dots, out_of_order
-from backend.sensing.detector import Blobs
-from backend.sensing.grid import order_grid
+from touchdown.backend.sensing.detector import Blobs, order_grid
+from touchdown.backend.sensing.tracker import assign_rest, nearest_dots, out_of_order
 
 
 def lattice(rows: int, cols: int, pitch: float = 32.0) -> np.ndarray:

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from backend.core.flow import Recording
-from backend.sensing.loading import slip_since_loading
+from touchdown.backend.core.values import Recording
+from touchdown.backend.sensing.slip import slip_since_loading
 
 STIFFNESS_N_MM = 8.0
 ONSET_S = 1.0

@@ -3,10 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.core.flow import MarkerField, MarkerState, TactileFrame
-from backend.sensing.detector import Detector
-from backend.sensing.markers import MarkerTracker
-from backend.sensing.reference import take_reference
 from tests.backend.sensing.known_truth import (
     Case,
     bump_field,
@@ -16,6 +12,10 @@ from tests.backend.sensing.known_truth import (
     true_places,
     warp,
 )
+from touchdown.backend.core.values import MarkerField, MarkerState, TactileFrame
+from touchdown.backend.sensing.detector import Detector
+from touchdown.backend.sensing.tracker import MarkerTracker
+from touchdown.backend.sensing.zeroing import take_reference
 
 COVERED = np.array([2 * 9 + 5, 2 * 9 + 6, 2 * 9 + 7, 3 * 9 + 3, 3 * 9 + 4, 3 * 9 + 8])
 

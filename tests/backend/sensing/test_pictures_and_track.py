@@ -10,13 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from backend.core.faults import InputError
-from backend.core.flow import TactileFrame
-from backend.sensing.marker_overlay import draw_markers
-from backend.sensing.markers import MarkerTracker
-from backend.sensing.pictures import count_pictures, read_pictures
-from backend.verbs import track
-from backend.verbs.screen import Screen
 from tests.backend.sensing.known_truth import (
     GELSIGHT,
     REST_FRAME,
@@ -25,6 +18,12 @@ from tests.backend.sensing.known_truth import (
     true_places,
     warp,
 )
+from touchdown.backend.cli import track
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.values import TactileFrame
+from touchdown.backend.sensing.picture_files import count_pictures, draw_markers, read_pictures
+from touchdown.backend.sensing.tracker import MarkerTracker
 
 CLIP = GELSIGHT / "blue_box_exp2_camera_2.avi"
 
@@ -33,7 +32,7 @@ def call(*words: str, as_json: bool = True) -> str:
     parser = argparse.ArgumentParser()
     track.add_arguments(parser)
     stream = io.StringIO()
-    assert track.run(parser.parse_args(list(words)), Screen(json=as_json, stream=stream)) == 0
+    assert track.run(parser.parse_args(list(words)), VerbOutput(json=as_json, stream=stream)) == 0
     return stream.getvalue()
 
 

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.config.method import ProbeSettings
-from backend.config.simulation import SimulationSettings
-from backend.core.flow import FINGERS, MarkerField, Recording
-from backend.sensing.press_slip import press_slip_mm
-from backend.simulation import grasp, nuisance
-from backend.simulation.gel import build_gel
-from backend.simulation.mechanics import advance, begin
+from touchdown.backend.config.method import ProbeSettings
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.values import FINGERS, MarkerField, Recording
+from touchdown.backend.sensing.slip import press_slip_mm
+from touchdown.backend.simulation import conditions as nuisance
+from touchdown.backend.simulation import mechanics
+from touchdown.backend.simulation.marker_fields import build_gel
+from touchdown.backend.simulation.mechanics import advance_probes, begin_probes
 
 NOISE_PX = 0.05
 GRIP_HEIGHT_MM, WIDTH_MM = 33.0, 30.0
@@ -40,12 +41,14 @@ def pressed(mu_grip: float, count: int = 12) -> tuple[list[Recording], np.ndarra
         nuisance.draw_probe(spread, rng),
     )
     conditions = replace(
-        nuisance.conditions_of(spread, ProbeSettings(), GRIP_HEIGHT_MM, WIDTH_MM, [draw] * count),
+        nuisance.conditions_from_draws(
+            spread, ProbeSettings(), GRIP_HEIGHT_MM, WIDTH_MM, [draw] * count
+        ),
         mu_grip=np.full(count, mu_grip),
         slips=np.ones(count, dtype=bool),
         tilt_rad=rng.normal(0.0, 0.004, (count, 2)),
     )
-    state = begin(face_points(), Disc(), rng.uniform(-7, 7, (count, 2)), conditions)
+    state = begin_probes(face_points(), Disc(), rng.uniform(-7, 7, (count, 2)), conditions)
     gel = build_gel((0.058, 0.058))
     fields: list[list[MarkerField]] = [[] for _ in range(count)]
     times, heights = np.arange(-7, 51) * 0.04 + 0.013, []
@@ -54,11 +57,11 @@ def pressed(mu_grip: float, count: int = 12) -> tuple[list[Recording], np.ndarra
         command[:, 2] = -2.0 * t_s if t_s < 0 else -1.5 * min(1.0, t_s / 1.5)
         height, shown_px = command[:, 2], np.zeros((count, 2, 63, 2))
         if t_s > 0:
-            spring = grasp.springs(conditions, state.relaxed, 0.04)
-            state, solved = advance(state, command, 0.04)
+            spring = mechanics.springs(conditions, state.relaxed, 0.04)
+            state, solved = advance_probes(state, command, 0.04)
             unloaded = spring.hidden.copy()
             unloaded[:, :, :3] += solved.slip
-            zero = grasp.elastic_zero(command, unloaded, conditions.width_mm)
+            zero = mechanics.elastic_zero(command, unloaded, conditions.width_mm)
             height = height + (spring.give * (solved.q - zero)[:, :3])[:, 2]
             shown_px = gel.displacement_px(solved.strain, solved.normal_n, conditions.grip_force_n)
         heights.append(height)

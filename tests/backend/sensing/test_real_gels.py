@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from backend.core.flow import MarkerState
-from backend.sensing.markers import MarkerTracker
-from backend.sensing.pictures import read_pictures
 from tests.backend.sensing.known_truth import GELSIGHT, plain_detector
+from touchdown.backend.core.values import MarkerState
+from touchdown.backend.sensing.picture_files import read_pictures
+from touchdown.backend.sensing.tracker import MarkerTracker
 
 LARGE = (
     "artificial_strawberry_exp2_camera_0.avi",

@@ -3,13 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.core.faults import RefusedError
-from backend.core.flow import MarkerField, TactileFrame
-from backend.sensing.markers import MarkerTracker
-from backend.sensing.pictures import read_pictures
-from backend.sensing.reference import Reference, shape_change_px, take_reference
-from backend.sensing.slip import fit_rigid, slip_mm
 from tests.backend.sensing.known_truth import GELSIGHT
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.core.values import MarkerField, TactileFrame
+from touchdown.backend.sensing.picture_files import read_pictures
+from touchdown.backend.sensing.slip import fit_rigid, slip_mm
+from touchdown.backend.sensing.tracker import MarkerTracker
+from touchdown.backend.sensing.zeroing import TactileReference, shape_change_px, take_reference
 
 ROW, COL = np.divmod(np.arange(63), 9)
 GRID = np.stack([20 + 33.0 * COL, 18 + 32.0 * ROW], axis=1)
@@ -71,7 +71,7 @@ def test_moving_and_stretching_the_whole_grid_is_no_contact() -> None:
     stretch = np.array([[1.01, 0.02], [-0.02, 0.99]])
     moved = GRID @ stretch + [3.0, -2.0]
     assert shape_change_px(moved, GRID) == pytest.approx(0.0, abs=1e-9)
-    template = Reference("left", 0.0, GRID.copy(), np.zeros(63), 10)
+    template = TactileReference("left", 0.0, GRID.copy(), np.zeros(63), 10)
     take_reference([made(moved, k) for k in range(5)], template)
 
 

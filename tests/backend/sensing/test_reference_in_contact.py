@@ -9,28 +9,28 @@ import cv2
 import numpy as np
 import pytest
 
-from backend.assembly import simulated_session
-from backend.config.method import PolicySettings
-from backend.core.facts import Fact, PhaseEntered
-from backend.core.faults import InputError, RefusedError
-from backend.core.flow import FINGERS, TactileFrame
-from backend.core.stream import SampleStream, Stream
-from backend.emulators.gel_pictures import small_dots
-from backend.runs.requests import StackRequest
-from backend.sensing.live import LiveSensing, RawStreams
-from backend.sensing.pictures import read_pictures
-from backend.session import Keep
-from backend.verbs.track import rest_places
 from tests.backend.brisk import brisk_bench, brisk_method
 from tests.backend.sensing.known_truth import GELSIGHT, REST_FRAME, bump_field, rest_dots, warp
 from tests.backend.sensing.test_real_gels import LARGE
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.bench.gelsight_emulator import small_dots
+from touchdown.backend.cli.track import rest_reference
+from touchdown.backend.config.method import PolicySettings
+from touchdown.backend.core.events import Event, PhaseEntered
+from touchdown.backend.core.faults import InputError, RefusedError
+from touchdown.backend.core.streams import SampleStream, Stream
+from touchdown.backend.core.values import FINGERS, TactileFrame
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import StackRequest
+from touchdown.backend.sensing.live import LiveSensing, RawStreams
+from touchdown.backend.sensing.picture_files import read_pictures
 
 PRESSED = GELSIGHT / "cuboid_10-2-284.png"
 
 
 def test_a_real_gel_at_rest_is_accepted() -> None:
     table = np.loadtxt(GELSIGHT / "rest_positions.csv", delimiter=",", skiprows=1)
-    away = np.linalg.norm(rest_places(REST_FRAME).position_px - table[:, 2:], axis=1)
+    away = np.linalg.norm(rest_reference(REST_FRAME).position_px - table[:, 2:], axis=1)
     assert away.max() <= 0.3
 
 
@@ -40,18 +40,18 @@ def test_every_real_gel_in_contact_is_refused(name: str, tmp_path: Path) -> None
     first = tmp_path / f"{name}.png"
     cv2.imwrite(str(first), next(read_pictures(GELSIGHT / name)).image)
     with pytest.raises(InputError, match="no-contact shape") as refused:
-        rest_places(first)
+        rest_reference(first)
     assert refused.value.where == str(first)
     assert "--template" in refused.value.fix
 
 
 def test_a_gel_of_its_own_shape_is_checked_against_its_own_template() -> None:
     with pytest.raises(InputError, match="no-contact shape"):
-        rest_places(PRESSED, template=REST_FRAME)
+        rest_reference(PRESSED, template=REST_FRAME)
     # Of a sensor known by nothing but this picture it is the rest by what the user says.
-    assert rest_places(PRESSED, template=PRESSED).frames == 1
+    assert rest_reference(PRESSED, template=PRESSED).frames == 1
     with pytest.raises(InputError, match="no-contact shape"):
-        rest_places(REST_FRAME, template=PRESSED)
+        rest_reference(REST_FRAME, template=PRESSED)
 
 
 def test_a_gel_that_moves_is_refused(tmp_path: Path) -> None:
@@ -59,7 +59,7 @@ def test_a_gel_that_moves_is_refused(tmp_path: Path) -> None:
     for k, a in enumerate(np.linspace(0.0, 2.0, 10)):
         cv2.imwrite(str(tmp_path / f"{k}.png"), warp(image, bump_field, float(a)))
     with pytest.raises(InputError, match="moves by") as refused:
-        rest_places(tmp_path)
+        rest_reference(tmp_path)
     assert refused.value.where == str(tmp_path)
 
 
@@ -67,9 +67,9 @@ def test_both_simulated_fingers_are_accepted_in_air_and_refused_in_the_press(
     tmp_path: Path,
 ) -> None:
     once = brisk_method().model_copy(update={"policy": PolicySettings(max_probes=1)})
-    session = simulated_session(brisk_bench(), keep=Keep(None), method=once)
+    session = simulated_session(brisk_bench(), keep=RecordingOptions(None), method=once)
 
-    def grab(fact: Fact) -> None:
+    def grab(fact: Event) -> None:
         if isinstance(fact, PhaseEntered) and (fact.phase, fact.probe) in (
             ("approach", 1),
             ("lift", 1),
@@ -83,9 +83,9 @@ def test_both_simulated_fingers_are_accepted_in_air_and_refused_in_the_press(
     session.run(StackRequest("pot", ("short",), seed=7))
     session.close()
     for finger in FINGERS:
-        assert rest_places(tmp_path / f"approach-{finger}.png").frames == 1
+        assert rest_reference(tmp_path / f"approach-{finger}.png").frames == 1
         with pytest.raises(InputError, match="no-contact shape"):
-            rest_places(tmp_path / f"lift-{finger}.png")
+            rest_reference(tmp_path / f"lift-{finger}.png")
 
 
 def test_the_loop_refuses_a_later_reference_in_contact() -> None:

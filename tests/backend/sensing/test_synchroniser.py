@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.core.flow import FINGERS, Finger, MarkerField, MarkerState, Recording
-from backend.sensing.synchroniser import synchronise
+from touchdown.backend.core.values import FINGERS, Finger, MarkerField, MarkerState, Recording
+from touchdown.backend.sensing.episode import synchronise
 
 ONSET_S = 12.3456
 TICKS_S = ONSET_S + 0.1 * np.arange(1, 21)

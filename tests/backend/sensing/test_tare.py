@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.core.faults import FaultError
-from backend.sensing.tare import Tare, TareLimits, gripper_payload, take_tare
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.sensing.zeroing import Tare, TareLimits, gripper_payload, take_tare
 
 AIR = np.array([0.1, 0.1, 0.1, 0.004, 0.004, 0.004])
 T_S = np.arange(200) * 1e-3

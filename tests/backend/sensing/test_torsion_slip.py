@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.core.flow import FINGERS, MARKERS, MarkerField, MarkerState
-from backend.core.stream import Stream
-from backend.sensing.torsion_slip import TorsionSlip
-from backend.simulation.gel_look import load_look
+from touchdown.backend.core.streams import Stream
+from touchdown.backend.core.values import FINGERS, MARKERS, MarkerField, MarkerState
+from touchdown.backend.sensing.slip import TorsionSlipDetector
+from touchdown.backend.simulation.finger_camera import load_gel_appearance
 
-REST_PX = load_look().rest_px
+REST_PX = load_gel_appearance().rest_px
 PERIOD_S = 0.04
 
 
@@ -19,7 +19,7 @@ class Gels:
 
     def __init__(self):
         self.fields = {finger: Stream[MarkerField](finger, 256) for finger in FINGERS}
-        self.watch = TorsionSlip(self.fields)
+        self.watch = TorsionSlipDetector(self.fields)
         self._count = 0
 
     def show(self, left_rad, right_rad, lost=0):

@@ -8,11 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from backend.config.method import ProbeSettings
-from backend.config.simulation import SimulationSettings
-from backend.simulation import nuisance
-from backend.simulation.conditions import Conditions
-from backend.simulation.mechanics import ContactState, Solved, advance, begin
+from touchdown.backend.config.method import ProbeSettings
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.simulation import conditions
+from touchdown.backend.simulation.conditions import Conditions
+from touchdown.backend.simulation.mechanics import (
+    ContactState,
+    ProbeEquilibrium,
+    advance_probes,
+    begin_probes,
+)
 
 
 @dataclass(frozen=True)
@@ -45,23 +50,27 @@ def plain(count: int, grip_height_mm: float, **changes) -> Conditions:
     settings = SimulationSettings(preset="off")
     rng = np.random.default_rng(0)
     draw = (
-        nuisance.draw_mounting(settings, rng),
-        nuisance.draw_gripping(settings, 10.0, rng),
-        nuisance.draw_probe(settings, rng),
+        conditions.draw_mounting(settings, rng),
+        conditions.draw_gripping(settings, 10.0, rng),
+        conditions.draw_probe(settings, rng),
     )
-    made = nuisance.conditions_of(settings, ProbeSettings(), grip_height_mm, 30.0, [draw] * count)
+    made = conditions.conditions_from_draws(
+        settings, ProbeSettings(), grip_height_mm, 30.0, [draw] * count
+    )
     return replace(
         made,
         **{k: np.broadcast_to(v, getattr(made, k).shape).copy() for k, v in changes.items()},
     )
 
 
-def drive(state: ContactState, depths_mm, dt_s: float = 0.1) -> tuple[ContactState, list[Solved]]:
+def drive(
+    state: ContactState, depths_mm, dt_s: float = 0.1
+) -> tuple[ContactState, list[ProbeEquilibrium]]:
     solved = []
     for depth in depths_mm:
         command = np.zeros((state.conditions.count, 3))
         command[:, 2] = -np.asarray(depth)
-        state, now = advance(state, command, dt_s)
+        state, now = advance_probes(state, command, dt_s)
         solved.append(now)
     return state, solved
 
@@ -70,13 +79,13 @@ RAMP = 1.5 * np.minimum(1.0, 0.1 * np.arange(1, 21) / 1.5)
 
 
 @pytest.fixture
-def press() -> Callable[..., tuple[ContactState, list[Solved]]]:
+def press() -> Callable[..., tuple[ContactState, list[ProbeEquilibrium]]]:
     """Press pieces of one face diameter on one bottom along the standard ramp."""
 
     def run(top_mm, bottom, offsets, *, depths=RAMP, dt_s=0.1, pitch_mm=1.0, **changes):
         offsets = np.atleast_2d(np.asarray(offsets, dtype=float))
         made = plain(len(offsets), GRIP_HEIGHT_MM[top_mm], **changes)
-        state = begin(lattice(top_mm, pitch_mm), bottom, offsets, made, pitch_mm=pitch_mm)
+        state = begin_probes(lattice(top_mm, pitch_mm), bottom, offsets, made, pitch_mm=pitch_mm)
         return drive(state, depths, dt_s)
 
     return run

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.objects import shapes
-from backend.objects.shapes import Outline
-from backend.objects.tower import Body, Tower, Verdict, judge
-from backend.simulation.release_mujoco import differs, simulate_release
+from touchdown.backend.geometry import outlines
+from touchdown.backend.geometry.outlines import Outline
+from touchdown.backend.geometry.tower import Body, Tower, TowerVerdict, judge_tower
+from touchdown.backend.simulation.release_mujoco import contradicts_analysis, simulate_release
 
 SETS = {
     "fixed pair": (2, True, 120),
@@ -27,7 +27,7 @@ CLEAR_MM = 0.5
 class Opinions:
     """Of one stack: the judge's verdict and whether the engine saw a fall."""
 
-    verdict: Verdict
+    verdict: TowerVerdict
     fallen: bool
 
     @property
@@ -38,7 +38,7 @@ class Opinions:
     @property
     def beyond(self) -> bool:
         """Whether they do so farther from the edge than the engine's error."""
-        return differs(self.verdict, self.fallen)
+        return contradicts_analysis(self.verdict, self.fallen)
 
 
 def ask_both(name: str, share: float = 1.0) -> Iterator[Opinions]:
@@ -47,7 +47,7 @@ def ask_both(name: str, share: float = 1.0) -> Iterator[Opinions]:
     rng = np.random.default_rng(20)
     for _ in range(round(share * cases)):
         tower = stack(rng, count, fixed=fixed, yaw=not fixed)
-        verdict = judge(tower)
+        verdict = judge_tower(tower)
         near = abs(verdict.margin_mm) <= CLEAR_MM
         yield Opinions(verdict, simulate_release(tower, seconds=1.5 if near else 0.7)[0])
 
@@ -57,10 +57,10 @@ def outline(rng: np.random.Generator) -> Outline:
     kind = rng.integers(3)
     r = float(rng.uniform(7.5, 15.0))
     if kind == 0:
-        return shapes.circle(2 * r)
+        return outlines.circle(2 * r)
     if kind == 1:
-        return shapes.rectangle(2 * r, 2 * float(rng.uniform(7.5, 15.0)))
-    return shapes.regular(6, 2 * r)
+        return outlines.rectangle(2 * r, 2 * float(rng.uniform(7.5, 15.0)))
+    return outlines.regular_polygon(6, 2 * r)
 
 
 def body(rng: np.random.Generator, name: str, at_mm: tuple[float, float], *, yaw: bool) -> Body:

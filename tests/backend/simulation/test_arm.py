@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.simulation.arm import ArmDrive, Cycle, Press, PressLaw, Travel, Unload, travelled_mm
+from touchdown.backend.simulation.arm import (
+    ArmCycle,
+    ArmDrive,
+    PressLaw,
+    SimPress,
+    SimTravel,
+    SimUnload,
+    travelled_mm,
+)
 
 LAW = PressLaw(1.5, 1.5, 2.0, 2.0, 1.0, 11.0)
 CYCLE_S = 0.01
@@ -16,8 +24,8 @@ def cycle(k, force_n=None):
     start = k * CYCLE_S
     t_s = start - CYCLE_S + 0.001 * np.arange(1, 11)
     if force_n is None:
-        return Cycle(start, start + CYCLE_S, np.empty(0), np.empty(0))
-    return Cycle(start, start + CYCLE_S, t_s, force_n(t_s))
+        return ArmCycle(start, start + CYCLE_S, np.empty(0), np.empty(0))
+    return ArmCycle(start, start + CYCLE_S, t_s, force_n(t_s))
 
 
 @pytest.mark.parametrize(("length", "speed"), [(10.0, 20.0), (0.3, 20.0), (3.0, 50.0), (0.0, 5.0)])
@@ -34,7 +42,7 @@ def test_profile_is_smooth_monotone_and_ends_at_the_target(length, speed):
 
 def test_travel_takes_the_time_of_a_trapezoid():
     start, target = np.array([1.0, 2.0, 3.0]), np.array([4.0, 6.0, 3.0])
-    drive, travel = ArmDrive(start), Travel(start, target, 20.0)
+    drive, travel = ArmDrive(start), SimTravel(start, target, 20.0)
     drive.run(travel)
     k, seen = 0, []
     while not travel.done:
@@ -48,7 +56,7 @@ def test_travel_takes_the_time_of_a_trapezoid():
 
 def test_a_stalled_arm_stands_still_and_goes_on_afterwards():
     drive = ArmDrive(np.zeros(3))
-    travel = Travel(np.zeros(3), np.array([0.0, 0.0, 5.0]), 20.0)
+    travel = SimTravel(np.zeros(3), np.array([0.0, 0.0, 5.0]), 20.0)
     drive.run(travel)
     for k in range(10):
         drive.step(cycle(k), stalled=False)
@@ -67,7 +75,7 @@ def pressed(stiffness_n_mm, start_mm=3.0, noise=0.0, offset=14.7):
     rng = np.random.default_rng(1)
     air_s = np.arange(-450, 1) * 1e-3
     air = air_s, offset + noise * rng.standard_normal(len(air_s))
-    drive, press = ArmDrive(np.array([0.0, 0.0, start_mm])), Press(LAW, start_mm, 0.0, air)
+    drive, press = ArmDrive(np.array([0.0, 0.0, start_mm])), SimPress(LAW, start_mm, 0.0, air)
     drive.run(press)
     ends, heights = [0.0], [start_mm]
 
@@ -129,7 +137,7 @@ def test_what_the_descent_overshot_is_kept():
 def test_without_a_sensor_the_press_ends_after_its_travel(force):
     drive, press = (
         ArmDrive(np.array([0.0, 0.0, 40.0])),
-        Press(LAW, 40.0, 0.0, (np.empty(0), np.empty(0))),
+        SimPress(LAW, 40.0, 0.0, (np.empty(0), np.empty(0))),
     )
     drive.run(press)
     for k in range(700):
@@ -142,7 +150,7 @@ def test_without_a_sensor_the_press_ends_after_its_travel(force):
 
 def test_unload_stops_at_the_force_and_waits_while_nothing_is_heard():
     drive = ArmDrive(np.array([0.0, 0.0, -1.5]))
-    unload = Unload(1.0, 14.7, 2.0, -1.5)
+    unload = SimUnload(1.0, 14.7, 2.0, -1.5)
     drive.run(unload)
     for k in range(20):
         drive.step(cycle(k), stalled=False)
@@ -160,7 +168,7 @@ def test_unload_stops_at_the_force_and_waits_while_nothing_is_heard():
 
 def test_unload_gives_up_when_the_force_does_not_fall():
     drive = ArmDrive(np.zeros(3))
-    unload = Unload(1.0, 0.0, 2.0, 0.0)
+    unload = SimUnload(1.0, 0.0, 2.0, 0.0)
     drive.run(unload)
     for k in range(600):
         drive.step(cycle(k, lambda t: np.full(len(t), 20.0)), stalled=False)
@@ -170,7 +178,7 @@ def test_unload_gives_up_when_the_force_does_not_fall():
 
 def test_drop_stands_still():
     drive = ArmDrive(np.zeros(3))
-    drive.run(Travel(np.zeros(3), np.array([0.0, 0.0, 50.0]), 20.0))
+    drive.run(SimTravel(np.zeros(3), np.array([0.0, 0.0, 50.0]), 20.0))
     drive.step(cycle(0), stalled=False)
     drive.drop()
     before = drive.command_mm

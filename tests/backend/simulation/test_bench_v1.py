@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from backend.config.bench_facts import bench_sha256
-from backend.config.simulation import load_simulation
-from backend.objects.catalogue import load_catalogue
-from backend.objects.tower import Tower
-from backend.simulation.lockstep import Lockstep
-from backend.simulation.scene import Scene
+from touchdown.backend.config.bench_description import bench_sha256
+from touchdown.backend.config.simulation import load_simulation
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.tower import Tower
+from touchdown.backend.simulation.batch import BatchedTrials
+from touchdown.backend.simulation.scene import Scene
 
 BENCH = load_simulation(preset="bench-v1")
-FILE = files("resources") / "benches" / "bench-v1.toml"
+FILE = files("touchdown.resources") / "benches" / "bench-v1.toml"
 VALUES = "03b08d28746d933930486411c27c1a07f9008dc6be3d42fb07d1c2279d5e443b"
 PIECES = {
     "pot": "bdbb29d9d167befb",
@@ -50,16 +50,16 @@ def test_every_value_is_written_out_so_that_no_default_reaches_it() -> None:
 
 
 def test_the_pieces_of_the_tables_are_those_of_the_freezing() -> None:
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     named = {name: catalogue.piece(name).sha256[:16] for name in PIECES}
     assert named == PIECES
 
 
 def test_a_press_on_it_feels_as_it_did() -> None:
     """Pot on Long, beyond its middle: one piece slips in the grip, the other makes Long rock."""
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     tower = Tower((catalogue.bottom("long").body(),))
-    bench = Lockstep(
+    bench = BatchedTrials(
         [Scene(catalogue.top("pot"), tower, (0.0, 0.0), seed, BENCH) for seed in (13, 18)]
     )
     felt = bench.press([0, 1], np.full((2, 2), (8.0, -4.0)))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.core.faults import InputError
-from backend.simulation.disturbances import (
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.emulation.disturbances import (
     Disturbance,
-    Thinned,
+    RateLimiter,
     parse_disturbance,
     parse_script,
 )
@@ -39,7 +39,7 @@ def test_a_slow_sensor_has_its_rate_and_takes_the_first_sample_of_each_period():
         300.0,
         None,
     ]
-    thinned = Thinned()
+    thinned = RateLimiter()
     taken = [k for k in range(1000) if thinned.takes(1.0 + 0.001 * k, 300.0)]
     assert len(taken) == 300
     assert set(np.diff(taken)) == {3, 4}

@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.core.flow import MARKERS
-from backend.simulation.dots import Dots
-from backend.simulation.gel_look import load_look
+from touchdown.backend.core.values import MARKERS
+from touchdown.backend.simulation.finger_camera import DotRenderer, load_gel_appearance
 
 STILL = np.zeros((MARKERS, 2))
 
 
 @pytest.fixture
 def dots():
-    return Dots(load_look(), np.random.default_rng(4))
+    return DotRenderer(load_gel_appearance(), np.random.default_rng(4))
 
 
 def drawn(dots, displacement):
@@ -35,7 +34,7 @@ def test_a_shift_moves_the_mask_and_cuts_it_at_the_border(dots, du, dv):
 def test_where_two_dots_meet_the_larger_counts(dots):
     """Two dots in one place, everything else out of sight: no darker than the darker of both."""
     gone = STILL + 1e4
-    rest = load_look().rest_px
+    rest = load_gel_appearance().rest_px
     single = []
     for marker in (30, 31):
         alone = gone.copy()
@@ -63,7 +62,8 @@ def test_nothing_is_left_of_the_frame_before(dots):
 
 def test_dots_that_hardly_moved_look_as_they_did_and_creep_adds_up():
     exact, still = (
-        Dots(load_look(), np.random.default_rng(4), still_px) for still_px in (0.0, 0.01)
+        DotRenderer(load_gel_appearance(), np.random.default_rng(4), still_px)
+        for still_px in (0.0, 0.01)
     )
     first = drawn(still, STILL)
     assert (first == drawn(exact, STILL)).all()

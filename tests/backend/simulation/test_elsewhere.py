@@ -6,34 +6,45 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from backend.config.method import ProbeSettings
-from backend.config.simulation import SimulationSettings, load_simulation
-from backend.objects.catalogue import load_catalogue
-from backend.objects.tower import Tower
-from backend.simulation.conditions import Conditions
-from backend.simulation.elsewhere.aftermath import aftermath
-from backend.simulation.elsewhere.bench import Elsewhere
-from backend.simulation.elsewhere.descent import Press
-from backend.simulation.elsewhere.mount import HAND, HELD, STEP_S, Mount, mount
-from backend.simulation.elsewhere.pads import HARDENING_MM, Pads
-from backend.simulation.episodes import rule_of
-from backend.simulation.release_mujoco import available
-from backend.simulation.scene import Scene
+from touchdown.backend.config.method import ProbeSettings
+from touchdown.backend.config.simulation import SimulationSettings, load_simulation
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.tower import Tower
+from touchdown.backend.simulation.batch import onset_rule
+from touchdown.backend.simulation.conditions import Conditions
+from touchdown.backend.simulation.release_mujoco import mujoco_available
+from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.second_world.model import (
+    HAND_JOINTS,
+    HELD_JOINTS,
+    STEP_S,
+    MountedPiece,
+    bottoms_after_press,
+    build_model,
+)
+from touchdown.backend.simulation.second_world.trials import (
+    HARDENING_MM,
+    CreepingPads,
+    SecondWorldPress,
+    SecondWorldTrials,
+)
 
 pytestmark = [
     pytest.mark.optional,
-    pytest.mark.skipif(not available(), reason="needs the optional engine"),
+    pytest.mark.skipif(not mujoco_available(), reason="needs the optional engine"),
 ]
 FREE = {"support": {"rocks": True, "slides": True}}
 
 
-class Bench(Elsewhere):
+class Bench(SecondWorldTrials):
     """With a way to the conditions of its first trial, for a mount of its own."""
 
-    def mounted(self, at_mm: tuple[float, float]) -> Mount:
+    def mounted(self, at_mm: tuple[float, float]) -> MountedPiece:
         """Return the first trial's piece, mounted and nothing moved."""
         support = self.scenes[0].settings.support
-        return mount(self.scenes[0].piece, self.bottoms[0], self.own(), np.array(at_mm), support)
+        return build_model(
+            self.scenes[0].piece, self.bottoms[0], self.own(), np.array(at_mm), support
+        )
 
     def own(self) -> Conditions:
         """Return the conditions of the first trial's next probe."""
@@ -42,12 +53,12 @@ class Bench(Elsewhere):
 
 def bench(piece: str = "mushroom", bottom: str = "circle15", **given: object) -> Bench:
     settings = SimulationSettings.model_validate({"preset": "off", **given})
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     tower = Tower((catalogue.bottom(bottom).body(),))
     return Bench([Scene(catalogue.top(piece), tower, (0.0, 0.0), 3, settings)])
 
 
-def lowered(mounted: Mount, depth_mm: float, seconds: float = 1.2) -> None:
+def lowered(mounted: MountedPiece, depth_mm: float, seconds: float = 1.2) -> None:
     """Lower the hand slowly, then wait."""
     steps = round(seconds / STEP_S)
     for k in range(steps):
@@ -61,9 +72,9 @@ def test_a_press_in_the_middle_is_springs_in_series() -> None:
     world = bench(grasp={"slip": False})
     mounted, own = world.mounted((0.0, 0.0)), world.own()
     probe = ProbeSettings()
-    pads = Pads(own, np.zeros((2, 3)))
-    rule = rule_of(world.scenes[0].settings, probe)
-    found = Press(mounted, pads, own, probe).run(0.2, np.zeros(2000), rule, 0.01)
+    pads = CreepingPads(own, np.zeros((2, 3)))
+    rule = onset_rule(world.scenes[0].settings, probe)
+    found = SecondWorldPress(mounted, pads, own, probe).run(0.2, np.zeros(2000), rule, 0.01)
     # Level faces touch where the hand's slide is zero.
     depth = -1e3 * mounted.model.qpos_spring[2]
 
@@ -133,13 +144,13 @@ def test_a_leaning_bottom_falls_beyond_its_edge(lean_rad: float, *, falls: bool)
     world = bench("pot", "short", **FREE)
     mounted = world.mounted((0.0, 0.0))
     half = 0.5 * lean_rad
-    start = HELD.stop
+    start = HELD_JOINTS.stop
     place = np.array([10.0 * (1.0 - np.cos(lean_rad)), 0.0, -30.0 + 10.0 * np.sin(lean_rad)])
     mounted.data.qpos[start : start + 3] = 1e-3 * place
     mounted.data.qpos[start + 3 :] = [np.cos(half), 0.0, np.sin(half), 0.0]
     mounted.engine.mj_kinematics(mounted.model, mounted.data)
     mounted.engine.mj_comPos(mounted.model, mounted.data)
-    slide, fallen = aftermath(mounted, world.bottoms[0])
+    slide, fallen = bottoms_after_press(mounted, world.bottoms[0])
     assert fallen is falls
     assert slide == pytest.approx(np.zeros((1, 2)), abs=1e-3)
 
@@ -149,9 +160,9 @@ def test_a_bottom_that_is_dragged_beyond_friction_stays_where_it_slid_to() -> No
     mounted = world.mounted((0.0, 0.0))
     lowered(mounted, 1.0)
     for k in range(600):
-        mounted.model.qpos_spring[HAND.start] = 1e-3 * k / 300
+        mounted.model.qpos_spring[HAND_JOINTS.start] = 1e-3 * k / 300
         mounted.engine.mj_step(mounted.model, mounted.data)
-    slide, fallen = aftermath(mounted, world.bottoms[0])
+    slide, fallen = bottoms_after_press(mounted, world.bottoms[0])
     # The drag cannot exceed friction on the table; springs of 6.316 N/mm hold the rest of 2 mm.
     wrench = mounted.wrench_g()
     assert -wrench[0] == pytest.approx(0.1 * (wrench[2] + 0.03 * 9.81), rel=0.05)
@@ -161,10 +172,10 @@ def test_a_bottom_that_is_dragged_beyond_friction_stays_where_it_slid_to() -> No
 
 def test_draws_and_signals_are_those_of_the_scene_whatever_else_is_pressed() -> None:
     settings = load_simulation(preset="bench-v1")
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     tower = Tower((catalogue.bottom("short").body(),))
     scenes = [Scene(catalogue.top("pot"), tower, (0.0, 0.0), seed, settings) for seed in (5, 6)]
-    together, alone = Elsewhere(scenes), Elsewhere(scenes[1:])
+    together, alone = SecondWorldTrials(scenes), SecondWorldTrials(scenes[1:])
     at = np.array([[4.0, 2.0], [-6.0, 3.0]])
     both, one = together.press([0, 1], at), alone.press([0], at[1:])
     assert both.valid.all()

@@ -7,13 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.config.method import ProbeSettings
-from backend.config.simulation import load_simulation
-from backend.simulation import nuisance
-from backend.simulation.conditions import Conditions
-from backend.simulation.elsewhere import pads
-from backend.simulation.elsewhere.kernel import build_half_space_gel, shear_field, torsion_share
-from backend.simulation.elsewhere.pads import Pads
+from touchdown.backend.config.method import ProbeSettings
+from touchdown.backend.config.simulation import load_simulation
+from touchdown.backend.simulation import conditions as nuisance
+from touchdown.backend.simulation.conditions import Conditions
+from touchdown.backend.simulation.second_world import trials
+from touchdown.backend.simulation.second_world.trials import (
+    CreepingPads,
+    build_half_space_gel,
+    shear_field,
+    torsion_share,
+)
 
 A_MM, NU = 5.0, 0.5
 
@@ -79,19 +83,19 @@ def conditions() -> Conditions:
         nuisance.draw_gripping(settings, 10.0, rng),
         nuisance.draw_probe(settings, rng),
     )
-    return nuisance.conditions_of(settings, ProbeSettings(), 30.0, 30.0, [draw])
+    return nuisance.conditions_from_draws(settings, ProbeSettings(), 30.0, 30.0, [draw])
 
 
 def test_load_leaves_the_pads_as_the_power_law_says(
     conditions: Conditions, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pads, "HARDENING_MM", 1e6)
-    gel = Pads(replace(conditions, mu_grip=np.array([0.4])), np.zeros((2, 3)))
+    monkeypatch.setattr(trials, "HARDENING_MM", 1e6)
+    gel = CreepingPads(replace(conditions, mu_grip=np.array([0.4])), np.zeros((2, 3)))
     held = np.array([0.0, 0.0, 0.95, 0.0, 0.0, 0.0])
     start = 4.0 * 0.95 / (0.4 * 10.0)
     for _ in range(1000):
         gel.follow(held, 4e-3)
-    n, rate = pads.CREEP_POWER, 4.0 * pads.CREEP_MM_S / (0.4 * 10.0)
+    n, rate = trials.CREEP_POWER, 4.0 * trials.CREEP_MM_S / (0.4 * 10.0)
     expected = (start ** (1 - n) + (n - 1) * rate * 4.0) ** (1 / (1 - n))
     assert gel.strain[:, 1] == pytest.approx(expected, rel=5e-3)
     assert gel.slip[:, 1] == pytest.approx(0.95 - gel.strain[:, 1], rel=1e-3)
@@ -99,10 +103,10 @@ def test_load_leaves_the_pads_as_the_power_law_says(
 
 
 def test_markers_follow_late_and_never_all_the_way(conditions: Conditions) -> None:
-    gel = Pads(replace(conditions, slips=np.array([False])), np.zeros((2, 3)))
+    gel = CreepingPads(replace(conditions, slips=np.array([False])), np.zeros((2, 3)))
     held = np.array([0.6, 0.0, 0.8, 0.0, 0.0, 0.0])
     for _ in range(120):
         gel.follow(held, 1e-3)
-    shown = pads.SATURATION_MM * np.tanh(1.0 / pads.SATURATION_MM)
+    shown = trials.SATURATION_MM * np.tanh(1.0 / trials.SATURATION_MM)
     assert np.hypot(*gel.seen[0, :2]) == pytest.approx(shown * (1 - np.exp(-1)), rel=5e-3)
-    assert gel.hardening == pytest.approx(1.0 + 1.0 / pads.HARDENING_MM**2)
+    assert gel.hardening == pytest.approx(1.0 + 1.0 / trials.HARDENING_MM**2)

@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.config.simulation import SimulationSettings, load_simulation
-from backend.core.inference import fill_field
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import face_points, true_patch
-from backend.simulation import camera, nuisance
-from backend.simulation.episodes import EpisodeBatch, Plan, simulate
-from backend.simulation.nuisance import Scope
+from touchdown.backend.config.simulation import SimulationSettings, load_simulation
+from touchdown.backend.core.marker_interpolation import fill_unseen_markers
+from touchdown.backend.geometry.outlines import face_points, true_patch
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.simulation import conditions, marker_fields
+from touchdown.backend.simulation.batch import BatchPlan, EpisodeBatch, simulate_episodes
+from touchdown.backend.simulation.conditions import SeedScope
 
 
-def plan(piece: str = "pot", bottom: str = "circle25", **changes) -> Plan:
-    catalogue = load_catalogue()
+def plan(piece: str = "pot", bottom: str = "circle25", **changes) -> BatchPlan:
+    catalogue = load_pieces()
     top, below = catalogue.top(piece), catalogue.bottom(bottom)
-    made = Plan(
+    made = BatchPlan(
         piece=piece,
         bottom=bottom,
         face=top.face,
@@ -45,7 +45,7 @@ def everything(batches) -> EpisodeBatch:
 
 @pytest.fixture(scope="module")
 def default_batch() -> EpisodeBatch:
-    return everything(simulate(plan()))
+    return everything(simulate_episodes(plan()))
 
 
 def test_episodes_have_the_promised_shapes_and_scopes(default_batch) -> None:
@@ -70,10 +70,10 @@ def test_the_face_sits_at_commanded_minus_grasp_offset_within_one_grip(default_b
     made = plan()
     for grip in range(6):
         rows = default_batch.grip == grip
-        seed = nuisance.generator(5, Scope.GRIPPING, made.pair, grip // 3, grip)
-        g_x = nuisance.draw_gripping(made.settings, 10.0, seed).grasp_offset_mm[0]
-        seed = nuisance.generator(5, Scope.MOUNTING, made.pair, grip // 3)
-        board = nuisance.draw_mounting(made.settings, seed).print_offset_mm
+        seed = conditions.scoped_generator(5, SeedScope.GRIPPING, made.pair, grip // 3, grip)
+        g_x = conditions.draw_gripping(made.settings, 10.0, seed).grasp_offset_mm[0]
+        seed = conditions.scoped_generator(5, SeedScope.MOUNTING, made.pair, grip // 3)
+        board = conditions.draw_mounting(made.settings, seed).print_offset_mm
         shift = default_batch.true_offset_mm[rows] - default_batch.offset_mm[rows]
         # What is left is the arm's own error of each probe.
         rest = shift + np.array([g_x, 0.0]) + np.array(board)
@@ -82,17 +82,21 @@ def test_the_face_sits_at_commanded_minus_grasp_offset_within_one_grip(default_b
 
 
 def test_same_seed_same_bytes_however_the_grips_are_shared_out(default_batch) -> None:
-    shared = everything([*simulate(plan(), [3, 4, 5]), *simulate(plan(), [0, 1, 2])])
-    again = everything([*simulate(plan(), [0, 1, 2]), *simulate(plan(), [3, 4, 5])])
+    shared = everything(
+        [*simulate_episodes(plan(), [3, 4, 5]), *simulate_episodes(plan(), [0, 1, 2])]
+    )
+    again = everything(
+        [*simulate_episodes(plan(), [0, 1, 2]), *simulate_episodes(plan(), [3, 4, 5])]
+    )
     assert shared.observation.tobytes() == again.observation.tobytes()
     np.testing.assert_allclose(shared.observation, default_batch.observation, atol=1e-3)
-    other = everything(simulate(plan(seed=6), [0]))
+    other = everything(simulate_episodes(plan(seed=6), [0]))
     assert np.abs(other.observation - default_batch.observation[:4]).max() > 0.1
 
 
 def test_without_noise_equal_offsets_give_the_pure_physics() -> None:
     made = plan(settings=load_simulation(preset="off"), episodes=6, probes_per_grip=1)
-    batch = everything(simulate(made))
+    batch = everything(simulate_episodes(made))
     np.testing.assert_allclose(batch.true_offset_mm, batch.offset_mm)
     end = batch.observation[:, -1]
     assert np.ptp(end[:, 254]) < 1.0
@@ -109,9 +113,9 @@ def test_added_errors_have_the_levels_of_the_settings() -> None:
     )
     count = 150
     noisy = plan(settings=quiet_physics, episodes=count, probes_per_grip=1)
-    batch = everything(simulate(noisy))
+    batch = everything(simulate_episodes(noisy))
     clean_settings = load_simulation(preset="off")
-    clean = everything(simulate(replace(noisy, settings=clean_settings)))
+    clean = everything(simulate_episodes(replace(noisy, settings=clean_settings)))
     np.testing.assert_allclose(batch.offset_mm, clean.offset_mm)
     error = batch.observation.astype(float)[:, 16:] - clean.observation.astype(float)[:, 16:]
     held = error.mean(axis=1)
@@ -131,12 +135,16 @@ def test_added_errors_have_the_levels_of_the_settings() -> None:
 def test_slip_is_carried_within_a_grip_and_reported() -> None:
     hard = load_simulation(preset="hard").model_copy(update={"mu_grip": 0.36})
     batch = everything(
-        simulate(plan("mushroom", "circle15", settings=hard, episodes=24, probes_per_grip=4))
+        simulate_episodes(
+            plan("mushroom", "circle15", settings=hard, episodes=24, probes_per_grip=4)
+        )
     )
     assert (batch.slip_mm > 0.02).mean() > 0.5
     still = hard.model_copy(update={"grasp": hard.grasp.model_copy(update={"slip": False})})
     without = everything(
-        simulate(plan("mushroom", "circle15", settings=still, episodes=24, probes_per_grip=4))
+        simulate_episodes(
+            plan("mushroom", "circle15", settings=still, episodes=24, probes_per_grip=4)
+        )
     )
     assert not without.slip_mm.any()
     moved = np.abs(batch.true_offset_mm - without.true_offset_mm).max(axis=1)
@@ -148,7 +156,7 @@ def test_slip_is_carried_within_a_grip_and_reported() -> None:
 def test_probes_that_miss_are_drawn_again_and_counted() -> None:
     wide = SimulationSettings.model_validate({"spread": {"grasp_offset_mm": 1.5}})
     made = plan("pot", "circle15", settings=wide, episodes=400, probes_per_grip=1, seed=2)
-    batch = everything(simulate(made))
+    batch = everything(simulate_episodes(made))
     assert len(batch.episode) == 400
     assert 0 < batch.rejected < 40
 
@@ -156,7 +164,9 @@ def test_probes_that_miss_are_drawn_again_and_counted() -> None:
 def test_a_gripping_stays_the_same_and_the_next_differs() -> None:
     settings = SimulationSettings()
     draws = [
-        nuisance.draw_gripping(settings, 10.0, nuisance.generator(1, Scope.GRIPPING, 0, grip))
+        conditions.draw_gripping(
+            settings, 10.0, conditions.scoped_generator(1, SeedScope.GRIPPING, 0, grip)
+        )
         for grip in (0, 0, 1)
     ]
     assert draws[0] == draws[1]
@@ -169,11 +179,11 @@ def test_draws_keep_their_limits() -> None:
     )
     rng = np.random.default_rng(0)
     for _ in range(50):
-        grip = nuisance.draw_gripping(wild, 10.0, rng)
+        grip = conditions.draw_gripping(wild, 10.0, rng)
         assert 0.7 <= grip.gel_factor <= 1.3
         assert all(0.8 <= gain <= 1.2 for gain in grip.gain)
-        assert np.abs(nuisance.draw_mounting(wild, rng).tilt_rad).max() <= 0.02
-        assert 0.2 <= nuisance.draw_probe(wild, rng).mu <= 0.6
+        assert np.abs(conditions.draw_mounting(wild, rng).tilt_rad).max() <= 0.02
+        assert 0.2 <= conditions.draw_probe(wild, rng).mu <= 0.6
 
 
 def test_frames_round_a_tick_skip_those_that_were_dropped() -> None:
@@ -181,7 +191,7 @@ def test_frames_round_a_tick_skip_those_that_were_dropped() -> None:
     t_s[0, :, :60] = 0.04 * np.arange(60)
     t_s[0, 0, 26] = np.inf
     ticks = np.full((1, 20), 1.03)
-    index, weight = camera.around_ticks(t_s, ticks)
+    index, weight = marker_fields.around_ticks(t_s, ticks)
     assert index[0, 0, 0].tolist() == [25, 27]
     assert index[0, 1, 0].tolist() == [25, 26]
     np.testing.assert_allclose(weight[0, 0, 0], [0.625, 0.375])
@@ -190,7 +200,9 @@ def test_frames_round_a_tick_skip_those_that_were_dropped() -> None:
 
 def test_lost_markers_follow_the_set_share_in_bursts() -> None:
     tactile = SimulationSettings().tactile.model_copy(update={"lost_share": 0.01})
-    lost = np.stack([camera.draw_camera(tactile, np.random.default_rng(k)).lost for k in range(60)])
+    lost = np.stack(
+        [marker_fields.draw_camera(tactile, np.random.default_rng(k)).lost for k in range(60)]
+    )
     assert lost.mean() == pytest.approx(0.01, rel=0.2)
 
 
@@ -201,10 +213,10 @@ def test_lost_markers_are_filled_by_the_given_function() -> None:
 
     def infer(field, seen):
         asked.append((~seen).sum())
-        return fill_field(field, seen)
+        return fill_unseen_markers(field, seen)
 
-    filled = everything(simulate(made, infer=infer))
-    whole = everything(simulate(replace(made, settings=load_simulation(preset="off"))))
+    filled = everything(simulate_episodes(made, infer=infer))
+    whole = everything(simulate_episodes(replace(made, settings=load_simulation(preset="off"))))
     assert sum(asked) > 0
     error = (filled.observation - whole.observation)[:, :, :252]
     assert np.abs(error).max() < 1.5

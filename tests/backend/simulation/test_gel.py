@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.simulation.gel import build_gel
+from touchdown.backend.simulation.marker_fields import build_gel
 
 GEL = build_gel((0.058, 0.058))
 NONE = np.zeros((1, 2, 3))

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.simulation import grasp
-from backend.simulation.mechanics import Carried, advance, begin
 from tests.backend.simulation.conftest import RAMP, Disc, drive, lattice, plain
+from touchdown.backend.simulation import mechanics
+from touchdown.backend.simulation.mechanics import GraspHistory, advance_probes, begin_probes
 
 POINTS = lattice(25.4)
 BOTTOM = Disc(15)
@@ -42,14 +42,14 @@ def shear_slip(slip):
 )
 def test_share_of_slipping_probes_follows_the_published_table(mu_grip, force_n, low, high) -> None:
     made = plain(60, 33.0, mu_grip=mu_grip, grip_force_n=force_n)
-    state, _ = drive(begin(POINTS, BOTTOM, offsets(60), made), RAMP)
+    state, _ = drive(begin_probes(POINTS, BOTTOM, offsets(60), made), RAMP)
     share = (shear_slip(state.slip) > 0.02).mean()
     assert low <= share <= high
 
 
 def test_slip_stops_on_the_limit_surface() -> None:
     made = plain(30, 33.0, mu_grip=0.35)
-    _, solved = drive(begin(POINTS, BOTTOM, offsets(30), made), RAMP)
+    _, solved = drive(begin_probes(POINTS, BOTTOM, offsets(30), made), RAMP)
     strain, normal = solved[-1].strain, solved[-1].normal_n
     force = strain * np.array([4.0, 4.0, 128.0])
     limit = 0.35 * normal
@@ -61,11 +61,11 @@ def test_slip_stops_on_the_limit_surface() -> None:
 
 def test_slip_stays_after_lifting_and_moves_the_next_touch() -> None:
     made = plain(1, 33.0, mu_grip=0.35)
-    state, _ = drive(begin(POINTS, BOTTOM, np.array([[5.0, 0.0]]), made), RAMP)
+    state, _ = drive(begin_probes(POINTS, BOTTOM, np.array([[5.0, 0.0]]), made), RAMP)
     state, (lifted,) = drive(state, [-3.0])
     assert shear_slip(lifted.slip)[0] > 0.05
     np.testing.assert_allclose(lifted.strain[..., :2], 0.0, atol=1e-9)
-    again = begin(POINTS, BOTTOM, np.array([[5.0, 0.0]]), made, previous=state)
+    again = begin_probes(POINTS, BOTTOM, np.array([[5.0, 0.0]]), made, previous=state)
     raised = float(again.slip[0, :, 1].mean())
     _, felt = drive(again, [-1.0, 0.9 * raised, 1.1 * raised + 0.05])
     assert felt[1].pressing_n[0] == pytest.approx(0.0, abs=0.05)
@@ -74,7 +74,7 @@ def test_slip_stays_after_lifting_and_moves_the_next_touch() -> None:
 
 def test_slip_can_be_switched_off() -> None:
     made = plain(5, 33.0, mu_grip=0.35, slips=False)
-    state, _ = drive(begin(POINTS, BOTTOM, offsets(5), made), RAMP)
+    state, _ = drive(begin_probes(POINTS, BOTTOM, offsets(5), made), RAMP)
     assert not state.slip.any()
 
 
@@ -83,7 +83,7 @@ def test_a_hysteretic_gel_is_stiffer_at_first_and_then_relaxes() -> None:
     plain_gel, soft = plain(1, 30.0), plain(1, 30.0, alpha=0.1)
     forces = []
     for made in (plain_gel, soft):
-        state = begin(lattice(15.0), bottom, np.zeros((1, 2)), made)
+        state = begin_probes(lattice(15.0), bottom, np.zeros((1, 2)), made)
         _, solved = drive(state, [1.5] * 60, dt_s=0.1)
         forces.append([s.pressing_n[0] for s in solved])
     elastic, creeping = forces
@@ -97,31 +97,31 @@ def test_maxwell_step_equals_the_written_out_formula() -> None:
     v, e, dt = 0.3, 0.7, 0.1
     relaxed = np.full((1, 2, 4), v)
     v_new = (v + dt / 0.5 * e) / (1 + dt / 0.5)
-    np.testing.assert_allclose(grasp.relax(relaxed, np.full((1, 2, 4), e), made, dt), v_new)
-    spring = grasp.springs(made, relaxed, dt)
+    np.testing.assert_allclose(mechanics.relax(relaxed, np.full((1, 2, 4), e), made, dt), v_new)
+    spring = mechanics.springs(made, relaxed, dt)
     force = spring.finger[0, 0] * (e - spring.hidden[0, 0, 0])
     assert force == pytest.approx(4.0 * (1.2 * e - 0.2 * v_new))
 
 
 def test_hysteresis_is_carried_to_the_next_probe_and_fades_in_air() -> None:
     made = plain(1, 33.0, alpha=0.1)
-    state, _ = drive(begin(POINTS, BOTTOM, np.array([[5.0, 0.0]]), made), RAMP)
+    state, _ = drive(begin_probes(POINTS, BOTTOM, np.array([[5.0, 0.0]]), made), RAMP)
     assert np.abs(state.relaxed).max() > 0.3
-    again = begin(POINTS, BOTTOM, np.array([[5.0, 0.0]]), made, previous=state)
+    again = begin_probes(POINTS, BOTTOM, np.array([[5.0, 0.0]]), made, previous=state)
     np.testing.assert_array_equal(again.relaxed, state.relaxed)
     rested = again
     for _ in range(50):
-        rested, solved = advance(rested, np.array([[0.0, 0.0, 3.0]]), 0.1)
+        rested, solved = advance_probes(rested, np.array([[0.0, 0.0, 3.0]]), 0.1)
     np.testing.assert_allclose(solved.strain, 0.0, atol=1e-3)
     np.testing.assert_allclose(rested.relaxed, 0.0, atol=1e-3)
 
 
 def test_carried_grips_are_taken_and_put_back_by_row() -> None:
-    kept = Carried(np.arange(18.0).reshape(3, 2, 3), np.zeros((3, 2, 4)))
+    kept = GraspHistory(np.arange(18.0).reshape(3, 2, 3), np.zeros((3, 2, 4)))
     rows = np.array([2, 0])
     back = kept.replaced(rows, kept.take(rows))
     np.testing.assert_array_equal(back.slip, kept.slip)
-    fresh = kept.replaced(np.array([1]), Carried.fresh(1))
+    fresh = kept.replaced(np.array([1]), GraspHistory.fresh(1))
     assert not fresh.slip[1].any()
     assert fresh.slip[0].any()
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from backend.core.flow import FloatArray
-from backend.simulation.halving import AT_ONCE, fall
+from touchdown.backend.core.values import FloatArray
+from touchdown.backend.simulation.contact import TRIALS_PER_CALL, halve_steps
 
 MOST = 12
 
@@ -41,7 +41,7 @@ def alone(x: float, step: float) -> float:
     return tried
 
 
-@pytest.mark.parametrize("count", [1, 5, AT_ONCE + 1])
+@pytest.mark.parametrize("count", [1, 5, TRIALS_PER_CALL + 1])
 def test_every_probe_goes_where_it_would_go_alone(count: int) -> None:
     rng = np.random.default_rng(count)
     x = rng.uniform(-3.0, 10.0, count)
@@ -54,13 +54,15 @@ def test_every_probe_goes_where_it_would_go_alone(count: int) -> None:
         return Place.at(x[rows] + share * step[rows])
 
     worse = np.flatnonzero(~(after.size < start.size))
-    fall(after, start.size, worse, MOST, at)
+    halve_steps(after, start.size, worse, MOST, at)
     assert after.x.tolist() == [alone(a, s) for a, s in zip(x, step, strict=True)]
-    assert max(asked, default=0) <= max(AT_ONCE, len(worse))
-    assert len(asked) < MOST or count > AT_ONCE
+    assert max(asked, default=0) <= max(TRIALS_PER_CALL, len(worse))
+    assert len(asked) < MOST or count > TRIALS_PER_CALL
 
 
 def test_nothing_is_tried_where_all_fell() -> None:
     start, after = Place.at(np.array([4.0])), Place.at(np.array([1.0]))
-    fall(after, start.size, np.array([], dtype=np.intp), MOST, lambda *_: pytest.fail("tried"))
+    halve_steps(
+        after, start.size, np.array([], dtype=np.intp), MOST, lambda *_: pytest.fail("tried")
+    )
     assert after.x.tolist() == [1.0]

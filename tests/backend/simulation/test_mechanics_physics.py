@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from backend.simulation import contact, grasp
-from backend.simulation.mechanics import RESIDUAL_LIMIT, advance, begin
 from tests.backend.simulation.conftest import RAMP, Disc, Square, drive, lattice, plain
+from touchdown.backend.simulation import contact, mechanics
+from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
+from touchdown.backend.simulation.mechanics import advance_probes, begin_probes
 
 
 def random_offsets(rng, count, top_mm, bottom):
@@ -49,7 +50,7 @@ def test_random_probes_converge_within_the_sanity_bound(top_mm, bottom) -> None:
     rng = np.random.default_rng(11)
     made = rough(rng, 150, 33.0)
     offsets = random_offsets(rng, 150, top_mm, bottom)
-    state, solved = drive(begin(lattice(top_mm), bottom, offsets, made), RAMP)
+    state, solved = drive(begin_probes(lattice(top_mm), bottom, offsets, made), RAMP)
     assert state.residual.max() <= 1e-6 < RESIDUAL_LIMIT
     series = 2 * made.shear_n_mm * 15 / (2 * made.shear_n_mm + 15)
     assert (solved[-1].pressing_n <= 1.3 * series * 1.5).all()
@@ -60,18 +61,18 @@ def test_forces_balance_the_springs_and_are_resultants_of_the_cells() -> None:
     rng = np.random.default_rng(3)
     made = rough(rng, 60, 33.0)
     bottom = Disc(15)
-    state = begin(lattice(25.4), bottom, random_offsets(rng, 60, 25.4, bottom), made)
+    state = begin_probes(lattice(25.4), bottom, random_offsets(rng, 60, 25.4, bottom), made)
     before, _ = drive(state, RAMP[:-1])
     after, (end,) = drive(before, RAMP[-1:])
-    spring = grasp.springs(made, before.relaxed, 0.1)
+    spring = mechanics.springs(made, before.relaxed, 0.1)
     command = np.tile([0.0, 0.0, -1.5], (60, 1))
     unloaded = np.concatenate([after.slip, np.zeros((60, 2, 1))], axis=2)
-    zero = grasp.elastic_zero(command, unloaded, made.width_mm)
+    zero = mechanics.elastic_zero(command, unloaded, made.width_mm)
     from_springs = spring.matrix_diagonal * (end.q - zero)
     np.testing.assert_allclose(end.wrench_g, from_springs, atol=2e-5)
     # Newton by Newton, cell by cell: the sums written out without moments.
     cells = after.cells
-    now = contact.touch(cells, before.anchor, end.q)
+    now = contact.contact_forces(cells, before.anchor, end.q)
     force = np.stack([-now.share * now.pull_x, -now.share * now.pull_y, now.normal_n], axis=-1)
     arm = np.stack([cells.x, cells.y, np.broadcast_to(cells.r_z[:, None], cells.x.shape)], -1)
     np.testing.assert_allclose(end.wrench_g[:, :3], force.sum(axis=1), atol=1e-9)
@@ -82,10 +83,10 @@ def test_friction_never_exceeds_coulomb() -> None:
     rng = np.random.default_rng(4)
     made = rough(rng, 40, 33.0)
     bottom = Disc(15)
-    state = begin(lattice(25.4), bottom, random_offsets(rng, 40, 25.4, bottom), made)
+    state = begin_probes(lattice(25.4), bottom, random_offsets(rng, 40, 25.4, bottom), made)
     before, _ = drive(state, RAMP[:-1])
     _, (end,) = drive(before, RAMP[-1:])
-    now = contact.touch(before.cells, before.anchor, end.q)
+    now = contact.contact_forces(before.cells, before.anchor, end.q)
     tangential = now.share * now.size
     assert (tangential <= made.mu[:, None] * now.normal_n + 1e-9).all()
     assert (now.share < 1.0).any()
@@ -95,16 +96,18 @@ def test_tangent_is_the_derivative_of_the_forces() -> None:
     rng = np.random.default_rng(5)
     made = rough(rng, 20, 33.0)
     bottom = Square(15)
-    state = begin(lattice(21.2), bottom, random_offsets(rng, 20, 21.2, bottom), made)
+    state = begin_probes(lattice(21.2), bottom, random_offsets(rng, 20, 21.2, bottom), made)
     state, (end,) = drive(state, [0.7])
     anchor = state.anchor + 0.002 * rng.standard_normal(state.anchor.shape)
-    exact = contact.tangent(state.cells, contact.touch(state.cells, anchor, end.q))
+    exact = contact.tangent_stiffness(
+        state.cells, contact.contact_forces(state.cells, anchor, end.q)
+    )
     step = 1e-7
     for axis in range(6):
         nudge = np.zeros(6)
         nudge[axis] = step
-        up = contact.touch(state.cells, anchor, end.q + nudge).wrench
-        down = contact.touch(state.cells, anchor, end.q - nudge).wrench
+        up = contact.contact_forces(state.cells, anchor, end.q + nudge).wrench
+        down = contact.contact_forces(state.cells, anchor, end.q - nudge).wrench
         scale = np.abs(exact[:, :, axis]).max(axis=1, keepdims=True)
         error = np.abs((up - down) / (2 * step) - exact[:, :, axis]) / scale
         # A cell that changes between stick and slide within the nudge spoils its probe only.
@@ -114,7 +117,7 @@ def test_tangent_is_the_derivative_of_the_forces() -> None:
 def test_flat_punch_pressed_in_the_centre_has_uniform_pressure(press, shapes) -> None:
     state, solved = press(15.0, shapes[0](25.0), (0, 0))
     end = solved[-1]
-    normal = contact.touch(state.cells, state.anchor, end.q).normal_n[0]
+    normal = contact.contact_forces(state.cells, state.anchor, end.q).normal_n[0]
     series = 8 * 15 / 23
     depth = 1.5 / (1 + series / (20 * 177))
     np.testing.assert_allclose(normal, normal[0], rtol=1e-9)
@@ -127,7 +130,7 @@ def test_centre_of_pressure_lies_in_the_hull_of_the_overlap() -> None:
     bottom, points = Disc(15), lattice(25.4)
     offsets = random_offsets(rng, 40, 25.4, bottom)
     made = replace(rough(rng, 40, 33.0), yaw_rad=np.zeros(40))
-    _, solved = drive(begin(points, bottom, offsets, made), RAMP)
+    _, solved = drive(begin_probes(points, bottom, offsets, made), RAMP)
     for k in range(40):
         patch = points[bottom.contains(points + offsets[k])]
         hull = ConvexHull(patch).equations
@@ -189,6 +192,6 @@ def test_a_batch_gives_what_single_probes_give(press, shapes) -> None:
 def test_sideways_drag_in_contact_meets_friction(press, shapes) -> None:
     state, _ = press(15.0, shapes[0](25.0), (0, 0), slips=False)
     for x in np.linspace(0.5, 20.0, 40):
-        state, dragged = advance(state, np.array([[x, 0.0, -1.5]]), 0.1)
+        state, dragged = advance_probes(state, np.array([[x, 0.0, -1.5]]), 0.1)
     force = dragged.wrench_g[0]
     assert force[0] == pytest.approx(-0.4 * force[2], rel=1e-6)

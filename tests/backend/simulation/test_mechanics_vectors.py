@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.core.flow import GRID_COLS, GRID_ROWS
-from backend.simulation.gel import build_gel
-from backend.simulation.wrench import centre_of_pressure_mm, wrist_wrench
+from touchdown.backend.core.values import GRID_COLS, GRID_ROWS
+from touchdown.backend.simulation.marker_fields import build_gel
+from touchdown.backend.simulation.wrist_sensor import centre_of_pressure_mm, wrist_wrench
 
 TOPS = {"mushroom": 25.4, "barrel": 21.2, "pot": 15.0}
 CENTRE = (GRID_ROWS // 2) * GRID_COLS + GRID_COLS // 2

@@ -8,9 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from backend.core.flow import MARKERS
-from backend.simulation.gel_look import load_look, mirrored
-from backend.simulation.optics import FingerOptics
+from touchdown.backend.core.values import MARKERS
+from touchdown.backend.simulation.finger_camera import (
+    TactileRenderer,
+    load_gel_appearance,
+    mirror_appearance,
+)
 
 NOBODY = np.zeros(MARKERS, dtype=bool)
 STILL = np.zeros((MARKERS, 2))
@@ -32,7 +35,7 @@ def centroid_px(image, around):
 
 @pytest.fixture(scope="module")
 def look():
-    return load_look()
+    return load_gel_appearance()
 
 
 def test_rest_grid_is_that_of_the_real_sensor(look):
@@ -45,7 +48,7 @@ def test_rest_grid_is_that_of_the_real_sensor(look):
 
 def test_dots_are_drawn_where_the_markers_are(look):
     shift = np.tile([2.3, -4.6], (MARKERS, 1))
-    optics = FingerOptics(look, 1)
+    optics = TactileRenderer(look, 1)
     still, image = optics.render(STILL, NOBODY), optics.render(shift, NOBODY)
     for rest in look.rest_px:
         # Flecks and coloured shadows pull a centroid by a constant.
@@ -55,7 +58,7 @@ def test_dots_are_drawn_where_the_markers_are(look):
 
 
 def test_sub_pixel_motion_is_visible(look):
-    optics = FingerOptics(look, 1)
+    optics = TactileRenderer(look, 1)
     inner = [10, 31, 52]
     first = optics.render(STILL, NOBODY)
     second = optics.render(np.tile([0.30, -0.20], (MARKERS, 1)), NOBODY)
@@ -66,7 +69,7 @@ def test_sub_pixel_motion_is_visible(look):
 
 
 def test_colours_are_those_of_the_real_frame(look):
-    image = FingerOptics(look, 1).render(STILL, NOBODY).astype(float)
+    image = TactileRenderer(look, 1).render(STILL, NOBODY).astype(float)
     between = image[100:103, 136:140].reshape(-1, 3).mean(axis=0)
     cores = np.array([image[round(v), round(u)] for u, v in look.rest_px]).mean(axis=0)
     assert cores == pytest.approx([37, 40, 30], abs=6)
@@ -78,7 +81,7 @@ def test_colours_are_those_of_the_real_frame(look):
 
 def test_dot_width_follows_radius_and_edge(look):
     for variant, radius in ((look, 7.6), (replace(look, radius_px=6.1, edge_px=0.55), 6.1)):
-        optics = FingerOptics(variant, 3)
+        optics = TactileRenderer(variant, 3)
         mean = np.mean([optics.render(STILL, NOBODY).astype(float) for _ in range(8)], axis=0)
         area = []
         for u, v in variant.rest_px[[20, 31, 40]]:
@@ -89,7 +92,7 @@ def test_dot_width_follows_radius_and_edge(look):
 
 
 def test_noise_and_grain_have_their_sizes(look):
-    optics = FingerOptics(look, 5)
+    optics = TactileRenderer(look, 5)
     far = np.full((MARKERS, 2), 1e4)
     frames = np.array([optics.render(far, NOBODY)[::2, ::2].astype(float) for _ in range(30)])
     # Rounding adds 1/12 to the variance.
@@ -100,19 +103,19 @@ def test_noise_and_grain_have_their_sizes(look):
 
 
 def test_noise_differs_between_frames_and_repeats_with_the_seed(look):
-    first, again = FingerOptics(look, 9), FingerOptics(look, 9)
+    first, again = TactileRenderer(look, 9), TactileRenderer(look, 9)
     frames = [first.render(STILL, NOBODY) for _ in range(2)]
     assert np.array_equal(frames[0], again.render(STILL, NOBODY))
     assert not np.array_equal(frames[0], frames[1])
     a, b = (frame.astype(float) - np.mean(frames, axis=0) for frame in frames)
     assert np.abs(a - b).max() > 3.0
-    assert not np.array_equal(frames[0], FingerOptics(look, 10).render(STILL, NOBODY))
+    assert not np.array_equal(frames[0], TactileRenderer(look, 10).render(STILL, NOBODY))
 
 
 def test_a_smear_hides_its_dot_only(look):
     hidden = NOBODY.copy()
     hidden[31] = True
-    image = FingerOptics(look, 1).render(STILL, hidden)
+    image = TactileRenderer(look, 1).render(STILL, hidden)
     shade = darkness(image)
     depth = np.array([shade[round(v), round(u)] for u, v in look.rest_px])
     assert depth[31] < 0.5 * np.delete(depth, 31).min()
@@ -123,9 +126,9 @@ def test_what_did_not_move_is_not_drawn_again_and_looks_as_if_it_were(look):
     hidden[31] = True
     course = [(STILL, NOBODY), (STILL, NOBODY), (STILL, hidden), (STILL, NOBODY),
               (moved, NOBODY), (moved, NOBODY), (STILL, NOBODY)]  # fmt: skip
-    optics = FingerOptics(look, 4)
+    optics = TactileRenderer(look, 4)
     for number, shown in enumerate(course):
-        image, other = optics.render(*shown), FingerOptics(look, 4)
+        image, other = optics.render(*shown), TactileRenderer(look, 4)
         for before in range(number):
             other.render(STILL + 5.0 + before, NOBODY)
         assert np.array_equal(image, other.render(*shown)), number
@@ -134,7 +137,7 @@ def test_what_did_not_move_is_not_drawn_again_and_looks_as_if_it_were(look):
 def test_dots_stretch_with_the_gel(look):
     strain = np.zeros((MARKERS, 2))
     strain[:, 0] = 0.2 * (look.rest_px[:, 0] - 160.0)
-    optics = FingerOptics(look, 1)
+    optics = TactileRenderer(look, 1)
     image = optics.render(strain, NOBODY)
     u, v = look.rest_px[31] + strain[31]
     dark = darkness(image) > 20.0
@@ -145,18 +148,18 @@ def test_dots_stretch_with_the_gel(look):
 
 def test_dots_beyond_the_border_are_cut_and_nothing_fails(look):
     for shift in ((0.0, -30.0), (0.0, 400.0), (-25.0, 0.0), (1e4, -1e4)):
-        image = FingerOptics(look, 1).render(np.tile(shift, (MARKERS, 1)), NOBODY)
+        image = TactileRenderer(look, 1).render(np.tile(shift, (MARKERS, 1)), NOBODY)
         assert image.shape == (240, 320, 3)
-    gone = FingerOptics(look, 1).render(np.full((MARKERS, 2), 1e4), np.ones(MARKERS, dtype=bool))
+    gone = TactileRenderer(look, 1).render(np.full((MARKERS, 2), 1e4), np.ones(MARKERS, dtype=bool))
     assert darkness(gone).max() < 20.0
 
 
 def test_the_other_finger_is_mirrored(look):
-    other = mirrored(look)
+    other = mirror_appearance(look)
     assert np.all(np.diff(other.rest_px.reshape(7, 9, 2)[..., 0], axis=1) > 0.0)
     assert other.rest_px[0].tolist() == [319 - 285.9, 20.4]
-    assert mirrored(other).rest_px == pytest.approx(look.rest_px)
-    left = FingerOptics(look, 1).render(np.full((MARKERS, 2), 1e4), NOBODY).astype(float)
-    right = FingerOptics(other, 2).render(np.full((MARKERS, 2), 1e4), NOBODY).astype(float)
+    assert mirror_appearance(other).rest_px == pytest.approx(look.rest_px)
+    left = TactileRenderer(look, 1).render(np.full((MARKERS, 2), 1e4), NOBODY).astype(float)
+    right = TactileRenderer(other, 2).render(np.full((MARKERS, 2), 1e4), NOBODY).astype(float)
     smooth = [cv2.GaussianBlur(image, (0, 0), 5.0) for image in (left, right[:, ::-1])]
     assert np.abs(smooth[0] - smooth[1]).max() < 3.0

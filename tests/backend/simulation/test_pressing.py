@@ -5,13 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.config.method import ProbeSettings
-from backend.core.onset import OnsetRule
-from backend.simulation.gel import build_gel
-from backend.simulation.mechanics import Carried, advance, begin
-from backend.simulation.pressing import noise_samples, press
-from backend.simulation.timeline import Timeline, packed
 from tests.backend.simulation.conftest import Disc, lattice, plain
+from touchdown.backend.config.method import ProbeSettings
+from touchdown.backend.core.contact_onset import OnsetRule
+from touchdown.backend.simulation.marker_fields import build_gel
+from touchdown.backend.simulation.mechanics import GraspHistory, advance_probes, begin_probes
+from touchdown.backend.simulation.pressing import (
+    Timeline,
+    noise_samples,
+    pack_equilibrium,
+    press_batch,
+)
 
 RULE, PROBE, CYCLE_S = OnsetRule(), ProbeSettings(), 0.01
 COUNT = 24
@@ -24,7 +28,7 @@ def setting(seed: int, **changes):
     made = plain(COUNT, 30.0, tilt_rad=tilt, **changes)
     angle, reach = rng.uniform(0, 2 * np.pi, COUNT), rng.uniform(0, 16, COUNT)
     offsets = np.stack([reach * np.cos(angle), reach * np.sin(angle)], axis=1)
-    state = begin(lattice(15.0), Disc(25), offsets, made)
+    state = begin_probes(lattice(15.0), Disc(25), offsets, made)
     noise = 0.1 * rng.standard_normal((COUNT, noise_samples(RULE, CYCLE_S)))
     return state, CYCLE_S * rng.random(COUNT), noise
 
@@ -32,8 +36,8 @@ def setting(seed: int, **changes):
 def stepped(state, phase_s, pressed) -> Timeline:
     """Follow the law of the bench cycle by cycle, told only when to stop and the onset."""
     times, values = [-phase_s], []
-    state, solved = advance(state, np.tile([0.0, 0.0, 3.0], (COUNT, 1)), 1.5)
-    values.append(packed(solved))
+    state, solved = advance_probes(state, np.tile([0.0, 0.0, 3.0], (COUNT, 1)), 1.5)
+    values.append(pack_equilibrium(solved))
     descent = pressed.timeline.t_s[:, :-22]
     stop_s = descent.max(axis=1)
     onset, t_s = pressed.onset_s, -phase_s
@@ -44,9 +48,9 @@ def stepped(state, phase_s, pressed) -> Timeline:
         depth = np.where(falling, 2.0 * t_s, np.maximum(2.0 * stop_s, ramp))
         command = np.zeros((COUNT, 3))
         command[:, 2] = -depth
-        state, solved = advance(state, command, CYCLE_S)
+        state, solved = advance_probes(state, command, CYCLE_S)
         times.append(t_s)
-        values.append(packed(solved))
+        values.append(pack_equilibrium(solved))
     return Timeline(np.stack(times, axis=1), np.stack(values, axis=1))
 
 
@@ -63,7 +67,7 @@ def pixels(values, air):
 )
 def test_steps_at_the_ticks_agree_with_steps_of_every_cycle(changes, limit_px) -> None:
     state, phase_s, noise = setting(1, **changes)
-    pressed = press(state, phase_s, noise, PROBE, RULE, CYCLE_S)
+    pressed = press_batch(state, phase_s, noise, PROBE, RULE, CYCLE_S)
     reference = stepped(state, phase_s, pressed)
     t_s = pressed.onset_s[:, None] + np.arange(0.02, 2.0, 0.02)
     ours, theirs = pressed.timeline.at(t_s), reference.at(t_s)
@@ -76,7 +80,7 @@ def test_steps_at_the_ticks_agree_with_steps_of_every_cycle(changes, limit_px) -
 
 def test_onset_is_found_within_a_few_milliseconds() -> None:
     state, phase_s, noise = setting(2)
-    pressed = press(state, phase_s, noise, PROBE, RULE, CYCLE_S)
+    pressed = press_batch(state, phase_s, noise, PROBE, RULE, CYCLE_S)
     assert pressed.detected.all()
     error_s = pressed.onset_s - pressed.touch_s
     assert abs(error_s.mean()) < 4e-3
@@ -88,22 +92,22 @@ def test_a_slipped_piece_touches_later_and_is_found_all_the_same() -> None:
     state, phase_s, noise = setting(3)
     slipped = np.zeros((COUNT, 2, 3))
     slipped[:, :, 1] = 0.7
-    moved = begin(
+    moved = begin_probes(
         lattice(15.0),
         Disc(25),
         np.zeros((COUNT, 2)),
         state.conditions,
-        previous=Carried(slipped, state.relaxed),
+        previous=GraspHistory(slipped, state.relaxed),
     )
-    pressed = press(moved, phase_s, noise, PROBE, RULE, CYCLE_S)
+    pressed = press_batch(moved, phase_s, noise, PROBE, RULE, CYCLE_S)
     assert pressed.detected.all()
     assert np.abs(pressed.onset_s - pressed.touch_s).max() < 0.02
 
 
 def test_no_contact_is_reported_not_invented() -> None:
     state, phase_s, noise = setting(4)
-    aside = begin(lattice(15.0), Disc(25), np.full((COUNT, 2), 40.0), state.conditions)
-    pressed = press(aside, phase_s, noise, PROBE, RULE, CYCLE_S)
+    aside = begin_probes(lattice(15.0), Disc(25), np.full((COUNT, 2), 40.0), state.conditions)
+    pressed = press_batch(aside, phase_s, noise, PROBE, RULE, CYCLE_S)
     assert not pressed.detected.any()
     assert not pressed.timeline.values[..., :6].any()
 

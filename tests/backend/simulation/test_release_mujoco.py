@@ -5,16 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.core.faults import InputError
-from backend.objects import shapes
-from backend.objects.catalogue import load_catalogue
-from backend.objects.tower import Body, Tower, Verdict, judge
-from backend.simulation.release_mujoco import available, differs, rim_points, simulate_release
 from tests.backend.simulation.release_cases import SETS, ask_both
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.geometry import outlines
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.tower import Body, Tower, TowerVerdict, judge_tower
+from touchdown.backend.simulation.release_mujoco import (
+    contradicts_analysis,
+    mujoco_available,
+    rim_points,
+    simulate_release,
+)
 
 SHARE = 0.4
 """Of the random stacks; the measured figures are of all of them."""
-needs = pytest.mark.skipif(not available(), reason="needs the extra 'mujoco'")
+needs = pytest.mark.skipif(not mujoco_available(), reason="needs the extra 'mujoco'")
 
 
 @needs
@@ -32,15 +37,15 @@ def test_judge_agrees_with_the_engine_but_at_the_edge(name: str) -> None:
 
 
 def test_a_contradiction_counts_beyond_the_engine_error() -> None:
-    def verdict(*margins: float) -> Verdict:
-        return Verdict(margins, tuple("abc"[: len(margins)]))
+    def verdict(*margins: float) -> TowerVerdict:
+        return TowerVerdict(margins, tuple("abc"[: len(margins)]))
 
-    assert differs(verdict(9.0, 0.21), True)
-    assert differs(verdict(9.0, -0.21), False)
-    assert not differs(verdict(9.0, 0.19), True)
-    assert not differs(verdict(9.0, 5.0), False)
-    assert not differs(verdict(9.0, 9.0, 0.24), True)
-    assert differs(verdict(9.0, 9.0, 0.26), True)
+    assert contradicts_analysis(verdict(9.0, 0.21), True)
+    assert contradicts_analysis(verdict(9.0, -0.21), False)
+    assert not contradicts_analysis(verdict(9.0, 0.19), True)
+    assert not contradicts_analysis(verdict(9.0, 5.0), False)
+    assert not contradicts_analysis(verdict(9.0, 9.0, 0.24), True)
+    assert contradicts_analysis(verdict(9.0, 9.0, 0.26), True)
 
 
 @needs
@@ -50,11 +55,11 @@ def test_a_kick_of_the_fingers_moves_the_threshold() -> None:
     for kick_mm, falls in ((0.0, False), (0.35, False), (0.6, True)):
         kick = (kick_mm * math.cos(1.0), kick_mm * math.sin(1.0))
         assert simulate_release(tower, disturbance_mm=kick)[0] == falls
-        assert judge(tower, kick).stands != falls
+        assert judge_tower(tower, kick).stands != falls
 
 
 def pair(offset_mm: float, azimuth_rad: float = 0.0) -> Tower:
-    board, lid = shapes.circle(15.0), shapes.circle(25.0)
+    board, lid = outlines.circle(15.0), outlines.circle(25.0)
     at = (offset_mm * math.cos(azimuth_rad), offset_mm * math.sin(azimuth_rad))
     return Tower(
         (
@@ -75,7 +80,7 @@ def test_toppling_threshold_of_a_pair(azimuth: float) -> None:
 @needs
 def test_tower_falls_over_its_lower_interface() -> None:
     bodies = [
-        Body(name, shapes.circle(d), shapes.circle(d), h, mass, h / 2, at_mm=(x, 0.0))
+        Body(name, outlines.circle(d), outlines.circle(d), h, mass, h / 2, at_mm=(x, 0.0))
         for name, d, h, mass, x in (
             ("short", 25.0, 30.0, 30.0, 0.0),
             ("long", 15.0, 60.0, 35.0, 11.0),
@@ -91,7 +96,7 @@ def test_tower_falls_over_its_lower_interface() -> None:
 
 @needs
 def test_the_motion_starts_at_rest_and_lands_on_the_floor() -> None:
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     bottom = catalogue.piece("hex20").body()
     tower = Tower((bottom, catalogue.piece("mushroom").body((11.0, 0.0), 0.4)))
     fallen, fall = simulate_release(tower, seconds=1.5, frame_hz=60.0)
@@ -112,7 +117,7 @@ def test_the_motion_starts_at_rest_and_lands_on_the_floor() -> None:
 
 @needs
 def test_standing_stacks_of_all_bottoms_stay_where_they_are() -> None:
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     for name in catalogue.bottoms:
         tower = Tower((catalogue.piece(name).body(), catalogue.piece("pot").body((1.0, 1.0))))
         fallen, fall = simulate_release(tower, seconds=0.5)
@@ -123,7 +128,7 @@ def test_standing_stacks_of_all_bottoms_stay_where_they_are() -> None:
 @needs
 def test_faces_that_lie_off_their_own_centre_are_placed_right() -> None:
     # The engine moves a mesh to its centre of volume: the model must not follow.
-    wedge = shapes.convex(((-3.0, -5.0), (12.0, -2.0), (-3.0, 9.0)))
+    wedge = outlines.convex_polygon(((-3.0, -5.0), (12.0, -2.0), (-3.0, 9.0)))
     for angle in (0.0, 2.0, 4.0):
         for reach, band in ((0.1, "in"), (-0.1, "out")):
             lid = pair(0.0).bodies[1]
@@ -133,9 +138,11 @@ def test_faces_that_lie_off_their_own_centre_are_placed_right() -> None:
             assert fallen == (band == "out")
 
 
-def edge_point(outline: shapes.Outline, angle_rad: float, inside_mm: float) -> tuple[float, float]:
+def edge_point(
+    outline: outlines.Outline, angle_rad: float, inside_mm: float
+) -> tuple[float, float]:
     """Return the point on a ray from the centre with this margin to the outline's edge."""
-    start, normal = shapes.edge_normals(outline.polygon())
+    start, normal = outlines.edge_normals(outline.polygon())
     slope = normal @ np.array([math.cos(angle_rad), math.sin(angle_rad)])
     depth = (start * normal).sum(axis=1) - inside_mm
     reach = float(min(depth[slope > 0] / slope[slope > 0]))
@@ -143,9 +150,9 @@ def edge_point(outline: shapes.Outline, angle_rad: float, inside_mm: float) -> t
 
 
 def test_rim_points_lie_on_the_outline() -> None:
-    assert len(rim_points(shapes.circle(20.0))) == 32
-    assert np.hypot(*np.array(rim_points(shapes.circle(20.0))).T) == pytest.approx(10.0)
-    box = np.array(rim_points(shapes.rectangle(12.0, 28.0)))
+    assert len(rim_points(outlines.circle(20.0))) == 32
+    assert np.hypot(*np.array(rim_points(outlines.circle(20.0))).T) == pytest.approx(10.0)
+    box = np.array(rim_points(outlines.rectangle(12.0, 28.0)))
     assert len(box) == 32
     assert {(6.0, 14.0), (-6.0, 14.0), (-6.0, -14.0), (6.0, -14.0)} <= set(map(tuple, box))
     assert ((np.abs(box[:, 0]) == 6.0) | (np.abs(box[:, 1]) == 14.0)).all()
@@ -153,6 +160,6 @@ def test_rim_points_lie_on_the_outline() -> None:
 
 def test_without_the_package_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    assert not available()
+    assert not mujoco_available()
     with pytest.raises(InputError, match=r"mujoco-core.*touchdown\[mujoco\]"):
         simulate_release(pair(0.0))

@@ -7,21 +7,33 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.config.method import ProbeSettings
-from backend.config.simulation import SimulationSettings, SupportSettings
-from backend.objects.catalogue import load_catalogue
-from backend.objects.shapes import circle, rectangle
-from backend.objects.starts import draw_offset
-from backend.objects.surface import face_points
-from backend.objects.tower import Body, Tower, judge
-from backend.simulation import lockstep, nuisance
-from backend.simulation.episodes import SANITY, simulate
-from backend.simulation.holding import Holding, start_command_mm
-from backend.simulation.mechanics import RESIDUAL_LIMIT, ContactState, Solved, advance, begin
-from backend.simulation.pressing import press
-from backend.simulation.scene import Scene
-from backend.simulation.support import Pose, join_stands, slid, stand_of, topples
 from tests.backend.simulation.test_episodes import everything, plan
+from touchdown.backend.config.method import ProbeSettings
+from touchdown.backend.config.simulation import SimulationSettings, SupportSettings
+from touchdown.backend.geometry.outlines import circle, face_points, rectangle
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.sampling import draw_offset
+from touchdown.backend.geometry.tower import Body, Tower, judge_tower
+from touchdown.backend.simulation import batch as lockstep
+from touchdown.backend.simulation import conditions as nuisance
+from touchdown.backend.simulation.batch import LARGEST_FORCE_RATIO, simulate_episodes
+from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
+from touchdown.backend.simulation.gripper import HeldPiece, start_command_mm
+from touchdown.backend.simulation.mechanics import (
+    ContactState,
+    ProbeEquilibrium,
+    advance_probes,
+    begin_probes,
+)
+from touchdown.backend.simulation.pressing import press_batch
+from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.supports import (
+    SupportMotion,
+    join_support_stacks,
+    slide_bottoms,
+    support_stack,
+    topples,
+)
 
 BOTH = SupportSettings(rocks=True, slides=True)
 OFF = SimulationSettings.model_validate({"preset": "off"})
@@ -42,7 +54,7 @@ def pressed(
     side_mm=(0.0, 0.0),
     mu=0.4,
     steps=15,
-) -> tuple[ContactState, Solved]:
+) -> tuple[ContactState, ProbeEquilibrium]:
     """Press a small square face at ``offset_mm``, then move the arm sideways by ``side_mm``."""
     ground = np.random.default_rng(0)
     draw = (
@@ -50,18 +62,18 @@ def pressed(
         nuisance.draw_gripping(OFF, 10.0, ground),
         nuisance.draw_probe(OFF, ground),
     )
-    conditions = nuisance.conditions_of(OFF, ProbeSettings(), 30.0, 30.0, [draw])
+    conditions = nuisance.conditions_from_draws(OFF, ProbeSettings(), 30.0, 30.0, [draw])
     conditions.mu[:] = mu
-    state = begin(
+    state = begin_probes(
         face_points(FACE),
         tower.bodies[-1].upper,
         np.array([offset_mm]),
         conditions,
-    ).on(stand_of(tower, support))
+    ).on(support_stack(tower, support))
     for k in range(1, 2 * steps + 1):
         down, across = min(1.0, k / steps), max(0.0, k / steps - 1.0)
         command = np.array([[across * side_mm[0], across * side_mm[1], -DEPTH_MM * down]])
-        state, solved = advance(state, command, 0.1)
+        state, solved = advance_probes(state, command, 0.1)
     assert solved.residual[0] <= RESIDUAL_LIMIT
     return state, solved
 
@@ -83,7 +95,7 @@ def test_the_rigid_threshold_is_that_of_the_exact_judge(x_mm) -> None:
     _, solved = pressed(tower, (x_mm, 0.0), SupportSettings())
     load_g = 1e3 * solved.pressing_n[0] / 9.81
     weight = Body("press", FACE, None, 1.0, load_g, 0.5, at_mm=(x_mm, 0.0))
-    stands = judge(tower.with_top(weight)).margins_mm[0] > 0.0
+    stands = judge_tower(tower.with_top(weight)).margins_mm[0] > 0.0
     state, _ = pressed(tower, (x_mm, 0.0))
     assert bool(state.pose.rock_rad.any()) != stands
 
@@ -122,7 +134,7 @@ def test_what_rocked_comes_back_and_what_slid_stays() -> None:
     assert state.pose.rock_rad.any()
     slide = state.pose.slide_mm.copy()
     for height in np.linspace(-1.0, 1.0, 15):
-        state, solved = advance(state, np.array([[0.0, 3.0, height]]), 0.1)
+        state, solved = advance_probes(state, np.array([[0.0, 3.0, height]]), 0.1)
     assert solved.pressing_n[0] == 0.0
     assert not state.pose.rock_rad.any()
     assert slide[0, 0, 1] > 0.1
@@ -130,26 +142,28 @@ def test_what_rocked_comes_back_and_what_slid_stays() -> None:
 
 
 def test_a_body_topples_once_its_centre_of_mass_is_over_the_edge() -> None:
-    stand = stand_of(Tower((block(),)), BOTH)
+    stand = support_stack(Tower((block(),)), BOTH)
     for angle, falls in ((0.299, False), (0.301, True)):
-        pose = Pose(np.array([[[angle, 0.0]]]), np.zeros((1, 1, 2)))
+        pose = SupportMotion(np.array([[[angle, 0.0]]]), np.zeros((1, 1, 2)))
         assert topples(stand, pose)[0] == falls  # 6 mm beside the middle, 20 mm high
 
 
 def test_the_weights_of_a_tower_agree_with_the_judge() -> None:
     rng = np.random.default_rng(3)
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     short, long = catalogue.bottom("short"), catalogue.bottom("long")
     towers = [Tower((short.body(), long.body(tuple(rng.uniform(-12, 12, 2))))) for _ in range(60)]
-    towers = [t for t in towers if np.isfinite(judge(t).margin_mm) and not judge(t).too_close]
-    stands = join_stands([stand_of(t, BOTH) for t in towers])
-    falls = topples(stands, Pose.upright(len(towers), 2))
-    np.testing.assert_array_equal(falls, [not judge(t).stands for t in towers])
+    towers = [
+        t for t in towers if np.isfinite(judge_tower(t).margin_mm) and not judge_tower(t).too_close
+    ]
+    stands = join_support_stacks([support_stack(t, BOTH) for t in towers])
+    falls = topples(stands, SupportMotion.upright(len(towers), 2))
+    np.testing.assert_array_equal(falls, [not judge_tower(t).stands for t in towers])
 
 
 def test_a_face_of_its_own_carries_like_one_within_a_wider_face() -> None:
-    tower = Tower((load_catalogue().bottom("short").body(),))
-    table = join_stands([stand_of(tower, BOTH)] * 200).area
+    tower = Tower((load_pieces().bottom("short").body(),))
+    table = join_support_stacks([support_stack(tower, BOTH)] * 200).area
     wider = replace(table, grown_mm=np.add(table.grown_mm, (0.0, 40.0)))
     points = np.random.default_rng(2).uniform(-25.0, 25.0, (200, 1, 2))
     for mine, other in zip(table.nearest(points), wider.nearest(points), strict=True):
@@ -157,37 +171,37 @@ def test_a_face_of_its_own_carries_like_one_within_a_wider_face() -> None:
 
 
 def test_fixed_bottoms_and_settings_that_are_off_have_no_stand() -> None:
-    catalogue = load_catalogue()
-    assert stand_of(Tower((catalogue.bottom("circle15").body(),)), BOTH) is None
-    assert stand_of(Tower((catalogue.bottom("short").body(),)), SupportSettings()) is None
+    catalogue = load_pieces()
+    assert support_stack(Tower((catalogue.bottom("circle15").body(),)), BOTH) is None
+    assert support_stack(Tower((catalogue.bottom("short").body(),)), SupportSettings()) is None
     on_board = Tower((catalogue.bottom("circle25").body(), catalogue.bottom("short").body()))
-    stand = stand_of(on_board, BOTH)
+    stand = support_stack(on_board, BOTH)
     assert stand is not None
     assert stand.interfaces == 1
 
 
 def test_a_slide_moves_all_that_stands_above_it() -> None:
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     tower = Tower((catalogue.bottom("short").body(), catalogue.bottom("long").body((2.0, 0.0))))
-    moved = slid(tower, np.array([[1.0, 0.0], [0.0, 0.5]]))
+    moved = slide_bottoms(tower, np.array([[1.0, 0.0], [0.0, 0.5]]))
     assert [body.at_mm for body in moved.bodies] == [(1.0, 0.0), (3.0, 0.5)]
 
 
 def test_episodes_are_the_same_bytes_where_the_supports_hold_still() -> None:
-    tower = Tower((load_catalogue().bottom("short").body(),))
-    rigid = everything(simulate(plan(bottom="short", episodes=8)))
-    off = everything(simulate(plan(bottom="short", episodes=8, bottoms=tower)))
+    tower = Tower((load_pieces().bottom("short").body(),))
+    rigid = everything(simulate_episodes(plan(bottom="short", episodes=8)))
+    off = everything(simulate_episodes(plan(bottom="short", episodes=8, bottoms=tower)))
     np.testing.assert_array_equal(rigid.observation, off.observation)
     disc = Body("disc", circle(200.0), circle(20.0), 1.0, 1e6, 0.5)
     settings = SimulationSettings(support=SupportSettings(rocks=True, slides=True, mu=5.0))
     heavy = plan(bottom="short", episodes=8, bottoms=Tower((disc,)), settings=settings)
-    still = everything(simulate(heavy))
+    still = everything(simulate_episodes(heavy))
     np.testing.assert_allclose(still.observation, rigid.observation, atol=1e-4)
 
 
 def test_no_press_on_free_bottoms_is_harder_than_a_spring_can_make_it() -> None:
     """A search that finds no balance must not leave its last forces behind: they trip the arm."""
-    catalogue, settings = load_catalogue(), SimulationSettings.model_validate({"preset": "hard"})
+    catalogue, settings = load_pieces(), SimulationSettings.model_validate({"preset": "hard"})
     tower = Tower((catalogue.bottom("long").body(),))
     piece = catalogue.top("mushroom")
     scenes = [Scene(piece, tower, (0.0, 0.0), seed, settings) for seed in range(24)]
@@ -195,16 +209,16 @@ def test_no_press_on_free_bottoms_is_harder_than_a_spring_can_make_it() -> None:
     seen = []
 
     def watched(*args, **more):
-        seen.append(press(*args, **more))
+        seen.append(press_batch(*args, **more))
         return seen[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lockstep, "press", watched)
-        felt = lockstep.Lockstep(scenes).press(range(len(scenes)), places)
+        patch.setattr(lockstep, "press_batch", watched)
+        felt = lockstep.BatchedTrials(scenes).press(range(len(scenes)), places)
     wrench = seen[0].timeline.values[:, :, :6]
     assert np.isfinite(wrench).all()
     assert (
-        wrench[:, :, 2].max() < SANITY * 5.22 * 1.6
+        wrench[:, :, 2].max() < LARGEST_FORCE_RATIO * 5.22 * 1.6
     )  # series stiffness times depth: reference 3.1
     assert felt.valid.mean() > 0.85
     assert (np.hypot(*np.moveaxis(seen[0].state.pose.rock_rad, -1, 0)) > 1e-4).mean() > 0.3
@@ -214,22 +228,22 @@ def test_devices_and_batch_rock_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = SimulationSettings.model_validate(
         {"preset": "off", "spread": {"tilt_rad": 0.012}, "support": {"rocks": True, "slides": True}}
     )
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     tower = Tower((catalogue.bottom("long").body(),))
     scene = Scene(catalogue.top("pot"), tower, (5.0, -3.0), 4, settings)
     seen = []
 
     def watched(*args, **more):
-        seen.append(press(*args, **more))
+        seen.append(press_batch(*args, **more))
         return seen[-1]
 
-    monkeypatch.setattr(lockstep, "press", watched)
-    bench = lockstep.Lockstep([scene])
+    monkeypatch.setattr(lockstep, "press_batch", watched)
+    bench = lockstep.BatchedTrials([scene])
     felt = bench.press([0], bench.start_commands_mm())
     batch = seen[0].state
     rock = batch.pose.rock_rad[0, 0]
     assert np.hypot(*rock) > 5e-4
-    holding = Holding(scene, 0, ProbeSettings().grip_force_n)
+    holding = HeldPiece(scene, 0, ProbeSettings().grip_force_n)
     holding.begin_probe(ProbeSettings())
     command = start_command_mm(scene)
     for depth in np.linspace(-0.5, -batch.depth_mm[0], 150):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.config.simulation import SupportSettings
-from backend.objects.shapes import rectangle
-from backend.objects.tower import Body, Tower
-from backend.simulation.release_mujoco import model_xml
 from tests.backend.simulation.test_support import block, pressed
+from touchdown.backend.config.simulation import SupportSettings
+from touchdown.backend.geometry.outlines import rectangle
+from touchdown.backend.geometry.tower import Body, Tower
+from touchdown.backend.simulation.release_mujoco import model_xml
 
 mujoco = pytest.importorskip("mujoco")
 SECONDS = 0.25

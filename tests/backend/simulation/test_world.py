@@ -8,20 +8,20 @@ import threading
 import numpy as np
 import pytest
 
-from backend.config.simulation import SimulationSettings
-from backend.core.faults import FaultError
-from backend.core.flow import FINGERS, Pose
-from backend.core.stream import SampleStream
-from backend.devices.protocols import PressCommand
-from backend.devices.sim.bench import BenchStreams, SimulatedBench
-from backend.objects.catalogue import load_catalogue
-from backend.objects.tower import Tower
-from backend.simulation.disturbances import parse_script
-from backend.simulation.mechanics import RESIDUAL_LIMIT
-from backend.simulation.scene import Scene
+from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.core.values import FINGERS, Pose
+from touchdown.backend.devices.protocols import PressCommand
+from touchdown.backend.emulation.disturbances import parse_script
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.tower import Tower
+from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
+from touchdown.backend.simulation.devices.bench import BenchStreams, SimulatedBench
+from touchdown.backend.simulation.scene import Scene
 
 PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (30.0, 30.0, 15.0))
-CATALOGUE = load_catalogue()
+CATALOGUE = load_pieces()
 
 
 class Driven:

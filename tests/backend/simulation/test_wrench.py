@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.simulation.wrench import Load, centre_of_pressure_mm, held_piece, wrist_wrench
+from touchdown.backend.simulation.wrist_sensor import (
+    Load,
+    centre_of_pressure_mm,
+    held_piece_load,
+    wrist_wrench,
+)
 
 
 def test_in_air_only_the_weights_are_felt() -> None:
-    piece = held_piece(21.0, (0.0, 0.0, 33.0), 30.0, (0.4, -0.2))
+    piece = held_piece_load(21.0, (0.0, 0.0, 33.0), 30.0, (0.4, -0.2))
     gripper = Load(1.5, (0.0, 0.0, 60.0))
     total = piece.wrench_g() + gripper.wrench_g()
     assert total[2] == pytest.approx(-(1.5 + 0.021) * 9.80665)

@@ -2,8 +2,8 @@
 
 import pytest
 
-from backend.__main__ import VERBS, main
-from backend.verbs.check_machine import check_catalogue
+from touchdown.backend.__main__ import VERBS, main
+from touchdown.backend.cli.doctor.command import check_catalogue
 
 
 @pytest.mark.parametrize("words", [["--theme", "foo"], ["--them", "x"], ["--size", "big"]])

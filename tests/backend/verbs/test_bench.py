@@ -8,11 +8,11 @@ from argparse import ArgumentParser
 import pytest
 from rich.console import Console
 
-from backend.__main__ import main
-from backend.rig.timing import Timing
-from backend.verbs import collect, stack
-from backend.verbs.bench import _timing_table
-from backend.verbs.connecting import name_scene
+from touchdown.backend.__main__ import main
+from touchdown.backend.cli import collect, stack
+from touchdown.backend.cli.bench import _timing_table
+from touchdown.backend.cli.connection import fill_in_scene
+from touchdown.backend.rig.timing import Timing
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def test_what_stands_there_is_what_the_lab_file_says_unless_it_is_named(lab):
         parser = ArgumentParser()
         verb.add_arguments(parser)
         args = parser.parse_args(words)
-        name_scene(args, verb.BOTTOM)
+        fill_in_scene(args, verb.BOTTOM)
         return args.piece, args.bottom
 
     for verb in (collect, stack):

@@ -14,17 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.__main__ import main
-from backend.calibration.estimate import Estimate, Quantity
-from backend.calibration.kinds import WHATS
-from backend.calibration.record import read_record
-from backend.calibration.store import CalibrationStore
-from backend.core.facts import RunFinished
-from backend.runs.store import calibrations_folder
-from backend.verbs import calibrate
-from backend.verbs.screen import Screen
+from touchdown.backend.__main__ import main
+from touchdown.backend.calibration.records import CalibrationStore, read_record
+from touchdown.backend.calibration.result import CALIBRATION_NAMES, CalibrationEstimate, Quantity
+from touchdown.backend.cli import calibrate
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core.events import RunFinished
+from touchdown.backend.runs.recorder import calibrations_folder
 
-GOOD = Estimate(
+GOOD = CalibrationEstimate(
     (
         Quantity("mass_kg", 1.5, 0.01, "kg"),
         Quantity("com_x_mm", 0.0, 0.1, "mm"),
@@ -45,8 +43,8 @@ class Bench:
 
 def reported(folder: Path, found, *, accept: bool) -> tuple[int, dict]:
     stream = io.StringIO()
-    screen = Screen(json=True, stream=stream)
-    told = calibrate._Told(screen, None, None)
+    screen = VerbOutput(json=True, stream=stream)
+    told = calibrate._CalibrationProgress(screen, None, None)
     told.take(RunFinished(1.0, "r", "finished", "Done."))
     if found is not None:
         told.take(found)
@@ -84,7 +82,7 @@ def test_status_says_what_lacks_and_what_to_do(capsys) -> None:
     assert "Run 'touchdown calibrate board --accept'." in " ".join(said.split())
     assert main(["calibrate", "status", "--json"]) == 1
     rows = json.loads(capsys.readouterr().out)["calibrations"]
-    assert [row["what"] for row in rows] == list(WHATS)
+    assert [row["what"] for row in rows] == list(CALIBRATION_NAMES)
     assert [row["condition"] for row in rows] == ["valid"] + 4 * ["missing"]
 
 
@@ -121,7 +119,7 @@ def test_the_command_that_status_names_works_as_it_is_pasted(tmp_path, capsys) -
     assert main(["calibrate", "status", *words]) == 1
     said = " ".join(capsys.readouterr().out.split())
     given = re.findall(r"Run 'touchdown (calibrate .*?--accept)'\.", said)
-    assert [shlex.split(command)[1] for command in given] == list(WHATS)
+    assert [shlex.split(command)[1] for command in given] == list(CALIBRATION_NAMES)
     parser = argparse.ArgumentParser()
     calibrate.add_arguments(parser)
     pasted = parser.parse_args(shlex.split(given[0])[1:])

@@ -6,12 +6,12 @@ import json
 
 import pytest
 
-from backend.__main__ import main
-from backend.catalogue.dataset import Dataset
-from backend.dataset.coverage import coverage
-from backend.objects.shapes import circle
-from backend.verbs.collect import coverage_text
 from tests.backend.brisk import RATE_HZ
+from touchdown.backend.__main__ import main
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.cli.collect import coverage_text
+from touchdown.backend.episodes.quality import count_coverage
+from touchdown.backend.geometry.outlines import circle
 
 
 @pytest.mark.slow
@@ -65,7 +65,7 @@ def test_there_must_be_something_to_go_on_with(tmp_path, capsys) -> None:
 
 
 def test_coverage_is_drawn_with_y_up() -> None:
-    seen = coverage([(0.0, 2.0)] * 3 + [(2.0, 0.0)] * 12, circle(8.0), circle(8.0))
+    seen = count_coverage([(0.0, 2.0)] * 3 + [(2.0, 0.0)] * 12, circle(8.0), circle(8.0))
     head, *rows = coverage_text(seen).splitlines()
     assert head.startswith("Covered 2 of ")
     upper = next(k for k, row in enumerate(rows) if "3" in row)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from backend.__main__ import main
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Label
 from tests.backend.catalogue.conftest import context_for, small_episode
+from touchdown.backend.__main__ import main
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
 
 
 @pytest.fixture

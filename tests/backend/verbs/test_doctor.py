@@ -7,24 +7,24 @@ from argparse import Namespace
 
 import pytest
 
-from backend.__main__ import main
-from backend.verbs import check_machine, check_packages, doctor
-from backend.verbs.check import Check
-from backend.verbs.qt_libraries import PACKAGES, missing_in, packages_for
-from backend.verbs.screen import Screen
+from touchdown.backend.__main__ import main
+from touchdown.backend.cli.doctor import command
+from touchdown.backend.cli.doctor.command import DoctorCheck
+from touchdown.backend.cli.doctor.qt_libraries import PACKAGES, missing_in, packages_for
+from touchdown.backend.cli.output import VerbOutput
 
 
 def _run(monkeypatch, *checks, as_json=True):
-    monkeypatch.setattr(doctor, "EXAMINATIONS", tuple(lambda c=c: c for c in checks))
-    for look in doctor.EXAMINATIONS:
+    monkeypatch.setattr(command, "EXAMINATIONS", tuple(lambda c=c: c for c in checks))
+    for look in command.EXAMINATIONS:
         look.__name__ = "check_something"
     stream = io.StringIO()
-    code = doctor.run(Namespace(bench=None, dataset=None), Screen(json=as_json, stream=stream))
+    code = command.run(Namespace(bench=None, dataset=None), VerbOutput(json=as_json, stream=stream))
     return code, stream.getvalue()
 
 
-GOOD, NOTE = Check("a", True, "fine"), Check("b", True, "none", "plug it in")
-BAD = Check("c", False, "broken [x]", "mend it")
+GOOD, NOTE = DoctorCheck("a", True, "fine"), DoctorCheck("b", True, "none", "plug it in")
+BAD = DoctorCheck("c", False, "broken [x]", "mend it")
 
 
 def test_absent_options_do_not_fail(monkeypatch):
@@ -55,9 +55,11 @@ def test_a_damaged_installation_does_not_end_the_doctor(monkeypatch):
     def check_data_folder():
         raise ImportError("no numpy")
 
-    monkeypatch.setattr(doctor, "EXAMINATIONS", (check_data_folder, lambda: GOOD))
+    monkeypatch.setattr(command, "EXAMINATIONS", (check_data_folder, lambda: GOOD))
     stream = io.StringIO()
-    assert doctor.run(Namespace(bench=None, dataset=None), Screen(json=True, stream=stream)) == 1
+    assert (
+        command.run(Namespace(bench=None, dataset=None), VerbOutput(json=True, stream=stream)) == 1
+    )
     first, second = json.loads(stream.getvalue())["checks"]
     assert (first["name"], first["ok"], first["fix"]) == ("data folder", False, "make setup")
     assert second["ok"]
@@ -68,7 +70,7 @@ def test_on_this_computer(capsys):
     code = main(["doctor", "--json"])
     checks = json.loads(capsys.readouterr().out)["checks"]
     names = [check["name"] for check in checks]
-    assert len(set(names)) == len(names) == len(doctor.EXAMINATIONS)
+    assert len(set(names)) == len(names) == len(command.EXAMINATIONS)
     assert all(check["fix"] for check in checks if not check["ok"])
     found = {check["name"]: check for check in checks}
     assert re.match(r"CPython 3\.1\d", found["python"]["detail"])
@@ -92,7 +94,7 @@ def test_on_this_computer(capsys):
     ],
 )
 def test_pairs_of_qt_and_python(qt, python, fit):
-    assert (check_packages.qt_pair_fault(qt, python) == "") is fit
+    assert (command.qt_pair_fault(qt, python) == "") is fit
 
 
 VERSIONS = {
@@ -117,22 +119,22 @@ VERSIONS = {
 )
 def test_wrong_packages_are_named_with_the_fix(monkeypatch, changed, look, word):
     versions = {**VERSIONS, **changed}
-    monkeypatch.setattr(check_packages, "installed", versions.get)
-    check = getattr(check_packages, look)()
+    monkeypatch.setattr(command, "installed", versions.get)
+    check = getattr(command, look)()
     assert not check.ok
     assert word in check.detail
     assert "pip" in check.fix
 
 
 def test_good_packages_are_good(monkeypatch):
-    monkeypatch.setattr(check_packages, "installed", VERSIONS.get)
-    assert check_packages.check_qt_versions() == Check("qt", True, "PySide6-Essentials 6.11.3")
-    assert check_packages.check_opencv().ok
+    monkeypatch.setattr(command, "installed", VERSIONS.get)
+    assert command.check_qt_versions() == DoctorCheck("qt", True, "PySide6-Essentials 6.11.3")
+    assert command.check_opencv().ok
 
 
-@pytest.mark.parametrize("look", [check_packages.check_torch, check_packages.check_qt_platform])
+@pytest.mark.parametrize("look", [command.check_torch, command.check_qt_platform])
 def test_a_computer_too_busy_to_answer_is_not_told_to_install_anew(monkeypatch, look):
-    monkeypatch.setattr(check_packages, "CHILD_LIMIT_S", 0)
+    monkeypatch.setattr(command, "CHILD_LIMIT_S", 0)
     check = look()
     assert not check.ok
     assert "no answer within 0 s" in check.detail
@@ -160,8 +162,8 @@ def test_missing_libraries_are_read_from_ldd_and_become_packages():
 
 
 def test_missing_libraries_give_the_apt_line(monkeypatch):
-    monkeypatch.setattr(check_packages, "missing_libraries", lambda: missing_in(LDD))
-    check = check_packages.check_qt_libraries()
+    monkeypatch.setattr(command, "missing_libraries", lambda: missing_in(LDD))
+    check = command.check_qt_libraries()
     assert not check.ok
     assert check.fix == "sudo apt-get install libxcb-cursor0 libxcb-icccm4"
 
@@ -169,8 +171,8 @@ def test_missing_libraries_give_the_apt_line(monkeypatch):
 def test_cameras_are_listed_once_each(tmp_path):
     for name in ("usb-GelSight_A-video-index0", "usb-GelSight_A-video-index1", "other"):
         (tmp_path / name).touch()
-    assert check_machine.check_cameras(tmp_path).detail == "usb-GelSight_A-video-index0"
-    none = check_machine.check_cameras(tmp_path / "missing")
+    assert command.check_cameras(tmp_path).detail == "usb-GelSight_A-video-index0"
+    none = command.check_cameras(tmp_path / "missing")
     assert none.ok
     assert none.fix
 
@@ -178,39 +180,39 @@ def test_cameras_are_listed_once_each(tmp_path):
 def test_a_data_folder_that_cannot_be_written_is_named(tmp_path):
     blocked = tmp_path / "file"
     blocked.touch()
-    check = check_machine.check_data_folder(blocked / "data")
+    check = command.check_data_folder(blocked / "data")
     assert not check.ok
     assert str(blocked) in check.detail
     assert "TOUCHDOWN_DATA" in check.fix
-    good = check_machine.check_data_folder(tmp_path / "data")
+    good = command.check_data_folder(tmp_path / "data")
     assert good.ok
     assert list((tmp_path / "data").iterdir()) == []
 
 
 def test_a_full_disk_fails(tmp_path, monkeypatch):
-    assert check_machine.check_disk(tmp_path / "not" / "yet").ok
-    monkeypatch.setattr(check_machine, "LEAST_FREE_GB", 1e9)
-    assert not check_machine.check_disk(tmp_path).ok
+    assert command.check_disk(tmp_path / "not" / "yet").ok
+    monkeypatch.setattr(command, "LEAST_FREE_GB", 1e9)
+    assert not command.check_disk(tmp_path).ok
 
 
 def test_no_display_is_no_failure_but_has_a_way_out(monkeypatch):
-    monkeypatch.setattr(check_machine.sys, "platform", "linux")
+    monkeypatch.setattr(command.sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    check = check_machine.check_display()
+    check = command.check_display()
     assert check.ok
     assert "make demo" in check.fix
     monkeypatch.setenv("DISPLAY", ":0")
-    assert check_machine.check_display() == Check("display", True, "X11 :0")
+    assert command.check_display() == DoctorCheck("display", True, "X11 :0")
 
 
 def test_missing_models_are_named(tmp_path):
     (tmp_path / "pot.safetensors").touch()
     (tmp_path / "barrel.json").touch()
-    check = check_machine.check_models(tmp_path)
+    check = command.check_models(tmp_path)
     assert (check.ok, check.fix) == (False, "make models")
     assert check.detail == "missing for mushroom, barrel"
-    assert not check_machine.check_models(tmp_path / "no such folder").ok
+    assert not command.check_models(tmp_path / "no such folder").ok
     for piece in ("mushroom", "barrel"):
         (tmp_path / f"{piece}.safetensors").touch()
-    assert check_machine.check_models(tmp_path).ok
+    assert command.check_models(tmp_path).ok

@@ -9,15 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from backend.__main__ import main
-from backend.config.hardware import HardwareSettings
-from backend.config.lab import load_lab
-from backend.config.load import load
-from backend.emulators.serving import SUFFERS
-from backend.verbs import emulate
-from backend.wire import wsg_binary
-from backend.wire.wsg_binary import Request
-from backend.wire.wsg_words import Command
+from touchdown.backend.__main__ import main
+from touchdown.backend.bench.serving import SUFFERS
+from touchdown.backend.cli import emulate
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.config.lab import load_lab
+from touchdown.backend.config.toml_file import read_settings
+from touchdown.backend.devices.wsg import protocol
+from touchdown.backend.devices.wsg.protocol import Command, Request
 
 
 def free_port():
@@ -54,11 +53,11 @@ def test_a_client_of_its_own_reads_the_gripper(capsys, ends):
     words = ["emulate", "wsg", "--port", str(port), "--part", "0", "--json"]
     serving = threading.Thread(target=main, args=(words,))
     serving.start()
-    replies, reader = [], wsg_binary.replies()
+    replies, reader = [], protocol.replies()
     end = ends.get(timeout=60.0)
     try:
         with socket.create_connection(("127.0.0.1", port), timeout=60.0) as client:
-            client.sendall(wsg_binary.encode_request(Request(Command.WIDTH, (0, 0))))
+            client.sendall(protocol.encode_request(Request(Command.WIDTH, (0, 0))))
             while not replies:
                 heard = client.recv(100)
                 assert heard, "it closed the wire without an answer"
@@ -111,6 +110,6 @@ def test_a_bench_leaves_its_file_in_the_folder(tmp_path, capsys):
     result = json.loads(capsys.readouterr().out)
     assert result["seen"]["step_share"] == 0.0
     told = result["bench"]
-    hardware = load(HardwareSettings, tmp_path / "bench.toml")
+    hardware = read_settings(HardwareSettings, tmp_path / "bench.toml")
     assert hardware.ft.address == told["ft"]["address"]
     assert hardware.wsg.port == told["wsg"]["port"]

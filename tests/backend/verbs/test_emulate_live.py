@@ -6,10 +6,10 @@ import time
 
 import pytest
 
-from backend.emulators.faults import Faults
-from backend.emulators.front import TcpFront
-from backend.emulators.wsg import EmulatedWsg
-from backend.verbs.emulate_live import TypedFaults
+from touchdown.backend.cli.emulate import FaultPrompt
+from touchdown.backend.devices.wsg.emulator import EmulatedWsg
+from touchdown.backend.emulation.fault_plan import Faults
+from touchdown.backend.emulation.servers import TcpFront
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def on(front):
 
 
 def test_a_kind_alone_strikes_the_main_device_and_a_named_one_its_own(fronts):
-    typed = TypedFaults(fronts, io.StringIO())
+    typed = FaultPrompt(fronts, io.StringIO())
     assert typed.obey("part_lost 60") == "gripper: part_lost for 60 s."
     assert "until 'clear'" in typed.obey("force_torque freeze")
     assert (on(fronts[0]), on(fronts[1])) == (("part_lost",), ("freeze",))
@@ -38,12 +38,12 @@ def test_a_kind_alone_strikes_the_main_device_and_a_named_one_its_own(fronts):
 
 @pytest.mark.parametrize("line", ["dark", "part_lost soon", "part_lost -1", "gripper"])
 def test_what_is_no_fault_is_said_and_does_nothing(fronts, line):
-    assert "is no fault" in TypedFaults(fronts, io.StringIO()).obey(line)
+    assert "is no fault" in FaultPrompt(fronts, io.StringIO()).obey(line)
     assert on(fronts[0]) == ()
 
 
 def test_a_wrong_word_is_answered_with_the_kinds_there_are(fronts):
-    typed = TypedFaults(fronts, io.StringIO())
+    typed = FaultPrompt(fronts, io.StringIO())
     assert "use one of lost, flip" in typed.obey("help")
     assert "'hz', how many samples a second, belongs to 'slow'" in typed.obey("force_torque slow")
 
@@ -51,7 +51,7 @@ def test_a_wrong_word_is_answered_with_the_kinds_there_are(fronts):
 def test_lines_come_as_they_are_typed_and_end(fronts):
     read, write = os.pipe()
     with os.fdopen(read) as source:
-        typed = TypedFaults(fronts, source)
+        typed = FaultPrompt(fronts, source)
         assert typed.take(0.0) == ""
         os.write(write, b"silent 9\n")
         assert typed.take(1.0) == "gripper: silent for 9 s."
@@ -67,4 +67,4 @@ def test_lines_come_as_they_are_typed_and_end(fronts):
 
 
 def test_where_nobody_can_type_nothing_is_waited_for(fronts):
-    assert not TypedFaults(fronts, io.StringIO()).listens
+    assert not FaultPrompt(fronts, io.StringIO()).listens

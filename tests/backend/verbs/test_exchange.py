@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from backend.__main__ import main
-from backend.catalogue.dataset import Dataset
 from tests.backend.exchange.conftest import fill
+from touchdown.backend.__main__ import main
+from touchdown.backend.annotations.dataset import Dataset
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from backend.__main__ import main
-from backend.experiments import recipes
+from touchdown.backend.__main__ import main
+from touchdown.backend.experiments import tables
 
 
 @pytest.mark.parametrize(
@@ -43,8 +43,8 @@ def test_a_file_in_the_way_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFi
 def test_two_shards_make_one_experiment(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    small = replace(recipes.QUICK, groups=4, trials=2)
-    monkeypatch.setitem(recipes.SCALES, "quick", small)
+    small = replace(tables.QUICK, groups=4, trials=2)
+    monkeypatch.setitem(tables.SCALES, "quick", small)
     words = ["experiment", "tables", "--pieces", "pot", "--executor", "serial", "--json"]
     words += ["--preset", "quiet"]  # bottoms that stand still cost the least
     words += ["--out", str(tmp_path)]

@@ -5,9 +5,9 @@ import sys
 
 import pytest
 
-from backend.core.faults import Fault
-from backend.verbs.attending import room_made
-from backend.verbs.screen import Screen
+from touchdown.backend.cli.connection import wait_for_disk_space
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core.faults import Fault
 
 FULL = Fault("DISK-FULL", "Only 0.42 GB are free.", "The run is paused.", "Make room.")
 
@@ -27,7 +27,7 @@ def test_an_enter_goes_on_and_nobody_is_waited_for_in_vain(
     said = io.StringIO()
     monkeypatch.setattr("sys.stdin", io.StringIO(typed))
 
-    assert room_made(FULL, Screen(json=json, stream=said), "run", waits=waits) is made
+    assert wait_for_disk_space(FULL, VerbOutput(json=json, stream=said), "run", waits=waits) is made
     assert sys.stdin.read() == left
     assert ("0.42 GB" in said.getvalue()) is not json
     assert ("press Enter" in said.getvalue()) is (waits and not json)

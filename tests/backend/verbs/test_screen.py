@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from rich.table import Table
 
-from backend.verbs.screen import Screen
+from touchdown.backend.cli.output import VerbOutput
 
 
 def _screen(*, as_json):
     stream = io.StringIO()
-    return Screen(json=as_json, stream=stream), stream
+    return VerbOutput(json=as_json, stream=stream), stream
 
 
 def test_scripts_get_one_object_and_nothing_else():

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from backend.__main__ import main
-from backend.config.method import StackSettings
-from backend.runs.journal import NAME
-from backend.verbs.settings import as_toml, load_method
+from touchdown.backend.__main__ import main
+from touchdown.backend.cli.settings import as_toml, load_method
+from touchdown.backend.config.method import StackSettings
+from touchdown.backend.runs.event_log import EVENT_LOG_NAME
 
 
 def test_what_is_written_is_read_back_the_same(
@@ -50,7 +50,7 @@ def test_a_run_follows_the_file_and_records_it(
     assert main([*words, "--json"]) == 1
     (trial,) = json.loads(capsys.readouterr().out)["trials"]
     assert (trial["outcome"], trial["probes"]) == ("gave_up", 1)
-    head = (next(runs.glob("*")) / NAME).read_text("utf-8").splitlines()[1]
+    head = (next(runs.glob("*")) / EVENT_LOG_NAME).read_text("utf-8").splitlines()[1]
     method = json.loads(json.loads(head)["settings"])["method"]
     assert method["policy"]["max_probes"] == 1
     assert method["stability"]["delta"] == 0.9

@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from backend.__main__ import main
-from backend.dataset.pack_file import read_pack_metadata
-from backend.dataset.rows import find_packs, load_rows
-from backend.experiments import collection
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import face_points, true_patch
+from touchdown.backend.__main__ import main
+from touchdown.backend.episodes.packs import read_pack_metadata
+from touchdown.backend.episodes.training_rows import find_packs, load_rows
+from touchdown.backend.experiments import collection
+from touchdown.backend.geometry.outlines import face_points, true_patch
+from touchdown.backend.geometry.pieces import load_pieces
 
 SMALL = ["simulate", "--piece", "pot", "--bottoms", "circle15,square15", "--episodes", "6"]
 SMALL += ["--probes-per-grip", "3", "--grips-per-mounting", "2", "--seed", "4", "--json"]
@@ -46,7 +46,7 @@ def test_json_counts_and_labels_are_complete(written) -> None:
 
 def test_patches_are_the_overlap_at_the_label(written) -> None:
     rows = load_rows(written[0])
-    catalogue = load_catalogue()
+    catalogue = load_pieces()
     points = face_points(catalogue.top("pot").face)
     for k, name in enumerate(rows.bottom):
         patch = true_patch(points, rows.offset_mm[k], catalogue.bottom(name).upper)
@@ -75,7 +75,7 @@ def test_jobs_cover_every_grip_once() -> None:
 
     for probes_per_grip in (1, 7, 50):
         made = plan(episodes=1234, probes_per_grip=probes_per_grip)
-        jobs = collection.jobs_of(made, {}, None)
+        jobs = collection.split_jobs(made, {}, None)
         grips = [grip for job in jobs for grip in job.grips]
         assert grips == list(range(made.grips))
         assert sum(job.episodes for job in jobs) == 1234

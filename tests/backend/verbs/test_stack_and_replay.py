@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from backend.__main__ import main
-from backend.core.facts import RunStarted
-from backend.dataset.episode_reading import read_episode
-from backend.runs.journal import NAME, Journal
-from backend.simulation.release_mujoco import available
 from tests.backend.brisk import RATE_HZ
+from touchdown.backend.__main__ import main
+from touchdown.backend.core.events import RunStarted
+from touchdown.backend.episodes.episode_file import read_episode
+from touchdown.backend.runs.event_log import EVENT_LOG_NAME, EventLog
+from touchdown.backend.simulation.release_mujoco import mujoco_available
 
 TRIAL_KEYS = {
     "seed",
@@ -59,7 +59,7 @@ def test_stack_then_replay_tell_the_same(
     assert set(trial) == TRIAL_KEYS
     assert trial["outcome"] in OUTCOMES
     # The second judge was asked, where there is one.
-    assert trial["contradicted"] in ((False, True) if available() else (None,))
+    assert trial["contradicted"] in ((False, True) if mujoco_available() else (None,))
     assert status == (0 if trial["outcome"] == "placed" else 1)
     status, out, err = call(capsys, "replay", "latest", "--runs", runs)
     again = json.loads(out)
@@ -75,7 +75,7 @@ def test_the_shipped_model_is_the_one_recorded(
 ) -> None:
     runs = tmp_path / "runs"
     call(capsys, "stack", "--inject", "tactile_left:stop@0.5", "--runs", str(runs))
-    head = (next(runs.glob("*")) / NAME).read_text("utf-8").splitlines()[1]
+    head = (next(runs.glob("*")) / EVENT_LOG_NAME).read_text("utf-8").splitlines()[1]
     settings = json.loads(json.loads(head)["settings"])
     assert set(settings) == {
         "request", "method", "simulation", "disturbances", "model", "program", "limits",
@@ -136,7 +136,7 @@ def test_a_run_killed_in_the_middle_replays_to_its_last_fact(
     assert told["facts"]["EpisodeRecorded"] >= 1
     (folder,) = runs.glob("*")
     kept = {path.stem for path in folder.glob("episodes/*.mcap")}
-    lines = [json.loads(line) for line in (folder / NAME).read_bytes().splitlines()[1:]]
+    lines = [json.loads(line) for line in (folder / EVENT_LOG_NAME).read_bytes().splitlines()[1:]]
     told_ids = {f["episode"]["episode_id"] for f in lines if f["kind"] == "EpisodeRecorded"}
     assert told_ids <= kept
 
@@ -192,7 +192,7 @@ def test_pick_and_place_asks_for_no_model(
 ) -> None:
     pieces = tmp_path / "pieces"
     pieces.mkdir()
-    text = files("resources").joinpath("objects", "pot.toml").read_text("utf-8")
+    text = files("touchdown.resources").joinpath("objects", "pot.toml").read_text("utf-8")
     (pieces / "own.toml").write_text(text, "utf-8")
     runs = tmp_path / "runs"
     words = ("stack", "--piece", "own", "--pieces", str(pieces), "--runs", str(runs))
@@ -202,7 +202,7 @@ def test_pick_and_place_asks_for_no_model(
     status, out, err = call(capsys, *words, "--strategy", "pick-and-place")
     assert err == ""
     assert (status, json.loads(out)["trials"][0]["outcome"]) == (1, "fell")
-    head = (next(runs.glob("*")) / NAME).read_text("utf-8").splitlines()[1]
+    head = (next(runs.glob("*")) / EVENT_LOG_NAME).read_text("utf-8").splitlines()[1]
     assert json.loads(json.loads(head)["settings"])["model"] is None
     # A model that was named is read all the same: a wrong name is not passed over.
     status, _, err = call(
@@ -252,7 +252,7 @@ def test_a_run_of_a_removed_strategy_still_replays(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "run"
-    journal = Journal(folder)
+    journal = EventLog(folder)
     journal(RunStarted(0.0, "stack", "pot", "short", "pressure", 7, 1, True, "{}"))
     journal.close()
     assert main(["replay", str(folder), "--json"]) == 0

@@ -2,10 +2,10 @@
 
 import io
 
-from backend.core.facts import TrialFinished
-from backend.core.flow import Outcome
-from backend.verbs.screen import Screen
-from backend.verbs.stack import trial_table
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.stack import trial_table
+from touchdown.backend.core.events import TrialFinished
+from touchdown.backend.core.values import Outcome
 
 ENDS = [
     TrialFinished(1.0, 1, 7, Outcome.PLACED, "stands", 3, 0, 1.25),
@@ -15,7 +15,7 @@ ENDS = [
 
 def shown(pieces: tuple[str, ...]) -> list[list[str]]:
     stream = io.StringIO()
-    Screen(json=False, stream=stream).show(trial_table(ENDS, pieces))
+    VerbOutput(json=False, stream=stream).show(trial_table(ENDS, pieces))
     rows = [line for line in stream.getvalue().splitlines() if line[:1] in "┃│"]
     return [
         [cell.strip() for cell in row.strip("┃│ ").replace("│", "┃").split("┃")] for row in rows

@@ -4,21 +4,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from backend.wire import (
-    bota,
-    dynpick,
-    leptrino,
-    melfa_monitor,
-    melfa_mxt,
-    melfa_r3,
-    net_ft,
-    optoforce,
-    robotiq_ft300,
-    wsg_binary,
-    wsg_gcl,
-)
-from backend.wire.framing import WireError
-from backend.wire.melfa_blocks import Kind
+from touchdown.backend.devices.bota import protocol
+from touchdown.backend.devices.dynpick import protocol as dynpick
+from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
+from touchdown.backend.devices.leptrino import protocol as leptrino
+from touchdown.backend.devices.melfa import protocol_monitor, protocol_mxt, protocol_r3
+from touchdown.backend.devices.melfa.protocol_mxt import Kind
+from touchdown.backend.devices.netft import protocol as net_ft
+from touchdown.backend.devices.optoforce import protocol as optoforce
+from touchdown.backend.devices.wsg import protocol as wsg_binary
+from touchdown.backend.devices.wsg import protocol_gcl
 
 MONITOR_KINDS = {901: Kind.FORCE, 902: Kind.ROBMON, 903: Kind.POSE, 904: Kind.FLOATS}
 """Stand-ins of the vectors for the data type numbers that no source gives."""
@@ -46,11 +42,11 @@ class Codec:
 
 
 def _monitor_reply(reply):
-    return melfa_monitor.encode_reply(reply, MONITOR_KINDS)
+    return protocol_monitor.encode_reply(reply, MONITOR_KINDS)
 
 
 def _monitor_message(data):
-    return melfa_monitor.decode_reply(data, MONITOR_KINDS)
+    return protocol_monitor.decode_reply(data, MONITOR_KINDS)
 
 
 def _wsg_request(message):
@@ -62,29 +58,31 @@ def _wsg_request(message):
 OUT, IN = "pc-to-device", "device-to-pc"
 CODECS: dict[tuple[str, str], Codec] = {
     ("melfa-mxt", OUT): Codec(
-        melfa_mxt.encode_request, datagram=melfa_mxt.decode_request, exact=False
+        protocol_mxt.encode_request, datagram=protocol_mxt.decode_request, exact=False
     ),
-    ("melfa-mxt", IN): Codec(melfa_mxt.encode_reply, datagram=melfa_mxt.decode_reply, exact=False),
+    ("melfa-mxt", IN): Codec(
+        protocol_mxt.encode_reply, datagram=protocol_mxt.decode_reply, exact=False
+    ),
     ("melfa-monitor", OUT): Codec(
-        melfa_monitor.encode_request, datagram=melfa_monitor.decode_request, exact=False
+        protocol_monitor.encode_request, datagram=protocol_monitor.decode_request, exact=False
     ),
     ("melfa-monitor", IN): Codec(_monitor_reply, datagram=_monitor_message, exact=False),
     ("melfa-r3", OUT): Codec(
-        melfa_r3.encode_request, stream=melfa_r3.requests, end=b"\r", exact=False
+        protocol_r3.encode_request, stream=protocol_r3.requests, end=b"\r", exact=False
     ),
-    ("melfa-r3", IN): Codec(melfa_r3.encode_reply, stream=melfa_r3.replies, end=b"\r"),
+    ("melfa-r3", IN): Codec(protocol_r3.encode_reply, stream=protocol_r3.replies, end=b"\r"),
     ("wsg-binary", OUT): Codec(_wsg_request, stream=wsg_binary.requests),
     ("wsg-binary", IN): Codec(wsg_binary.encode_reply, stream=wsg_binary.replies),
-    ("wsg-gcl", OUT): Codec(wsg_gcl.encode, stream=wsg_gcl.lines, exact=False),
-    ("wsg-gcl", IN): Codec(wsg_gcl.encode, stream=wsg_gcl.lines, exact=False),
+    ("wsg-gcl", OUT): Codec(protocol_gcl.encode, stream=protocol_gcl.lines, exact=False),
+    ("wsg-gcl", IN): Codec(protocol_gcl.encode, stream=protocol_gcl.lines, exact=False),
     ("dynpick", OUT): Codec(lambda command: command.value, stream=dynpick.command_stream),
     ("dynpick", IN): Codec(dynpick.encode_record, stream=dynpick.records),
     ("leptrino", OUT): Codec(leptrino.encode, stream=leptrino.packets),
     ("leptrino", IN): Codec(leptrino.encode, stream=leptrino.packets),
     ("robotiq-ft300", OUT): Codec(robotiq_ft300.encode, stream=robotiq_ft300.requests),
     ("robotiq-ft300", IN): Codec(robotiq_ft300.encode, stream=robotiq_ft300.incoming),
-    ("bota", OUT): Codec(bota.encode, stream=bota.requests),
-    ("bota", IN): Codec(bota.encode, stream=bota.incoming),
+    ("bota", OUT): Codec(protocol.encode, stream=protocol.requests),
+    ("bota", IN): Codec(protocol.encode, stream=protocol.incoming),
     ("optoforce", OUT): Codec(optoforce.encode, stream=optoforce.requests),
     ("optoforce", IN): Codec(optoforce.encode, stream=optoforce.incoming),
     ("netft", OUT): Codec(net_ft.encode_request, datagram=net_ft.decode_request),

@@ -2,19 +2,15 @@
 
 import math
 
-from backend.wire import (
-    bota,
-    leptrino,
-    melfa_r3,
-    melfa_r3_answers,
-    melfa_r3_positions,
-    optoforce,
-    robotiq_ft300,
-    wsg_binary,
-    wsg_gcl,
-)
-from backend.wire.melfa_blocks import Pose, RobotMonitor, kind_of, turns
-from backend.wire.wsg_words import Command, SystemFlag
+from touchdown.backend.devices.bota import protocol
+from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
+from touchdown.backend.devices.leptrino import protocol as leptrino
+from touchdown.backend.devices.melfa import protocol_r3
+from touchdown.backend.devices.melfa.protocol_mxt import Pose, RobotMonitor, kind_of, turns
+from touchdown.backend.devices.optoforce import protocol as optoforce
+from touchdown.backend.devices.wsg import protocol as wsg_binary
+from touchdown.backend.devices.wsg import protocol_gcl
+from touchdown.backend.devices.wsg.protocol import Command, SystemFlag
 
 CPF = 1_000_000.0
 
@@ -100,7 +96,7 @@ def r3_request(message, vector):
 
 
 def _opened(answer):
-    o = melfa_r3_answers.read_opened(answer)
+    o = protocol_r3.read_opened(answer)
     names = (
         "xyz_axes joint_axes program_ext parameter_ext robot_type controller series date version "
         "language robot_info serial taskmax"
@@ -110,8 +106,8 @@ def _opened(answer):
 
 
 def _state(answer):
-    s = melfa_r3_answers.read_state(answer)
-    run = melfa_r3_answers.Run
+    s = protocol_r3.read_state(answer)
+    run = protocol_r3.Run
     names = "program line override edit_status error step task_program task_mode task_condition"
     return {name: getattr(s, name) for name in [*names.split(), "task_priority"]} | {
         "run_status": int(s.run),
@@ -122,18 +118,18 @@ def _state(answer):
         "running": run.RUNNING in s.run,
         "operation_enabled": run.OPERATION_ENABLED in s.run,
         "teach": run.TEACH in s.run,
-        "emergency": melfa_r3_answers.Stop.EMERGENCY in s.stop,
+        "emergency": protocol_r3.Stop.EMERGENCY in s.stop,
     }
 
 
 def _progress(answer):
-    p = melfa_r3_answers.read_progress(answer)
+    p = protocol_r3.read_progress(answer)
     status = {"run_status": int(p.run), "stop_status": int(p.stop)}
     return status | {"error": p.error, "step": p.step, "mech_number": p.mechanism}
 
 
 def _axes(answer):
-    r = melfa_r3_positions.read_axes(answer)
+    r = protocol_r3.read_axes(answer)
     turning = {name for name in r.names if name in "ABC" or name[0] == "J"}
     axes = {
         name: math.degrees(value) if name in turning else value
@@ -147,8 +143,8 @@ def _axes(answer):
 
 
 def _variable(answer):
-    v = melfa_r3_positions.read_variable(answer)
-    if isinstance(v, melfa_r3_positions.Number):
+    v = protocol_r3.read_variable(answer)
+    if isinstance(v, protocol_r3.Number):
         return {"variable": v.name, "value": v.value}
     return {"variable": v.name, "position": list(v.numbers), "flags": list(v.flags)}
 
@@ -159,38 +155,38 @@ ANSWERS = {
     "run_status": _progress,
     "end_speed": _axes,
     "variable": _variable,
-    "override": lambda answer: {"override": melfa_r3_positions.whole(answer)},
-    "hands": lambda answer: {"hands": [list(h) for h in melfa_r3_answers.read_hands(answer)]},
+    "override": lambda answer: {"override": protocol_r3.whole(answer)},
+    "hands": lambda answer: {"hands": [list(h) for h in protocol_r3.read_hands(answer)]},
     "message": lambda answer: {"message": answer},
-    "bits": lambda answer: {"bits": melfa_r3_answers.read_bits(answer)},
+    "bits": lambda answer: {"bits": protocol_r3.read_bits(answer)},
     "level": lambda answer: dict(
-        zip(("error", "level"), melfa_r3_answers.read_error(answer), strict=True)
+        zip(("error", "level"), protocol_r3.read_error(answer), strict=True)
     ),
     "stop_signals": lambda answer: dict(
         zip(
             ("stop_signals", "emergency_signals"),
-            melfa_r3_answers.read_stop_signals(answer),
+            protocol_r3.read_stop_signals(answer),
             strict=True,
         )
     ),
     "origin_set": lambda answer: dict(
-        zip(("origin_set", "axes"), melfa_r3_answers.read_origin(answer), strict=True)
+        zip(("origin_set", "axes"), protocol_r3.read_origin(answer), strict=True)
     ),
     "count": lambda answer: dict(
-        zip(("name", "value", "count"), melfa_r3_answers.read_parameter(answer), strict=True)
+        zip(("name", "value", "count"), protocol_r3.read_parameter(answer), strict=True)
     ),
 }
 
 
 def _ports(answer):
-    realtime, options = melfa_r3_answers.read_ports(answer)
+    realtime, options = protocol_r3.read_ports(answer)
     return {"realtime_port": realtime, "option_ports": list(options)}
 
 
 ANSWERS["realtime_port"] = _ports
 
 
-def r3_reply(message: melfa_r3.Reply, vector):
+def r3_reply(message: protocol_r3.Reply, vector):
     facts = {"ok": message.ok, "alarm": message.alarm, "answer": message.answer}
     if not message.ok:
         return facts | {"error": message.error, "extra": message.answer.split(";")[1:]}
@@ -256,18 +252,18 @@ def wsg_reply(message: wsg_binary.Reply, vector):
     return facts | dict(zip(names, message.values, strict=True))
 
 
-def gcl(message: wsg_gcl.Line, vector):
+def gcl(message: protocol_gcl.Line, vector):
     match message:
-        case wsg_gcl.Call(command, arguments):
+        case protocol_gcl.Call(command, arguments):
             return {"command": command, "arguments": list(arguments)}
-        case wsg_gcl.Query(name):
+        case protocol_gcl.Query(name):
             return {"query": name}
-        case wsg_gcl.Assignment(name, value):
+        case protocol_gcl.Assignment(name, value):
             plain = list(value) if isinstance(value, tuple) else value
             return {"name": name, "set": name, "value": plain}
-        case wsg_gcl.Answer(kind, command):
+        case protocol_gcl.Answer(kind, command):
             return {"kind": kind, "command": command}
-        case wsg_gcl.Failure(command, code):
+        case protocol_gcl.Failure(command, code):
             return {"kind": "ERR", "command": command, "code": code}
 
 
@@ -317,11 +313,11 @@ def ft300(message, vector):
 
 def bota_message(message, vector):
     match message:
-        case bota.Boot():
+        case protocol.Boot():
             return {"boot": True}
-        case bota.Reply(command, code):
+        case protocol.Reply(command, code):
             return {"reply_to": command, "code": code}
-        case bota.Request(command, arguments):
+        case protocol.Request(command, arguments):
             return {"command": command, "arguments": list(arguments)}
     forces, torques = list(message.values[:3]), list(message.values[3:])
     facts = {"status": message.status, "timestamp_us": message.timestamp_us}

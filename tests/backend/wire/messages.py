@@ -2,23 +2,18 @@
 
 from hypothesis import strategies as st
 
-from backend.wire import (
-    bota,
-    dynpick,
-    leptrino,
-    melfa_monitor,
-    melfa_mxt,
-    melfa_r3,
-    net_ft,
-    optoforce,
-    robotiq_ft300,
-    wsg_binary,
-    wsg_gcl,
-)
-from backend.wire.melfa_blocks import Kind, Pose, RobotMonitor, Values
-from backend.wire.wsg_layouts import REPLIES
-from backend.wire.wsg_words import Command, Status
 from tests.backend.wire.codecs import IN, MONITOR_KINDS, OUT
+from touchdown.backend.devices.bota import protocol
+from touchdown.backend.devices.dynpick import protocol as dynpick
+from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
+from touchdown.backend.devices.leptrino import protocol as leptrino
+from touchdown.backend.devices.melfa import protocol_monitor, protocol_mxt, protocol_r3
+from touchdown.backend.devices.melfa.protocol_mxt import Kind, Pose, RobotMonitor, Values
+from touchdown.backend.devices.netft import protocol as net_ft
+from touchdown.backend.devices.optoforce import protocol as optoforce
+from touchdown.backend.devices.wsg import protocol as wsg_binary
+from touchdown.backend.devices.wsg import protocol_gcl
+from touchdown.backend.devices.wsg.protocol import REPLIES, Command, Status
 
 u8, u16, u32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
 i16, i32 = st.integers(-(2**15), 2**15 - 1), st.integers(-(2**31), 2**31 - 1)
@@ -63,17 +58,17 @@ def blocks(numbers, kinds):
     return st.tuples(*(block(kinds.get(number, Kind.NONE)) for number in numbers))
 
 
-signals = st.builds(melfa_mxt.Signals, u16, u16, u16, u16, u16)
-command = st.sampled_from(melfa_mxt.Command)
+signals = st.builds(protocol_mxt.Signals, u16, u16, u16, u16, u16)
+command = st.sampled_from(protocol_mxt.Command)
 monitor_types = tuples(st.integers(0, 11), 4)
 target = st.one_of(st.none(), pose, values(Kind.JOINT), values(Kind.PULSE))
 mxt_reply = monitor_types.flatmap(
     lambda numbers: st.builds(
-        melfa_mxt.Reply,
+        protocol_mxt.Reply,
         command,
         st.integers(0, 11),
         st.just(numbers),
-        blocks(numbers, melfa_mxt.MONITOR_KINDS),
+        blocks(numbers, protocol_mxt.MONITOR_KINDS),
         u32,
         signals,
         u16,
@@ -82,7 +77,7 @@ mxt_reply = monitor_types.flatmap(
 data_types = tuples(st.sampled_from([0, *MONITOR_KINDS]), 4)
 monitor_reply = data_types.flatmap(
     lambda numbers: st.builds(
-        melfa_monitor.Reply,
+        protocol_monitor.Reply,
         st.just(numbers),
         blocks(numbers, MONITOR_KINDS),
         u32,
@@ -131,28 +126,30 @@ plain_number = st.one_of(
 )
 scalar = st.one_of(plain_number, st.booleans(), st.text("abc XY[]()=?,", max_size=6))
 gcl = st.one_of(
-    st.builds(wsg_gcl.Call, name, st.lists(scalar, max_size=4).map(tuple)),
-    st.builds(wsg_gcl.Query, name),
-    st.builds(wsg_gcl.Assignment, name, st.one_of(plain_number, st.booleans(), tuples(scalar, 3))),
-    st.builds(wsg_gcl.Answer, st.sampled_from(["ACK", "FIN"]), name),
-    st.builds(wsg_gcl.Failure, name, st.integers(0, 99999), st.text("abc XY", max_size=9)),
+    st.builds(protocol_gcl.Call, name, st.lists(scalar, max_size=4).map(tuple)),
+    st.builds(protocol_gcl.Query, name),
+    st.builds(
+        protocol_gcl.Assignment, name, st.one_of(plain_number, st.booleans(), tuples(scalar, 3))
+    ),
+    st.builds(protocol_gcl.Answer, st.sampled_from(["ACK", "FIN"]), name),
+    st.builds(protocol_gcl.Failure, name, st.integers(0, 99999), st.text("abc XY", max_size=9)),
 )
 numbers = st.integers(-99999, 99999).map(lambda n: f"{n / 100:+.2f}")
 r3_request = st.one_of(
-    st.builds(melfa_r3.Request, st.sampled_from(["STATE", "STOP", "ERROR", "CLOSE", "STOPON"])),
-    st.builds(melfa_r3.jog, st.integers(0, 5), u8, u8, st.integers(0, 2)),
+    st.builds(protocol_r3.Request, st.sampled_from(["STATE", "STOP", "ERROR", "CLOSE", "STOPON"])),
+    st.builds(protocol_r3.jog, st.integers(0, 5), u8, u8, st.integers(0, 2)),
     st.builds(
-        lambda place, robot, slot: melfa_r3.Request("EXEC", f"Mvs {place}", robot, slot),
+        lambda place, robot, slot: protocol_r3.Request("EXEC", f"Mvs {place}", robot, slot),
         tuples(numbers, 6).map(lambda six: f"({','.join(six)})(7,0)"),
         st.integers(0, 3),
         st.integers(0, 33),
     ),
-    st.builds(lambda v, n: melfa_r3.Request("VAL=", f"{v}={n}", 1, 9), name, numbers),
-    st.builds(lambda n: melfa_r3.Request("OVRD=", str(n)), st.integers(1, 100)),
-    st.builds(lambda n: melfa_r3.Request("PAR", n), name),
+    st.builds(lambda v, n: protocol_r3.Request("VAL=", f"{v}={n}", 1, 9), name, numbers),
+    st.builds(lambda n: protocol_r3.Request("OVRD=", str(n)), st.integers(1, 100)),
+    st.builds(lambda n: protocol_r3.Request("PAR", n), name),
 )
 r3_reply = st.builds(
-    melfa_r3.Reply,
+    protocol_r3.Reply,
     st.sampled_from(["QoK", "Qok", "QeR", "Qer"]),
     st.text(st.characters(min_codepoint=0x20, max_codepoint=0xFF, exclude_characters="\x7f")),
 )
@@ -177,12 +174,12 @@ ft300_request = st.one_of(
     st.just(robotiq_ft300.Stop()),
     ft300_shared,
 )
-bota_frame = st.builds(bota.Frame, u16, tuples(f32, 6), u32, f32)
+bota_frame = st.builds(protocol.Frame, u16, tuples(f32, 6), u32, f32)
 bota_request = st.one_of(
-    st.sampled_from([bota.Request("C"), bota.Request("R")]),
-    st.builds(lambda four: bota.Request("c", four), tuples(st.integers(0, 9), 4)),
+    st.sampled_from([protocol.Request("C"), protocol.Request("R")]),
+    st.builds(lambda four: protocol.Request("c", four), tuples(st.integers(0, 9), 4)),
     st.builds(
-        lambda sinc, three: bota.Request("f", (sinc, *three)),
+        lambda sinc, three: protocol.Request("f", (sinc, *three)),
         st.integers(1, 999),
         tuples(st.integers(0, 1), 3),
     ),
@@ -194,11 +191,11 @@ record = st.builds(net_ft.Record, u32, u32, u32, tuples(i32, 6))
 
 MESSAGES = {
     ("melfa-mxt", OUT): st.builds(
-        melfa_mxt.Request, command, target, monitor_types, u32, signals, u16
+        protocol_mxt.Request, command, target, monitor_types, u32, signals, u16
     ),
     ("melfa-mxt", IN): mxt_reply,
     ("melfa-monitor", OUT): st.builds(
-        melfa_monitor.Request, st.sampled_from([1, 255]), tuples(u16, 4)
+        protocol_monitor.Request, st.sampled_from([1, 255]), tuples(u16, 4)
     ),
     ("melfa-monitor", IN): monitor_reply,
     ("melfa-r3", OUT): r3_request,

@@ -4,9 +4,14 @@ import math
 
 import pytest
 
-from backend.wire import bota, dynpick, leptrino, net_ft, optoforce, robotiq_ft300
-from backend.wire.framing import WireError
 from tests.backend.wire.vectors import VECTORS, data
+from touchdown.backend.devices.bota import protocol
+from touchdown.backend.devices.dynpick import protocol as dynpick
+from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
+from touchdown.backend.devices.leptrino import protocol as leptrino
+from touchdown.backend.devices.netft import protocol as net_ft
+from touchdown.backend.devices.optoforce import protocol as optoforce
 
 GOOD = "320411F7D1D5520A41EB82052\r\n"
 
@@ -83,28 +88,28 @@ def test_ft300_registers_of_another_count_are_no_wrench():
 
 
 def test_bota_marked_values_are_never_handed_on():
-    (frame,) = bota.incoming().feed(data("bota-frame-invalid"))
+    (frame,) = protocol.incoming().feed(data("bota-frame-invalid"))
     assert not frame.usable
     assert all(math.isnan(value) for part in frame.wrench() for value in part)
-    (over,) = bota.incoming().feed(data("bota-frame-overrange"))
-    assert over.status & bota.Status.OVER_RANGE
+    (over,) = protocol.incoming().feed(data("bota-frame-overrange"))
+    assert over.status & protocol.Status.OVER_RANGE
     assert over.wrench().force_n[0] == 600.0
 
 
 def test_bota_nan_counts_as_bad_unless_marked():
     values = (math.nan, 0.0, 0.0, 0.0, 0.0, 0.0)
-    decoder = bota.incoming()
-    assert decoder.feed(bota.encode(bota.Frame(0, values, 1, 20.0))) == []
+    decoder = protocol.incoming()
+    assert decoder.feed(protocol.encode(protocol.Frame(0, values, 1, 20.0))) == []
     assert decoder.bad_frames > 0
-    (frame,) = bota.incoming().feed(bota.encode(bota.Frame(4, values, 1, 20.0)))
+    (frame,) = protocol.incoming().feed(protocol.encode(protocol.Frame(4, values, 1, 20.0)))
     assert math.isnan(frame.values[0])
 
 
 def test_a_bota_answer_behind_a_frame_that_it_cut_off():
-    decoder = bota.incoming()
+    decoder = protocol.incoming()
     assert decoder.feed(data("bota-frame")[:20]) == []
     assert decoder.feed(b"r,0,C") == []
-    assert decoder.feed(b",0") == [bota.Reply("C", 0)]
+    assert decoder.feed(b",0") == [protocol.Reply("C", 0)]
 
 
 def test_optoforce_scale_needs_as_many_numbers_as_axes():
@@ -167,7 +172,7 @@ def test_a_calibration_in_pounds_is_refused():
 def test_wrenches_of_all_sensors_agree_on_one_load():
     wanted = VECTORS["ft300-stream"]["fields"]["force_n"]
     (ft300,) = robotiq_ft300.incoming().feed(data("ft300-stream"))
-    (sample,) = bota.incoming().feed(data("bota-frame"))
+    (sample,) = protocol.incoming().feed(data("bota-frame"))
     (record,) = net_ft.decode_records(data("rdt-record"))
     for wrench in (ft300.wrench(), sample.wrench(), record.wrench(1e6, 1e6)):
         assert wrench.force_n == pytest.approx(wanted)

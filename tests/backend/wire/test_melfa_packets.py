@@ -5,11 +5,11 @@ import struct
 
 import pytest
 
-from backend.wire import melfa_monitor, melfa_mxt
-from backend.wire.framing import WireError
-from backend.wire.melfa_blocks import Kind, Pose, Values
 from tests.backend.wire.codecs import MONITOR_KINDS
 from tests.backend.wire.vectors import VECTORS, data
+from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.melfa import protocol_monitor, protocol_mxt
+from touchdown.backend.devices.melfa.protocol_mxt import Kind, Pose, Values
 
 JOINTS = Values(Kind.JOINT, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.0, 0.0))
 
@@ -18,9 +18,9 @@ JOINTS = Values(Kind.JOINT, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.0, 0.0))
 def test_encoded_packets_have_the_published_digest(name):
     ask = VECTORS[name]["direction"] == "pc-to-device"
     if ask:
-        content = melfa_mxt.encode_request(melfa_mxt.decode_request(data(name)))
+        content = protocol_mxt.encode_request(protocol_mxt.decode_request(data(name)))
     else:
-        content = melfa_mxt.encode_reply(melfa_mxt.decode_reply(data(name)))
+        content = protocol_mxt.encode_reply(protocol_mxt.decode_reply(data(name)))
     assert hashlib.sha1(content).hexdigest() == VECTORS[name]["sha1"]
 
 
@@ -28,11 +28,11 @@ def test_encoded_packets_have_the_published_digest(name):
 def test_a_target_that_is_no_number_is_never_sent(bad):
     target = Values(Kind.JOINT, (bad, *JOINTS.axes[1:]))
     with pytest.raises(WireError):
-        melfa_mxt.encode_request(melfa_mxt.Request(melfa_mxt.Command.MOVE, target))
+        protocol_mxt.encode_request(protocol_mxt.Request(protocol_mxt.Command.MOVE, target))
     content = bytearray(data("mxt-move-joint"))
     content[8:12] = struct.pack("<f", bad)
     with pytest.raises(WireError) as refusal:
-        melfa_mxt.decode_request(bytes(content))
+        protocol_mxt.decode_request(bytes(content))
     assert (refusal.value.what, refusal.value.offset) == ("number", 8)
 
 
@@ -41,49 +41,55 @@ def test_an_unknown_monitor_type_is_refused_where_it_stands(slot, at):
     content = bytearray(data("mxt-reply-joint"))
     content[at : at + 2] = (12).to_bytes(2, "little")
     with pytest.raises(WireError) as refusal:
-        melfa_mxt.decode_reply(bytes(content))
+        protocol_mxt.decode_reply(bytes(content))
     assert (refusal.value.what, refusal.value.offset) == ("type", at)
 
 
 def test_an_unknown_command_is_refused():
     with pytest.raises(WireError):
-        melfa_mxt.decode_reply(b"\x02" + data("mxt-reply-joint")[1:])
+        protocol_mxt.decode_reply(b"\x02" + data("mxt-reply-joint")[1:])
 
 
 def test_a_target_of_a_kind_that_cannot_be_sent():
     current = Values(Kind.CURRENT, (1, 2, 3, 4, 5, 6, 7, 8))
     with pytest.raises(WireError):
-        melfa_mxt.encode_request(melfa_mxt.Request(melfa_mxt.Command.MOVE, current))
+        protocol_mxt.encode_request(protocol_mxt.Request(protocol_mxt.Command.MOVE, current))
 
 
 def test_a_reply_whose_blocks_do_not_fit_its_types():
     with pytest.raises(WireError):
-        melfa_mxt.encode_reply(
-            melfa_mxt.Reply(melfa_mxt.Command.MOVE, 1, (1, 0, 0, 0), (JOINTS, None, None, None), 1)
+        protocol_mxt.encode_reply(
+            protocol_mxt.Reply(
+                protocol_mxt.Command.MOVE, 1, (1, 0, 0, 0), (JOINTS, None, None, None), 1
+            )
         )
 
 
 @pytest.mark.parametrize("counter", [-1, 2**32])
 def test_a_counter_wraps_in_the_caller(counter):
     with pytest.raises(WireError):
-        melfa_mxt.encode_request(melfa_mxt.Request(melfa_mxt.Command.NONE, counter=counter))
+        protocol_mxt.encode_request(
+            protocol_mxt.Request(protocol_mxt.Command.NONE, counter=counter)
+        )
 
 
 def test_reserved_bytes_of_a_controller_are_not_held_against_it():
     content = bytearray(data("mxt-reply-joint"))
     content[6:8] = content[66:68] = b"\x12\x34"
-    assert melfa_mxt.decode_reply(bytes(content)) == melfa_mxt.decode_reply(data("mxt-reply-joint"))
+    assert protocol_mxt.decode_reply(bytes(content)) == protocol_mxt.decode_reply(
+        data("mxt-reply-joint")
+    )
 
 
 def test_an_unnamed_data_type_of_the_monitor_is_refused():
     content = data("monitor-stream-force-robmon-pose-float8")
     kinds = {number: kind for number, kind in MONITOR_KINDS.items() if number != 903}
     with pytest.raises(WireError) as refusal:
-        melfa_monitor.decode_reply(content, kinds)
+        protocol_monitor.decode_reply(content, kinds)
     assert refusal.value.what == "type"
 
 
 def test_a_pose_carries_its_flags_back_unchanged():
     pose = Pose((1.0, 2.0, 3.0, 0.5, 0.25, -0.5, 0.0, 0.0), 6, 0x00F0_000E)
-    request = melfa_mxt.Request(melfa_mxt.Command.MOVE, pose)
-    assert melfa_mxt.decode_request(melfa_mxt.encode_request(request)).target == pose
+    request = protocol_mxt.Request(protocol_mxt.Command.MOVE, pose)
+    assert protocol_mxt.decode_request(protocol_mxt.encode_request(request)).target == pose

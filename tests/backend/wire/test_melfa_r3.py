@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.wire import melfa_r3, melfa_r3_answers, melfa_r3_positions
-from backend.wire.framing import WireError
-from backend.wire.melfa_blocks import Pose, turns
-from backend.wire.melfa_r3 import Request
 from tests.backend.wire.vectors import data
+from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.melfa import protocol_r3
+from touchdown.backend.devices.melfa.protocol_mxt import Pose, turns
+from touchdown.backend.devices.melfa.protocol_r3 import Request
 
 NEVER = [
     "RSTPWR",
@@ -34,16 +34,16 @@ NEVER = [
 @pytest.mark.parametrize("argument", ["", "1", "ON", "MXT;1;2"])
 def test_forbidden_commands_cannot_be_encoded(command, argument):
     with pytest.raises(WireError):
-        melfa_r3.encode_request(Request(command, argument))
+        protocol_r3.encode_request(Request(command, argument))
     with pytest.raises(WireError):
-        melfa_r3.decode_request(f"1;1;{command}{argument}".encode())
+        protocol_r3.decode_request(f"1;1;{command}{argument}".encode())
 
 
-@given(st.sampled_from(sorted(melfa_r3.ALLOWED)), st.text(max_size=40), st.sampled_from(NEVER))
+@given(st.sampled_from(sorted(protocol_r3.ALLOWED)), st.text(max_size=40), st.sampled_from(NEVER))
 def test_no_allowed_command_smuggles_a_forbidden_one(command, text, forbidden):
     for argument in (text, f"{text}\r1;1;{forbidden}", f"\n{forbidden}", f";{forbidden}{text}"):
         try:
-            content = melfa_r3.encode_request(Request(command, argument))
+            content = protocol_r3.encode_request(Request(command, argument))
         except WireError:
             continue
         assert b"\r" not in content
@@ -54,50 +54,50 @@ def test_no_allowed_command_smuggles_a_forbidden_one(command, text, forbidden):
 
 
 def test_direct_execution_takes_motions_only():
-    assert melfa_r3.encode_request(Request("EXEC", "Mvs P1", 1, 9)) == b"1;9;EXECMvs P1"
+    assert protocol_r3.encode_request(Request("EXEC", "Mvs P1", 1, 9)) == b"1;9;EXECMvs P1"
     for argument in ("Dly 1", "M1=1", "Reset Err", "MovP1", "HLT", "Mov P1;RSTPWR"):
         with pytest.raises(WireError):
-            melfa_r3.encode_request(Request("EXEC", argument, 1, 9))
+            protocol_r3.encode_request(Request("EXEC", argument, 1, 9))
 
 
 @pytest.mark.parametrize("override", ["0", "101", "050", "-5", "5.5", "", "\u0661\u0660"])
 def test_an_override_outside_1_to_100_is_refused(override):
     with pytest.raises(WireError):
-        melfa_r3.encode_request(Request("OVRD=", override))
+        protocol_r3.encode_request(Request("OVRD=", override))
 
 
 def test_a_missing_address_counts_as_one():
-    assert melfa_r3.decode_request(b";;STATE") == Request("STATE")
-    assert melfa_r3.decode_request(b"0;33;STOP") == Request("STOP", "", 0, 33)
-    assert melfa_r3.decode_request(b"STOP") == Request("STOP", "", None, None)
+    assert protocol_r3.decode_request(b";;STATE") == Request("STATE")
+    assert protocol_r3.decode_request(b"0;33;STOP") == Request("STOP", "", 0, 33)
+    assert protocol_r3.decode_request(b"STOP") == Request("STOP", "", None, None)
     for address in (b"4;1;", b"1;34;", b"1;"):
         with pytest.raises(WireError):
-            melfa_r3.decode_request(address + b"STATE")
+            protocol_r3.decode_request(address + b"STATE")
 
 
 def test_jog_of_the_vectors():
-    content = melfa_r3.encode_request(melfa_r3.jog(1, minus_axes=1, plus_axes=0))
+    content = protocol_r3.encode_request(protocol_r3.jog(1, minus_axes=1, plus_axes=0))
     assert content == data("r3-jog-x-minus")
 
 
 @pytest.mark.parametrize("end", [b"\r", b"\n", b"\r\n"])
 def test_any_line_end_is_taken(end):
-    decoder = melfa_r3.replies()
+    decoder = protocol_r3.replies()
     out = decoder.feed(b"QoK50" + end + b"QeR6020" + end)
     assert [(r.ok, r.error, r.answer) for r in out] == [(True, 0, "50"), (False, 6020, "6020")]
     assert decoder.bad_frames == 0
 
 
 def test_without_a_line_end_silence_ends_the_reply():
-    decoder = melfa_r3.replies()
+    decoder = protocol_r3.replies()
     assert decoder.feed(b"QoK") == []
     assert decoder.feed(b"50") == []
-    assert decoder.flush() == [melfa_r3.Reply("QoK", "50")]
+    assert decoder.flush() == [protocol_r3.Reply("QoK", "50")]
     assert decoder.flush() == []
 
 
 def test_a_line_without_end_is_given_up_and_counted():
-    decoder = melfa_r3.requests()
+    decoder = protocol_r3.requests()
     decoder.feed(b"1;1;ERRORMES" + b"1" * 300)
     assert decoder.pending == 0
     assert decoder.feed(b"1\r1;1;STATE\r") == [Request("STATE")]
@@ -105,11 +105,11 @@ def test_a_line_without_end_is_given_up_and_counted():
 
 
 def test_degrees_become_rad_once():
-    reading = melfa_r3_positions.read_axes(melfa_r3.decode_reply(data("r3-pposf-reply")).answer)
+    reading = protocol_r3.read_axes(protocol_r3.decode_reply(data("r3-pposf-reply")).answer)
     assert reading.values[:3] == (290.62, -0.09, 11.26)
     assert reading.values[3:6] == pytest.approx((-3.140545457, -0.004537856, 3.140370924), abs=1e-8)
     assert reading.values[6] == 0.0
-    joints = melfa_r3_positions.read_axes(melfa_r3.decode_reply(data("r3-jposf-reply")).answer)
+    joints = protocol_r3.read_axes(protocol_r3.decode_reply(data("r3-jposf-reply")).answer)
     assert joints.values == pytest.approx(
         (0, math.pi / 18, 4 * math.pi / 9, 0, math.pi / 2, -1.745329e-4)
     )
@@ -119,35 +119,35 @@ def test_degrees_become_rad_once():
     "name", ["r3-pposf-reply", "r3-pposf-reply-6axis", "r3-jposf-reply", "r3-jposf-reply-limit"]
 )
 def test_a_reading_prints_as_it_was_read(name):
-    answer = melfa_r3.decode_reply(data(name)).answer
-    assert melfa_r3_positions.read_axes(answer).answer() == answer
+    answer = protocol_r3.decode_reply(data(name)).answer
+    assert protocol_r3.read_axes(answer).answer() == answer
 
 
 @pytest.mark.parametrize("name", ["r3-val-reply", "r3-val-fscurd-reply", "r3-listp-reply"])
 def test_a_variable_prints_as_it_was_read(name):
-    answer = melfa_r3.decode_reply(data(name)).answer
-    assert melfa_r3_positions.read_variable(answer).answer() == answer
+    answer = protocol_r3.decode_reply(data(name)).answer
+    assert protocol_r3.read_variable(answer).answer() == answer
 
 
 def test_states_print_as_they_were_read():
-    answer = melfa_r3.decode_reply(data("r3-state-reply")).answer
-    assert melfa_r3_answers.read_state(answer).answer() == answer
-    answer = melfa_r3.decode_reply(data("r3-dstate-reply")).answer
-    assert melfa_r3_answers.read_progress(answer).answer() == answer
+    answer = protocol_r3.decode_reply(data("r3-state-reply")).answer
+    assert protocol_r3.read_state(answer).answer() == answer
+    answer = protocol_r3.decode_reply(data("r3-dstate-reply")).answer
+    assert protocol_r3.read_progress(answer).answer() == answer
 
 
 def test_a_pose_survives_its_printed_form():
     pose = Pose((350.0, -0.5, 400.25, math.pi, 0.0, -math.pi / 2, 0.0, 0.0), 7, 0)
     numbers = (350.0, -0.5, 400.25, 180.0, 0.0, -90.0)
-    printed = melfa_r3_positions.Position("P1", numbers, (7, 0)).answer()
+    printed = protocol_r3.Position("P1", numbers, (7, 0)).answer()
     assert printed == "P1=(+350.00,-0.50,+400.25,+180.00,+0.00,-90.00)(7,0)"
-    back = melfa_r3_positions.read_variable(printed).pose()
+    back = protocol_r3.read_variable(printed).pose()
     assert back.axes == pytest.approx(pose.axes)
     assert (back.flag1, back.flag2) == (7, 0)
 
 
 def test_a_force_variable_is_a_wrench_and_not_degrees():
-    force = melfa_r3_positions.read_variable("P_FsCurD=(+0.12,-0.34,+9.87,+0.01,+0.02,+0.00)(0,0)")
+    force = protocol_r3.read_variable("P_FsCurD=(+0.12,-0.34,+9.87,+0.01,+0.02,+0.00)(0,0)")
     assert force.wrench() == ((0.12, -0.34, 9.87), (0.01, 0.02, 0.0))
 
 
@@ -161,8 +161,8 @@ def test_turn_counts():
 )
 def test_other_position_texts_are_refused(answer):
     with pytest.raises(WireError):
-        melfa_r3_positions.read_axes(answer)
+        protocol_r3.read_axes(answer)
 
 
 def test_no_active_error():
-    assert melfa_r3_answers.read_error("") == (0, 0)
+    assert protocol_r3.read_error("") == (0, 0)

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.wire.framing import WireError
-from backend.wire.mjpeg import JpegStream, size_px
+from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.gelsight.protocol import JpegStream, size_px
 
 
 def jpeg(seed, width=64, height=48):

@@ -2,21 +2,19 @@
 
 import pytest
 
-from backend.wire import (
-    bota,
-    dynpick,
-    gelsight_name,
-    leptrino,
-    melfa_mxt,
-    net_ft,
-    optoforce,
-    robotiq_ft300,
-    wsg_binary,
-)
-from backend.wire.framing import WireError
 from tests.backend.wire import facts
 from tests.backend.wire.codecs import CODECS, IN, OUT
 from tests.backend.wire.vectors import VECTORS, data, only, same
+from touchdown.backend.devices.bota import protocol
+from touchdown.backend.devices.dynpick import protocol as dynpick
+from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
+from touchdown.backend.devices.gelsight import protocol as gelsight_name
+from touchdown.backend.devices.leptrino import protocol as leptrino
+from touchdown.backend.devices.melfa import protocol_mxt
+from touchdown.backend.devices.netft import protocol as net_ft
+from touchdown.backend.devices.optoforce import protocol as optoforce
+from touchdown.backend.devices.wsg import protocol as wsg_binary
 
 FACTS = {
     ("melfa-mxt", OUT): facts.mxt_request,
@@ -137,12 +135,12 @@ def test_the_card_name_gives_the_serial(name):
 
 
 ONE_FRAME = {
-    "melfa-mxt": melfa_mxt.decode_reply,
+    "melfa-mxt": protocol_mxt.decode_reply,
     "wsg-binary": wsg_binary.decode_reply,
     "dynpick": dynpick.decode_record,
     "leptrino": leptrino.decode,
     "robotiq-ft300": robotiq_ft300.decode,
-    "bota": bota.decode_frame,
+    "bota": protocol.decode_frame,
     "optoforce": optoforce.decode,
     "netft": net_ft.decode_records,
 }

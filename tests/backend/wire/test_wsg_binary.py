@@ -4,33 +4,31 @@ import struct
 
 import pytest
 
-from backend.wire import wsg_binary
-from backend.wire.checksums import crc_wsg
-from backend.wire.framing import WireError
-from backend.wire.wsg_binary import Request
-from backend.wire.wsg_words import Command, GraspState, Status, SystemFlag
 from tests.backend.wire.vectors import data
+from touchdown.backend.devices.framing import WireError, crc_wsg
+from touchdown.backend.devices.wsg import protocol
+from touchdown.backend.devices.wsg.protocol import Command, GraspState, Request, Status, SystemFlag
 
 
 @pytest.mark.parametrize(
     ("name", "request_"),
     [
-        ("wsg-home-default", wsg_binary.home()),
-        ("wsg-preposition-clamp", wsg_binary.preposition(50, 100)),
-        ("wsg-preposition-stop-on-block", wsg_binary.preposition(50, 100, stop_on_block=True)),
-        ("wsg-preposition-relative", wsg_binary.preposition(-5, 20, relative=True)),
-        ("wsg-grasp", wsg_binary.grasp(20, 30)),
-        ("wsg-release", wsg_binary.release(60, 100)),
-        ("wsg-ack-fast-stop", wsg_binary.acknowledge()),
-        ("wsg-set-force-limit", wsg_binary.set_force_limit(10)),
+        ("wsg-home-default", protocol.home()),
+        ("wsg-preposition-clamp", protocol.preposition(50, 100)),
+        ("wsg-preposition-stop-on-block", protocol.preposition(50, 100, stop_on_block=True)),
+        ("wsg-preposition-relative", protocol.preposition(-5, 20, relative=True)),
+        ("wsg-grasp", protocol.grasp(20, 30)),
+        ("wsg-release", protocol.release(60, 100)),
+        ("wsg-ack-fast-stop", protocol.acknowledge()),
+        ("wsg-set-force-limit", protocol.set_force_limit(10)),
         ("wsg-set-acceleration", Request(Command.SET_ACCELERATION, (500,))),
-        ("wsg-width-50ms", wsg_binary.update(Command.WIDTH, 50)),
-        ("wsg-width-once", wsg_binary.update(Command.WIDTH)),
-        ("wsg-grasp-state-on-change", wsg_binary.update(Command.GRASP_STATE, 20, on_change=True)),
+        ("wsg-width-50ms", protocol.update(Command.WIDTH, 50)),
+        ("wsg-width-once", protocol.update(Command.WIDTH)),
+        ("wsg-grasp-state-on-change", protocol.update(Command.GRASP_STATE, 20, on_change=True)),
     ],
 )
 def test_named_commands_are_the_published_bytes(name, request_):
-    assert wsg_binary.encode_request(request_) == data(name)
+    assert protocol.encode_request(request_) == data(name)
 
 
 def frame(command, payload):
@@ -48,68 +46,68 @@ def frame(command, payload):
     ],
 )
 def test_what_cannot_be_carried_out_names_the_answer(command, payload, status):
-    out = wsg_binary.requests().feed(frame(command, payload))
-    assert out == [wsg_binary.Refused(command, status)]
+    out = protocol.requests().feed(frame(command, payload))
+    assert out == [protocol.Refused(command, status)]
 
 
 def test_a_bad_crc_is_answered_and_counted():
     spoilt = bytearray(data("wsg-grasp"))
     spoilt[8] ^= 4
-    decoder = wsg_binary.requests()
-    assert decoder.feed(bytes(spoilt)) == [wsg_binary.Refused(Command.GRASP, Status.CHECKSUM_ERROR)]
+    decoder = protocol.requests()
+    assert decoder.feed(bytes(spoilt)) == [protocol.Refused(Command.GRASP, Status.CHECKSUM_ERROR)]
     assert decoder.bad_frames == 1
-    assert decoder.feed(data("wsg-stop")) == [wsg_binary.Request(Command.STOP)]
+    assert decoder.feed(data("wsg-stop")) == [protocol.Request(Command.STOP)]
     assert decoder.bad_in_a_row == 0
 
 
 def test_a_false_header_in_one_segment_costs_no_request():
     noise = b"\xaa\xaa\xaa\x06\x40\x00"
-    requests = [wsg_binary.grasp(20, 30), *[wsg_binary.Request(Command.STOP)] * 9]
-    out = wsg_binary.requests().feed(noise + b"".join(map(wsg_binary.encode_request, requests)))
-    assert [m for m in out if isinstance(m, wsg_binary.Request)] == requests
+    requests = [protocol.grasp(20, 30), *[protocol.Request(Command.STOP)] * 9]
+    out = protocol.requests().feed(noise + b"".join(map(protocol.encode_request, requests)))
+    assert [m for m in out if isinstance(m, protocol.Request)] == requests
 
 
 def test_an_unknown_command_reaches_the_gripper():
-    request = wsg_binary.Request(0x90, (b"\x01\x02",))
-    assert wsg_binary.requests().feed(wsg_binary.encode_request(request)) == [request]
+    request = protocol.Request(0x90, (b"\x01\x02",))
+    assert protocol.requests().feed(protocol.encode_request(request)) == [request]
 
 
 def test_a_result_may_come_between_updates_in_one_segment():
     names = ["wsg-grasp-pending", "wsg-width-reply", "wsg-force-reply", "wsg-grasp-ok"]
-    out = wsg_binary.replies().feed(b"".join(map(data, names)))
+    out = protocol.replies().feed(b"".join(map(data, names)))
     assert [reply.command for reply in out] == [0x25, 0x43, 0x45, 0x25]
     assert [reply.status for reply in out] == [Status.CMD_PENDING, 0, 0, 0]
 
 
 def test_a_false_header_that_promises_much_does_not_hold_up_the_replies():
-    decoder = wsg_binary.replies()
+    decoder = protocol.replies()
     assert decoder.feed(b"\xaa\xaa\xaa\x06\x00\x01") == []
     assert decoder.feed(data("wsg-width-reply")) == []
     assert [r.values for r in decoder.feed(data("wsg-force-reply"))] == [(20.5,), (9.75,)]
 
 
 def test_flags_and_states_read_as_words():
-    (state,) = wsg_binary.replies().feed(data("wsg-state-reply-fast-stop"))
+    (state,) = protocol.replies().feed(data("wsg-state-reply-fast-stop"))
     assert SystemFlag(state.values[0]) == SystemFlag.REFERENCED | SystemFlag.FAST_STOP
-    (grasp,) = wsg_binary.replies().feed(data("wsg-grasp-state-lost"))
+    (grasp,) = protocol.replies().feed(data("wsg-grasp-state-lost"))
     assert GraspState(grasp.values[0]) is GraspState.PART_LOST
 
 
 def test_an_unknown_status_stays_a_number():
-    (reply,) = wsg_binary.replies().feed(frame(Command.GRASP, struct.pack("<H", 4711)))
+    (reply,) = protocol.replies().feed(frame(Command.GRASP, struct.pack("<H", 4711)))
     assert reply.status == 4711
 
 
 def test_temperature_is_in_degrees():
-    (reply,) = wsg_binary.replies().feed(frame(Command.TEMPERATURE, struct.pack("<Hh", 0, -55)))
+    (reply,) = protocol.replies().feed(frame(Command.TEMPERATURE, struct.pack("<Hh", 0, -55)))
     assert reply.values == (-5.5,)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e39])
 def test_a_width_that_is_no_float_is_refused(value):
     with pytest.raises(WireError):
-        wsg_binary.encode_request(wsg_binary.grasp(value, 30))
+        protocol.encode_request(protocol.grasp(value, 30))
     with pytest.raises(WireError):
-        wsg_binary.encode_request(wsg_binary.Request(Command.STOP, (1,)))
+        protocol.encode_request(protocol.Request(Command.STOP, (1,)))
     with pytest.raises(WireError):
-        wsg_binary.encode_request(wsg_binary.Request(Command.LOOP, (bytes(257),)))
+        protocol.encode_request(protocol.Request(Command.LOOP, (bytes(257),)))

@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.config.hardware import GelsightSettings
-from backend.core.faults import FaultError
-from backend.core.flow import MARKERS, MarkerState
-from backend.core.stream import SampleStream, Stream
-from backend.devices.cameras.driver import TactileCamera
-from backend.devices.cameras.sources import FileSource
-from backend.devices.protocols import DeviceState
-from backend.emulators.faults import Faults
-from backend.emulators.gelsight import GelsightFront
-from backend.sensing.live import LiveSensing, RawStreams
-from backend.sensing.pictures import read_pictures
 from tests.backend.devices.waiting import until
+from touchdown.backend.bench.gelsight_emulator import GelsightFront
+from touchdown.backend.config.hardware import GelsightSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core.streams import SampleStream, Stream
+from touchdown.backend.core.values import MARKERS, MarkerState
+from touchdown.backend.devices.cameras.driver import TactileCamera
+from touchdown.backend.devices.cameras.sources import FileSource
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.emulation.fault_plan import Faults
+from touchdown.backend.sensing.live import LiveSensing, RawStreams
+from touchdown.backend.sensing.picture_files import read_pictures
 
 CLIP = Path(__file__).parents[3] / "data" / "gelsight" / "plug_3D_exp3_camera_2.avi"
 RATE_HZ = 100.0

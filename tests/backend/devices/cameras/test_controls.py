@@ -5,8 +5,8 @@ import struct
 
 import pytest
 
-from backend.config.hardware import GelsightSettings
-from backend.devices.cameras.controls import find_controls, lock_controls
+from touchdown.backend.config.hardware import GelsightSettings
+from touchdown.backend.devices.cameras.system import find_controls, lock_controls
 
 NEWER = {
     "User Controls": None,

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from backend.core.flow import MarkerState, TactileFrame
-from backend.sensing.checked import CheckedTracker, step_apart_px
-from backend.sensing.pictures import read_pictures
 from tests.backend.devices.cameras.damage import GELSIGHT, SCENES, outcomes
 from tests.backend.sensing.known_truth import rest_dots
+from touchdown.backend.core.values import MarkerState, TactileFrame
+from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker, step_apart_px
+from touchdown.backend.sensing.picture_files import read_pictures
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ def test_no_marker_is_wrong_after_damage_that_decodes(kind, off):
 
 
 def test_whole_pictures_of_a_gel_that_slips_pass_but_for_a_few_and_never_two_fail_in_a_row():
-    tracker, refused = CheckedTracker("left"), []
+    tracker, refused = DamageCheckingTracker("left"), []
     for frame in islice(read_pictures(GELSIGHT / "blue_box_exp2_camera_2.avi"), 380, 450):
         field = tracker.track(as_jpeg(frame))
         refused.append(field is None)
@@ -41,7 +41,7 @@ def test_what_two_pictures_in_a_row_show_is_believed():
     image, rest = rest_dots()
     covered = image.copy()
     cv2.circle(covered, tuple(int(v) for v in rest[31]), 14, (120, 110, 105), -1)
-    tracker = CheckedTracker("left")
+    tracker = DamageCheckingTracker("left")
     fields = [
         tracker.track(TactileFrame("left", k, 0.04 * k, picture, from_jpeg=True))
         for k, picture in enumerate([image] * 4 + [covered] * 3)
@@ -54,7 +54,7 @@ def test_what_two_pictures_in_a_row_show_is_believed():
 def test_lamps_that_fail_and_return_leave_no_finger_blind():
     image, _ = rest_dots()
     black = np.full_like(image, 3)
-    tracker = CheckedTracker("left")
+    tracker = DamageCheckingTracker("left")
     fields = [
         tracker.track(TactileFrame("left", k, 0.04 * k, picture, from_jpeg=True))
         for k, picture in enumerate([black] * 3 + [image] * 4 + [black] * 3 + [image] * 4)
@@ -68,7 +68,7 @@ def test_after_a_refused_picture_it_goes_on_as_if_that_had_never_come():
     frames = list(islice(read_pictures(GELSIGHT / clip), at, at + 6))
     torn = frames[4].image.copy()
     torn[120:] = np.roll(torn[120:], 16, axis=1)
-    with_it, without = CheckedTracker("left"), CheckedTracker("left")
+    with_it, without = DamageCheckingTracker("left"), DamageCheckingTracker("left")
     for k, frame in enumerate(frames):
         if k == 4:
             assert with_it.track(TactileFrame("left", k, frame.t_s, torn, from_jpeg=True)) is None
@@ -80,7 +80,7 @@ def test_after_a_refused_picture_it_goes_on_as_if_that_had_never_come():
 
 def test_pictures_that_were_no_jpeg_are_not_judged():
     image, _ = rest_dots()
-    tracker = CheckedTracker("left")
+    tracker = DamageCheckingTracker("left")
     for k, picture in enumerate([image] * 4 + [np.roll(image, 9, axis=1)]):
         assert tracker.track(TactileFrame("left", k, 0.04 * k, picture)) is not None
 

@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from backend.config.hardware import GelsightSettings
-from backend.core.faults import FaultError
-from backend.devices.cameras.driver import TactileCamera
-from backend.devices.cameras.finding import FoundCamera, find_cameras
-from backend.devices.cameras.picture import decode, fit
-from backend.devices.cameras.sources import UvcSource
-from backend.emulators.gelsight import encode
-from backend.wire.framing import WireError
+from touchdown.backend.bench.gelsight_emulator import encode
+from touchdown.backend.config.hardware import GelsightSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.cameras.driver import TactileCamera
+from touchdown.backend.devices.cameras.frames import decode, fit
+from touchdown.backend.devices.cameras.sources import UvcSource
+from touchdown.backend.devices.cameras.system import FoundCamera, find_cameras
+from touchdown.backend.devices.framing import WireError
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from backend.config.hardware import GelsightSettings
-from backend.devices.cameras.gate import DARK_FAULT, EQUAL_FAULT, EQUAL_INVALID, Gate
+from touchdown.backend.config.hardware import GelsightSettings
+from touchdown.backend.devices.cameras.frames import DARK_FAULT, EQUAL_FAULT, EQUAL_INVALID, Gate
 
 SETTINGS = GelsightSettings(crop_fraction=0.0)
 STILL = np.full((240, 320, 3), 90, dtype=np.uint8)

@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 import pytest
 
-from backend.config.hardware import HardwareSettings
-from backend.core.faults import InputError
-from backend.core.stream import Stream
-from backend.devices.cameras.lerobot import LeRobotSource, _maker
-from backend.devices.cameras.making import make_tactile
-from backend.devices.protocols import DeviceState
 from tests.backend.devices.waiting import until
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.streams import Stream
+from touchdown.backend.devices.cameras.lerobot import LeRobotSource, _maker
+from touchdown.backend.devices.cameras.registry import make_tactile
+from touchdown.backend.devices.protocols import DeviceState
 
 CLIP = Path(__file__).parents[3] / "data" / "gelsight" / "plug_3D_exp3_camera_2.avi"
 BLUE, RED = 40, 200

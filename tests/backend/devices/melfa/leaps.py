@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from backend.core.flow import FloatArray
-from backend.devices.motion import CommandedMotion
-from backend.devices.streamed.programs import Felt
+from touchdown.backend.core.values import FloatArray
+from touchdown.backend.devices.protocols import CommandedMotion
+from touchdown.backend.devices.streamed.moves import Felt
 
 
 class Leaping:

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from backend.core.faults import FaultError
-from backend.devices.melfa.r3_client import Ticket
-from backend.wire.melfa_r3 import Request
 from tests.backend.devices.emulated_arm import Rig
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.melfa.protocol_r3 import Request
+from touchdown.backend.devices.melfa.r3_client import Ticket
 
 
 def interrupted(rig: Rig, order: Callable[[], object], wanted: str | int) -> str | None:

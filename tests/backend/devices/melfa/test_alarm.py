@@ -5,9 +5,9 @@ import threading
 import numpy as np
 import pytest
 
-from backend.core.faults import FaultError
-from backend.devices.protocols import DeviceState
 from tests.backend.devices.emulated_arm import Rig
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.protocols import DeviceState
 
 
 def test_an_alarm_that_refused_a_connection_is_reset_by_the_next_and_no_other():

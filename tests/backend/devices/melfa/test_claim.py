@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from backend.core.faults import FaultError
-from backend.devices.melfa.claim import Claim
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.melfa.faults import Claim
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="files stay where they are locked so")
 HOLDING = """
 import sys, tempfile
 tempfile.tempdir = sys.argv[1]
-from backend.devices.melfa.claim import Claim
+from touchdown.backend.devices.melfa.faults import Claim
 claim = Claim("10.0.0.1", 10001)
 print("held", flush=True)
 sys.stdin.read()

@@ -7,14 +7,14 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from backend.core.faults import FaultError, RefusedError
-from backend.core.flow import Pose
-from backend.devices.protocols import DeviceState
-from backend.devices.sim.bench import SimulatedBench
-from backend.emulators.melfa_probe import WRITTEN
 from tests.backend.devices import contract_bench, test_arm_contract
 from tests.backend.devices.contract_bench import PRESS, DevicesUnderTest
 from tests.backend.devices.emulated_arm import Rig, on_bench
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.melfa.emulator_arm import WRITTEN
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.simulation.devices.bench import SimulatedBench
 
 CASES = [
     pytest.param(clause, more, id=name.removeprefix("test_"))
@@ -126,7 +126,7 @@ def test_an_emergency_stop_in_contact_ends_the_press(bench, controller):
 
 
 def test_the_program_that_ships_reads_what_is_written():
-    text = (files("resources") / "melfa" / "TDPROBE.prg").read_text(encoding="ascii")
+    text = (files("touchdown.resources") / "melfa" / "TDPROBE.prg").read_text(encoding="ascii")
     code = "\n".join(line for line in text.splitlines() if not line.startswith("'"))
     assert {name for name in WRITTEN if name in code} == set(WRITTEN)
     assert code.index("Fsc On") < code.index("Mvs PD") < code.index("Fsc Off") < code.index("End")

@@ -4,9 +4,9 @@ import threading
 
 import pytest
 
-from backend.core.faults import FaultError
-from backend.devices.protocols import DeviceState
 from tests.backend.devices.emulated_arm import CYCLE_US, Rig
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.protocols import DeviceState
 
 LAB, HERE = "192.168.0.20", "127.0.0.1"
 

@@ -5,11 +5,11 @@ import threading
 import numpy as np
 import pytest
 
-from backend.core.faults import FaultError
-from backend.devices.protocols import DeviceState
-from backend.wire.melfa_mxt import Command, decode_request
 from tests.backend.devices.emulated_arm import Rig
 from tests.backend.devices.melfa.leaps import Leaping
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.melfa.protocol_mxt import Command, decode_request
+from touchdown.backend.devices.protocols import DeviceState
 
 
 @pytest.mark.parametrize(("leaps", "told"), [(10, None), (11, "STEPS-TOO-LARGE")])

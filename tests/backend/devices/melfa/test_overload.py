@@ -5,12 +5,12 @@ import threading
 import numpy as np
 import pytest
 
-from backend.core.faults import FaultError
-from backend.devices.force_torque.faults import OVERLOAD
-from backend.devices.guarded import GuardedArm
-from backend.devices.interlock import Interlock
 from tests.backend.devices.emulated_arm import Rig
 from tests.backend.devices.melfa.test_press import PRESS, TOUCH_MM
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.force_torque.reader import OVERLOAD
+from touchdown.backend.devices.guarded import GuardedArm
+from touchdown.backend.devices.interlock import Interlock
 
 
 def test_an_overload_in_contact_draws_the_arm_back_by_2_mm():

@@ -6,12 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.core.faults import FaultError, RefusedError
-from backend.devices.protocols import PressCommand
-from backend.devices.streamed.admittance import damping
-from backend.devices.streamed.stiffness import ContactStiffness
-from backend.devices.streamed.swing import SwingDetector
 from tests.backend.devices.emulated_arm import Rig
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.devices.protocols import PressCommand
+from touchdown.backend.devices.streamed.compliance import ContactStiffness, SwingDetector, damping
 
 TOUCH_MM = 59.0
 PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 3.0, (30.0, 30.0, 15.0))

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from backend.config.hardware import MelfaSettings
+from touchdown.backend.config.hardware import MelfaSettings
 
 FOLDER = Path(__file__).resolve().parents[4] / "resources" / "melfa"
 

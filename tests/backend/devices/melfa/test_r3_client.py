@@ -2,10 +2,10 @@
 
 import pytest
 
-from backend.core.faults import FaultError
-from backend.devices.melfa.link_faults import controller_fault, link_fault
-from backend.devices.melfa.r3_client import R3Client
-from backend.wire.melfa_r3 import Request
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.melfa.faults import controller_fault, link_fault
+from touchdown.backend.devices.melfa.protocol_r3 import Request
+from touchdown.backend.devices.melfa.r3_client import R3Client
 
 STATE, STOP, OVERRIDE = Request("STATE"), Request("STOP"), Request("OVRD")
 

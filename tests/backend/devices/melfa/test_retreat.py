@@ -12,13 +12,13 @@ import threading
 import numpy as np
 import pytest
 
-from backend.core.faults import FaultError, RefusedError
-from backend.core.flow import FINGERS, Pose
-from backend.core.stream import Stream
-from backend.devices.guarded import GuardedArm
-from backend.devices.interlock import Interlock
-from backend.devices.supervision import Supervision
 from tests.backend.devices.emulated_arm import Rig
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.core.streams import Stream
+from touchdown.backend.core.values import FINGERS, Pose
+from touchdown.backend.devices.guarded import GuardedArm
+from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.devices.supervision import Supervision
 
 START_MM, BOARD_MM, WANTED_MM = 75.0, 68.0, 62.0
 """The board stands 6 mm above where the arm was sent to be still in air."""

@@ -7,19 +7,19 @@ import time
 import numpy as np
 import pytest
 
-from backend.config.hardware import HardwareSettings
-from backend.core.faults import FaultError
-from backend.core.flow import Pose
-from backend.core.stream import SampleStream
-from backend.devices.melfa.arm import MelfaArm
-from backend.devices.melfa.orders import Orders
-from backend.devices.melfa.sockets import SocketWires
-from backend.devices.protocols import DeviceState, RobotMode, SafetyMode
-from backend.emulators.melfa import EmulatedMelfa, MelfaFront
-from backend.emulators.melfa_controller import READY_RAD
-from backend.emulators.serving import Choice, emulate
 from tests.backend.devices.emulated_arm import settings
 from tests.backend.devices.waiting import until
+from touchdown.backend.bench.serving import Choice, emulate
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.melfa.arm import MelfaArm
+from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaFront
+from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
+from touchdown.backend.devices.melfa.sockets import SocketWires
+from touchdown.backend.devices.melfa.status import Orders
+from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode
 
 START = np.array([0.0, 0.0, 60.0])
 

@@ -5,11 +5,11 @@ import threading
 import numpy as np
 import pytest
 
-from backend.core.faults import FaultError
-from backend.core.flow import Pose
 from tests.backend.devices.emulated_arm import Rig
 from tests.backend.devices.melfa.stop_meets import interrupted, still
 from tests.backend.devices.melfa.trials import PRESS
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core.values import Pose
 
 
 def connected(**more):

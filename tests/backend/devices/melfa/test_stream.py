@@ -6,16 +6,20 @@ import threading
 import numpy as np
 import pytest
 
-from backend.core.faults import FaultError, RefusedError
-from backend.core.flow import Pose
-from backend.devices.melfa.ladder import Rung, rung
-from backend.devices.melfa.replies import MONITORS, Replies
-from backend.devices.melfa.stream import Phase
-from backend.devices.protocols import DeviceState, PressCommand, RobotMode, SafetyMode
-from backend.wire.melfa_blocks import Kind, Values
-from backend.wire.melfa_joints import CYCLE_S
-from backend.wire.melfa_mxt import Command, Reply, decode_request, encode_reply
 from tests.backend.devices.emulated_arm import Rig
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.melfa.protocol_mxt import (
+    CYCLE_S,
+    Command,
+    Kind,
+    Reply,
+    Values,
+    decode_request,
+    encode_reply,
+)
+from touchdown.backend.devices.melfa.stream import MONITORS, Phase, Replies, Rung, rung
+from touchdown.backend.devices.protocols import DeviceState, PressCommand, RobotMode, SafetyMode
 
 SPEED_MM_S = 20.0
 LEAD_MM = 3 * CYCLE_S * SPEED_MM_S

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.core.flow import Pose
-from backend.devices.protocols import DeviceState, PressCommand
-from backend.wire.melfa_joints import CYCLE_S
-from backend.wire.melfa_mxt import Command, decode_request
 from tests.backend.devices.emulated_arm import Rig
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S, Command, decode_request
+from touchdown.backend.devices.protocols import DeviceState, PressCommand
 
 SPEED_MM_S = 20.0
 LEAD_MM = 3 * CYCLE_S * SPEED_MM_S

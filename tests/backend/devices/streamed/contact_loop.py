@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from backend.devices.streamed.admittance import AT_REST, Give, Law, Loop, give_way
+from touchdown.backend.devices.streamed.compliance import AT_REST, Give, Law, Loop, give_way
 
 
 @dataclass

@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from backend.devices.streamed.admittance import (
+from tests.backend.devices.streamed.contact_loop import largest_stable, press, slowest_root
+from touchdown.backend.devices.streamed.compliance import (
     ACCELERATION_MM_S2,
     AT_REST,
     DESIGN_N_MM,
@@ -21,7 +22,6 @@ from backend.devices.streamed.admittance import (
     give_way,
     law_for,
 )
-from tests.backend.devices.streamed.contact_loop import largest_stable, press, slowest_root
 
 GAINS = (30.0, 30.0, 15.0)
 LIMITS = {0.0035: (78, 82), 0.0071: (75, 79), 0.010: (73, 78), 0.030: (71, 76)}

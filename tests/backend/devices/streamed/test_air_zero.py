@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from backend.devices.streamed.air_zero import AirZero
+from touchdown.backend.devices.streamed.compliance import AirZero
 
 STEP_N = np.array([0.1, -0.2, 0.3])
 

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from backend.devices.protocols import PressCommand
-from backend.devices.streamed.admittance import Loop, law_for
-from backend.devices.streamed.motion import ArmPress
-from backend.devices.streamed.pressing import Press
-from backend.devices.streamed.programs import Felt
+from touchdown.backend.devices.protocols import PressCommand
+from touchdown.backend.devices.streamed.compliance import Loop, law_for
+from touchdown.backend.devices.streamed.moves import ArmPress, Felt
+from touchdown.backend.devices.streamed.press import Press
 
 SURFACE_MM, SPRING_N_MM = 20.0, 3.0
 AIR_N = np.array([0.5, -0.8, -14.0])

@@ -1,0 +1,3 @@
+from .presenter import CalibratePresenter as CalibratePresenter
+
+__all__ = ["CalibratePresenter"]

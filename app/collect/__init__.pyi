@@ -1,0 +1,4 @@
+from .workspace import COLLECT as COLLECT
+from .workspace import CollectWorkspace as CollectWorkspace
+
+__all__ = ["COLLECT", "CollectWorkspace"]

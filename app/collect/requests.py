@@ -1,0 +1,210 @@
+"""Requests and decisions of the collect workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from touchdown.app.collect.probes import Held, pair_words, quality_words, read_probe
+from touchdown.app.shell import ACTIVE, Link, why_no_run
+from touchdown.backend.annotations import Dataset
+from touchdown.backend.core import EpisodeDecision, HandOverAwaited, MountingAwaited
+from touchdown.backend.runs import (
+    DECIDED,
+    CollectRequest,
+    Pattern,
+    RunState,
+    hand_over_message,
+    mounting_question,
+)
+from touchdown.widgets.forms import ProbeWords, TargetButtons, TargetForm
+from touchdown.widgets.lists import Arrangement
+
+
+def words_of(held: Held | None, *, asking: bool, running: bool, back: bool) -> ProbeWords:
+    """Return a probe in words. ``back``: an older one is looked at, or no run goes on."""
+    if held is None:
+        detail = "The first one is on its way." if running else "Press Start collecting (F5)."
+        return ProbeWords("No probe yet", detail=detail)
+    entry = held.entry
+    accepted = entry.quality.accepted
+    verdict, tone = ("\N{CHECK MARK} Observation", "good") if accepted else (
+        "\N{MULTIPLICATION X} No observation", "bad"
+    )  # fmt: skip
+    if entry.deleted:
+        verdict, tone = "Discarded", ""
+    elif entry.flagged:
+        verdict += ", flagged"
+    return ProbeWords(
+        verdict,
+        tone,
+        f"{_where(held)}, {entry.uuid[-8:]}",
+        _detail(held, back=back, running=running),
+        asking,
+        _allowed(held, live=running and not back),
+    )
+
+
+def _where(held: Held) -> str:
+    """Say the displacement, if it is known, and the item of the plan, if there was one."""
+    at = f"x, y {pair_words(held.offset_mm, 2, ' mm')}"
+    if not np.isfinite(held.offset_mm).all():
+        at = "No displacement"
+    item = held.entry.plan_item
+    return f"{at}, no plan" if item is None else f"{at}, item {item + 1}"
+
+
+def _detail(held: Held, *, back: bool, running: bool) -> str:
+    quality = held.entry.quality
+    if not quality.accepted:
+        return f"{quality_words(quality)}. It is kept with its reasons and probed again."
+    parts = [f"slip {quality.slip_mm:.2f} mm"]
+    if held.commanded_mm is not None:
+        parts.insert(0, f"commanded {pair_words(held.commanded_mm, 2, ' mm')}")
+    if held.signals is not None:
+        parts.append(f"Fz {held.signals[4]:.1f} N at the end")
+    if quality.dropped_frames:
+        lost = quality.dropped_frames
+        parts.append("1 frame lost" if lost == 1 else f"{lost} frames lost")
+    text = ", ".join(parts)
+    text = f"{text[0].upper()}{text[1:]}."
+    if back and running:
+        text += " Looking back: the run goes on."
+    return text
+
+
+def _allowed(held: Held, *, live: bool) -> tuple[str, ...]:
+    if held.entry.deleted:
+        return () if live else ("keep",)
+    if live:
+        return ("keep", "discard", "flag", "redo", "skip")
+    return ("discard", "flag") if held.entry.plan_item is None else ("discard", "flag", "skip")
+
+
+def decide_stored(dataset: Dataset, person: str, uuid: str, decision: EpisodeDecision) -> Held:
+    """Carry out a decision about a probe that no run waits for; return it as it is then.
+
+    A discarded one is probed again when its campaign goes on, a skipped one is not; keep brings a
+    deleted one back, a second flag takes the first one off. Raises ``RefusedError`` as the labels
+    do.
+    """
+    labels, entry = dataset.labels, dataset.entry(uuid)
+    if decision == "flag":
+        labels.flag(person, uuid, present=not entry.flagged)
+    elif decision == "keep":
+        labels.restore(person, uuid)
+    else:
+        labels.delete(person, uuid, DECIDED[decision])
+    return read_probe(dataset, dataset.entry(uuid), signals=True)
+
+
+ANSWERS = "Fitted anew", "As it was"
+"""To the question about the mounting."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """How things stand: whose page it is, what is open, and what the run in progress waits for.
+
+    ``mine``: the run that goes on collects. ``go_on``: what the last campaign still lacks.
+    """
+
+    person: str
+    dataset: Dataset | None
+    mine: bool
+    go_on: str
+    asked: HandOverAwaited | MountingAwaited | None
+
+
+def buttons(link: Link | None, now: Standing) -> TargetButtons:
+    """Return which buttons may be pressed."""
+    state = RunState.IDLE if link is None else link.status().state
+    active = state in ACTIVE
+    why = why_not(link, now)
+    paused = state in (RunState.PAUSED, RunState.PAUSING)
+    return TargetButtons(
+        start=not why and not active,
+        pause=now.mine and (paused or state is RunState.RUNNING),
+        end=now.mine and active and state is not RunState.CANCELLING,
+        paused=paused,
+        go_on=now.go_on,
+        why_not=why,
+        in_contact=not active and _in_contact(link),
+        ask=_question(now) if active else "",
+        answers=ANSWERS if active and isinstance(now.asked, MountingAwaited) else None,
+        form=not (now.mine and active),
+    )
+
+
+def _question(now: Standing) -> str:
+    if isinstance(now.asked, MountingAwaited):
+        return mounting_question(now.asked)
+    return "" if now.asked is None else hand_over_message(now.asked)
+
+
+def why_not(link: Link | None, now: Standing) -> str:
+    """Return why nothing can be started, "" if it can, or if the campaign runs."""
+    if link is None or not link.devices:
+        return "The bench is being prepared"
+    if link.status().state in ACTIVE:
+        return "" if now.mine else "A run is going on"
+    if why := why_no_run(link):
+        return "In contact: lift first" if _in_contact(link) else why
+    if not now.person:
+        return "Say who collects: give your name above (Ctrl+U)"
+    if now.dataset is None:
+        return "The dataset is being opened"
+    return "" if now.dataset.writable else "The dataset is open for reading only"
+
+
+def _in_contact(link: Link | None) -> bool:
+    return (
+        link is not None
+        and link.hand is not None
+        and not link.interlock.latched
+        and bool(link.hand.pressing_n)
+    )
+
+
+def request_of(form: TargetForm, person: str, *, campaign: str = "") -> CollectRequest:
+    """Return the request of a form; with ``campaign`` the plan of that one holds."""
+    patterns: dict[str, Pattern] = {"grid": "grid", "adaptive": "adaptive"}
+    return CollectRequest(
+        piece=form.piece,
+        bottom=form.bottom,
+        count=form.count,
+        seed=form.seed,
+        pattern=patterns.get(form.pattern, "random"),
+        person=person,
+        within_mm=form.within_mm or None,
+        origin_mm=(form.origin_x_mm, form.origin_y_mm),
+        check_origin=form.check_origin,
+        campaign=campaign,
+        ask=form.ask,
+        probes_per_grip=form.probes_per_grip or None,
+        hand_over=form.hand_over,
+    )
+
+
+def form_of(memory: Mapping[str, object]) -> tuple[TargetForm, list[str]]:
+    """Return (form, names of what made no sense); those fields get their defaults."""
+    default, known, dropped = TargetForm(), {}, []
+    for entry in fields(TargetForm):
+        value = memory.get(entry.name, getattr(default, entry.name))
+        if type(value) is type(getattr(default, entry.name)):
+            known[entry.name] = value
+        else:
+            dropped.append(entry.name)
+    return TargetForm(**known), dropped  # type: ignore[arg-type]
+
+
+def arrangement_of(memory: object) -> Arrangement:
+    """Return columns and order of the list; raises ``ValueError`` for what makes no sense."""
+    match memory:
+        case None:
+            return Arrangement()
+        case {"columns": [*columns], "sort": str(sort), "descending": bool(descending)}:
+            return Arrangement(tuple(str(name) for name in columns), sort, descending)
+    raise ValueError("no columns")

@@ -1,0 +1,3 @@
+from .presenter import BenchPanels as BenchPanels
+
+__all__ = ["BenchPanels"]

@@ -1,0 +1,226 @@
+"""Review queue with prefetch."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from typing import Generic, TypeVar
+
+from touchdown.app.label.session import Sitting
+from touchdown.app.label.text import FINDING, blind_row, row_of
+from touchdown.app.shell import LabelItem, Post
+from touchdown.backend.annotations import ControlItemView, Dataset, EpisodeEntry, with_control_items
+from touchdown.backend.core import InputError
+from touchdown.widgets.lists import LabelList, LabelRow
+
+AHEAD = 3
+"""So many episodes before and after the present one are kept ready."""
+CALM_S = 0.08
+JOIN_S = 1.0
+"""It only reads: a disk that hangs is left behind."""
+
+Item = TypeVar("Item")
+
+
+class Prefetch(Generic[Item]):
+    """Holds what was asked for last, at most ``2 * AHEAD + 1`` items; one thread reads.
+
+    ``arrived`` is called on the window's thread with the id of what is newly there.
+    """
+
+    def __init__(
+        self, read: Callable[[str], Item], post: Post, arrived: Callable[[str], None]
+    ) -> None:
+        self._read, self._post, self._arrived = read, post, arrived
+        self._changed = threading.Condition()
+        self._wanted: tuple[str, ...] = ()
+        self._items: dict[str, Item | Exception] = {}
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="label-prefetch", daemon=True)
+        self._thread.start()
+
+    def want(self, wanted: Sequence[str]) -> None:
+        """Keep exactly these ready, the first one first."""
+        with self._changed:
+            self._wanted = tuple(wanted[: 2 * AHEAD + 1])
+            self._drop()
+            self._changed.notify()
+
+    def get(self, uuid: str) -> Item | Exception | None:
+        """Return the item, why it cannot be read, or None while it is not there yet."""
+        with self._changed:
+            return self._items.get(uuid)
+
+    def forget(self) -> None:
+        """Read everything anew."""
+        with self._changed:
+            self._items.clear()
+            self._changed.notify()
+
+    def held(self) -> tuple[str, ...]:
+        """Return the ids of what is in memory."""
+        with self._changed:
+            return tuple(self._items)
+
+    def close(self) -> None:
+        """End the thread."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join(JOIN_S)
+
+    def _drop(self) -> None:
+        for uuid in set(self._items) - set(self._wanted):
+            del self._items[uuid]
+
+    def _run(self) -> None:
+        while (uuid := self._next()) is not None:
+            item: Item | Exception
+            try:
+                item = self._read(uuid)
+            except Exception as error:  # noqa: BLE001 - one bad episode must not end the reading
+                item = error
+            with self._changed:
+                self._items[uuid] = item
+                self._drop()
+            self._post.put(lambda uuid=uuid: self._arrived(uuid))  # type: ignore[misc]
+
+    def _next(self) -> str | None:
+        """Wait for something to read; None: the end.
+
+        The present episode is read at once; its neighbours only when nobody has moved on for a
+        moment, so that reading ahead does not hold up the painting of what was just chosen.
+        """
+        with self._changed:
+            while not self._closed:
+                missing = [uuid for uuid in self._wanted if uuid not in self._items]
+                if missing and missing[0] == self._wanted[0]:
+                    return missing[0]
+                if missing and not self._changed.wait(CALM_S):
+                    return missing[0]
+                if not missing:
+                    self._changed.wait()
+        return None
+
+
+def around(order: Sequence[str], at: int) -> list[str]:
+    """Return the present id and its neighbours, nearest first, later before earlier."""
+    places = [at]
+    for distance in range(1, AHEAD + 1):
+        places += [at + distance, at - distance]
+    return [order[place] for place in places if 0 <= place < len(order)]
+
+
+Queue = tuple[list[str], dict[str, EpisodeEntry], dict[str, ControlItemView]]
+"""Ids in their order, all entries, and the gold among the ids."""
+
+
+def read_queue(dataset: Dataset, sitting: Sitting) -> Queue:
+    """Return a queue, gold mixed into what is to be labelled; slow, not for the window."""
+    s = sitting
+    if s.queue == FINDING:
+        order = [] if s.chosen is None else list(s.chosen.said)
+    else:
+        order = dataset.queue(s.queue, s.person, seed=s.seed)
+    entries = {entry.uuid: entry for entry in dataset.episodes()}
+    order = [uuid for uuid in order if uuid in entries]
+    if s.queue != "unlabelled":
+        return order, entries, {}
+    order, gold = with_control_items(dataset, s.person, order, entries, s.seed)
+    return order, entries, gold
+
+
+class Walk:
+    """Keeps list, order and prefetch in step. The order stays as it was when it was read."""
+
+    def __init__(self, rows: LabelList, prefetch: Prefetch[LabelItem]) -> None:
+        self._rows, self._prefetch = rows, prefetch
+        self.order: list[str] = []
+        self.entries: dict[str, EpisodeEntry] = {}
+        self.badges: dict[str, tuple[str, ...]] = {}
+        self.at = -1
+        self.begun = False
+        self._blind = self._hides = False
+        self.answered: set[str] = set()
+        """Episodes that were answered blind since the queue was read."""
+
+    @property
+    def uuid(self) -> str | None:
+        """The present episode."""
+        return self.order[self.at] if 0 <= self.at < len(self.order) else None
+
+    def begin(self, order: Sequence[str], entries: Mapping[str, EpisodeEntry], stay: str) -> None:
+        """Take a queue; begin with ``stay`` if it is in it, else with the first."""
+        self.begun = True
+        self.answered.clear()
+        self.order, self.entries = list(order), dict(entries)
+        self._rows.show_rows([self._row(uuid) for uuid in self.order])
+        self.at = self.order.index(stay) if stay in self.order else (0 if self.order else -1)
+        self._want()
+
+    def move_to(self, at: int) -> bool:
+        """Go to a place; False if there is none."""
+        if not 0 <= at < len(self.order):
+            return False
+        self.at = at
+        self._want()
+        return True
+
+    def find(self, uuid: str) -> int:
+        """Return the place of an episode, -1 if it is not in this queue."""
+        return self.order.index(uuid) if uuid in self.order else -1
+
+    def ready(self) -> LabelItem | Exception | None:
+        """Return the present item, why it cannot be read, or None while it is being read."""
+        uuid = self.uuid
+        return InputError("The queue is empty.", "queue", "Choose another.") if uuid is None else (
+            self._prefetch.get(uuid)
+        )  # fmt: skip
+
+    def ahead(self) -> LabelItem | Exception | None:
+        """Return the next item of the queue, if there is one and it is there."""
+        at = self.at + 1
+        return self._prefetch.get(self.order[at]) if at < len(self.order) else None
+
+    def held(self) -> tuple[str, ...]:
+        """Return which episodes are in memory."""
+        return self._prefetch.held()
+
+    def size(self, uuid: str) -> int:
+        """Return the bytes that an episode takes in memory, 0 if it is not there."""
+        item = self._prefetch.get(uuid)
+        return item.bytes if isinstance(item, LabelItem) else 0
+
+    def cover(self, *, blind: bool, hides: bool) -> None:
+        """Keep from sight how far episodes have come (``blind``), or other evidence (``hides``)."""
+        if (blind, hides) != (self._blind, self._hides):
+            self._blind, self._hides = blind, hides
+            self._rows.show_rows([self._row(uuid) for uuid in self.order])
+            if self.at >= 0:
+                self._rows.choose(self.at)
+
+    def note(self, uuid: str, badges: tuple[str, ...]) -> None:
+        """Take the badges of an episode, and show its row anew."""
+        self.badges[uuid] = badges
+        at = self.at if uuid == self.uuid else self.find(uuid)
+        if at >= 0:
+            self._rows.show_row(at, self._row(uuid))
+
+    def take(self, entry: EpisodeEntry) -> None:
+        """Take what is new of an episode, and show its row anew."""
+        self.entries[entry.uuid] = entry
+        self.note(entry.uuid, self.badges.get(entry.uuid, ()))
+
+    def _row(self, uuid: str) -> LabelRow:
+        entry = self.entries[uuid]
+        if self._blind:
+            return blind_row(entry, answered=uuid in self.answered)
+        badges = () if self._hides else self.badges.get(uuid, ())
+        return row_of(entry, entry.state, badges)
+
+    def _want(self) -> None:
+        if self.at >= 0:
+            self._prefetch.want(around(self.order, self.at))
+            self._rows.choose(self.at)
+        else:
+            self._prefetch.want(())

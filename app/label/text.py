@@ -1,0 +1,154 @@
+"""Text of the label workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
+
+from touchdown.backend.annotations import (
+    EpisodeEntry,
+    Label,
+    LabelState,
+    Operation,
+    Revision,
+    Source,
+)
+from touchdown.widgets.lists import HistoryRow, LabelRow
+from touchdown.widgets.views import offset_in_words
+
+QUEUES: tuple[tuple[str, str], ...] = (
+    ("unlabelled", "Unlabelled and drafts"),
+    ("review", "Waiting for review"),
+    ("returned", "Rejected, to correct"),
+    ("doubt", "The signals speak against it"),
+    ("disagreement", "Disagreement with the model"),
+    ("uncertainty", "Model is unsure"),
+    ("coverage", "Holes in the coverage"),
+    ("duplicates", "Alike signals, other labels"),
+    ("conflicts", "Conflicts after a merge"),
+    ("audit", "Random audit"),
+    ("gold", "Gold: approved labels, answered blind"),
+)
+
+FINDING = "finding"
+"""The queue of what a look through the dataset found."""
+
+
+def source_words(source: Source) -> str:
+    """Return a source for people; a model is named by the start of its weights' hash."""
+    kind, _, weights = source.partition(":")
+    return models_words(weights) if kind == "model" else kind
+
+
+def models_words(weights: str) -> str:
+    """Name models by the start of their weights' hashes, joined by ``+``."""
+    first, *others = weights.split("+")
+    more = f" and {len(others)} more" if others else ""
+    return f"model {first[:8]}{more}"
+
+
+def rests_on(revision: Revision) -> str:
+    """Say what a label rests on, and how sure that is."""
+    if not revision.label.is_set:
+        return "nobody has said yet where the face was"
+    sigma = revision.label.sigma_um
+    spread = "uncertainty not told" if sigma is None else f"sigma {sigma / 1e3:.2f} mm"
+    kind = revision.source.partition(":")[0]
+    basis = {
+        "commanded": "commanded displacement",
+        "measured": "measured displacement",
+        "human": f"set by {revision.person}",
+        "model": f"{source_words(revision.source)} alone",
+    }.get(kind, revision.source)
+    return f"{basis}, {spread}"
+
+
+def asks_for(head: Revision, *, reviewing: bool, opines: bool) -> str:
+    """Say what is to be done with a label, where Enter does not simply accept it."""
+    if opines:
+        return "Blind: Enter keeps your displacement as an opinion, the label does not change."
+    if head.state == "rejected":
+        return f"Rejected by {head.person}: {head.reason or 'no reason'}. Correct it, then Enter."
+    if reviewing and head.state == "submitted":
+        return f"Submitted by {head.person}: Enter approves, D rejects."
+    return ""
+
+
+def clock(at_ns: int) -> str:
+    """Return the local time of day."""
+    return f"{datetime.fromtimestamp(at_ns / 1e9):%H:%M:%S}"
+
+
+def label_words(label: Label) -> str:
+    """Return a label for people."""
+    if not label.is_set:
+        return "no displacement"
+    x, y = label.offset_mm.tolist()
+    return offset_in_words((x, y), (label.sigma_um or 0) / 1e3)
+
+
+def history_rows(revisions: Sequence[Revision], head: Revision) -> list[HistoryRow]:
+    """Return all versions, newest first, each with what it changed."""
+    rows = []
+    for number, revision in enumerate(revisions, start=1):
+        before = revisions[number - 2] if number > 1 else None
+        when = f"{datetime.fromtimestamp(revision.at_ns / 1e9):%Y-%m-%d %H:%M:%S}"
+        reason = f" ({revision.reason})" if revision.reason else ""
+        what = f"{revision.state}{reason}: {label_words(revision.label)}"
+        who = f"{revision.person}, {source_words(revision.source)}, {when}"
+        holds = revision.rev_uuid == head.rev_uuid
+        rows.append(
+            HistoryRow(revision.rev_uuid, number, what, who, difference(before, revision), holds)
+        )
+    return rows[::-1]
+
+
+def difference(before: Revision | None, after: Revision) -> str:
+    """Return what a revision changed against the one before it."""
+    if before is None:
+        return ""
+    parts = []
+    if before.label.is_set and after.label.is_set:
+        dx, dy = (after.label.offset_mm - before.label.offset_mm).tolist()
+        if dx or dy:
+            parts.append(f"moved {offset_in_words((dx, dy))}")
+    if before.source != after.source:
+        parts.append(f"{source_words(before.source)} to {source_words(after.source)}")
+    if before.verdict != after.verdict:
+        parts.append(f"verdict {after.verdict or 'none'}")
+    if before.geometry != after.geometry:
+        parts.append("other geometry")
+    return "; ".join(parts)
+
+
+def row_of(entry: EpisodeEntry, state: LabelState, badges: Sequence[str] = ()) -> LabelRow:
+    """Return the row of an episode in the queue."""
+    when = f"{datetime.fromtimestamp(entry.recorded_ns / 1e9):%d %b %H:%M:%S}"
+    marks = [
+        word
+        for word, holds in (
+            ("flag", entry.flagged),
+            ("conflict", entry.conflict),
+            ("refused by quality", not entry.quality.accepted),
+            (entry.file_state, entry.file_state != "complete"),
+        )
+        if holds
+    ]
+    title = f"{entry.piece} on {entry.bottom}"
+    return LabelRow(entry.uuid, title, when, state, (*marks, *badges))
+
+
+def blind_row(entry: EpisodeEntry, *, answered: bool) -> LabelRow:
+    """Return the row of an episode that is answered blind: nothing tells gold from the rest."""
+    plain = row_of(replace(entry, flagged=False, conflict=False), "unlabelled")
+    return replace(plain, badges=("answered",) if answered else ())
+
+
+def operation_words(operation: Operation) -> str:
+    """Return one action as the log shows it."""
+    episodes = operation.episodes
+    what = operation.verb.removeprefix("label.").replace("_", " ")
+    which = f"{len(episodes)} episodes" if len(episodes) != 1 else f"episode {episodes[0][-8:]}"
+    when = f"{datetime.fromtimestamp(operation.at_ns / 1e9):%Y-%m-%d %H:%M:%S}"
+    return f"{when}  {operation.actor}: {what}, {which}"

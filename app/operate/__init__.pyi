@@ -1,0 +1,3 @@
+from .workspace import OperateWorkspace as OperateWorkspace
+
+__all__ = ["OperateWorkspace"]

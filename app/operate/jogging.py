@@ -1,0 +1,391 @@
+"""Jogging of the arm by pads and keys."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from datetime import datetime
+from typing import cast
+
+from PySide6.QtCore import QEvent, QObject, Qt, QTimer
+from PySide6.QtGui import QKeyEvent, QWindow
+from PySide6.QtWidgets import QApplication, QWidget
+
+from touchdown.app.operate.page import OperatePage
+from touchdown.app.shell import Link, busy, log, not_set, refusal_card, typing
+from touchdown.backend.core import (
+    LEVEL_RAD,
+    FaultError,
+    Pose,
+    RefusedError,
+    StaleSampleError,
+    rotation_angle_rad,
+)
+from touchdown.backend.devices import (
+    FRAMES,
+    STEPS_DEG,
+    STEPS_MM,
+    Arm,
+    Axis,
+    Device,
+    Frame,
+    Gripper,
+    GripStatus,
+    JogOrder,
+    Room,
+    turns,
+)
+from touchdown.backend.runs import ManualControl, SceneChoice, SetRequest
+from touchdown.widgets.forms import JOINTS, JogPad, Pace, PoseLook
+from touchdown.widgets.shell import FaultCards, Question
+
+PERIOD_S = 0.1
+LEVEL_RAD_S = math.radians(10.0)
+"""The hand is levelled so fast."""
+NO_JOINTS = "The arm of this bench keeps its orientation: no JOINT frame and no turning."
+PACES = (
+    Pace("mm", "mm", STEPS_MM, (1.0, 50.0, 20.0)),
+    Pace("\N{DEGREE SIGN}", "degrees", STEPS_DEG, (1.0, 15.0, 5.0)),
+)
+SHORT = {
+    "DRAGGING": "lift first", "TURN-PRESSING": "lift first", "TURN-LOW": "go up first",
+    "JOG-FORCE": "too much force", "RECOVERY": "only away", "DEGRADED": "only away",
+    "FT-UNKNOWN": "no force", "NO-POSE": "no pose",
+}  # fmt: skip
+"""What a pad says instead of its range while its way is refused."""
+
+
+class HandPresenter:
+    """Sends orders to the present scene's hand; shows pose, room, gripper and refusals."""
+
+    def __init__(
+        self,
+        link: Link,
+        page: OperatePage,
+        cards: FaultCards,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._link, self._page, self._cards, self._now_s = link, page, cards, now_s
+        self._hold = self._sequence = 0
+        self._drawn_s = float("-inf")
+        self._drawn_pads: tuple[str, ...] = ()
+        hand, shown = link.hand, link.catalogue
+        page.scene.setVisible(link.simulated)
+        page.scene.show_catalogue(
+            [(name, shown.piece(name).title) for name in shown.tops],
+            [(name, shown.piece(name).title) for name in shown.bottoms],
+            (SceneChoice().piece, SceneChoice().bottoms[0]),
+        )
+        page.jog.show_turning("" if hand is not None and hand.rotates else NO_JOINTS)
+
+    # -- orders -----------------------------------------------------------------------------------
+
+    def renew(self, what: str) -> bool:
+        """Open or renew the jog lease; False, with a card, if it is refused."""
+        if self._sequence == 0:
+            self._hold += 1
+        self._sequence += 1
+        order = JogOrder(self._hold, self._sequence, self._link.clock_s(), _axis(what),
+                         self._frame(), _sign(what) * self._speed())  # fmt: skip
+        return self._ordered(lambda hand: hand.jog.renew(order))
+
+    def ended(self, cause: str) -> None:
+        """End the hold; the cause goes to the log."""
+        self._sequence = 0
+        log.info("jog %d ended: %s", self._hold, cause)
+        if self._link.hand is not None:
+            self._link.hand.jog.end(self._hold)
+
+    def step(self, what: str) -> None:
+        """Move by one step."""
+        step = self._page.jog.step
+        if step is None:
+            return
+        distance = _sign(what) * (math.radians(step) if self._page.jog.turning else step)
+        frame, speed = self._frame(), self._speed()
+        self._ordered(lambda hand: hand.jog.step(_axis(what), frame, distance, speed))
+
+    def level(self) -> None:
+        """Turn the hand back to straight down."""
+        self._ordered(lambda hand: hand.jog.level(LEVEL_RAD_S))
+
+    def grip(self) -> None:
+        """Close on the piece."""
+        force_n = self._page.gripper.force.value()
+        self._ordered(lambda hand: hand.grip(force_n))
+
+    def open(self) -> None:
+        """Open; while a piece is held a card asks first."""
+        status = self._grip_status()
+        if status is not None and status.holding:
+            answers = (("Keep holding", _keep), ("Open and let it go", self._open_anyway))
+            self._cards.ask(Question("A piece is held. Opening lets it go.", answers))
+        else:
+            self._ordered(lambda hand: hand.open(confirmed=False))
+
+    def zero(self) -> None:
+        """Zero force and moment."""
+        self._ordered(lambda hand: hand.zero_wrench())
+
+    def baseline(self) -> None:
+        """Take the tactile references anew."""
+        self._ordered(lambda hand: hand.take_references())
+
+    def set_scene(self, piece: str, bottom: str) -> None:
+        """Set the simulated bench anew; a held piece goes back to its place as well."""
+        request = SetRequest(SceneChoice(piece, (bottom,)))
+        self._ordered(lambda _hand: self._link.start(request))
+
+    def _open_anyway(self) -> None:
+        self._ordered(lambda hand: hand.open(confirmed=True))
+
+    def _ordered(self, order: Callable[[ManualControl], None]) -> bool:
+        hand = self._link.hand
+        if hand is None:
+            return False
+        try:
+            order(hand)
+        except RefusedError as error:
+            if error.reason == "JOG-ENDED":
+                # What ended it has been told already.
+                return False
+            self._cards.show_card(refusal_card(error, f"{datetime.now():%H:%M:%S}"))
+            return False
+        except FaultError as error:
+            refused = RefusedError(error.fault.code, error.fault.what)
+            self._cards.show_card(refusal_card(refused, f"{datetime.now():%H:%M:%S}"))
+            return False
+        self._cards.pass_on()
+        return True
+
+    # -- showing ----------------------------------------------------------------------------------
+
+    def draw(self) -> None:
+        """Show pose, room and gripper ten times a second; end a hold that may not go on."""
+        why = self.why_not()
+        self._page.jog.show_ready(not why, why)
+        self._page.gripper.show_ready(not why)
+        self._page.scene.show_ready(not why)
+        if why:
+            self._page.jog.hold.end(why)
+            self._page.jog.show_armed(False)
+        now_s, pads = self._now_s(), self._page.jog.shown
+        if now_s - self._drawn_s >= PERIOD_S or pads != self._drawn_pads:
+            self._drawn_s, self._drawn_pads = now_s, pads
+            self._page.jog.show_look(self._look())
+            self._draw_gripper()
+
+    def why_not(self) -> str:
+        """Return why nothing may be moved by hand now, "" if it may."""
+        if self._link.hand is None:
+            return not_set(self._link) or "The bench is being prepared"
+        if self._link.interlock.latched:
+            return "Press Reset first"
+        if not self._link.hand.powered:
+            return "The servo is off: hold Servo in the top bar for 1 s"
+        return "A run is going on" if busy(self._link) else ""
+
+    def _look(self) -> PoseLook:
+        arm, hand = self._link.devices.get("arm"), self._link.hand
+        if arm is None or hand is None:
+            return PoseLook()
+        try:
+            t_s, _ = _arm(arm).poses.latest(self._link.clock_s(), float("inf"))
+            pose = _arm(arm).pose(float("inf"))
+            text = self._pose_text(_arm(arm), pose)
+            rooms = hand.jog.rooms(self._frame())
+        except (StaleSampleError, RefusedError):
+            return PoseLook()
+        slow = hand.jog.state.slow
+        recovering, turned = self._link.interlock.recovering, rotation_angle_rad(pose) > 0.0
+        note = "Recovery: jog away from contact" if recovering else self._contact(hand)
+        note = note or self._link.interlock.degraded
+        warn = bool(note)
+        if not note and rotation_angle_rad(pose) > LEVEL_RAD:
+            note = f"Turned by {math.degrees(rotation_angle_rad(pose)):.1f}\N{DEGREE SIGN}: level it to probe"
+        if not note and any(room.why == "TURN-LOW" for room in rooms.values()):
+            clear_mm = self._link.interlock.limits.turn_clear_mm
+            note = f"To turn, the face must be {clear_mm:.0f} mm off the surface: jog +Z"
+        if slow and hand.jog.state.order is not None:
+            note = f"{self._jog_speed(hand)}: {slow}"
+        age_s = max(self._link.clock_s() - t_s, 0.0)
+        said = tuple((what, _room_words(what, room)) for what, room in rooms.items())
+        return PoseLook(text, age_s, said, note, warn=warn, turned=turned)
+
+    def _pose_text(self, arm: Arm, pose: Pose) -> str:
+        """Return where the hand is, in the terms of the pads that are shown."""
+        jog = self._page.jog
+        if self._frame() == "JOINT":
+            angles = (f"{math.degrees(angle) + 0.0:.0f}" for angle in arm.joints_rad(float("inf")))
+            return _true_minus("  ".join(angles) + "\N{DEGREE SIGN}")
+        if jog.turning:
+            turned = (math.degrees(v) for v in (pose.rx_rad, pose.ry_rad, pose.rz_rad))
+            x, y, z = (f"{v + 0.0:.1f}" for v in turned)
+            return _true_minus(f"RX {x}   RY {y}   RZ {z}\N{DEGREE SIGN}")
+        return _true_minus(f"X {pose.x_mm:.1f}   Y {pose.y_mm:.1f}   Z {pose.z_mm:.1f} mm")
+
+    def _jog_speed(self, hand: ManualControl) -> str:
+        state = hand.jog.state
+        if state.order is not None and turns(state.order.axis):
+            return f"{math.degrees(state.speed):.1f}\N{DEGREE SIGN}/s"
+        return f"{state.speed:.1f} mm/s"
+
+    def _contact(self, hand: ManualControl) -> str:
+        if busy(self._link) or not hand.pressing_n:
+            return ""
+        return f"In contact with {hand.pressing_n:.1f} N: jog +Z to lift before you start a run"
+
+    def _draw_gripper(self) -> None:
+        status, hand = self._grip_status(), self._link.hand
+        if status is not None and hand is not None:
+            moving = hand.active and not hand.jog.active
+            self._page.gripper.show_status(
+                status.width_mm, status.force_n, holding=status.holding, moving=moving
+            )
+
+    def _grip_status(self) -> GripStatus | None:
+        device = self._link.devices.get("gripper")
+        return None if device is None else _gripper(device).status()
+
+    def _frame(self) -> Frame:
+        return FRAMES[self._page.jog.frame.currentIndex()]
+
+    def _speed(self) -> float:
+        """Return the chosen speed: mm/s, or rad/s while the pads turn."""
+        jog = self._page.jog
+        return math.radians(jog.speed.value()) if jog.turning else jog.speed.value()
+
+
+def _room_words(what: str, room: Room) -> str:
+    """Return what a pad says below its name."""
+    if room.why:
+        return SHORT.get(room.why, "refused")
+    if turns(_axis(what)):
+        return f"{math.degrees(room.left):.0f}\N{DEGREE SIGN}"
+    return f"{room.left:.0f} mm"
+
+
+def _true_minus(text: str) -> str:
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def _axis(what: str) -> Axis:
+    return cast("Axis", what[1:])
+
+
+def _sign(what: str) -> float:
+    return 1.0 if what[0] == "+" else -1.0
+
+
+def _keep() -> None:
+    """Do nothing: the piece stays held."""
+
+
+def _arm(device: Device) -> Arm:
+    return device  # type: ignore[return-value]
+
+
+def _gripper(device: Device) -> Gripper:
+    return device  # type: ignore[return-value]
+
+
+IDLE_MS = 30_000
+KEYS: dict[int, str] = {
+    Qt.Key.Key_Right: "+x",
+    Qt.Key.Key_Left: "-x",
+    Qt.Key.Key_Up: "+y",
+    Qt.Key.Key_Down: "-y",
+    Qt.Key.Key_PageUp: "+z",
+    Qt.Key.Key_PageDown: "-z",
+}
+JOINT_KEYS: dict[int, int] = {int(Qt.Key.Key_1) + joint: joint + 1 for joint in range(JOINTS)}
+"""Digits choose the joint that the arrows drive; they move nothing."""
+ROWS = (
+    ("Left", "Jog \N{MINUS SIGN}X while held (keys armed)"),
+    ("Right", "Jog +X while held (keys armed)"),
+    ("Up", "Jog +Y while held (keys armed)"),
+    ("Down", "Jog \N{MINUS SIGN}Y while held (keys armed)"),
+    ("PgUp", "Jog +Z while held (keys armed)"),
+    ("PgDown", "Jog \N{MINUS SIGN}Z while held (keys armed)"),
+    ("1", "Choose J1 for the arrows, 2 to 6 the others (keys armed, JOINT)"),
+)
+
+
+class JogKeys(QObject):
+    """Event filter of the application while armed."""
+
+    def __init__(self, page: QWidget, pad: JogPad) -> None:
+        super().__init__(page)
+        self._page, self._pad = page, pad
+        self._down: set[int] = set()
+        self.armed = False
+        self._idle = QTimer(self)
+        self._idle.setSingleShot(True)
+        self._idle.setInterval(IDLE_MS)
+        self._idle.timeout.connect(self.disarm)
+
+    def arm(self, on: bool) -> None:
+        """Arm or disarm."""
+        if on == self.armed:
+            return
+        application = QApplication.instance()
+        assert isinstance(application, QApplication)
+        self.armed = on
+        self._down.clear()
+        if on:
+            self._page.setFocus()
+            application.installEventFilter(self)
+            application.focusChanged.connect(self._focus_changed)
+            self._idle.start()
+        else:
+            application.removeEventFilter(self)
+            application.focusChanged.disconnect(self._focus_changed)
+            self._idle.stop()
+            self._pad.hold.end("the keys were disarmed")
+        self._pad.show_armed(on)
+
+    def disarm(self) -> None:
+        """Disarm."""
+        self.arm(False)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Take the jog keys as the window system delivers them."""
+        if not isinstance(event, QKeyEvent) or not isinstance(watched, QWindow):
+            return False
+        joint = self._pad.frame.currentText() == "JOINT" and event.key() in JOINT_KEYS
+        if not (joint or event.key() in KEYS) or typing():
+            return False
+        # Before a press the same key comes as ShortcutOverride: claimed, so that no shortcut takes
+        # it, and no press of its own.
+        if event.type() is not QEvent.Type.ShortcutOverride and not event.isAutoRepeat():
+            self._take(event)
+        event.accept()
+        return True
+
+    def _take(self, event: QKeyEvent) -> None:
+        self._idle.start()
+        key = event.key()
+        if key in JOINT_KEYS:
+            if event.type() is QEvent.Type.KeyPress:
+                self._pad.choose_joint(JOINT_KEYS[key])
+            return
+        if event.type() is QEvent.Type.KeyRelease:
+            self._down.discard(key)
+            self._pad.hold.release(key)
+            return
+        alone = not self._down
+        self._down.add(key)
+        if alone:
+            self._pad.press_key(self._page, KEYS[key], key)
+        else:
+            self._pad.hold.end("a second key was pressed")
+
+    def _focus_changed(self, _old: QWidget | None, now: QWidget | None) -> None:
+        if (
+            now is None
+            or not now.isVisible()
+            or now.window() is not self._page.window()
+            or typing()
+        ):
+            self.disarm()

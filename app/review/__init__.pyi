@@ -1,0 +1,3 @@
+from .workspace import ReviewWorkspace as ReviewWorkspace
+
+__all__ = ["ReviewWorkspace"]

@@ -1,0 +1,229 @@
+"""Stored episodes shown in review."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from touchdown.app.review.campaign import counted
+from touchdown.app.review.timing import TimedTrial
+from touchdown.app.shell import Prelabeller
+from touchdown.backend.annotations import Dataset, EpisodeEntry
+from touchdown.backend.config import StackSettings
+from touchdown.backend.core import (
+    FINGERS,
+    BeliefUpdated,
+    Episode,
+    EpisodeRecorded,
+    Event,
+    Finger,
+    ImageArray,
+    InputError,
+    PatchEstimated,
+    RunStarted,
+    StabilityJudged,
+    TrialStarted,
+)
+from touchdown.backend.episodes import CompressedEpisode, read_compressed_episode
+from touchdown.backend.geometry import PieceLibrary
+from touchdown.backend.placement import Belief, judge_stability
+from touchdown.backend.runs import read_campaign
+from touchdown.widgets.plots import WrenchTrace
+from touchdown.widgets.views import FilmTrack, Reel
+
+KEPT_PICTURES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """``traces`` of the episodes in order of time; ``missing``: what could not be read."""
+
+    reel: Reel = field(default_factory=dict)
+    traces: tuple[WrenchTrace, ...] = ()
+    missing: tuple[str, ...] = ()
+
+    @property
+    def spans_s(self) -> tuple[tuple[float, float], ...]:
+        """First and last instant of each episode."""
+        return tuple((float(t.t_s[0]), float(t.t_s[-1])) for t in self.traces if len(t.t_s))
+
+    def trace_at(self, cursor_s: float) -> WrenchTrace | None:
+        """Return the wrench of the episode that had begun last at the cursor, else the first."""
+        begun = [t for t in self.traces if len(t.t_s) and t.t_s[0] <= cursor_s + 1e-9]
+        return begun[-1] if begun else next(iter(self.traces), None)
+
+
+def read_recorded(paths: Sequence[Path]) -> Recorded:
+    """Read the episodes ``paths`` of one trial; a damaged one leaves a gap and a sentence."""
+    films, missing = [], []
+    for path in paths:
+        try:
+            films.append(read_compressed_episode(path))
+        except InputError as error:
+            missing.append(f"{path.name}: {error.what}")
+    return recorded(films, tuple(missing))
+
+
+def recorded(films: Sequence[CompressedEpisode], missing: tuple[str, ...] = ()) -> Recorded:
+    """Join films that were recorded one after the other."""
+    films = sorted(films, key=lambda film: film.episode.onset_s)
+    traces = tuple(
+        WrenchTrace(r.wrench_t_s, r.wrench)
+        for film in films
+        if (r := film.episode.recording) is not None and len(r.wrench_t_s)
+    )
+    return Recorded({finger: _track(films, finger) for finger in FINGERS}, traces, missing)
+
+
+def _track(films: Sequence[CompressedEpisode], finger: Finger) -> FilmTrack:
+    fields = tuple(
+        one
+        for film in films
+        if film.episode.recording is not None
+        for one in film.episode.recording.fields
+        if one.finger == finger
+    )
+    where = [(film, k) for film in films for k in range(len(film.pictures[finger].t_s))]
+    stamps = [film.pictures[finger].t_s for film in films]
+
+    @lru_cache(KEPT_PICTURES)
+    def picture(index: int) -> ImageArray:
+        film, at = where[index]
+        return film.pictures[finger].picture(at)
+
+    field_t_s = np.array([one.t_s for one in fields], dtype=np.float64)
+    return FilmTrack(np.concatenate([np.zeros(0), *stamps]), picture, field_t_s, fields)
+
+
+JUDGED_S = 2.0
+"""The model reads a probe when its last tick is over, so long after the contact onset."""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """The episodes of one series of a dataset, oldest first. ``plan`` in words, "" if unknown."""
+
+    name: str
+    entries: tuple[EpisodeEntry, ...]
+    plan: str = ""
+
+    @property
+    def title(self) -> str:
+        """Date of the first episode, and what was collected."""
+        first = self.entries[0]
+        when = datetime.fromtimestamp(first.recorded_ns * 1e-9, UTC)
+        count = len(self.entries)
+        noun = "episode" if count == 1 else "episodes"
+        return (
+            f"{when:%Y-%m-%d  %H:%M:%S} UTC\n"
+            f"series: {first.piece} on {first.bottom}, {count} {noun}"
+        )
+
+    @property
+    def facts(self) -> str:
+        """Pair, plan, person and how far it came, a line each."""
+        first = self.entries[0]
+        people = ", ".join(sorted({e.person for e in self.entries if e.person})) or "nobody named"
+        mountings = len({e.mounting_id for e in self.entries})
+        grips = len({(e.mounting_id, e.grip_id) for e in self.entries})
+        refused = sum(not e.quality.accepted for e in self.entries)
+        lines = [
+            f"{first.piece} on {first.bottom}, {first.mode}",
+            self.plan,
+            f"recorded by {people}",
+            f"{counted([e.state for e in self.entries])}; {refused} refused",
+            f"{grips} {'grip' if grips == 1 else 'grips'} on "
+            f"{mountings} {'mounting' if mountings == 1 else 'mountings'}",
+        ]
+        return "\n".join(line for line in lines if line)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredEpisode:
+    """One episode with its signals and what is known of it, as a trial of one probe."""
+
+    entry: EpisodeEntry
+    recorded: Recorded
+    trial: TimedTrial
+    says: str
+
+
+def series_of(dataset: Dataset) -> list[Series]:
+    """Return the series of a dataset, newest first."""
+    found: dict[str, list[EpisodeEntry]] = {}
+    for entry in dataset.episodes():
+        found.setdefault(entry.series, []).append(entry)
+    return [
+        Series(name, tuple(entries), plan_words(dataset, entries[0].campaign))
+        for name, entries in reversed(found.items())
+    ]
+
+
+def plan_words(dataset: Dataset, campaign: str) -> str:
+    """Return the plan of a campaign in words; "" where there is none, or none to be read."""
+    try:
+        plan = read_campaign(dataset.folder, campaign) if campaign else None
+    except InputError:
+        return ""
+    return "" if plan is None else f"plan: {plan.pattern}, {plan.count} probes, seed {plan.seed}"
+
+
+def read_stored(
+    dataset: Dataset, models: Prelabeller, catalogue: PieceLibrary, entry: EpisodeEntry
+) -> StoredEpisode:
+    """Read one episode and let the model read it; raises ``InputError`` naming a damaged file."""
+    film: CompressedEpisode = dataset.film(entry.uuid)
+    label = dataset.labels.head(entry.uuid)
+    x_mm, y_mm = label.label.offset_mm.tolist()
+    at = (x_mm, y_mm) if label.label.is_set else None
+    episode = film.episode
+    recording = episode.recording
+    begun_s = episode.onset_s if recording is None else float(recording.wrench_t_s[0])
+    head = RunStarted(
+        begun_s, entry.series, entry.piece, entry.bottom, "paper", 0, 1, entry.mode != "lab", "{}"
+    )  # fmt: skip
+    bare = Episode(entry.uuid, entry.piece, episode.observation, episode.offset_mm,
+                   episode.onset_s, episode.quality)  # fmt: skip
+    facts: list[Event] = [
+        TrialStarted(begun_s, 1, 0, at),
+        EpisodeRecorded(episode.onset_s + JUDGED_S, bare, 1, entry.path),
+    ]
+    says = "No displacement is labelled." if at is None else ""
+    if at is not None:
+        facts += _reading(models, catalogue, entry, episode, at)
+        says = f"Label {label.state}, {label.source.split(':')[0]}, by {label.person}."
+    return StoredEpisode(entry, recorded([film]), TimedTrial(head, tuple(facts)), says)
+
+
+def _reading(
+    models: Prelabeller,
+    catalogue: PieceLibrary,
+    entry: EpisodeEntry,
+    episode: Episode,
+    at_mm: tuple[float, float],
+) -> Sequence[Event]:
+    """Return what the method makes of this one probe at the labelled place."""
+    found = models.model(entry.piece)
+    if found is None:
+        return []
+    model = found.members[0]
+    t_s, settings = episode.onset_s + JUDGED_S, StackSettings()
+    try:
+        patch = model.estimate(episode)
+        piece = catalogue.piece(entry.piece)
+    except (InputError, ValueError):
+        # A dropped sample, or a piece of another catalogue: there is no estimate to show.
+        return []
+    unknown = Belief.unknown(settings.belief, at_mm, model.base_rate)
+    belief = unknown.updated(patch, at_mm)
+    stability = judge_stability(belief, patch, piece.com_xy_mm, at_mm, settings.stability)
+    return [
+        PatchEstimated(t_s, patch, at_mm, 1),
+        BeliefUpdated(t_s, belief.map, 1),
+        StabilityJudged(t_s, stability, 1),
+    ]

@@ -1,0 +1,288 @@
+"""Actions of the window, their keys and the stop key."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from PySide6.QtCore import QEvent, QKeyCombination, QObject, Qt
+from PySide6.QtGui import QAction, QKeyEvent, QKeySequence, QWindow
+from PySide6.QtWidgets import (
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QLineEdit,
+    QPlainTextEdit,
+    QWidget,
+)
+
+from touchdown.app.shell.layouts import Entry
+from touchdown.app.shell.workspace import Command, Workspace
+from touchdown.widgets.forms import BESIDE
+from touchdown.widgets.shell import Choice, CommandPalette, KeyAsker, KeySheet
+
+EVERYWHERE = ""
+STOP_ROWS: tuple[tuple[str, str], ...] = (
+    ("F12", "STOP motion (software), always"),
+    ("Space", "STOP motion while something moves and no text field has the focus"),
+)
+_FIRM = (Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.AltModifier,
+         Qt.KeyboardModifier.MetaModifier)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One key in one context ("" is everywhere); ``command`` is None for a key that is held."""
+
+    context: str
+    title: str
+    key: str
+    text: str
+    command: Command | None = None
+
+    @property
+    def id(self) -> str:
+        """Name under which a changed key is remembered, such as "stack.pause"."""
+        name = self.command.name if self.command is not None else self.key
+        return f"{self.context}.{name}" if self.context else name
+
+
+def rows_of(frame: Sequence[Command], workspaces: Iterable[Workspace]) -> list[Row]:
+    """Return all rows: those of everywhere first, then workspace by workspace."""
+    rows = [Row(EVERYWHERE, "Everywhere", key, text) for key, text in STOP_ROWS]
+    rows += [Row(EVERYWHERE, "Everywhere", c.key, c.text, c) for c in frame]
+    for ws in workspaces:
+        rows += [Row(ws.name, ws.title, c.key, c.text, c) for c in ws.commands]
+        rows += [Row(ws.name, ws.title, key, text) for key, text in ws.held_keys]
+    return rows
+
+
+def remapped(rows: Sequence[Row], changed: Mapping[str, str]) -> tuple[list[Row], list[str]]:
+    """Return rows with the remembered keys, and the ids whose key could not be had."""
+    kept, refused = list(rows), []
+    for name, key in changed.items():
+        if refusal(kept, name, key):
+            refused.append(name)
+        else:
+            kept = [_with_key(row, key) if row.id == name else row for row in kept]
+    return kept, refused
+
+
+def refusal(rows: Sequence[Row], name: str, key: str) -> str:
+    """Return "" if command ``name`` may have ``key`` ("" takes its key away), else the reason."""
+    own = next((row for row in rows if row.id == name and row.command is not None), None)
+    if own is None:
+        return f"There is no command '{name}'."
+    if not key:
+        return ""
+    wanted = portable(key)
+    if not wanted:
+        return f"'{key}' is no key."
+    for row in rows:
+        meets = EVERYWHERE in (row.context, own.context) or row.context == own.context
+        if row is not own and meets and portable(row.key) == wanted:
+            return f"{wanted} already means '{row.text}' ({row.title})."
+    return ""
+
+
+def portable(key: str) -> str:
+    """Return the one spelling of a key, "" if it is none."""
+    sequence = QKeySequence(key)
+    pressed = _pressed(sequence)
+    if pressed is None or sequence.count() > 1 or pressed.key() is Qt.Key.Key_unknown:
+        return ""
+    return sequence.toString(QKeySequence.SequenceFormat.PortableText)
+
+
+def plain(key: str) -> bool:
+    """Whether a key would also be typed into a text field."""
+    pressed = _pressed(QKeySequence(key))
+    if pressed is None:
+        return False
+    firm = any(pressed.keyboardModifiers() & modifier for modifier in _FIRM)
+    return not firm and not Qt.Key.Key_F1 <= pressed.key() <= Qt.Key.Key_F35
+
+
+def _pressed(sequence: QKeySequence) -> QKeyCombination | None:
+    """Return the first key of a sequence."""
+    if not sequence.count():
+        return None
+    first: QKeyCombination = sequence[0]  # type: ignore[index]
+    return first
+
+
+def _with_key(row: Row, key: str) -> Row:
+    return Row(row.context, row.title, portable(key), row.text, row.command)
+
+
+_PRESSED = frozenset({QEvent.Type.ShortcutOverride, QEvent.Type.KeyPress})
+
+
+class StopKey(QObject):
+    """Event filter of the application; ``stop`` must return at once."""
+
+    def __init__(
+        self, parent: QObject, stop: Callable[[], None], moving: Callable[[], bool]
+    ) -> None:
+        super().__init__(parent)
+        self._stop, self._moving = stop, moving
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Take F12 and, while something moves, Space."""
+        # Every event of the window passes here: the cheapest test comes first.
+        if not isinstance(event, QKeyEvent) or not isinstance(watched, QWindow):
+            return False
+        if event.type() not in _PRESSED or not self._wanted(event.key()):
+            return False
+        # Before a press the same key comes as ShortcutOverride: claimed, so that no shortcut takes
+        # it, and no press of its own.
+        if event.type() is QEvent.Type.KeyPress and not event.isAutoRepeat():
+            self._stop()
+        event.accept()
+        return True
+
+    def _wanted(self, key: int) -> bool:
+        if key == Qt.Key.Key_F12:
+            return True
+        return key == Qt.Key.Key_Space and self._moving() and not typing()
+
+
+def typing() -> bool:
+    """Return whether an editable text field has the focus."""
+    focus = QApplication.focusWidget()
+    if isinstance(focus, (QLineEdit, QPlainTextEdit)):
+        return not focus.isReadOnly()
+    if isinstance(focus, QComboBox):
+        return focus.isEditable()
+    return isinstance(focus, QAbstractSpinBox)
+
+
+class Actions:
+    """One action per row that has a command; keys never clash within a context."""
+
+    def __init__(self, window: QWidget, rows: Sequence[Row], changed: Mapping[str, str]) -> None:
+        self.rows, self.refused = remapped(rows, changed)
+        self.changed = {k: v for k, v in changed.items() if k not in self.refused}
+        self._first = {row.id: row.key for row in rows}
+        self._bound = {
+            row.id: _Bound(window, row, on=row.context == EVERYWHERE)
+            for row in self.rows
+            if row.command is not None
+        }
+
+    def action(self, name: str) -> QAction:
+        """Return one action by the id of its row; raises KeyError."""
+        return self._bound[name].action
+
+    def enter(self, context: str) -> None:
+        """Switch the keys to the workspace that came to the front."""
+        for bound in self._bound.values():
+            bound.action.setEnabled(bound.row.context in (EVERYWHERE, context))
+
+    def change_key(self, name: str, key: str) -> str:
+        """Give command ``name`` another key; return "" or why it keeps its own."""
+        reason = refusal(self.rows, name, key)
+        if reason:
+            return reason
+        self.rows, _ = remapped(self.rows, {name: key})
+        bound = self._bound[name]
+        bound.take(next(row for row in self.rows if row.id == name))
+        if bound.row.key == self._first[name]:
+            self.changed.pop(name, None)
+        else:
+            self.changed[name] = bound.row.key
+        return ""
+
+
+class _Bound:
+    """One command, its action, and the rule for keys that could be typed."""
+
+    def __init__(self, window: QWidget, row: Row, *, on: bool) -> None:
+        assert row.command is not None
+        self._run_command = row.command.run
+        self.action = QAction(row.text, window)
+        self.action.setAutoRepeat(row.command.repeats)
+        self.action.setProperty(BESIDE, row.command.beside)
+        self.action.triggered.connect(self._run)
+        self.action.setEnabled(on)
+        self.take(row)
+        window.addAction(self.action)
+
+    def take(self, row: Row) -> None:
+        """Take another key."""
+        self.row = row
+        self.action.setShortcut(QKeySequence(row.key))
+        tip = f"{row.text} ({row.key})" if row.key else row.text
+        self.action.setToolTip(tip)
+
+    def _run(self) -> None:
+        if not (plain(self.row.key) and typing()):
+            self._run_command()
+
+
+CHANGE, MORE = "key:", "more:"
+"""Prefixes of the palette's entries that change a key, and of those that come and go."""
+
+
+class DeskDialogs:
+    """Made when first needed; none of them is modal."""
+
+    def __init__(
+        self, window: QWidget, actions: Actions, go: Callable[[str], None],
+        changed: Callable[[], None],
+    ) -> None:  # fmt: skip
+        self._window, self._actions, self._go, self._changed = window, actions, go, changed
+        self.more: Callable[[], Sequence[Entry]] = tuple
+        """Further entries of the palette, those that come and go: (text, act)."""
+        self._offered: Sequence[Entry] = ()
+        self.sheet: KeySheet | None = None
+        self.palette: CommandPalette | None = None
+        self.asker: KeyAsker | None = None
+
+    def show_keys(self) -> None:
+        """Show all keys as they are now."""
+        if self.sheet is None:
+            self.sheet = KeySheet(self._window)
+        self.sheet.show_rows([(row.title, row.key, row.text) for row in self._actions.rows])
+
+    def show_palette(self) -> None:
+        """Show everything that can be done."""
+        if self.palette is None:
+            self.palette = CommandPalette(self._window, self._chosen)
+        self.palette.open_with(self._choices())
+
+    def _choices(self) -> list[Choice]:
+        rows = [row for row in self._actions.rows if row.command is not None]
+        acts = [Choice(row.id, row.title, row.text, row.key) for row in rows]
+        self._offered = self.more()
+        acts += [
+            Choice(f"{MORE}{at}", "Here", text, "") for at, (text, _) in enumerate(self._offered)
+        ]
+        return acts + [
+            Choice(CHANGE + row.id, row.title, f"Change key of: {row.text}", "") for row in rows
+        ]
+
+    def _chosen(self, name: str) -> None:
+        if name.startswith(CHANGE):
+            row = self._row(name.removeprefix(CHANGE))
+            if self.asker is None:
+                self.asker = KeyAsker(self._window)
+            self.asker.ask(row.text, row.key, partial(self._change, row.id))
+            return
+        if name.startswith(MORE):
+            self._offered[int(name.removeprefix(MORE))][1]()
+            return
+        row = self._row(name)
+        if row.context != EVERYWHERE:
+            self._go(row.context)
+        self._actions.action(name).trigger()
+
+    def _change(self, name: str, key: str) -> str:
+        reason = self._actions.change_key(name, key)
+        if not reason:
+            self._changed()
+        return reason
+
+    def _row(self, name: str) -> Row:
+        return next(row for row in self._actions.rows if row.id == name)

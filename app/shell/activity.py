@@ -1,0 +1,148 @@
+"""Activity of the bench, as shown to the operator."""
+
+from __future__ import annotations
+
+import threading
+from functools import partial
+
+from PySide6.QtCore import QPoint
+from PySide6.QtWidgets import QWidget
+
+from touchdown.app.shell.bench_link import Link
+from touchdown.backend.core import FaultError, Refused, Said
+from touchdown.backend.devices import NAMES, Device, RobotMode, reconnect
+from touchdown.backend.runs import RunState
+from touchdown.widgets.shell import CHIPS, DeviceInspector, TopBar
+
+LASTING_S = 1.0
+"""A sensor that is degraded for so long keeps the start of a run disabled."""
+ACTIVE = frozenset(
+    {RunState.PREPARING, RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.CANCELLING,
+     RunState.FINISHING}
+)  # fmt: skip
+MOVING = ACTIVE - {RunState.PAUSED}
+
+
+def busy(link: Link) -> bool:
+    """Whether a run is active."""
+    return link.status().state in ACTIVE
+
+
+def moving(link: Link) -> bool:
+    """Whether something may be moving (Space then means STOP)."""
+    status = link.status()
+    if status.state in MOVING and status.awaiting is None and not status.asks:
+        return True
+    arm = link.devices.get("arm")
+    mode = getattr(arm, "status", None)
+    return mode is not None and mode().robot_mode is RobotMode.MOVING
+
+
+def not_set(link: Link) -> str:
+    """Return why there is no scene to move in, "" where that does not matter."""
+    if link.connection is not None:
+        if link.connection.busy:
+            return "The devices are being connected"
+        return "Connect the bench first (Ctrl+L)"
+    return "" if link.devices else "The bench is being prepared"
+
+
+def why_no_run(link: Link) -> str:
+    """Return why no run may start although none is active, "" if one may."""
+    if link.interlock.latched:
+        return "Press Reset first"
+    if link.hand is None and not_set(link):
+        return not_set(link)
+    if link.hand is not None and not link.hand.powered:
+        return "The servo is off: hold Servo in the top bar for 1 s"
+    if link.hand is not None and link.hand.pressing_n:
+        return "In contact: lift first (jog +Z in Operate)"
+    for degraded in link.degraded:
+        # What is over sooner would only make the buttons flicker: an order is refused in words.
+        if link.clock_s() - degraded.since_s > LASTING_S:
+            return f"The {NAMES[degraded.device]} is {degraded.how}: check it first"
+    return ""
+
+
+RECONNECT_S = 5.0
+
+
+class InspectPresenter:
+    """Keeps one inspector; it follows the device that was clicked last."""
+
+    def __init__(self, link: Link, bar: TopBar, window: QWidget) -> None:
+        self._link, self._bar, self._window = link, bar, window
+        self._titles = dict(CHIPS)
+        self.sheet: DeviceInspector | None = None
+        self._connecting = False
+        for key, chip in bar.chips.items():
+            chip.clicked.connect(partial(self.open, key))
+
+    def open(self, key: str) -> None:
+        """Show the inspector of a device below its chip."""
+        device = self._link.devices.get(key)
+        if device is None:
+            return
+        if self.sheet is None:
+            self.sheet = DeviceInspector(self._window, self.reconnect)
+        chip = self._bar.chips[key]
+        below = chip.mapToGlobal(QPoint(0, chip.height() + 8))
+        self.sheet.open_at(key, self._titles[key], self._rows(device), below)
+
+    def reconnect(self) -> None:
+        """Connect the shown device anew, on a thread: a cable may take seconds to answer."""
+        device = None if self.sheet is None else self._link.devices.get(self.sheet.key)
+        connection = self._link.connection
+        if device is not None and connection is not None and not busy(self._link):
+            if not connection.busy:
+                connection.begin((device.name,))
+        elif device is not None and not self._connecting and not busy(self._link):
+            self._connecting = True
+            threading.Thread(
+                target=self._reconnect, args=(device,), name="reconnect", daemon=True
+            ).start()
+
+    def _reconnect(self, device: Device) -> None:
+        now_s, publish = self._link.clock_s(), self._link.hub.publish
+        try:
+            reconnect(device, RECONNECT_S, threading.Event())
+        except FaultError as error:
+            publish(Refused(now_s, error.fault.code, f"{error.fault.what} {error.fault.next_step}"))
+        else:
+            publish(Said(now_s, f"The {device.name} is connected again."))
+        finally:
+            self._connecting = False
+
+    def draw(self) -> None:
+        """Show the present values while it is open."""
+        if self.sheet is None or not self.sheet.isVisible():
+            return
+        self.sheet.reconnect.setEnabled(not self._connecting and not busy(self._link))
+        device = self._link.devices.get(self.sheet.key)
+        if device is not None:
+            self.sheet.show_rows(self._rows(device))
+
+    def _rows(self, device: Device) -> list[tuple[str, str]]:
+        """Return the rows of a device; of the wrist sensor its drift as well."""
+        drift = self._link.drift if device.name == "force_torque" else None
+        told = [] if drift is None else [("drift in air", drift.words().removeprefix("drift "))]
+        return [*rows_of(device), *told]
+
+
+def rows_of(device: Device) -> list[tuple[str, str]]:
+    """Return connection, health, identity and the device's own fields as (field, value)."""
+    health, who = device.health, device.identity
+    rows = [
+        ("state", device.state.value),
+        ("rate (Hz)", f"{health.rate_hz:.1f}"),
+        ("age (ms)", f"{1e3 * max(health.age_s, 0.0):.0f}"),
+        ("received", f"{health.received}"),
+        ("lost", f"{health.lost}"),
+    ]
+    if who is not None:
+        rows += [("maker", who.maker), ("model", who.model), ("serial", who.serial),
+                 ("firmware", who.firmware)]  # fmt: skip
+    for field, value in device.describe().items():
+        text = value if isinstance(value, str) else f"{value:g}"
+        rows.append((field, text.replace("-", "\N{MINUS SIGN}") if text != value else text))
+    return rows

@@ -1,0 +1,113 @@
+"""Opening of datasets with drafts by a model."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from touchdown.app.shell.label_items import ModelLabel
+from touchdown.backend.annotations import Dataset, NotWritableError, Pair
+from touchdown.backend.bench import model_in_use
+from touchdown.backend.core import Episode, InputError
+from touchdown.backend.geometry import PieceLibrary, load_pieces
+from touchdown.backend.learning import ModelRegistry
+from touchdown.backend.placement import Ensemble, Estimator, OffsetGrid
+from touchdown.backend.runs import models_folder
+
+MOST_PAIRS = 16
+
+
+class Prelabeller:
+    """Loads the models of each piece once. ``paths_of`` names those of a piece, or none."""
+
+    def __init__(self, catalogue: PieceLibrary, paths_of: Callable[[str], Sequence[Path]]) -> None:
+        self._catalogue, self._paths_of = catalogue, paths_of
+        self._models: dict[str, Ensemble | None] = {}
+        self._grids: dict[str, OffsetGrid] = {}
+        self._lock = threading.Lock()
+
+    def __call__(self, episode: Episode, pair: Pair) -> ModelLabel | None:
+        """Return the models' displacement; None without a model, or for a bad observation."""
+        ensemble = self.model(episode.piece)
+        if ensemble is None:
+            return None
+        try:
+            says = ensemble.judge(episode, self._grid(pair))
+        except (InputError, ValueError):
+            # A dropped sample or another face: the page then shows no model, as it should.
+            return None
+        return ModelLabel(says.fit, says.entropy, ensemble.weights, says.spread_mm)
+
+    def model(self, piece: str) -> Ensemble | None:
+        """Return the models of a piece, None where there is none that fits."""
+        with self._lock:
+            if piece not in self._models:
+                self._models[piece] = self._load(piece)
+            return self._models[piece]
+
+    def forget(self) -> None:
+        """Load all models anew: others were chosen."""
+        with self._lock:
+            self._models.clear()
+
+    def _load(self, piece: str) -> Ensemble | None:
+        members = []
+        for path in self._paths_of(piece):
+            try:
+                members.append(Estimator.load(path, self._catalogue.piece(piece)))
+            except InputError:
+                # One that does not fit this piece any more says nothing about it.
+                continue
+        return Ensemble(members) if members else None
+
+    def _grid(self, pair: Pair) -> OffsetGrid:
+        if pair.sha256 not in self._grids:
+            while len(self._grids) >= MOST_PAIRS:
+                del self._grids[next(iter(self._grids))]
+            self._grids[pair.sha256] = OffsetGrid.of(pair.points_mm, pair.bottom)
+        return self._grids[pair.sha256]
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """``read_only``: why nothing can be saved ("" if it can)."""
+
+    dataset: Dataset
+    prelabel: Prelabeller
+    catalogue: PieceLibrary
+    read_only: str
+
+
+def opener(folder: Path, person: str) -> Callable[[], Opened]:
+    """Return what opens ``folder``; it may take a while and runs on a thread of its own."""
+
+    def open_dataset() -> Opened:
+        read_only = ""
+        try:
+            dataset = Dataset.open(folder, person=person)
+        except NotWritableError as error:
+            dataset, read_only = Dataset.open(folder, write=False), str(error.what)
+        if not read_only and not dataset.writable:
+            read_only = "The dataset was written by a newer version."
+        catalogue = load_pieces()
+        return Opened(dataset, Prelabeller(catalogue, models_of), catalogue, read_only)
+
+    return open_dataset
+
+
+def models_of(piece: str) -> Sequence[Path]:
+    """Return the models that pre-label ``piece``: those chosen for it, else the one in use."""
+    try:
+        return ModelRegistry(models_folder()).ensemble(piece) or model_of(piece)
+    except InputError:
+        return ()
+
+
+def model_of(piece: str) -> Sequence[Path]:
+    """Return the model in use for ``piece``, if there is one."""
+    try:
+        return (model_in_use(piece, ModelRegistry(models_folder())),)
+    except InputError:
+        return ()

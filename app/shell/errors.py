@@ -1,0 +1,160 @@
+"""Handling of uncaught errors."""
+
+from __future__ import annotations
+
+import logging
+import math
+import sys
+import threading
+import traceback
+from collections import OrderedDict, deque
+from collections.abc import Callable
+from logging.handlers import RotatingFileHandler
+from pathlib import Path
+from types import TracebackType
+
+from PySide6.QtCore import QMessageLogContext, QtMsgType, qInstallMessageHandler
+
+from touchdown.widgets.shell import CardText
+
+log = logging.getLogger("touchdown.app")
+BOX = 64
+AGAIN_S = 5.0
+"""A text that keeps coming is written so often: a fault in every frame must fill no disk."""
+KEPT = 64
+
+
+class Repeats(logging.Filter):
+    """Lets each text through once in ``AGAIN_S``; says then how often it came in between.
+
+    A record that says where its error was raised (``raised``) counts as that, whatever its text: a
+    number in it, or that of a thread, would make each another one.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._seen: OrderedDict[str, tuple[float, int]] = OrderedDict()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether ``record`` is written."""
+        text = record.getMessage()
+        same = getattr(record, "raised", text)
+        since_s, count = self._seen.pop(same, (-math.inf, 0))
+        if record.created - since_s < AGAIN_S:
+            self._seen[same] = (since_s, count + 1)
+            return False
+        self._seen[same] = (record.created, 0)
+        while len(self._seen) > KEPT:
+            self._seen.popitem(last=False)
+        if count:
+            record.msg, record.args = f"{text}\n({count} times more in between)", None
+        return True
+
+
+class ErrorBox:
+    """Collects failures from any thread; the pump takes them out on the GUI thread."""
+
+    def __init__(self) -> None:
+        self._cards: deque[CardText] = deque(maxlen=BOX)
+
+    def take(self) -> CardText | None:
+        """Take the oldest failure, or None."""
+        try:
+            return self._cards.popleft()
+        except IndexError:
+            return None
+
+    def exception(
+        self,
+        kind: type[BaseException],
+        error: BaseException | None,
+        trace: TracebackType | None,
+        where: str,
+    ) -> None:
+        """Note an exception that nobody caught."""
+        details = "".join(traceback.format_exception(kind, error, trace))
+        raised = f"{kind.__name__} {traceback.extract_tb(trace)[-1:]}"
+        log.error("uncaught in %s\n%s", where, details, extra={"raised": raised})
+        self._cards.append(
+            CardText(
+                code=f"BUG-{kind.__name__.upper()}",
+                what=f"Something unexpected failed in {where}: {error or kind.__name__}",
+                consequence="The program goes on; this part may be incomplete.",
+                next_step="Copy the details into a report.",
+                details=details,
+                reset=False,
+            )
+        )
+
+    def message(self, kind: QtMsgType, context: QMessageLogContext, text: str) -> None:
+        """Note a message of Qt: warnings and worse become cards."""
+        if kind in (QtMsgType.QtDebugMsg, QtMsgType.QtInfoMsg):
+            log.info("Qt: %s", text)
+            return
+        log.warning("Qt: %s", text)
+        if "This plugin does not support" in text:
+            return
+        details = f"{text}\n{context.file}:{context.line}" if context.file else text
+        self._cards.append(
+            CardText("QT", f"The window system reports: {text}", "The picture may be incomplete.",
+                     "Copy the details into a report.", details, reset=False)
+        )  # fmt: skip
+
+
+def install(box: ErrorBox) -> Callable[[], None]:
+    """Route all hooks into ``box``; call the returned function to restore the former ones."""
+    before = (sys.excepthook, threading.excepthook, sys.unraisablehook)
+
+    def on_exception(
+        kind: type[BaseException], error: BaseException, trace: TracebackType | None
+    ) -> None:
+        if issubclass(kind, KeyboardInterrupt):
+            before[0](kind, error, trace)
+            return
+        box.exception(kind, error, trace, "the window")
+
+    def on_thread(args: threading.ExceptHookArgs) -> None:
+        name = args.thread.name if args.thread is not None else "a thread"
+        box.exception(args.exc_type, args.exc_value, args.exc_traceback, f"thread '{name}'")
+
+    def on_unraisable(args: sys.UnraisableHookArgs) -> None:
+        box.exception(args.exc_type, args.exc_value, args.exc_traceback, "a clean-up")
+
+    sys.excepthook = on_exception
+    threading.excepthook = on_thread
+    sys.unraisablehook = on_unraisable
+    qt_before = qInstallMessageHandler(box.message)
+
+    def restore() -> None:
+        sys.excepthook, threading.excepthook, sys.unraisablehook = before
+        qInstallMessageHandler(qt_before)
+
+    return restore
+
+
+_SHOWN = {
+    code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\t\n"
+}
+"""Control characters, which a terminal would obey, as their numbers."""
+
+
+class _Escaped(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return super().format(record).translate(_SHOWN)
+
+
+def log_to(folder: Path) -> Path | None:
+    """Write the log to a rotating file in ``folder``; None if it cannot be written."""
+    path = folder / "app.log"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handler = RotatingFileHandler(path, maxBytes=1_000_000, backupCount=3, encoding="utf-8")
+    except OSError as error:
+        log.warning("no log file: %s", error)
+        return None
+    handler.addFilter(Repeats())
+    handler.setFormatter(_Escaped("%(asctime)s %(levelname)s %(message)s"))
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    log.propagate = False
+    return path

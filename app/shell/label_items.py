@@ -1,0 +1,347 @@
+"""Episodes in edit: label, edit, scene pictures."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+
+from touchdown.backend.annotations import (
+    NO_LABEL,
+    Dataset,
+    EpisodeEntry,
+    Label,
+    Pair,
+    Revision,
+    Source,
+)
+from touchdown.backend.core import FINGERS, Episode, FloatArray, ImageArray, InputError, MarkerField
+from touchdown.backend.episodes import CompressedEpisode
+from touchdown.backend.geometry import rotated
+from touchdown.backend.placement import OffsetFit
+from touchdown.backend.sensing import Homography, observe_offset
+from touchdown.widgets.plots import (
+    Drawn,
+    PhaseDrawn,
+    PhaseSheet,
+    TraceSheet,
+    WrenchTrace,
+    has_moments,
+)
+from touchdown.widgets.views import FilmTrack, Outline, Reel, SceneShot, latest
+
+LIMIT_UM = 99_990
+"""No displacement that can be typed or nudged is larger than this."""
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
+TYPED = re.compile(rf"\s*({NUMBER})\s*,\s*({NUMBER})\s*(?:,\s*({NUMBER})\s*)?")
+
+
+@dataclass(frozen=True, slots=True)
+class Edit:
+    """``base`` is the revision that holds; ``label`` and ``source`` what would be saved."""
+
+    base: Revision
+    label: Label
+    source: Source
+
+    @classmethod
+    def of(cls, head: Revision) -> Edit:
+        """Begin with what holds."""
+        return cls(head, head.label, head.source)
+
+    @classmethod
+    def blank(cls, head: Revision) -> Edit:
+        """Begin with nothing: for an opinion that nobody's label should sway."""
+        return cls(replace(head, label=NO_LABEL, source="human"), NO_LABEL, "human")
+
+    @property
+    def changed(self) -> bool:
+        """Whether there is anything to save."""
+        return self.label != self.base.label
+
+    @property
+    def offset_mm(self) -> tuple[float, float] | None:
+        """The displacement, None where there is none."""
+        if self.label.x_um is None or self.label.y_um is None:
+            return None
+        return self.label.x_um / 1e3, self.label.y_um / 1e3
+
+    @property
+    def sigma_mm(self) -> float:
+        """The standard uncertainty, 0 where none was told."""
+        return (self.label.sigma_um or 0) / 1e3
+
+    @property
+    def yaw_rad(self) -> float:
+        """The rotation of the face."""
+        return math.radians((self.label.theta_mdeg or 0) / 1e3)
+
+    def nudged(self, dx_um: int, dy_um: int) -> Edit:
+        """Move by whole µm, from the bottom's centre where there is no displacement yet."""
+        return self._at((self.label.x_um or 0) + dx_um, (self.label.y_um or 0) + dy_um)
+
+    def placed(self, x_mm: float, y_mm: float) -> Edit:
+        """Move to a place."""
+        return self._at(round(x_mm * 1e3), round(y_mm * 1e3))
+
+    def estimated(self, x_mm: float, y_mm: float, sigma_mm: float, source: Source) -> Edit:
+        """Take what a model says, with its own uncertainty."""
+        moved = self._at(round(x_mm * 1e3), round(y_mm * 1e3))
+        return replace(
+            moved, label=replace(moved.label, sigma_um=round(sigma_mm * 1e3)), source=source
+        )
+
+    def trusted(self, sigma_mm: float) -> Edit:
+        """Say how sure the person is."""
+        return replace(self, label=replace(self.label, sigma_um=round(sigma_mm * 1e3)))
+
+    def _at(self, x_um: int, y_um: int) -> Edit:
+        x, y = (min(max(value, -LIMIT_UM), LIMIT_UM) for value in (x_um, y_um))
+        theta = self.label.theta_mdeg or 0
+        base = self.base.label
+        if base.is_set and (x, y, theta) == (base.x_um, base.y_um, base.theta_mdeg or 0):
+            # Moved there and back: nothing was changed, neither is the source.
+            return Edit.of(self.base)
+        # Another's uncertainty does not hold for what a person sets.
+        sigma = self.label.sigma_um if self.source == "human" else None
+        return replace(self, label=Label(x, y, theta, sigma), source="human")
+
+
+def parse(text: str) -> tuple[float, float, float | None]:
+    """Return x, y and (if given) sigma in mm of "x,y" or "x,y,sigma"; raises ``ValueError``."""
+    match = TYPED.fullmatch(text)
+    if match is None:
+        raise ValueError("Type x,y in mm, such as 1.5,-2 (or x,y,uncertainty).")
+    x, y = float(match[1]), float(match[2])
+    sigma = float(match[3]) if match[3] is not None else None
+    if max(abs(x), abs(y)) * 1e3 > LIMIT_UM:
+        raise ValueError("No displacement is larger than 99.99 mm.")
+    if sigma is not None and not 0.001 <= sigma <= 20:
+        raise ValueError("An uncertainty lies between 0.001 and 20 mm.")
+    return x, y, sigma
+
+
+def as_pair(offset_mm: FloatArray) -> tuple[float, float]:
+    """Return a (2,) displacement as a pair."""
+    x, y = offset_mm.tolist()
+    return float(x), float(y)
+
+
+HOMOGRAPHY = "scene_homography"
+
+
+@dataclass(frozen=True, slots=True)
+class SceneEvidence:
+    """``images``: pressed, then lifted; ``place`` of the face in the first, None if not seen."""
+
+    images: tuple[ImageArray, ...]
+    board: Homography
+    place: OffsetFit | None
+
+    @property
+    def bytes(self) -> int:
+        """Size of the pictures in memory."""
+        return sum(image.nbytes for image in self.images)
+
+
+def scene_of(episode: Episode, pair: Pair, face: FloatArray) -> SceneEvidence | None:
+    """Return what the scene camera tells of an episode, None without picture or calibration."""
+    text = dict(episode.metadata).get(HOMOGRAPHY)
+    if episode.recording is None or not episode.recording.scene or text is None:
+        return None
+    try:
+        board = Homography.parse(text)
+    except InputError:
+        return None
+    images = tuple(picture.image for picture in episode.recording.scene)
+    seen = observe_offset(images[0], board, face, episode.offset_mm)
+    place = None if seen is None else OffsetFit(as_pair(seen.offset_mm), seen.sigma_mm)
+    return SceneEvidence(images, board, place)
+
+
+def shots_of(
+    scene: SceneEvidence | None,
+    edit: Edit,
+    outlines: tuple[FloatArray, FloatArray],
+    *,
+    hidden: bool,
+) -> Sequence[SceneShot]:
+    """Return the pictures with the outlines (face, bottom) of the label; what was seen, unless
+    ``hidden``.
+    """
+    if scene is None:
+        return ()
+    face, bottom = outlines
+    marks = [Outline("bottom", scene.board.to_px(bottom))]
+    if edit.offset_mm is not None:
+        placed = rotated(face, edit.yaw_rad) + np.asarray(edit.offset_mm)
+        marks.append(Outline("label", scene.board.to_px(placed)))
+    if scene.place is not None and not hidden:
+        marks.append(Outline("scene", scene.board.to_px(face + np.asarray(scene.place.offset_mm))))
+    # After lifting the face is above the board: only the bottom lies in its plane.
+    return [SceneShot(scene.images[0], tuple(marks))] + [
+        SceneShot(image, tuple(marks[:1])) for image in scene.images[1:]
+    ]
+
+
+Outlines = tuple[FloatArray, FloatArray]
+MOST_PAIRS = 16
+KEPT_PICTURES, PICTURE_BYTES = 2, 3 * 240 * 320
+"""So many decoded pictures a finger are kept: views ask for the present one again and again."""
+CURSOR_S = 2.0
+"""The end of the press says most: an episode is first shown there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sheets:
+    """What the wrench is drawn on at present: forces, moments, and one over the other."""
+
+    forces: TraceSheet
+    moments: TraceSheet
+    phase: PhaseSheet
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """What was drawn before it is shown; used as long as the window has not changed."""
+
+    forces: Drawn
+    moments: Drawn
+    phase: PhaseDrawn
+
+    @property
+    def bytes(self) -> int:
+        """Size of the pictures in memory."""
+        return sum(image.sizeInBytes() for _, image in (self.forces, self.moments, self.phase))
+
+
+@dataclass(frozen=True, slots=True)
+class ModelLabel:
+    """What the models make of an episode; ``spread_mm`` between them.
+
+    ``weights``: hashes that name them for ever, joined by ``+``.
+    """
+
+    fit: OffsetFit
+    entropy: float
+    weights: str
+    spread_mm: float = 0.0
+
+    @property
+    def source(self) -> str:
+        """The source under which such a label is kept."""
+        return f"model:{self.weights}"
+
+
+class Prelabel(Protocol):
+    """The model's opinion of an episode, or None where there is no model of its piece."""
+
+    def __call__(self, episode: Episode, pair: Pair) -> ModelLabel | None:
+        """Return the model's displacement."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class LabelItem:
+    """What does not change while an episode is labelled; ``bytes`` is its size in memory."""
+
+    entry: EpisodeEntry
+    episode: Episode
+    pair: Pair
+    face: FloatArray
+    bottom: FloatArray
+    reel: Reel
+    trace: WrenchTrace | None
+    model: ModelLabel | None
+    bytes: int
+    scene: SceneEvidence | None = None
+    doubt: tuple[str, float] | None = None
+    """Revision that was judged by the other episodes of its pair, and the score ``doubt``."""
+    ahead: Ahead | None = None
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last instant worth showing, after the contact onset."""
+        if self.trace is None or not len(self.trace.t_s):
+            return 0.0, 2.0
+        return float(self.trace.t_s[0]), float(self.trace.t_s[-1])
+
+
+def reader(
+    dataset: Dataset, prelabel: Prelabel, sheets: Callable[[], Sheets | None]
+) -> Callable[[str], LabelItem]:
+    """Return the function that reads an episode of ``dataset``; it may run on any thread.
+
+    What does not follow from the label is drawn here, on the present ``sheets`` of the page.
+    """
+    outlines = lru_cache(MOST_PAIRS)(outlines_of)
+
+    def read(uuid: str) -> LabelItem:
+        entry = dataset.entry(uuid)
+        film = dataset.film(uuid)
+        pair = dataset.geometry.pair(entry.geometry)
+        item = make_item(entry, film, pair, prelabel(film.episode, pair), outlines(pair))
+        item = replace(item, doubt=dataset.scores.of_revision("doubt", uuid))
+        return drawn_ahead(item, sheets())
+
+    return read
+
+
+def outlines_of(pair: Pair) -> Outlines:
+    """Return the outlines (k, 2) of face and bottom; views know a pair by these very arrays."""
+    return pair.face.polygon(96), pair.bottom.polygon(96)
+
+
+def drawn_ahead(item: LabelItem, sheets: Sheets | None) -> LabelItem:
+    """Return the item with its first pictures decoded and its curves drawn."""
+    first, last = item.span_s
+    for track in item.reel.values():
+        index = latest(track.picture_t_s, min(max(CURSOR_S, first), last))
+        if index >= 0:
+            track.picture(index)
+    trace = item.trace
+    if trace is None or sheets is None or len(trace.t_s) < 2 or not has_moments(trace):
+        return item
+    ahead = Ahead(
+        (sheets.forces, sheets.forces.draw(trace)),
+        (sheets.moments, sheets.moments.draw(trace)),
+        (sheets.phase, sheets.phase.draw(trace)),
+    )
+    return replace(item, ahead=ahead, bytes=item.bytes + ahead.bytes)
+
+
+def make_item(
+    entry: EpisodeEntry,
+    film: CompressedEpisode,
+    pair: Pair,
+    model: ModelLabel | None,
+    outlines: Outlines,
+) -> LabelItem:
+    """Put together what was read; times are counted from the contact onset."""
+    episode, recording = film.episode, film.episode.recording
+    trace, fields = None, {finger: tuple[MarkerField, ...]() for finger in FINGERS}
+    if recording is not None:
+        trace = WrenchTrace(recording.wrench_t_s - episode.onset_s, recording.wrench)
+        fields = {f: tuple(x for x in recording.fields if x.finger == f) for f in FINGERS}
+    reel = {
+        finger: FilmTrack(
+            film.pictures[finger].t_s - episode.onset_s,
+            lru_cache(KEPT_PICTURES)(film.pictures[finger].picture),
+            np.array([x.t_s for x in fields[finger]]) - episode.onset_s,
+            fields[finger],
+        )
+        for finger in FINGERS
+    }
+    numbers = 0 if recording is None else recording.wrench.nbytes + recording.pose_mm.nbytes
+    per_field = sum(len(x) for x in fields.values()) * 3 * 1024
+    scene = scene_of(episode, pair, outlines[0])
+    return LabelItem(
+        entry, episode, pair, *outlines, reel, trace, model,
+        film.bytes + numbers + per_field + len(FINGERS) * KEPT_PICTURES * PICTURE_BYTES
+        + (0 if scene is None else scene.bytes), scene,
+    )  # fmt: skip

@@ -1,0 +1,341 @@
+"""Saved window layouts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import cast
+
+from PySide6.QtCore import QPoint
+from PySide6.QtGui import QAction
+from PySide6.QtWidgets import QMenu, QWidget
+
+from touchdown.backend.core import write_atomically
+from touchdown.widgets.base import Arrangement, Columns
+from touchdown.widgets.forms import NameAsker
+
+VERSION = 1
+LONGEST_NAME = 40
+Named = dict[str, Arrangement]
+
+
+@dataclass(slots=True)
+class LayoutBook:
+    """``present`` by workspace; ``saved``: by workspace and name. ``locked``: edges stand still."""
+
+    locked: bool = True
+    present: Named = field(default_factory=dict)
+    saved: dict[str, Named] = field(default_factory=dict)
+
+
+def load_book(path: Path, now: datetime) -> tuple[LayoutBook, str]:
+    """Return (book, notice); a file that makes no sense is moved aside whole."""
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return LayoutBook(), ""
+    except (OSError, ValueError) as error:
+        return LayoutBook(), _aside(path, now, f"The layouts could not be read ({error}).")
+    if not isinstance(raw, dict) or raw.get("version") != VERSION:
+        return LayoutBook(), _aside(path, now, "The layouts are of another version.")
+    try:
+        book = LayoutBook(
+            locked=bool(raw["locked"]),
+            present=_named(raw["present"]),
+            saved={name: _named(saved) for name, saved in raw["saved"].items()},
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        return LayoutBook(), _aside(path, now, f"The layouts make no sense ({error}).")
+    return book, ""
+
+
+def save_book(path: Path, book: LayoutBook) -> None:
+    """Write all layouts; raises OSError."""
+    body = {
+        "version": VERSION,
+        "locked": book.locked,
+        "present": _plain(book.present),
+        "saved": {name: _plain(saved) for name, saved in book.saved.items()},
+    }
+    write_atomically(path, json.dumps(body, indent=1).encode())
+
+
+def keep_aside(path: Path, now: datetime) -> Path:
+    """Copy the file to a name of its own beside it and return that; raises OSError."""
+    stem = f"{path.stem}-aside-{now:%Y%m%d-%H%M%S}"
+    kept, count = path.with_name(f"{stem}.json"), 1
+    while kept.exists():
+        count += 1
+        kept = path.with_name(f"{stem}-{count}.json")
+    write_atomically(kept, path.read_bytes())
+    return kept
+
+
+def _aside(path: Path, now: datetime, what: str) -> str:
+    try:
+        kept = keep_aside(path, now)
+        path.unlink()
+    except OSError as error:
+        return f"{what} The usual ones are used; the file could not be kept aside ({error})."
+    return f"{what} The usual ones are used; the file is kept as {kept.name}."
+
+
+def _named(raw: dict[str, dict[str, object]]) -> Named:
+    return {name: _arrangement(entry) for name, entry in raw.items()}
+
+
+def _arrangement(raw: dict[str, object]) -> Arrangement:
+    shares, hidden = cast("list[object]", raw["shares"]), cast("list[object]", raw["hidden"])
+    if not all(isinstance(title, str) for title in hidden):
+        raise TypeError("a panel without a title")
+    return Arrangement(
+        tuple(float(cast("float", share)) for share in shares),
+        frozenset(cast("list[str]", hidden)),
+    )
+
+
+def _plain(named: Named) -> dict[str, object]:
+    return {
+        name: {"shares": [round(s, 5) for s in entry.shares], "hidden": sorted(entry.hidden)}
+        for name, entry in named.items()
+    }
+
+
+USUAL = "Usual"
+Entry = tuple[str, Callable[[], None]]
+
+
+class Layouts:
+    """Of the workspaces that have a page; ``tell`` shows one sentence, ``failed`` a disk's refusal.
+
+    What is remembered of a workspace is judged, and shown, when its page comes.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        tell: Callable[[str], None],
+        failed: Callable[[OSError], None],
+    ) -> None:
+        self._path, self._tell, self._failed = path, tell, failed
+        self._columns: dict[str, Columns] = {}
+        self.book = LayoutBook()
+
+    def load(self, workspaces: Collection[str]) -> str:
+        """Read what is remembered of these workspaces; return a notice, "" if all is well."""
+        self.book, notice = load_book(self._path, datetime.now())
+        unknown = [name for name in self.book.present if name not in workspaces]
+        return self._without(dict.fromkeys(unknown, "no such workspace")) or notice
+
+    def add(self, workspace: str, columns: Columns | None) -> str:
+        """Arrange a page that was just made as it was left; return a notice, "" if all is well.
+
+        None: the page has one arrangement.
+        """
+        wanted, notice = self.book.present.get(workspace), ""
+        if wanted is not None:
+            misfit = "no columns" if columns is None else columns.misfit(wanted)
+            notice = self._without({workspace: misfit} if misfit else {})
+        if columns is not None:
+            self._columns[workspace] = columns
+            columns.show_arrangement(self.book.present.get(workspace, columns.usual))
+            columns.lock(self.book.locked)
+        return notice
+
+    def remember(self) -> None:
+        """Write how all workspaces are arranged now."""
+        for name, columns in self._columns.items():
+            self.book.present[name] = columns.arrangement()
+        try:
+            save_book(self._path, self.book)
+        except OSError as error:
+            self._failed(error)
+
+    def has(self, workspace: str) -> bool:
+        """Whether the workspace can be arranged."""
+        return workspace in self._columns
+
+    @property
+    def locked(self) -> bool:
+        """Whether the edges stand still and the panels stay."""
+        return self.book.locked
+
+    def toggle_lock(self) -> None:
+        """Lock what is unlocked and the other way round."""
+        self._lock(not self.book.locked)
+        self._tell(
+            "The layout is locked."
+            if self.locked
+            else "The layout is unlocked: drag the edges between the columns, leave panels out."
+        )
+        self.remember()
+
+    def names(self, workspace: str) -> tuple[str, ...]:
+        """Return the names of the saved layouts of a workspace."""
+        return tuple(self.book.saved.get(workspace, {}))
+
+    def present(self, workspace: str) -> str:
+        """Return the name of the layout that is shown, "" if it has none."""
+        columns = self._columns[workspace]
+        now = columns.arrangement()
+        known = {USUAL: columns.usual, **self.book.saved.get(workspace, {})}
+        return next((name for name, saved in known.items() if _same(saved, now)), "")
+
+    def save(self, workspace: str, name: str) -> str:
+        """Save the present layout under ``name``; return "" or why it cannot be."""
+        name = name.strip()
+        if not name or len(name) > LONGEST_NAME:
+            return f"A name has 1 to {LONGEST_NAME} letters."
+        if name == USUAL:
+            return f"'{USUAL}' is the layout of the first start."
+        self.book.saved.setdefault(workspace, {})[name] = self._columns[workspace].arrangement()
+        self.remember()
+        self._tell(f"The layout is saved as '{name}'.")
+        return ""
+
+    def choose(self, workspace: str, name: str) -> None:
+        """Show a saved layout, or the usual one."""
+        columns = self._columns[workspace]
+        wanted = columns.usual if name == USUAL else self.book.saved[workspace][name]
+        wrong = columns.misfit(wanted)
+        if wrong:
+            self._tell(f"The layout '{name}' does not fit this version: {wrong}.")
+            return
+        columns.show_arrangement(wanted)
+        self.remember()
+
+    def delete(self, workspace: str, name: str) -> None:
+        """Forget a saved layout; what is shown stays as it is."""
+        self.book.saved.get(workspace, {}).pop(name, None)
+        self.remember()
+
+    def reset(self, workspace: str) -> None:
+        """Show the layout of the first start, also while locked."""
+        if self.has(workspace):
+            self.choose(workspace, USUAL)
+
+    def turn_panel(self, workspace: str, title: str) -> None:
+        """Leave out a panel or bring it back; a locked layout keeps its panels."""
+        columns = self._columns[workspace]
+        if self.locked:
+            self._tell("The layout is locked: unlock it first.")
+            return
+        columns.show_panel(title, shown=columns.hides(title))
+        self.remember()
+
+    def panels(self, workspace: str) -> list[tuple[str, bool]]:
+        """Return the panels that can be left out, and whether each is shown."""
+        columns = self._columns[workspace]
+        return [(title, not columns.hides(title)) for title in columns.panels]
+
+    def entries(self, workspace: str) -> list[Entry]:
+        """Return what the palette offers for a workspace: (text, act)."""
+        if not self.has(workspace):
+            return []
+        found: list[Entry] = [
+            (f"Layout: {name}", partial(self.choose, workspace, name))
+            for name in (USUAL, *self.names(workspace))
+        ]
+        found += [
+            (f"Delete the layout '{name}'", partial(self.delete, workspace, name))
+            for name in self.names(workspace)
+        ]
+        if not self.locked:
+            found += [
+                (f"{'Leave out' if shown else 'Show'} the panel '{title}'",
+                 partial(self.turn_panel, workspace, title))
+                for title, shown in self.panels(workspace)
+            ]  # fmt: skip
+        return found
+
+    def _kept(self) -> str:
+        try:
+            kept = keep_aside(self._path, datetime.now())
+        except OSError as error:
+            return f"The usual ones are used; the file could not be kept aside ({error})."
+        return f"The usual ones are used; the file is kept as {kept.name}."
+
+    def _without(self, wrong: Mapping[str, str]) -> str:
+        """Forget the layouts that do not fit, by workspace with the reason; return the notice."""
+        if not wrong:
+            return ""
+        told = ", ".join(f"{name} ({reason})" for name, reason in wrong.items())
+        notice = f"Layouts that do not fit this version: {told}. {self._kept()}"
+        for name in wrong:
+            del self.book.present[name]
+        return notice
+
+    def _lock(self, locked: bool) -> None:
+        self.book.locked = locked
+        for columns in self._columns.values():
+            columns.lock(locked)
+
+
+def _same(one: Arrangement, other: Arrangement) -> bool:
+    close = all(abs(a - b) < 1e-4 for a, b in zip(one.shares, other.shares, strict=False))
+    return close and one.hidden == other.hidden
+
+
+class LayoutMenu:
+    """``front`` names the workspace in front, ``reset`` puts its page and the window back."""
+
+    def __init__(
+        self, window: QWidget, layouts: Layouts, front: Callable[[], str], reset: QAction
+    ) -> None:
+        self._window, self._layouts, self._front, self._reset = window, layouts, front, reset
+        self.menu = QMenu(window)
+        self.asker: NameAsker | None = None
+
+    def show(self, beside: QWidget) -> None:
+        """Open the menu beside a button; nothing waits for it."""
+        self.menu.clear()
+        self._fill(self._front())
+        corner = beside.mapToGlobal(QPoint(beside.width() + 4, beside.height()))
+        self.menu.popup(corner - QPoint(0, self.menu.sizeHint().height()))
+
+    def ask_name(self) -> None:
+        """Ask for the name of a layout and save it."""
+        front = self._front()
+        if not self._layouts.has(front):
+            return
+        if self.asker is None:
+            self.asker = NameAsker(self._window, "Save the layout")
+        taken = self._layouts.names(front)
+        self.asker.ask("Name of this layout", taken, partial(self._layouts.save, front))
+
+    def _fill(self, front: str) -> None:
+        layouts = self._layouts
+        if not layouts.has(front):
+            self._add("This workspace has one layout", None).setEnabled(False)
+            self.menu.addAction(self._reset)
+            return
+        present = layouts.present(front)
+        for name in (USUAL, *layouts.names(front)):
+            self._add(name, partial(layouts.choose, front, name), checked=name == present)
+        self._add("Save under a name \N{HORIZONTAL ELLIPSIS}", self.ask_name)
+        for name in layouts.names(front):
+            self._add(f"Delete '{name}'", partial(layouts.delete, front, name))
+        self.menu.addSeparator()
+        self._add("Locked", layouts.toggle_lock, checked=layouts.locked)
+        for title, shown in layouts.panels(front):
+            act = self._add(title, partial(layouts.turn_panel, front, title), checked=shown)
+            act.setEnabled(not layouts.locked)
+        self.menu.addSeparator()
+        self.menu.addAction(self._reset)
+
+    def _add(
+        self, text: str, act: Callable[[], object] | None, *, checked: bool | None = None
+    ) -> QAction:
+        made = QAction(text.replace("&", "&&"), self.menu)
+        if checked is not None:
+            made.setCheckable(True)
+            made.setChecked(checked)
+        if act is not None:
+            # A menu hands over whether the entry is checked; the act knows by itself.
+            made.triggered.connect(lambda _checked=False, run=act: run())
+        self.menu.addAction(made)
+        return made

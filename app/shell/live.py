@@ -1,0 +1,205 @@
+"""Live page: tactile images, force traces and freshness."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from PySide6.QtGui import QResizeEvent
+from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
+
+from touchdown.app.shell.bench_link import Link
+from touchdown.app.shell.top_bar import lost_words
+from touchdown.backend.core import FINGERS, Finger, MarkerField, TactileFrame
+from touchdown.backend.devices import DeviceState
+from touchdown.widgets.base import Age, Captioned, Columns, Freshness, Panel, Theme
+from touchdown.widgets.plots import TracePlot
+from touchdown.widgets.views import TactileView
+
+HEADER_PERIOD_S = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class LiveViews:
+    """The views of one page that follow the sensors."""
+
+    tactile: Mapping[Finger, TactileView]
+    panels: Mapping[Finger, Panel | Captioned]
+    force: TracePlot
+    moment: TracePlot
+
+
+class LivePresenter:
+    """Moves the newest samples of a bench into the views of one page."""
+
+    def __init__(
+        self, link: Link, views: LiveViews, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._link, self._views, self._now_s = link, views, now_s
+        self._fresh = {finger: Freshness() for finger in FINGERS}
+        self._wrench_fresh = Freshness()
+        self._wrench_cursor = 0
+        self.paused = False
+        """Traces stand still; what arrives meanwhile is shown when they go on."""
+        self._headers_s = float("-inf")
+        self._frame_cursor = dict.fromkeys(FINGERS, 0)
+        self.frames_shown = dict.fromkeys(FINGERS, 0)
+
+    def draw_left(self) -> None:
+        """Update the left tactile view."""
+        self._draw_finger("left")
+
+    def draw_right(self) -> None:
+        """Update the right tactile view."""
+        self._draw_finger("right")
+
+    def _draw_finger(self, finger: Finger) -> None:
+        view, stream = self._views.tactile[finger], self._link.frames[finger]
+        if not view.isVisible():
+            return
+        fresh, now_s = self._fresh[finger], self._now_s()
+        fresh.note(stream.count, now_s)
+        frames, cursor, _ = stream.since(self._frame_cursor[finger])
+        if frames:
+            # Two at once are a late one and a punctual one: both are shown, one tick apart.
+            frame = frames[0] if len(frames) == 2 else frames[-1]
+            self._frame_cursor[finger] = cursor - (len(frames) == 2)
+            view.show_frame(frame, self._field_of(finger, frame))
+            self.frames_shown[finger] += 1
+        view.show_age(fresh.judge(now_s), fresh.age_s(now_s), self._why_silent(finger))
+
+    def _field_of(self, finger: Finger, frame: TactileFrame) -> MarkerField | None:
+        """Return the field that was tracked in this frame, else the newest one."""
+        stream = self._link.fields[finger]
+        same = stream.between(frame.t_s, frame.t_s)
+        return same[-1] if same else stream.newest()
+
+    def draw_wrench(self) -> None:
+        """Feed the traces."""
+        views, stream, now_s = self._views, self._link.wrench, self._now_s()
+        if not views.force.isVisible():
+            return
+        if self._wrench_fresh.note(stream.count, now_s) and not self.paused:
+            self._feed()
+        age, age_s = self._wrench_fresh.judge(now_s), self._wrench_fresh.age_s(now_s)
+        for plot in (views.force, views.moment):
+            plot.show_age(age, age_s, "The force/torque sensor has not sent a sample.")
+
+    def _feed(self) -> None:
+        samples = self._link.wrench.since(self._wrench_cursor)
+        self._wrench_cursor = samples.cursor
+        if len(samples.t_s):
+            self._views.force.add(samples.t_s, samples.values[:, :3])
+            self._views.moment.add(samples.t_s, samples.values[:, 3:])
+
+    def show_span(self, span_s: float) -> None:
+        """Show another length of time, from what the stream still holds."""
+        for plot in (self._views.force, self._views.moment):
+            plot.show_span(span_s)
+        self._wrench_cursor = 0
+        self._feed()
+
+    def draw_headers(self) -> None:
+        """Update the figures in the headers four times a second."""
+        now_s = self._now_s()
+        if now_s - self._headers_s < HEADER_PERIOD_S:
+            return
+        self._headers_s = now_s
+        for finger in FINGERS:
+            self._show_header(finger)
+        drift = self._link.drift
+        self._views.force.show_note("" if drift is None else drift.words())
+        for plot in (self._views.force, self._views.moment):
+            plot.setAccessibleDescription(plot.summary())
+
+    def _show_header(self, finger: Finger) -> None:
+        panel, device = (
+            self._views.panels[finger],
+            self._link.devices.get(f"tactile_{finger}"),
+        )
+        seen, total = self._views.tactile[finger].seen()
+        if device is None or total == 0:
+            panel.detail.setText("")
+            return
+        health = device.health
+        lost = lost_words(health.lost, "frame")
+        panel.detail.setToolTip(f"markers seen, measured rate; {lost}")
+        panel.detail.setText(f"{seen}/{total}, {health.rate_hz:.1f} Hz")
+
+    def _why_silent(self, finger: Finger) -> str:
+        device = self._link.devices.get(f"tactile_{finger}")
+        if device is None:
+            return "The bench is being prepared."
+        if device.state is not DeviceState.READY:
+            return f"The camera is {device.state.value}."
+        return "The camera has sent no frame for more than 2 s."
+
+
+TACTILE_SHARE = 0.45
+"""The fingers take at most this share of the page's height; the traces need the rest."""
+Part = QWidget | QHBoxLayout
+
+
+class LivePage(QWidget):
+    """Makes the live views; the page itself says where they stand."""
+
+    columns: Columns
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__()
+        self.setObjectName("frame")
+        self._theme = theme
+        self.tactile: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
+        self.force = TracePlot(theme, "Force", "F", "N", 10.0)
+        self.moment = TracePlot(theme, "Moment", "T", "N\N{MIDDLE DOT}m", 0.2)
+
+    def show_silent(self, why: str) -> None:
+        """Say in the live views why nothing is shown yet."""
+        for view in self.tactile.values():
+            view.show_age(Age.NEVER, 0.0, why)
+        for plot in (self.force, self.moment):
+            plot.show_age(Age.NEVER, 0.0, why)
+
+    def heightForWidth(self, _width: int) -> int:
+        """Ask for no more than the least height: the views share what there is."""
+        return self.minimumHeight()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Leave room for the traces."""
+        super().resizeEvent(event)
+        self._leave_room()
+
+    def stand_in(self, columns: Columns, traces: str) -> None:
+        """Fill the page with its columns; ``traces``: title of the panel below the fingers."""
+        self.columns, self._traces = columns, traces
+        columns.arranged.connect(self._leave_room)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(10, 8, 10, 8)
+        row.addWidget(columns)
+
+    def _leave_room(self) -> None:
+        share = 1.0 if self.columns.hides(self._traces) else TACTILE_SHARE
+        for view in self.tactile.values():
+            view.limit_height(round(share * self.height()))
+
+
+def no_higher(panel: Panel) -> None:
+    """Let a panel be as high as its views and no higher."""
+    panel.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
+
+
+def column(*parts: tuple[Part, int]) -> QWidget:
+    """Return a column of (view, stretch), one below the other."""
+    holder = QWidget()
+    layout = QVBoxLayout(holder)
+    layout.setContentsMargins(0, 0, 0, 0)
+    layout.setSpacing(8)
+    for part, stretch in parts:
+        if isinstance(part, QWidget):
+            layout.addWidget(part, stretch)
+        else:
+            layout.addLayout(part, stretch)
+    # Takes what is over once the views that stretch are left out.
+    layout.addStretch(0)
+    return holder

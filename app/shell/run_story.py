@@ -1,0 +1,279 @@
+"""Story of a run, rebuilt from its events."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+from touchdown.backend.core import (
+    ActionChosen,
+    ApprovalAwaited,
+    BeliefMap,
+    BeliefUpdated,
+    Event,
+    Fall,
+    FloatArray,
+    InputError,
+    Outcome,
+    PatchEstimated,
+    PhaseEntered,
+    PlaceAction,
+    Released,
+    RunFinished,
+    RunStarted,
+    Said,
+    Stability,
+    StabilityJudged,
+    TrialFinished,
+    TrialStarted,
+)
+from touchdown.backend.geometry import PieceLibrary, edges_to_polygon, overlap_edges
+from touchdown.backend.runs import excusing_fault
+from touchdown.widgets.views import BeliefScene, Score
+
+Offset = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeLook:
+    """What is known of one probe so far."""
+
+    probe: int
+    offset_mm: Offset | None = None
+    belief: BeliefMap | None = None
+    stability: Stability | None = None
+    action: PlaceAction | None = None
+    latency_ms: float | None = None
+
+
+@dataclass
+class TrialStory:
+    """One trial: its probes in order and how it ended."""
+
+    trial: int
+    seed: int
+    start_mm: Offset | None
+    probes: list[ProbeLook] = field(default_factory=list)
+    phase: str = ""
+    finished: TrialFinished | None = None
+    stands: bool | None = None
+    fall: Fall | None = None
+
+    @property
+    def excuse(self) -> str:
+        """The device fault that keeps the trial out of the success rate, "" if it counts."""
+        return "" if self.finished is None else excusing_fault(self.finished, self.phase)
+
+    def path(self, upto: int) -> tuple[Offset, ...]:
+        """Offsets of the first ``upto`` probes."""
+        return tuple(p.offset_mm for p in self.probes[:upto] if p.offset_mm is not None)
+
+    def frame_shift_mm(self) -> Offset | None:
+        """Where the true bottom lies in the frame of the commanded offsets.
+
+        The offsets are commanded ones; a grasp offset moves the piece, so that the whole map is
+        displaced by commanded minus true start.
+        """
+        first = next((p.offset_mm for p in self.probes if p.offset_mm is not None), None)
+        if first is None or self.start_mm is None:
+            return None
+        return first[0] - self.start_mm[0], first[1] - self.start_mm[1]
+
+
+class RunStory:
+    """Takes facts in order; everything else is reading.
+
+    ``of_any``: of a run of any activity, as a journal holds it; else a run that does not stack is
+    passed over (a single probe leaves what the last stacking run told).
+    """
+
+    def __init__(self, *, of_any: bool = False) -> None:
+        self._of_any = of_any
+        self.head: RunStarted | None = None
+        self.trials: list[TrialStory] = []
+        self.said = ""
+        self.ended: RunFinished | None = None
+        self.awaiting: PlaceAction | None = None
+        self.version = 0
+        self._mine = True
+        self._steps: dict[type[Event], Callable[..., None]] = {
+            RunStarted: self._run_started,
+            TrialStarted: self._trial_started,
+            PhaseEntered: self._phase,
+            PatchEstimated: self._patch,
+            BeliefUpdated: self._belief,
+            StabilityJudged: self._stability,
+            ActionChosen: self._action,
+            ApprovalAwaited: self._approval,
+            Released: self._released,
+            TrialFinished: self._trial_finished,
+            RunFinished: self._run_finished,
+            Said: self._said,
+        }
+
+    @property
+    def trial(self) -> TrialStory | None:
+        """The newest trial."""
+        return self.trials[-1] if self.trials else None
+
+    @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """Outcomes of the finished trials."""
+        return tuple(t.finished.outcome for t in self.trials if t.finished is not None)
+
+    def take(self, fact: Event) -> None:
+        """Take the next fact."""
+        if isinstance(fact, RunStarted):
+            self._mine = self._of_any or fact.activity == "stack"
+        if not self._mine:
+            return
+        step = self._steps.get(type(fact))
+        if step is not None:
+            step(fact)
+            self.version += 1
+
+    def _run_started(self, fact: RunStarted) -> None:
+        self.head, self.ended, self.awaiting, self.said = fact, None, None, ""
+        self.trials.clear()
+
+    def _trial_started(self, fact: TrialStarted) -> None:
+        self.trials.append(TrialStory(fact.trial, fact.seed, fact.start_mm))
+
+    def _phase(self, fact: PhaseEntered) -> None:
+        self.awaiting = None
+        if self.trial is not None:
+            self.trial.phase = fact.phase
+
+    def _patch(self, fact: PatchEstimated) -> None:
+        self._note(fact.probe, offset_mm=fact.offset_mm)
+
+    def _belief(self, fact: BeliefUpdated) -> None:
+        self._note(fact.probe, belief=fact.belief)
+
+    def _stability(self, fact: StabilityJudged) -> None:
+        self._note(fact.probe, stability=fact.stability)
+
+    def _action(self, fact: ActionChosen) -> None:
+        self._note(fact.probe, action=fact.action, latency_ms=fact.latency_ms)
+
+    def _approval(self, fact: ApprovalAwaited) -> None:
+        self.awaiting = fact.action
+
+    def _released(self, fact: Released) -> None:
+        if self.trial is not None:
+            self.trial.stands, self.trial.fall = fact.stands, fact.fall
+
+    def _trial_finished(self, fact: TrialFinished) -> None:
+        if self.trial is not None:
+            self.trial.finished = fact
+
+    def _run_finished(self, fact: RunFinished) -> None:
+        self.ended, self.awaiting = fact, None
+
+    def _said(self, fact: Said) -> None:
+        self.said = fact.text
+
+    def _note(self, probe: int, **known: object) -> None:
+        """Add what is known to the look of ``probe`` (a repeated number replaces the older)."""
+        trial = self.trial
+        if trial is None:
+            return
+        for index, look in enumerate(trial.probes):
+            if look.probe == probe:
+                trial.probes[index] = replace(look, **known)  # type: ignore[arg-type]
+                return
+        trial.probes.append(replace(ProbeLook(probe), **known))  # type: ignore[arg-type]
+
+
+def truth_of(
+    trial: TrialStory, look: ProbeLook, face: FloatArray | None, bottom: FloatArray | None
+) -> FloatArray | None:
+    """Return the (k, 2) outline of the true overlap at a probe, None where it is not known."""
+    shift = trial.frame_shift_mm()
+    if shift is None or bottom is None or face is None:
+        return None
+    return edges_to_polygon(overlap_edges(face + (look.offset_mm or (0.0, 0.0)), bottom + shift))
+
+
+def no_probe(trial: TrialStory) -> BeliefScene:
+    """Return the scene of a trial without an estimate, which says whether one can still come."""
+    if trial.finished is None:
+        return BeliefScene()
+    return BeliefScene(empty=("No probe in this trial", "It ended before the first estimate."))
+
+
+def scene_of(
+    trial: TrialStory, index: int, face: FloatArray | None, bottom: FloatArray | None
+) -> BeliefScene:
+    """Return the belief scene after probe ``index`` (from 0).
+
+    ``face``, ``bottom``: (k, 2) outlines; the true overlap is shown only after the trial.
+    """
+    look = trial.probes[index]
+    truth = None if trial.finished is None else truth_of(trial, look, face, bottom)
+    action = look.action
+    return BeliefScene(
+        belief=look.belief,
+        stability=look.stability,
+        path=trial.path(index + 1),
+        step_mm=action.step_mm if action is not None and action.kind == "shift" else None,
+        target_mm=action.target_mm if action is not None and action.kind == "shift" else None,
+        clipped=action.clipped if action is not None else False,
+        face=face,
+        truth=truth,
+    )
+
+
+Z_95 = 1.959964
+"""Two-sided 95 % quantile of the normal distribution."""
+
+
+def wilson(successes: int, trials: int, z: float = Z_95) -> tuple[float, float] | None:
+    """Return the Wilson score interval (0..1), None without a trial (Wilson 1927)."""
+    if trials <= 0:
+        return None
+    rate = successes / trials
+    centre = rate + z * z / (2 * trials)
+    half = z * math.sqrt(rate * (1 - rate) / trials + z * z / (4 * trials * trials))
+    scale = 1 + z * z / trials
+    low, high = (centre - half) / scale, (centre + half) / scale
+    return max(0.0, low), min(1.0, high)
+
+
+def score_of(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
+    """Return the score of a run: aborted trials count as failures, as long as no device failed.
+
+    Trials that a named device fault ended before the release are told after ``last`` instead.
+    """
+    done = [trial for trial in trials if trial.finished is not None]
+    outcomes = tuple(t.finished.outcome for t in done if t.finished is not None)
+    excuses = sorted({trial.excuse for trial in done} - {""})
+    excused = sum(bool(trial.excuse) for trial in done)
+    if excused:
+        which = "1 trial that a device fault" if excused == 1 else f"{excused} that device faults"
+        said = f"Not counted: {which} ended before the release ({', '.join(excuses)})."
+        last = f"{last} {said}".strip()
+    placed = sum(outcome is Outcome.PLACED for outcome in outcomes)
+    interval = wilson(placed, len(outcomes) - excused)
+    ended = [t.finished for t in done if t.finished is not None]
+    void = tuple(
+        f"Trial {one.trial}: {one.reason}" for one in ended if one.outcome is Outcome.ABORTED
+    )
+    return Score(outcomes, planned, interval, last, excused, void)
+
+
+def outlines(
+    catalogue: PieceLibrary, head: RunStarted | None
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Return the (k, 2) outlines of the piece's face and of the touched bottom; None: unknown."""
+    if head is None:
+        return None, None
+    return _outline(catalogue, head.piece), _outline(catalogue, head.bottom.split("+")[-1])
+
+
+def _outline(catalogue: PieceLibrary, name: str) -> FloatArray | None:
+    try:
+        return catalogue.piece(name).face.polygon(96)
+    except InputError:
+        return None

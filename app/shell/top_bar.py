@@ -1,0 +1,287 @@
+"""Top bar: bench state, device chips, speed, servo."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+from touchdown.app.shell.bench_link import Link
+from touchdown.app.shell.bench_text import words_of
+from touchdown.app.shell.cards import clock, refusal_card
+from touchdown.app.shell.workspace import Command
+from touchdown.backend.core import RefusedError
+from touchdown.backend.devices import (
+    Arm,
+    Degraded,
+    Device,
+    DeviceState,
+    Health,
+    SafetyMode,
+    signed_name,
+    turns,
+)
+from touchdown.backend.rig import Connection
+from touchdown.backend.runs import RunState, RunStatus
+from touchdown.widgets.base import Age, Freshness
+from touchdown.widgets.shell import (
+    CHIPS,
+    ChipState,
+    ChipValue,
+    Colour,
+    FaultCards,
+    PillState,
+    Shape,
+    TopBar,
+)
+
+_WORDS: dict[RunState, tuple[str, Shape, Colour]] = {
+    RunState.IDLE: ("READY", "disc", "green"),
+    RunState.PREPARING: ("PREPARING", "play", "green"),
+    RunState.RUNNING: ("RUNNING", "play", "green"),
+    RunState.PAUSING: ("PAUSING", "bars", "yellow"),
+    RunState.PAUSED: ("PAUSED", "bars", "yellow"),
+    RunState.CANCELLING: ("CANCELLING", "diamond", "yellow"),
+    RunState.FINISHING: ("FINISHING", "diamond", "yellow"),
+}
+STILL_S = 1.0
+"""A bench that has made no step for so long stands still, whatever else is known of it; setting a
+scene takes longer."""
+SHOWS_DEGRADED = (RunState.IDLE, RunState.PREPARING, RunState.RUNNING)
+"""A run that pauses or ends says so; by then its card names the sensor."""
+
+
+def pill_of(link: Link) -> PillState:
+    """Return what the pill shows for this bench now."""
+    note = words_of(link).note
+    if not link.devices:
+        return PillState("NO DEVICES", "ring", "grey", note)
+    if link.still_s >= STILL_S and link.status().state is not RunState.PREPARING:
+        return PillState("STILL", "bang", "yellow", f"no step for {link.still_s:.0f} s")
+    if link.interlock.latched:
+        if link.interlock.faults:
+            return PillState("FAULT", "square", "red", "press Reset")
+        return PillState("STOPPED", "square", "blue", "press Reset")
+    if link.connection is not None and (standing := _standing(link.connection)):
+        return standing
+    if link.hand is not None and not link.hand.powered:
+        return PillState("NOT READY", "triangle", "blue", "switch the servo on")
+    by_hand = _by_hand(link)
+    if by_hand:
+        return PillState("JOG", "play", "green", by_hand)
+    if link.hand is not None and link.interlock.recovering:
+        return PillState("RECOVERY", "diamond", "yellow", "jog away from contact")
+    status = link.status()
+    asks = status.asks if status.state is RunState.RUNNING else ""
+    if status.awaiting is not None or asks:
+        return PillState("YOUR TURN", "triangle", "blue", asks or "approve or decline")
+    return _sensed(link, status) or _of_run(note, status)
+
+
+def _sensed(link: Link, status: RunStatus) -> PillState | None:
+    """Return what the sensors say of the bench, None if there is nothing to say."""
+    degraded = link.degraded
+    if status.state in SHOWS_DEGRADED and degraded:
+        return PillState("DEGRADED", "bang", "yellow", _which(degraded, link.clock_s()))
+    if status.state is RunState.IDLE and link.hand is not None and link.hand.pressing_n:
+        note = f"{link.hand.pressing_n:.0f} N: lift, jog +Z"
+        return PillState("IN CONTACT", "diamond", "yellow", note)
+    return None
+
+
+def _of_run(note: str, status: RunStatus) -> PillState:
+    word, shape, colour = _WORDS[status.state]
+    return PillState(word, shape, colour, _with(note, status))
+
+
+def _which(degraded: tuple[Degraded, ...], now_s: float) -> str:
+    """Return which sensor is late or slow, and for how long."""
+    first, *others = degraded
+    for_s, more = now_s - first.since_s, f" +{len(others)}" if others else ""
+    lasted = f"{for_s:.1f} s" if for_s < 1.0 else f"{for_s:.0f} s"
+    return f"{dict(CHIPS)[first.device]} {first.how} {lasted}{more}"
+
+
+def _standing(connection: Connection) -> PillState | None:
+    """Return how far the devices of a lab are connected, None if all are."""
+    missing, count = connection.missing(), len(connection.devices)
+    if connection.busy:
+        return PillState("CONNECTING", "ring", "blue", f"{count - len(missing)} of {count}")
+    if len(missing) == count:
+        return PillState("NO DEVICES", "ring", "grey", "connect: Ctrl+L")
+    if missing:
+        return PillState("NOT READY", "triangle", "blue", f"{len(missing)} not connected")
+    return None
+
+
+def _by_hand(link: Link) -> str:
+    """Return what moves by hand, "" if nothing does."""
+    if link.hand is None or not link.hand.jog.active:
+        return ""
+    state = link.hand.jog.state
+    if state.order is None:
+        return "one step"
+    order, speed = state.order, f"{state.speed:.0f} mm/s"
+    if turns(order.axis):
+        speed = f"{math.degrees(state.speed):.0f}\N{DEGREE SIGN}/s"
+    return f"{signed_name(order.axis, order.speed)} {order.frame}, {speed}"
+
+
+def _with(note: str, status: RunStatus) -> str:
+    if status.state is RunState.RUNNING and status.phase:
+        return f"{note}, {status.phase}".lstrip(", ")
+    return note
+
+
+PERIOD_S = 0.25
+MUCH_LOST, LEAST_LOST = 0.02, 3
+"""Losses below this share, or fewer, stand in the tool tip only: a camera drops one in 200."""
+_STATES: dict[DeviceState, ChipState] = {
+    DeviceState.CLOSED: "closed",
+    DeviceState.CONNECTING: "connecting",
+    DeviceState.READY: "ready",
+    DeviceState.FAULT: "fault",
+}
+
+
+class ChipsPresenter:
+    """Shows what the devices say of themselves, four times a second."""
+
+    def __init__(
+        self, link: Link, bar: TopBar, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._link, self._bar, self._now_s = link, bar, now_s
+        self._fresh = {key: Freshness() for key, _ in CHIPS}
+        self._drawn_s = float("-inf")
+
+    def draw(self) -> bool:
+        """Update chips and modes; True when it did."""
+        now_s = self._now_s()
+        if now_s - self._drawn_s < PERIOD_S:
+            return False
+        self._drawn_s = now_s
+        devices = self._link.devices
+        degraded = {one.device: one for one in self._link.degraded}
+        for key, _ in CHIPS:
+            device = devices.get(key)
+            if device is not None:
+                self._bar.chips[key].show_value(self._chip(key, device, now_s, degraded.get(key)))
+        arm = devices.get("arm")
+        if arm is not None:
+            status = _arm(arm).status()
+            self._bar.show_modes(status.robot_mode.value, status.safety_mode.value)
+            self._bar.show_hardware_stop(self._hardware_stop(status.safety_mode))
+        return True
+
+    def _hardware_stop(self, safety: SafetyMode) -> str:
+        """Return what is known of it: that it stopped the arm is told, that it is free is not."""
+        if self._link.simulated:
+            return "none"
+        return "active" if safety is SafetyMode.HW_STOP else "unknown"
+
+    def _chip(self, key: str, device: Device, now_s: float, degraded: Degraded | None) -> ChipValue:
+        health, fresh = device.health, self._fresh[key]
+        drift = self._link.drift if key == "force_torque" else None
+        fresh.note(health.received, now_s)
+        state: ChipState = _STATES[device.state]
+        age = fresh.judge(now_s)
+        if state == "ready" and age in (Age.STALE, Age.GONE):
+            state = "stale"
+            detail = f"stale {fresh.age_s(now_s):.1f} s"
+        elif state == "ready" and degraded is not None:
+            state = "degraded"
+            lasted_s = self._link.clock_s() - degraded.since_s
+            figure = f"{health.rate_hz:.0f} Hz" if degraded.how == "slow" else f"{lasted_s:.1f} s"
+            detail = f"{degraded.how} {figure}"
+        elif state == "ready" and drift is not None and drift.named:
+            state, detail = "degraded", f"drift {drift.moved_n:.2f} N"
+        elif device.state is DeviceState.READY and not math.isfinite(health.age_s):
+            detail = "no data yet"
+        elif device.state is DeviceState.READY:
+            detail = f"{health.rate_hz:.0f} Hz, {1e3 * max(health.age_s, 0):.0f} ms"
+        else:
+            detail = device.state.value
+        who = device.identity
+        lost = lost_words(health.lost, "frame" if key.startswith("tactile") else "sample")
+        tip = f"{device.state.value}, {detail}; {health.received} received, {lost}"
+        tip = tip if drift is None else f"{tip}\n{drift.words()}, in still air"
+        if who is not None:
+            tip = f"{who.maker} {who.model}, serial {who.serial}\n{tip}"
+        return ChipValue(state, detail, health.lost if _is_much(health) else 0, tip)
+
+
+def _is_much(health: Health) -> bool:
+    """Return whether the losses deserve a place on the chip."""
+    share = health.lost / max(1, health.received + health.lost)
+    return health.lost >= LEAST_LOST and share > MUCH_LOST
+
+
+def lost_words(count: int, noun: str) -> str:
+    """Name what was lost: beside the count of markers a bare number reads as markers."""
+    return f"{count} {noun} lost" if count == 1 else f"{count} {noun}s lost"
+
+
+def _arm(device: Device) -> Arm:
+    return device  # type: ignore[return-value]
+
+
+START_PERCENT = 10
+"""With hardware, until the operator says otherwise."""
+STEP_PERCENT = 10
+
+
+class SpeedOverride:
+    """Carries the choice of the top bar to the bench; ``say`` confirms it in the foot."""
+
+    def __init__(self, bar: TopBar, say: Callable[[str], None]) -> None:
+        self._bar, self._say = bar, say
+        self._link: Link | None = None
+        bar.override.valueChanged.connect(self._choose)
+        self.commands = (
+            Command("slower", "Slower: speed override down", "Ctrl+Alt+-", self._slower),
+            Command("faster", "Faster: speed override up", "Ctrl+Alt++", self._faster),
+        )
+
+    def attach(self, link: Link) -> None:
+        """Show the override of this bench; hardware starts slowly."""
+        self._link = None
+        if not link.simulated:
+            link.interlock.override_speed(START_PERCENT / 100)
+        self._bar.override.setValue(round(100 * link.interlock.override))
+        self._link = link
+
+    def _choose(self, percent: int) -> None:
+        if self._link is not None:
+            self._link.interlock.override_speed(percent / 100)
+            self._say(f"Speed override {percent} %.")
+
+    def _slower(self) -> None:
+        self._bar.override.setValue(self._bar.override.value() - STEP_PERCENT)
+
+    def _faster(self) -> None:
+        self._bar.override.setValue(self._bar.override.value() + STEP_PERCENT)
+
+
+class ServoSwitch:
+    """Carries the operator's wish to the arm, and shows how its motors are."""
+
+    def __init__(self, link: Link, bar: TopBar, cards: FaultCards) -> None:
+        self._link, self._bar, self._cards = link, bar, cards
+        bar.servo.ordered = self._switch
+
+    def draw(self) -> None:
+        """Show whether the motors are on, off, or unknown."""
+        hand = self._link.hand
+        if hand is None:
+            self._bar.servo.show_state(None)
+        else:
+            self._bar.servo.show_state(hand.powered, busy=hand.switching)
+
+    def _switch(self, on: bool) -> None:
+        hand = self._link.hand
+        if hand is None:
+            return
+        try:
+            hand.servo(on)
+        except RefusedError as error:
+            self._cards.show_card(refusal_card(error, clock()))

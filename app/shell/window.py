@@ -1,0 +1,358 @@
+"""Main window: docks, appearance, position on the screen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Literal, Protocol
+
+from PySide6.QtCore import QObject, QRect, QSize, Qt, QTimer
+from PySide6.QtGui import QCloseEvent, QFontMetrics, QRegion, QResizeEvent
+from PySide6.QtWidgets import (
+    QApplication,
+    QFrame,
+    QHBoxLayout,
+    QMainWindow,
+    QScrollArea,
+    QSizePolicy,
+    QStackedWidget,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from touchdown.app.shell.bench_text import BenchWords
+from touchdown.widgets.base import (
+    LEAST,
+    MOST,
+    THEMES,
+    Columns,
+    ElidedLabel,
+    Theme,
+    ThemeName,
+    icon,
+    label,
+    ui_font,
+)
+from touchdown.widgets.shell import BenchBanner, FaultCards, OnTop, TopBar
+
+MINIMUM = QSize(1280, 720)
+PAGE_EM = (74, 33)
+"""A page needs this much room, in heights of the base font; with less it scrolls."""
+USUAL = QSize(1600, 940)
+RAIL_GAP_PX, RAIL_MARGIN_PX = 4, 8
+FOOT_OF_RAIL = (("layouts", "Layout"), ("theme", "Theme"), ("keys", "Keys"))
+
+
+class Tab(Protocol):
+    """What the window needs of a workspace."""
+
+    name: str
+    title: str
+
+
+class MainWindow(QMainWindow):
+    """Holds the views; ``may_close`` decides whether a close request is granted."""
+
+    def __init__(self, theme: Theme, bar: TopBar, cards: FaultCards, tabs: Sequence[Tab]) -> None:
+        super().__init__()
+        self._theme, self._bar = theme, bar
+        self.may_close: Callable[[], bool] = bool
+        self.front = ""
+        self._stack = QStackedWidget()
+        self._tabs = [tab.name for tab in tabs]
+        self._pages: dict[str, QWidget] = {}
+        self._scrolls: dict[str, QScrollArea] = {}
+        named = [(tab.name, tab.title) for tab in tabs]
+        self.rail = {name: _rail_button(text) for name, text in (*named, *FOOT_OF_RAIL)}
+        self._message, self._right = ElidedLabel("muted"), label("", "small")
+        self._banner = BenchBanner(theme)
+        # Until there is a bench nobody knows what to call it.
+        self._banner.hide()
+        self._arrange(bar, cards)
+        self.setMinimumSize(MINIMUM)
+        self.resize(USUAL)
+        self.fit_to_theme()
+
+    def _arrange(self, bar: TopBar, cards: FaultCards) -> None:
+        body = QWidget()
+        right = QVBoxLayout(body)
+        right.setContentsMargins(0, 0, 0, 0)
+        right.addWidget(self._stack, 1)
+        self._on_top = OnTop(cards, body)
+        middle = QHBoxLayout()
+        middle.setSpacing(0)
+        self._rail_frame = self._rail()
+        middle.addWidget(self._rail_frame)
+        middle.addWidget(body, 1)
+        frame = self._frame = QWidget()
+        frame.setObjectName("frame")
+        column = QVBoxLayout(frame)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(0)
+        column.addWidget(bar)
+        column.addLayout(middle, 1)
+        self._foot_frame = self._foot(cards.strip)
+        column.addWidget(self._foot_frame)
+        self.setCentralWidget(frame)
+        # Holds the focus at the start, so that no control looks chosen before Tab is pressed.
+        frame.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
+        frame.setFocus()
+
+    def _rail(self) -> QFrame:
+        rail = QFrame()
+        rail.setProperty("role", "rail")
+        column = QVBoxLayout(rail)
+        column.setContentsMargins(5, RAIL_MARGIN_PX, 5, RAIL_MARGIN_PX)
+        column.setSpacing(RAIL_GAP_PX)
+        for name in self._tabs:
+            self.rail[name].setCheckable(True)
+            column.addWidget(self.rail[name])
+        column.addStretch(1)
+        for name, _ in FOOT_OF_RAIL:
+            column.addWidget(self.rail[name])
+        return rail
+
+    def _foot(self, folded: QWidget) -> QFrame:
+        foot = QFrame()
+        foot.setProperty("role", "foot")
+        row = QHBoxLayout(foot)
+        row.setContentsMargins(12, 4, 12, 4)
+        row.setSpacing(16)
+        row.addWidget(folded)
+        row.addWidget(self._message, 1)
+        row.addWidget(self._banner)
+        row.addWidget(self._right)
+        return foot
+
+    def add_page(self, name: str, page: QWidget) -> None:
+        """Take the page of a workspace that was just made."""
+        self._pages[name], self._scrolls[name] = page, _scrolled(page)
+        self._give_room(page)
+        self._stack.addWidget(self._scrolls[name])
+        self._fit_columns(page)
+
+    def show_page(self, name: str) -> None:
+        """Bring a workspace, whose page was added, to the front."""
+        focus = QApplication.focusWidget()
+        if focus is not None and self._stack.isAncestorOf(focus):
+            # Else the first control of the other page would look chosen.
+            self._frame.setFocus()
+        self.front = name
+        self._stack.setCurrentWidget(self._scrolls[name])
+        for key in self._tabs:
+            self.rail[key].setChecked(key == name)
+
+    def show_message(self, text: str) -> None:
+        """Show the last event in the foot."""
+        if text != self._message.text():
+            self._message.setText(text)
+            self._message.setToolTip(text)
+
+    def show_right(self, text: str) -> None:
+        """Show figures at the right of the foot."""
+        self._right.setText(text)
+
+    def show_bench(self, words: BenchWords) -> None:
+        """Call the bench by its name in banner and title."""
+        self._banner.show_bench(words.banner, words.tip, words.striped)
+        self._banner.show()
+        self.setWindowTitle(words.title)
+
+    def fit_to_theme(self) -> None:
+        """Draw the rail's icons in the theme's colours; larger text scrolls, it is never cut."""
+        em = QFontMetrics(ui_font(self._theme.scale)).height()
+        for page in self._pages.values():
+            self._give_room(page)
+        for button in self.rail.values():
+            button.setMinimumWidth(round(3.7 * em))
+        self._bar.ensurePolished()
+        self._bar.fit()
+        self.setMinimumWidth(max(MINIMUM.width(), self._bar.minimumSizeHint().width()))
+        for name, button in self.rail.items():
+            button.setIcon(icon(name, self._theme.tokens.colour("text"), 22))
+        self._fit_rail()
+        for page in self._pages.values():
+            self._fit_columns(page)
+
+    def _give_room(self, page: QWidget) -> None:
+        em = QFontMetrics(ui_font(self._theme.scale)).height()
+        page.setMinimumSize(PAGE_EM[0] * em, PAGE_EM[1] * em)
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Leave the icons out of the rail where there is room for its words alone."""
+        super().resizeEvent(event)
+        self._fit_rail()
+        for page in self._pages.values():
+            self._fit_columns(page)
+
+    def _fit_rail(self) -> None:
+        full = Qt.ToolButtonStyle.ToolButtonTextUnderIcon
+        for style in (full, Qt.ToolButtonStyle.ToolButtonTextOnly):
+            for button in self.rail.values():
+                button.setToolButtonStyle(style)
+            needed = sum(button.sizeHint().height() + RAIL_GAP_PX for button in self.rail.values())
+            taken = self._bar.sizeHint().height() + self._foot_frame.sizeHint().height()
+            if needed + 2 * RAIL_MARGIN_PX <= self.height() - taken:
+                return
+
+    def _fit_columns(self, page: QWidget) -> None:
+        """Where a page is wider than the window its controls come first: the rest scrolls."""
+        # Pages that are not seen have not been laid out: the room follows from the window.
+        room = self.width() - self._rail_frame.sizeHint().width()
+        narrow = room < page.minimumWidth()
+        for columns in page.findChildren(Columns):
+            columns.lead_with_controls(narrow)
+
+    def closeEvent(self, event: QCloseEvent) -> None:
+        """Close if granted."""
+        if self.may_close():
+            event.accept()
+        else:
+            event.ignore()
+
+
+def _scrolled(page: QWidget) -> QScrollArea:
+    scroll = QScrollArea()
+    scroll.setWidget(page)
+    scroll.setWidgetResizable(True)
+    scroll.setFrameShape(QFrame.Shape.NoFrame)
+    scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+    return scroll
+
+
+def _rail_button(text: str) -> QToolButton:
+    button = QToolButton()
+    # A long name takes two lines; a single ampersand would mark a key.
+    button.setText(text.replace(" & ", " &&\n"))
+    button.setProperty("role", "rail")
+    button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextUnderIcon)
+    button.setIconSize(QSize(22, 22))
+    button.setAccessibleName(text)
+    button.setToolTip(text)
+    button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+    return button
+
+
+STEP = 0.1
+SETTLE_MS = 80
+"""Keys pressed within this time change the window once. STOP must not wait for eight changes."""
+Choice = ThemeName | Literal["system"]
+CHOICES: tuple[Choice, ...] = (*THEMES, "system")
+_WORDS: dict[Choice, str] = {
+    "dark": "dark", "light": "light", "contrast": "high contrast", "system": "as the system",
+}  # fmt: skip
+
+
+class Appearance(QObject):
+    """Holds the theme; ``refit`` is called after each change. "system" follows the desktop."""
+
+    def __init__(
+        self, application: QApplication, choice: Choice, scale: float, parent: QObject
+    ) -> None:
+        super().__init__(parent)
+        self._application = application
+        self.choice: Choice = choice
+        self.theme = Theme()
+        self.refit: Callable[[], None] = _nothing_yet
+        self.theme.choose(application, self._name(), scale)
+        self._wanted_scale = self.theme.scale
+        self._window: QWidget | None = None
+        self._settled = QTimer(self)
+        self._settled.setSingleShot(True)
+        self._settled.setInterval(SETTLE_MS)
+        self._settled.timeout.connect(self._show_wanted)
+        application.styleHints().colorSchemeChanged.connect(self._follow)
+
+    def dress(self, window: QWidget) -> None:
+        """Show the theme on a window that was just made."""
+        self._window = window
+        self.show(self.choice, self.theme.scale)
+
+    def show(self, choice: Choice, scale: float) -> None:
+        """Switch to a theme and a font scale (0.8 to 2)."""
+        self.choice = choice
+        self.theme.apply(self._application, self._name(), scale, self._window)
+        self._wanted_scale = self.theme.scale
+        self.refit()
+
+    def next_theme(self) -> None:
+        """Switch to the next theme."""
+        at = CHOICES.index(self.choice)
+        self.choice = CHOICES[(at + 1) % len(CHOICES)]
+        self._settled.start()
+
+    def words(self) -> str:
+        """Return what is chosen, and what the desktop asks for if that is followed."""
+        if self.choice != "system":
+            return _WORDS[self.choice]
+        return f"{_WORDS[self.choice]} ({_WORDS[self._name()]})"
+
+    def larger(self) -> None:
+        """Enlarge all text by a tenth of the base size."""
+        self._step(STEP)
+
+    def smaller(self) -> None:
+        """Make all text smaller by a tenth of the base size."""
+        self._step(-STEP)
+
+    def _step(self, step: float) -> None:
+        self._wanted_scale = min(max(self._wanted_scale + step, LEAST), MOST)
+        self._settled.start()
+
+    def _show_wanted(self) -> None:
+        self.show(self.choice, self._wanted_scale)
+
+    def _name(self) -> ThemeName:
+        return system_theme(self._application) if self.choice == "system" else self.choice
+
+    def _follow(self, _scheme: Qt.ColorScheme) -> None:
+        if self.choice == "system":
+            self.show("system", self.theme.scale)
+
+
+def system_theme(application: QApplication) -> ThemeName:
+    """Return what the desktop asks for; dark where it says nothing."""
+    hints = application.styleHints()
+    # Qt tells the wish for contrast since 6.10.
+    if hasattr(hints, "accessibility"):
+        wish = hints.accessibility().contrastPreference()
+        if wish is Qt.ContrastPreference.HighContrast:
+            return "contrast"
+    return "light" if hints.colorScheme() is Qt.ColorScheme.Light else "dark"
+
+
+def _nothing_yet() -> None:
+    """Refit nothing: there is no window yet."""
+
+
+GRIP = QSize(120, 30)
+"""So much of the upper edge has to be on a screen."""
+
+
+def pulled_back(window: QRect, screens: Sequence[QRect]) -> QRect:
+    """Return ``window``; put into the nearest screen where it cannot be taken hold of.
+
+    So is one that is larger than all screens together: STOP stands at its right edge.
+    """
+    if not screens:
+        return window
+    upper = QRect(window.left(), window.top(), window.width(), GRIP.height())
+    room = QRegion()
+    for screen in screens:
+        room += screen
+    whole = room.boundingRect().size()
+    fits = window.width() <= whole.width() and window.height() <= whole.height()
+    for screen in screens if fits else ():
+        seen = screen.intersected(upper)
+        if seen.width() >= min(GRIP.width(), window.width()) and seen.height() >= GRIP.height():
+            return window
+    nearest = min(screens, key=lambda screen: _away(screen, window))
+    width, height = min(window.width(), nearest.width()), min(window.height(), nearest.height())
+    x = min(max(window.left(), nearest.left()), nearest.left() + nearest.width() - width)
+    y = min(max(window.top(), nearest.top()), nearest.top() + nearest.height() - height)
+    return QRect(x, y, width, height)
+
+
+def _away(screen: QRect, window: QRect) -> int:
+    between = screen.center() - window.center()
+    return between.manhattanLength()

@@ -1,0 +1,3 @@
+from .workspace import StackWorkspace as StackWorkspace
+
+__all__ = ["StackWorkspace"]

@@ -1,0 +1,3 @@
+from .workspace import TrainWorkspace as TrainWorkspace
+
+__all__ = ["TrainWorkspace"]

@@ -1,0 +1,222 @@
+"""Text of the train workspace."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+from touchdown.app.train.reading import InUse
+from touchdown.backend.core import FaultError, InputError
+from touchdown.backend.episodes import group_noun
+from touchdown.backend.learning import (
+    HARDWARE_PROBES,
+    SHIPPED,
+    Curve,
+    ModelCard,
+    TrainingRun,
+    TrainingSetOverview,
+)
+from touchdown.widgets.lists import RunRow
+from touchdown.widgets.plots import TOKENS, Line
+from touchdown.widgets.shell import CardText
+
+LETTERS = ("A", "B", "C")
+NOTHING = "\N{EN DASH}"
+SETTINGS = {
+    "labels": "labels", "modality": "sees", "layers": "layers", "hidden": "units",
+    "learning_rate": "rate", "schedule": "schedule", "epochs": "epochs", "patience": "patience",
+    "keep": "keeps", "batch": "batch", "validation_share": "held out",
+    "divide_series": "divides series", "seed": "seed", "piece": "piece",
+}  # fmt: skip
+
+STILL = CardText(
+    "TRAINING-STILL",
+    "The training process does nothing: it was stopped, or waits for something that never comes.",
+    "Nothing is lost; whole epochs are kept.",
+    "Let it go on, or press Cancel: it is ended at once, and Resume goes on from the last epoch.",
+    reset=False,
+)
+
+
+def run_row(run: TrainingRun, in_use: InUse | None, marks: Mapping[str, str]) -> RunRow:
+    """Return a training as a row; ``marks`` are the letters of the chosen ones."""
+    params, best = run.about.params, run.best_epoch
+    used = run.card is not None and in_use is not None and is_in_use(run.card, in_use)
+    began = datetime.fromtimestamp(run.about.started_ns / 1e9)
+    when = f"{began:%H:%M}" if began.date() == datetime.now().date() else f"{began:%d %b %H:%M}"
+    mark = f"{marks[run.uuid]}  " if run.uuid in marks else ""
+    done, total = len(run.curves.get("iou", ())), params.get("epochs", 0)
+    cells = (
+        f"{mark}{params.get('piece', '?')}  {when}",
+        "in use" if used else run.state,
+        str(params.get("modality", "?")),
+        _per_cent(run.value("iou", best)),
+        f"{done}/{total}" if run.card is None else f"{best}/{total}",
+    )
+    return RunRow(run.uuid, cells)
+
+
+def is_in_use(card: ModelCard, in_use: InUse) -> bool:
+    """Whether the model of ``card`` is the one in use for its piece."""
+    return card.piece == in_use.piece and card.weights_sha256 == in_use.weights_sha256
+
+
+def in_use_words(in_use: InUse | None) -> str:
+    """Say which model is in use, and what a roll back would bring."""
+    if in_use is None:
+        return ""
+    alone = alone_words(in_use.probes)
+    if in_use.before is None:
+        return f"In use for {in_use.piece}: the model that ships. {alone}".strip()
+    since = datetime.fromtimestamp(in_use.since_ns / 1e9)
+    return (
+        f"In use for {in_use.piece}: {_model(in_use.weights_sha256)} "
+        f"since {since:%d %b %H:%M}; before it {_model(in_use.before)}. {alone}"
+    ).strip()
+
+
+def alone_words(probes: int | None) -> str:
+    """Say whether a model of simulations may decide without being asked on hardware."""
+    if probes is None:
+        return ""
+    if probes >= HARDWARE_PROBES:
+        return f"Auto on hardware: evaluated on {probes} hardware probes."
+    return (
+        "From simulations alone: on hardware approve or step mode only "
+        f"({probes} of {HARDWARE_PROBES} hardware probes evaluated)."
+    )
+
+
+def split_words(overview: TrainingSetOverview, trouble: str) -> str:
+    """Say what is wrong with the data, or what leaks."""
+    if trouble or overview.error:
+        return trouble or overview.error
+    kept = f"{group_noun(overview.kept_together).capitalize()} are held out."
+    return "\n".join((*overview.warnings, kept))
+
+
+def split_rows(overview: TrainingSetOverview) -> list[tuple[str, str, str]]:
+    """Return the counts per bottom, and those of all."""
+    rows = [(p.bottom, f"{p.train:,}", f"{p.held_out:,}") for p in overview.pairs]
+    if len(rows) > 1:
+        rows.append(("all", f"{overview.train:,}", f"{overview.held_out:,}"))
+    return rows
+
+
+def curve_lines(runs: Sequence[TrainingRun], name: str) -> list[Line]:
+    """Return a metric of the chosen trainings; for one alone, the loss of both sides."""
+    if len(runs) == 1 and name == "validation_loss":
+        curves = runs[0].curves
+        return [
+            Line("train", _points(curves.get("train_loss", ())), TOKENS[1], dashed=True),
+            Line("valid.", _points(curves.get(name, ())), TOKENS[0]),
+        ]
+    marks = LETTERS if len(runs) > 1 else ("",)
+    return [
+        Line(mark, _points(run.curves.get(name, ())), token, dashed=at == 1)
+        for at, (run, mark, token) in enumerate(zip(runs, marks, TOKENS, strict=False))
+    ]
+
+
+def reliability_lines(runs: Sequence[TrainingRun]) -> list[Line]:
+    """Return the reliability of each training at its best epoch."""
+    lines = []
+    for at, (run, mark, token) in enumerate(zip(runs, LETTERS, TOKENS, strict=False)):
+        bins = run.reliability.get(run.best_epoch, ())
+        error = run.value("calibration_error", run.best_epoch)
+        name = f"error {error:.3f}" if math.isfinite(error) else ""
+        name = f"{mark}  {name}" if len(runs) > 1 else name
+        lines.append(Line(name, tuple((p, share) for p, share, _ in bins), token, dashed=at == 1))
+    return lines
+
+
+def difference_rows(runs: Sequence[TrainingRun]) -> list[tuple[str, ...]]:
+    """Return the settings: of one training all, of several those that differ."""
+    rows = []
+    for key, name in SETTINGS.items():
+        values = [run.about.params.get(key) for run in runs]
+        if len(runs) == 1 or any(value != values[0] for value in values):
+            rows.append((name, *(_setting(value) for value in values)))
+    data = [run.about.manifest[:8] or NOTHING for run in runs]
+    if runs and (len(runs) == 1 or len(set(data)) > 1):
+        rows.append(("data", *data))
+    return rows
+
+
+def figure_rows(runs: Sequence[TrainingRun]) -> list[tuple[str, ...]]:
+    """Return IoU and points right on the held-out side, per bottom and in all.
+
+    Trainings for different pieces have no bottom in common: each row then names its piece.
+    """
+    pieces = [str(run.about.params.get("piece", "?")) for run in runs]
+    tables = [_bottoms(run) for run in runs]
+    if len(set(pieces)) > 1:
+        tables = [
+            {f"{piece}, {name}": one for name, one in table.items()}
+            for piece, table in zip(pieces, tables, strict=True)
+        ]
+        rows = sorted({name for table in tables for name in table})
+        return [(name, *(_pair(table.get(name)) for table in tables)) for name in rows]
+    names = sorted({name for table in tables for name in table} - {"all"})
+    if any("all" in table for table in tables):
+        names.append("all")
+    return [(name, *(_pair(table.get(name)) for table in tables)) for name in names]
+
+
+def eta_words(done: int, total: int, seconds: Sequence[float]) -> str:
+    """Say how far a training is; ``seconds``: what the epochs of this sitting took."""
+    if not seconds:
+        return f"epoch {done} of {total}"
+    recent = seconds[-5:]
+    left_s = (total - done) * sum(recent) / len(recent)
+    return f"epoch {done} of {total}, about {_duration(left_s)} left"
+
+
+def failure_card(error: Exception) -> CardText:
+    """Return the card of a training that ended early."""
+    if isinstance(error, FaultError):
+        fault = error.fault
+        step = "Choose the run and press Resume; free memory first if it ran short."
+        return CardText(fault.code, fault.what, fault.consequence, step, reset=False)
+    if isinstance(error, InputError):
+        return CardText("TRAINING", error.what, f"In {error.where}.", error.fix, reset=False)
+    what = f"The training failed: {error}."
+    return CardText("TRAINING", what, "There is no new model.", "Train again.", reset=False)
+
+
+def _bottoms(run: TrainingRun) -> dict[str, Mapping[str, Any]]:
+    if run.card is None:
+        return {}
+    validation = run.card.metrics.get("validation", {})
+    found: dict[str, Mapping[str, Any]] = dict(validation.get("bottoms", {}))
+    return {**found, "all": validation}
+
+
+def _pair(figures: Mapping[str, Any] | None) -> str:
+    if figures is None:
+        return NOTHING
+    return f"{_per_cent(figures['iou'])} / {_per_cent(figures['point_accuracy'])}"
+
+
+def _points(curve: Curve) -> tuple[tuple[float, float], ...]:
+    return tuple((float(step), value) for step, value in curve)
+
+
+def _per_cent(value: float) -> str:
+    return f"{100 * value:.1f}" if math.isfinite(value) else NOTHING
+
+
+def _setting(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _model(sha256: str) -> str:
+    return "the one that ships" if sha256 == SHIPPED else f"model {sha256[:8]}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{max(seconds, 1):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

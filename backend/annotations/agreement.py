@@ -1,0 +1,268 @@
+"""Agreement between labellers: bias and limits, ICC, kappa, alpha, patch overlap."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from statistics import fmean, median
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from touchdown.backend.annotations.database import Database
+from touchdown.backend.annotations.geometry_records import GeometryStore
+from touchdown.backend.annotations.values import Label, Verdict
+
+LIMITS = 1.96
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class AgreementLimits:
+    """Mean difference of two raters, its standard deviation (n - 1) and the 95 % limits."""
+
+    mean: float
+    deviation: float
+    lower: float
+    upper: float
+
+
+def agreement_limits(first: ArrayLike, second: ArrayLike) -> AgreementLimits:
+    """Return bias and limits of agreement of ``first`` minus ``second``, (n,) each."""
+    d = np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64)
+    mean = float(d.mean()) if d.size else math.nan
+    deviation = float(d.std(ddof=1)) if d.size > 1 else math.nan
+    half = LIMITS * deviation
+    return AgreementLimits(mean, deviation, mean - half, mean + half)
+
+
+def intraclass_correlation(ratings: ArrayLike) -> float:
+    """ICC(2,1): two-way random effects, absolute agreement, one rater; ``ratings`` (n, k)."""
+    x = np.asarray(ratings, dtype=np.float64)
+    n, k = x.shape
+    if n < 2 or k < 2:
+        return math.nan
+    rows, columns, grand = x.mean(axis=1), x.mean(axis=0), x.mean()
+    between_rows = k * float(((rows - grand) ** 2).sum()) / (n - 1)
+    between_columns = n * float(((columns - grand) ** 2).sum()) / (k - 1)
+    left = x - rows[:, None] - columns[None, :] + grand
+    error = float((left**2).sum()) / ((n - 1) * (k - 1))
+    spread = between_rows + (k - 1) * error + k * (between_columns - error) / n
+    return (between_rows - error) / spread if spread else math.nan
+
+
+def cohen_kappa(first: Sequence[Hashable], second: Sequence[Hashable]) -> float:
+    """Cohen's kappa of two raters who named the same n items."""
+    n = len(first)
+    if not n or n != len(second):
+        return math.nan
+    observed = sum(a == b for a, b in zip(first, second, strict=True)) / n
+    one, two = Counter(first), Counter(second)
+    expected = sum(one[word] * two[word] for word in one) / n**2
+    return (observed - expected) / (1 - expected) if expected < 1 else math.nan
+
+
+def krippendorff_alpha(items: Sequence[Sequence[Hashable]]) -> float:
+    """Krippendorff's alpha, nominal; per item the answers given, of any number of raters."""
+    pairs: Counter[tuple[Hashable, Hashable]] = Counter()
+    for answers in items:
+        for pair in permutations(answers, 2):
+            pairs[pair] += 1 / (len(answers) - 1)  # type: ignore[assignment]
+    values: Counter[Hashable] = Counter()
+    for (a, _), weight in pairs.items():
+        values[a] += weight
+    n = sum(values.values())
+    if n <= 1:
+        return math.nan
+    observed = sum(weight for (a, b), weight in pairs.items() if a != b) / n
+    expected = 1 - sum(count * (count - 1) for count in values.values()) / (n * (n - 1))
+    return 1 - observed / expected if expected else math.nan
+
+
+def rms_mm(first_mm: ArrayLike, second_mm: ArrayLike) -> float:
+    """Root of the mean squared distance of two sets of offsets (n, 2)."""
+    d = np.asarray(first_mm, dtype=np.float64) - np.asarray(second_mm, dtype=np.float64)
+    return float(np.sqrt((d**2).sum(axis=-1).mean())) if d.size else math.nan
+
+
+def patch_iou(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
+    """Overlap of two patches (N,) of one face; 1 where both are empty."""
+    either = int(np.sum(first | second))
+    return float(np.sum(first & second)) / either if either else 1.0
+
+
+PAUSE_MS = 60_000
+"""A longer look is a pause, and counts as this much at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class LabellerAnswer:
+    """What one person last said of one episode."""
+
+    episode: str
+    geometry: str
+    label: Label
+    verdict: Verdict | None
+    seen_ms: int | None
+    blind: bool
+
+
+@dataclass(frozen=True, slots=True)
+class AgreementReport:
+    """Figures of the first person minus the second; NaN where there is too little.
+
+    ``drift_mm`` (x, y): mean difference in the later half minus that in the earlier one.
+    ``seconds``: median time of each per answer, where it was measured.
+    """
+
+    episodes: int
+    bias_x_mm: AgreementLimits
+    bias_y_mm: AgreementLimits
+    rms_mm: float
+    icc_x: float
+    icc_y: float
+    patch_iou: float
+    kappa: float
+    alpha: float
+    drift_mm: tuple[float, float]
+    seconds: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SuggestionBias:
+    """What a suggestion in sight does: answers made blind minus those made with it shown."""
+
+    episodes: int
+    x_mm: AgreementLimits
+    y_mm: AgreementLimits
+
+
+def suggestion_bias(database: Database, people: Sequence[str]) -> SuggestionBias:
+    """Return blind minus shown over the episodes that were answered both ways, by whomever."""
+    blind: dict[str, Label] = {}
+    shown: dict[str, Label] = {}
+    for person in people:
+        for kind, found in ((True, blind), (False, shown)):
+            given = read_answers(database, person, blind=kind).items()
+            found.update((uuid, answer.label) for uuid, answer in given if answer.label.is_set)
+    both = [uuid for uuid in blind if uuid in shown]
+    a = np.array([blind[u].offset_mm for u in both], dtype=np.float64).reshape(-1, 2)
+    b = np.array([shown[u].offset_mm for u in both], dtype=np.float64).reshape(-1, 2)
+    return SuggestionBias(
+        len(both), agreement_limits(a[:, 0], b[:, 0]), agreement_limits(a[:, 1], b[:, 1])
+    )
+
+
+def read_answers(
+    database: Database, person: str, *, blind: bool | None = None
+) -> dict[str, LabellerAnswer]:
+    """Return the last answer of ``person`` for each episode: set, accepted, or an opinion.
+
+    ``blind``: only those known to be made without (True) or with (False) a suggestion in sight.
+    """
+    sql = """
+    SELECT episode, geometry, x_um, y_um, theta_mdeg, sigma_um, verdict,
+        json_extract(body, '$.seen_ms'), json_extract(body, '$.blind')
+    FROM (
+        SELECT r.episode, r.geometry, r.x_um, r.y_um, r.theta_mdeg, r.sigma_um, r.verdict, o.body,
+            o.lamport, o.seq FROM op o JOIN label_rev r USING (op_uuid)
+        WHERE o.actor = ? AND o.verb IN ('label.set', 'label.accept_next')
+        UNION ALL
+        SELECT p.episode, h.geometry, p.x_um, p.y_um, p.theta_mdeg, p.sigma_um, p.verdict, o.body,
+            o.lamport, o.seq FROM op o JOIN opinion p USING (op_uuid)
+        JOIN label_head l ON l.episode = p.episode JOIN label_rev h ON h.rev_uuid = l.rev_uuid
+        WHERE o.actor = ?
+    ) ORDER BY lamport, seq
+    """
+    found: dict[str, LabellerAnswer] = {}
+    for row in database.rows(sql, (person, person)):
+        episode, geometry, *label, verdict, seen_ms, hidden = row
+        if blind is not None and (hidden is None or bool(hidden) is not blind):
+            continue
+        # The last one counts, and stands where it was given.
+        found.pop(episode, None)
+        found[episode] = LabellerAnswer(
+            episode, geometry, Label(*label), verdict, seen_ms, bool(hidden)
+        )
+    return found
+
+
+def compare_labellers(
+    database: Database, geometry: GeometryStore, first: str, second: str
+) -> AgreementReport:
+    """Return the figures of agreement of two persons."""
+    return _compared(geometry, read_answers(database, first), read_answers(database, second))
+
+
+def compare_with_control_items(
+    database: Database, geometry: GeometryStore, person: str
+) -> AgreementReport:
+    """Return how the opinions of ``person`` compare with the approved labels of these episodes.
+
+    Of the times only the person's are known. An opinion without displacement counts among the
+    episodes and in no other figure.
+    """
+    sql = """
+    SELECT p.episode, r.geometry, p.x_um, p.y_um, p.theta_mdeg, p.sigma_um, p.verdict,
+        json_extract(o.body, '$.seen_ms'), r.x_um, r.y_um, r.theta_mdeg, r.sigma_um, r.verdict
+    FROM opinion p JOIN op o USING (op_uuid) JOIN label_head h ON h.episode = p.episode
+    JOIN label_rev r ON r.rev_uuid = h.counting
+    WHERE o.actor = ? AND instr(h.authors, ?) = 0 ORDER BY o.lamport, o.seq
+    """
+    said, gold = dict[str, LabellerAnswer](), dict[str, LabellerAnswer]()
+    for row in database.rows(sql, (person, f"\n{person}\n")):
+        episode, record, *label, verdict, seen_ms, x, y, theta, sigma, approved = row
+        # The last one counts, and stands where it was given.
+        said.pop(episode, None)
+        said[episode] = LabellerAnswer(episode, record, Label(*label), verdict, seen_ms, blind=True)
+        gold[episode] = LabellerAnswer(
+            episode, record, Label(x, y, theta, sigma), approved, None, False
+        )
+    return _compared(geometry, said, gold)
+
+
+def _compared(
+    geometry: GeometryStore, one: dict[str, LabellerAnswer], two: dict[str, LabellerAnswer]
+) -> AgreementReport:
+    """Return the figures of the answers ``one`` minus ``two``."""
+    both = [uuid for uuid in one if uuid in two]
+    pairs = [(one[u], two[u]) for u in both if one[u].label.is_set and two[u].label.is_set]
+    a = np.array([x.label.offset_mm for x, _ in pairs], dtype=np.float64).reshape(-1, 2)
+    b = np.array([y.label.offset_mm for _, y in pairs], dtype=np.float64).reshape(-1, 2)
+    said = [(one[u].verdict, two[u].verdict) for u in both]
+    named = [(x, y) for x, y in said if x is not None and y is not None]
+    overlaps = [_overlap(geometry, x, y) for x, y in pairs]
+    return AgreementReport(
+        episodes=len(both),
+        bias_x_mm=agreement_limits(a[:, 0], b[:, 0]),
+        bias_y_mm=agreement_limits(a[:, 1], b[:, 1]),
+        rms_mm=rms_mm(a, b),
+        icc_x=intraclass_correlation(np.stack([a[:, 0], b[:, 0]], axis=1)),
+        icc_y=intraclass_correlation(np.stack([a[:, 1], b[:, 1]], axis=1)),
+        patch_iou=fmean(overlaps) if overlaps else math.nan,
+        kappa=cohen_kappa([x for x, _ in named], [y for _, y in named]),
+        alpha=krippendorff_alpha(named),
+        drift_mm=_drift(a - b),
+        seconds=(_seconds(one), _seconds(two)),
+    )
+
+
+def _overlap(geometry: GeometryStore, one: LabellerAnswer, two: LabellerAnswer) -> float:
+    first = geometry.patch(two.geometry, one.label).touching
+    return patch_iou(first, geometry.patch(two.geometry, two.label).touching)
+
+
+def _drift(difference: Floats) -> tuple[float, float]:
+    half = len(difference) // 2
+    if not half:
+        return math.nan, math.nan
+    x, y = difference[half:].mean(axis=0) - difference[:half].mean(axis=0)
+    return float(x), float(y)
+
+
+def _seconds(given: dict[str, LabellerAnswer]) -> float:
+    times = [min(a.seen_ms, PAUSE_MS) / 1e3 for a in given.values() if a.seen_ms is not None]
+    return median(times) if times else math.nan

@@ -1,0 +1,212 @@
+"""Verified backups of the index."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from touchdown.backend.annotations.consistency import QUARANTINE
+from touchdown.backend.annotations.database import APPLICATION_ID, NAME, Database, add_event
+from touchdown.backend.annotations.operation_log import newest_operations
+from touchdown.backend.core import Fault, FaultError, InputError, make_folder, sync_folder
+
+STAMP = "%Y%m%dT%H%M%S%fZ"
+EVERY = timedelta(hours=1)
+KEPT = (("%Y%m%d%H", 24), ("%Y%m%d", 14), ("%Y%m", 12))
+"""The newest of each of the last 24 hours, 14 days and 12 months that have any."""
+
+Heads = dict[str, tuple[int, str]]
+"""Per site: number and hash of its newest operation."""
+
+
+@dataclass(frozen=True, slots=True)
+class Backup:
+    """One copy and when it was made (UTC)."""
+
+    path: Path
+    made: datetime
+
+
+def list_backups(folder: Path) -> list[Backup]:
+    """Return the copies in ``folder``, the newest first."""
+    found = []
+    for path in folder.glob("catalog-*.db"):
+        try:
+            made = datetime.strptime(path.stem.removeprefix("catalog-"), STAMP)
+        except ValueError:
+            continue
+        found.append(Backup(path, made.replace(tzinfo=UTC)))
+    return sorted(found, key=lambda backup: backup.made, reverse=True)
+
+
+def surplus_backups(backups: Iterable[Backup]) -> list[Backup]:
+    """Return the copies that retention no longer asks for."""
+    ordered = sorted(backups, key=lambda backup: backup.made, reverse=True)
+    wanted: set[Path] = set()
+    for form, count in KEPT:
+        newest: dict[str, Path] = {}
+        for backup in ordered:
+            newest.setdefault(backup.made.strftime(form), backup.path)
+        wanted.update(list(newest.values())[:count])
+    return [backup for backup in ordered if backup.path not in wanted]
+
+
+def check_backup(path: Path) -> Heads:
+    """Open a copy, let SQLite check all of it and return its heads; ``InputError`` if it is bad."""
+    try:
+        # Immutable: nobody writes a finished copy, and no -wal and -shm appear beside it.
+        address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
+        with closing(sqlite3.connect(address, uri=True)) as connection:
+            (verdict,) = connection.execute("PRAGMA integrity_check").fetchone()
+            (ours,) = connection.execute("PRAGMA application_id").fetchone()
+            if verdict != "ok" or ours != APPLICATION_ID:
+                raise _bad(path, verdict if verdict != "ok" else "it is no catalogue")
+            return newest_operations(connection)
+    except sqlite3.Error as error:
+        raise _bad(path, str(error)) from error
+
+
+class BackupStore:
+    """The copies of one open catalogue."""
+
+    def __init__(
+        self,
+        database: Database,
+        folder: Path,
+        now: Callable[[], datetime] = lambda: datetime.now(UTC),
+    ) -> None:
+        self._database, self._folder, self._now = database, folder, now
+        copies = list_backups(folder)
+        self._last = copies[0].made if copies else None
+        self._saved: Heads | None = None
+
+    @property
+    def age(self) -> timedelta | None:
+        """Time since the newest copy; None if there is none."""
+        return None if self._last is None else self._now() - self._last
+
+    def newest(self) -> Path | None:
+        """Return the newest copy, None if there is none."""
+        return next((backup.path for backup in list_backups(self._folder)), None)
+
+    def make(self, reason: str) -> Path:
+        """Copy, verify, name and prune; raises ``FaultError`` if the copy is not good.
+
+        The catalogue stays usable meanwhile for readers; writers wait.
+        """
+        made = self._now()
+        path = self._folder / f"catalog-{made.strftime(STAMP)}.db"
+        part = self._folder / f".{path.name}.tmp"
+        with _explained(self._folder):
+            make_folder(self._folder)
+            try:
+                self._copy(part)
+                part.replace(path)
+            finally:
+                part.unlink(missing_ok=True)
+            sync_folder(self._folder)
+            for old in surplus_backups(list_backups(self._folder)):
+                old.path.unlink()
+        self._last = made
+        if self._database.writable:
+            with self._database.transaction() as connection:
+                add_event(connection, "program", "backup", path.name, {"reason": reason})
+        return path
+
+    def hourly(self) -> Path | None:
+        """Make a copy if labels changed and the newest copy is an hour old."""
+        age = self.age
+        # A copy from the future is one of a clock that was set back since.
+        if age is not None and timedelta(0) <= age < EVERY:
+            return None
+        return self.if_changed("hourly")
+
+    def if_changed(self, reason: str) -> Path | None:
+        """Make a copy unless the newest one has all operations."""
+        if self._saved is None:
+            self._saved = self._newest_heads()
+        return self.make(reason) if self._heads() != self._saved else None
+
+    def _copy(self, part: Path) -> None:
+        before = self._heads()
+        self._database.copy_to(part)
+        with part.open("rb+") as file:
+            os.fsync(file.fileno())
+        saved = check_backup(part)
+        for site, (seq, _) in before.items():
+            if saved.get(site, (0, ""))[0] < seq:
+                raise OSError("the copy lacks operations")
+        for site, (seq, digest) in saved.items():
+            sql = "SELECT hash FROM op WHERE site = ? AND seq = ?"
+            if self._database.first(sql, (site, seq)) != (digest,):
+                raise OSError("the copy has other operations")
+        self._saved = saved
+
+    def _heads(self) -> Heads:
+        with self._database.reading() as connection:
+            return newest_operations(connection)
+
+    def _newest_heads(self) -> Heads:
+        for backup in list_backups(self._folder)[:1]:
+            try:
+                return check_backup(backup.path)
+            except InputError:
+                return {}
+        return {}
+
+
+def restore_backup(dataset: Path, backup: Path) -> Path | None:
+    """Put ``backup`` in the place of the catalogue; return where the old one went.
+
+    Nobody may have the dataset open. The next open replays the journal, so that no label is lost.
+    Raises ``InputError`` for a bad copy.
+    """
+    check_backup(backup)
+    part = dataset / f".{NAME}.tmp"
+    with _explained(dataset):
+        shutil.copyfile(backup, part)
+    return put_in_place(dataset, part)
+
+
+def put_in_place(dataset: Path, part: Path) -> Path | None:
+    """Make the complete file ``part`` the catalogue; return where the old one went, if any."""
+    stamp = datetime.now(UTC).strftime(STAMP)
+    old, aside = dataset / NAME, dataset / QUARANTINE / f"catalog-{stamp}.db"
+    with _explained(dataset):
+        with part.open("rb+") as file:
+            os.fsync(file.fileno())
+        kept = old.exists()
+        make_folder(aside.parent)
+        for suffix in ("-shm", "-wal", ""):
+            # The WAL belongs to the old file: left behind, it would be played into the new one.
+            place = dataset / f"{NAME}{suffix}"
+            if place.exists():
+                place.replace(aside.with_name(f"{aside.name}{suffix}"))
+        part.replace(old)
+        sync_folder(dataset)
+    return aside if kept else None
+
+
+def _bad(path: Path, why: str) -> InputError:
+    return InputError(f"The backup is not usable: {why}.", str(path), "Use another backup.")
+
+
+@contextmanager
+def _explained(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, sqlite3.Error, InputError) as error:
+        raise FaultError(
+            Fault(
+                "BACKUP-FAILED",
+                f"The catalogue could not be copied: {error}.",
+                "The catalogue itself is untouched; the newest backup is older than it should be.",
+                f"Make room on the disk of {folder}, then make a backup.",
+            )
+        ) from error

@@ -1,0 +1,286 @@
+"""Control items: approved labels of other people, mixed into the queue as unlabelled episodes."""
+
+from __future__ import annotations
+
+import time
+from bisect import bisect_right
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from hashlib import blake2b
+from typing import Any
+
+from touchdown.backend.annotations import review
+from touchdown.backend.annotations import review as heads
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.labels import LabelStore
+from touchdown.backend.annotations.review import BY_PROGRAM, Action, ReviewStatus, RevisionNode
+from touchdown.backend.annotations.values import (
+    AnswerContext,
+    ControlItemStep,
+    EpisodeEntry,
+    Label,
+    LabelState,
+    Operation,
+    Revision,
+    Source,
+    Verdict,
+    uuid7,
+)
+from touchdown.backend.core import InputError, RefusedError
+
+CONTROL_ITEM_EVERY = 20
+BLOCK = CONTROL_ITEM_EVERY - 1
+
+
+@dataclass(frozen=True, slots=True)
+class ControlItemView:
+    """How a gold episode is to be seen: the label it was recorded with, and where.
+
+    ``beside`` is the episode of the queue that it follows, "" if it is the first.
+    """
+
+    recorded: Revision
+    beside: str
+
+
+Mixed = tuple[list[str], dict[str, ControlItemView]]
+"""A queue with gold in it, and how the gold is to be seen."""
+
+
+def with_control_items(
+    dataset: Dataset, person: str, order: Sequence[str], entries: Mapping[str, EpisodeEntry],
+    seed: int = 0,
+) -> Mixed:  # fmt: skip
+    """Return what ``person`` is to label, gold among it; what they left of it comes again."""
+    waiting = dataset.queue("gold", person, seed=seed)
+    steps = dataset.labels.left_apart(person)
+    begun = {uuid: steps[uuid] for uuid in waiting if uuid in steps and uuid in entries}
+    found = mix_control_items(order, waiting, begun)
+    places = preceding(found, set(order)) | {uuid: step.beside for uuid, step in begun.items()}
+    return found, {
+        uuid: ControlItemView(dataset.labels.history(uuid)[0], beside)
+        for uuid, beside in places.items()
+    }
+
+
+def mix_control_items(
+    order: Sequence[str], gold: Sequence[str], begun: Mapping[str, ControlItemStep] | None = None
+) -> list[str]:
+    """Return ``order`` with one of ``gold`` at some place of every 19 of them, while there are any.
+
+    The places follow from the ids: the same queue is mixed in the same way again. What of the gold
+    was ``begun`` stands where it stood then, and behind the rest if it was skipped, however few are
+    left; a skipped part of ``order`` begins where the ids, which rise, fall.
+    """
+    known, there = begun or {}, set(order)
+    places = defaultdict[int, list[str]](list)
+    falls = (k for k in range(1, len(order)) if order[k] < order[k - 1])
+    skipped = next(falls, len(order))
+    for uuid in sorted(set(known) - there):
+        step = known[uuid]
+        low, high = (skipped, len(order)) if step.skipped else (0, skipped)
+        places[bisect_right(order, step.beside, low, high)].append(uuid)
+    fresh = [uuid for uuid in gold if uuid not in there and uuid not in known]
+    for uuid, block in zip(fresh, range(len(known), len(order) // BLOCK), strict=False):
+        die = blake2b(uuid.encode(), digest_size=2).digest()[0] % CONTROL_ITEM_EVERY
+        places[block * BLOCK + die].append(uuid)
+    found = list[str]()
+    for k in range(len(order) + 1):
+        found += [*places[k], *order[k : k + 1]]
+    return found
+
+
+def preceding(order: Sequence[str], ordinary: set[str]) -> dict[str, str]:
+    """Return the ordinary episode before each other one, "" if there is none."""
+    found, before = dict[str, str](), ""
+    for uuid in order:
+        if uuid in ordinary:
+            before = uuid
+        else:
+            found[uuid] = before
+    return found
+
+
+class ControlItemLabels:
+    """The labels of a sitting; gold is kept apart from the rest, and ``of`` is where they part.
+
+    Not for several threads at once: the saves of a sitting are made one after the other.
+    """
+
+    def __init__(self, book: LabelStore) -> None:
+        self._book, self._gold = book, _ControlItems(book)
+
+    def begin(self, person: str, gold: Mapping[str, ControlItemView]) -> None:
+        """Take the gold of a queue of ``person``."""
+        self._gold.begin(person, gold)
+
+    def hides(self, uuid: str) -> bool:
+        """Whether an episode is gold."""
+        return uuid in self._gold.shown
+
+    def of(self, uuid: str) -> LabelStore | _ControlItems:
+        """Return where the label of an episode is seen and changed: both do what a page asks for.
+
+        ``LabelBook`` says what each does. A decision about gold is an opinion, of rejected or
+        deleted gold one without displacement. Undo and redo are those of ``LabelBook`` for both.
+        """
+        return self._gold if self.hides(uuid) else self._book
+
+    def entry(self, entry: EpisodeEntry) -> EpisodeEntry:
+        """Return the entry as it is to be seen."""
+        if not self.hides(entry.uuid):
+            return entry
+        now = self._gold.now(entry.uuid)
+        return replace(entry, state=now.version.state, conflict=False, deleted=bool(now.deleted))
+
+    def log(self, *, text: str = "", limit: int = 500) -> list[Operation]:
+        """Return the log, newest first, without what others did to gold that is in the queue."""
+        return [op for op in self._book.log(text=text, limit=limit) if not self._tells(op)]
+
+    def _tells(self, operation: Operation) -> bool:
+        if operation.verb in BY_PROGRAM or operation.actor == self._gold.person:
+            return False
+        episodes = operation.episodes
+        return bool(episodes) and all(self.hides(uuid) for uuid in episodes)
+
+
+class _ControlItems:
+    """The gold of one person: what they did to it, none of which is in the labels."""
+
+    def __init__(self, book: LabelStore) -> None:
+        self._book = book
+        self.person = ""
+        self.shown: Mapping[str, ControlItemView] = {}
+
+    def begin(self, person: str, gold: Mapping[str, ControlItemView]) -> None:
+        self.person, self.shown = person, dict(gold)
+
+    def now(self, uuid: str) -> ControlItemStep:
+        """Return what the person sees of an episode."""
+        return self._steps(uuid)[-1]
+
+    def head(self, uuid: str) -> Revision:
+        return self.history(uuid)[-1]
+
+    def history(self, uuid: str) -> list[Revision]:
+        found = dict[str, Revision]()
+        for step in self._steps(uuid):
+            found.setdefault(step.version.rev_uuid, step.version)
+        return list(found.values())
+
+    def set(
+        self,
+        person: str,
+        uuid: str,
+        label: Label,
+        *,
+        source: Source | None = None,
+        verdict: Verdict | None = None,
+    ) -> Revision:
+        head = self.head(uuid)
+        said = self._said(person, uuid, label, source, verdict, self._after("set", uuid, person))
+        same = (said.label, said.source, said.verdict) == (head.label, head.source, head.verdict)
+        return head if same and head.state == "draft" else self._add("label.set", said)
+
+    def accept(
+        self,
+        person: str,
+        uuid: str,
+        label: Label,
+        *,
+        source: Source | None = None,
+        looked: AnswerContext | None = None,
+    ) -> Revision:
+        state = None
+        if label != self.head(uuid).label:
+            state = self._after("set", uuid, person)
+        state = self._after("accept", uuid, person, state)
+        said = self._said(person, uuid, label, source, None, state)
+        return self._add("label.accept_next", said, looked)
+
+    def reject(
+        self, person: str, uuid: str, reason: str, *, looked: AnswerContext | None = None
+    ) -> Revision:
+        state = self._after("reject", uuid, person)
+        said = self._said(person, uuid, self.head(uuid).label, None, None, state)
+        return self._add("reject", replace(said, reason=reason), looked)
+
+    def take_over(self, person: str, uuid: str) -> Revision:
+        head, standing = self.head(uuid), self._standing(uuid)
+        review.check_open(standing)
+        if head.state not in ("draft", "rejected") or person in standing.authors:
+            raise RefusedError("nothing to take over", "This is no draft of another person.")
+        return self._add(
+            "label.take_over", self._said(person, uuid, head.label, None, None, "draft")
+        )
+
+    def restore_revision(self, person: str, uuid: str, rev_uuid: str) -> Revision:
+        for old in self.history(uuid):
+            if old.rev_uuid == rev_uuid:
+                return self.set(person, uuid, old.label, source=old.source, verdict=old.verdict)
+        raise InputError("The revision is of another episode.", rev_uuid, "Look at its history")
+
+    def skip(self, person: str, uuid: str) -> None:
+        review.check_open(self._standing(uuid))
+        if not self.now(uuid).skipped:
+            self._mark(person, "skip", uuid, skipped=True)
+
+    def delete(self, person: str, uuid: str, reason: str) -> None:
+        if self.now(uuid).deleted != reason:
+            self._mark(person, "delete", uuid, deleted=reason)
+
+    # Inside
+
+    def _steps(self, uuid: str) -> list[ControlItemStep]:
+        """Return what the person saw of an episode, from its recording on."""
+        shown = self.shown[uuid]
+        begun = ControlItemStep(shown.recorded, beside=shown.beside)
+        return [begun, *self._book.steps_apart(self.person, uuid)]
+
+    def _standing(self, uuid: str, state: LabelState | None = None) -> ReviewStatus:
+        steps = self._steps(uuid)
+        head, nodes = steps[-1].version, [_node(steps[0], "record")]
+        for step in steps:
+            if step.version.rev_uuid not in {node.rev_uuid for node in nodes}:
+                nodes.append(_node(step, "label.set"))
+        authors = heads.authors_of(nodes, head.rev_uuid) if state is None else (self.person,)
+        return ReviewStatus(state or head.state, authors, False, False, bool(steps[-1].deleted))
+
+    def _after(
+        self, action: Action, uuid: str, person: str, state: LabelState | None = None
+    ) -> LabelState:
+        """Return the state that an ordinary label would come to, or refuse as it would."""
+        return review.state_after(action, self._standing(uuid, state), person)
+
+    def _said(
+        self,
+        person: str,
+        uuid: str,
+        label: Label,
+        source: Source | None,
+        verdict: Verdict | None,
+        state: LabelState,
+    ) -> Revision:
+        head = self.head(uuid)
+        moved = "human" if label != head.label else head.source
+        return replace(
+            head, rev_uuid=uuid7(), parent=head.rev_uuid, label=label, source=source or moved,
+            verdict=verdict or head.verdict, state=state, reason=None, person=person,
+            at_ns=time.time_ns(),
+        )  # fmt: skip
+
+    def _add(self, verb: str, version: Revision, looked: AnswerContext | None = None) -> Revision:
+        step = replace(self.now(version.episode), version=version, copy_of=None)
+        self._book.keep_apart(version.person, verb, step, looked=looked)
+        return self.head(version.episode)
+
+    def _mark(self, person: str, verb: str, uuid: str, **what: Any) -> None:
+        self._book.keep_apart(person, verb, replace(self.now(uuid), **what))
+
+
+def _node(step: ControlItemStep, verb: str) -> RevisionNode:
+    r = step.version
+    return RevisionNode(
+        r.rev_uuid, r.parent, step.copy_of, r.state, r.geometry, 0, "", verb, r.person
+    )

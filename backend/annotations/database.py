@@ -1,0 +1,413 @@
+"""SQLite file of one dataset: tables, migration of older schemas, one locked connection.
+
+Transactions are explicit. A migration works on a copy, which then replaces the file.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from touchdown.backend.annotations.values import canonical_json
+from touchdown.backend.core import Fault, FaultError, InputError, RefusedError, SharedLock
+
+APPLICATION_ID = 0x546F7563
+SCHEMA_VERSION = 4
+
+TABLES = """
+CREATE TABLE series (
+    uuid TEXT PRIMARY KEY, started_ns INTEGER NOT NULL, person TEXT NOT NULL,
+    campaign TEXT NOT NULL, mode TEXT NOT NULL, bench TEXT NOT NULL
+) WITHOUT ROWID;
+CREATE TABLE episode (
+    uuid TEXT PRIMARY KEY, series TEXT NOT NULL, campaign TEXT NOT NULL, plan_item INTEGER,
+    kind TEXT NOT NULL CHECK (kind IN ('file', 'pack')), path TEXT NOT NULL,
+    chunk_off INTEGER, chunk_len INTEGER, crc INTEGER,
+    sha256 TEXT NOT NULL, bytes INTEGER NOT NULL, recorded_ns INTEGER NOT NULL,
+    piece TEXT NOT NULL, bottom TEXT NOT NULL, geometry TEXT NOT NULL, grip_id TEXT NOT NULL,
+    mounting_id TEXT NOT NULL, person TEXT NOT NULL, mode TEXT NOT NULL, quality TEXT NOT NULL,
+    accepted INTEGER NOT NULL, keep_frames TEXT NOT NULL,
+    state TEXT NOT NULL CHECK (state IN ('complete', 'missing', 'damaged', 'quarantined')),
+    adopted INTEGER NOT NULL
+) WITHOUT ROWID;
+CREATE INDEX episode_pair ON episode (piece, bottom, uuid);
+CREATE INDEX episode_series ON episode (series, uuid);
+CREATE INDEX episode_campaign ON episode (campaign, plan_item);
+CREATE INDEX episode_path ON episode (path);
+CREATE INDEX episode_sha256 ON episode (sha256);
+CREATE TABLE op (
+    op_uuid TEXT PRIMARY KEY, site TEXT NOT NULL, seq INTEGER NOT NULL, lamport INTEGER NOT NULL,
+    at_ns INTEGER NOT NULL, actor TEXT NOT NULL, verb TEXT NOT NULL, target_op TEXT,
+    body TEXT NOT NULL, prev_hash TEXT NOT NULL, hash TEXT NOT NULL, UNIQUE (site, seq)
+);
+CREATE INDEX op_lamport ON op (lamport);
+CREATE INDEX op_actor ON op (actor, lamport);
+CREATE TABLE label_rev (
+    rev_uuid TEXT PRIMARY KEY, op_uuid TEXT NOT NULL REFERENCES op (op_uuid),
+    episode TEXT NOT NULL, parent TEXT, x_um INTEGER, y_um INTEGER, theta_mdeg INTEGER,
+    sigma_um INTEGER, source TEXT NOT NULL, state TEXT NOT NULL, reason TEXT, verdict TEXT,
+    geometry TEXT NOT NULL, note TEXT NOT NULL, copy_of TEXT
+);
+CREATE INDEX label_rev_episode ON label_rev (episode);
+CREATE INDEX label_rev_op ON label_rev (op_uuid);
+CREATE TABLE closed (
+    rev_uuid TEXT NOT NULL, op_uuid TEXT NOT NULL REFERENCES op (op_uuid),
+    PRIMARY KEY (rev_uuid, op_uuid)
+) WITHOUT ROWID;
+CREATE TABLE label_head (
+    episode TEXT PRIMARY KEY, rev_uuid TEXT NOT NULL, conflict INTEGER NOT NULL,
+    stage TEXT NOT NULL, state TEXT NOT NULL, counting TEXT, authors TEXT NOT NULL,
+    actor TEXT NOT NULL, flagged INTEGER NOT NULL, skipped INTEGER NOT NULL,
+    deleted INTEGER NOT NULL
+) WITHOUT ROWID;
+CREATE INDEX label_head_stage ON label_head (stage, skipped, episode);
+CREATE TABLE mark (
+    episode TEXT NOT NULL, name TEXT NOT NULL, present INTEGER NOT NULL, note TEXT NOT NULL,
+    op_uuid TEXT NOT NULL REFERENCES op (op_uuid), lamport INTEGER NOT NULL, site TEXT NOT NULL,
+    owner TEXT NOT NULL, PRIMARY KEY (episode, name)
+) WITHOUT ROWID;
+CREATE INDEX mark_name ON mark (name, present, episode);
+CREATE TABLE review (
+    op_uuid TEXT NOT NULL REFERENCES op (op_uuid), rev_uuid TEXT NOT NULL, reviewer TEXT NOT NULL,
+    decision TEXT NOT NULL, reason TEXT, seen_ms INTEGER, blind INTEGER,
+    PRIMARY KEY (op_uuid, rev_uuid)
+);
+CREATE TABLE opinion (
+    op_uuid TEXT NOT NULL REFERENCES op (op_uuid), episode TEXT NOT NULL, x_um INTEGER,
+    y_um INTEGER, theta_mdeg INTEGER, sigma_um INTEGER, verdict TEXT,
+    PRIMARY KEY (op_uuid, episode)
+);
+CREATE INDEX opinion_episode ON opinion (episode);
+CREATE TABLE event (
+    id INTEGER PRIMARY KEY, at_ns INTEGER NOT NULL, actor TEXT NOT NULL, verb TEXT NOT NULL,
+    target TEXT NOT NULL, body TEXT NOT NULL
+);
+CREATE TABLE score (
+    name TEXT NOT NULL, episode TEXT NOT NULL, value REAL NOT NULL, model TEXT NOT NULL,
+    rev_uuid TEXT NOT NULL, at_ns INTEGER NOT NULL, PRIMARY KEY (name, episode)
+) WITHOUT ROWID;
+CREATE INDEX score_value ON score (name, value);
+CREATE TABLE suggestion (
+    episode TEXT PRIMARY KEY, x_um INTEGER NOT NULL, y_um INTEGER NOT NULL,
+    theta_mdeg INTEGER, sigma_um INTEGER NOT NULL, model TEXT NOT NULL, at_ns INTEGER NOT NULL
+) WITHOUT ROWID;
+"""
+
+RUNS = """
+CREATE TABLE run (
+    uuid TEXT PRIMARY KEY, kind TEXT NOT NULL,
+    state TEXT NOT NULL CHECK (state IN
+        ('queued', 'running', 'finished', 'failed', 'cancelled', 'interrupted')),
+    started_ns INTEGER NOT NULL, ended_ns INTEGER, reason TEXT NOT NULL, program TEXT NOT NULL,
+    seed INTEGER NOT NULL, hardware TEXT NOT NULL, environment TEXT NOT NULL,
+    manifest TEXT NOT NULL, chain TEXT NOT NULL, mark TEXT NOT NULL, read_bytes INTEGER NOT NULL
+) WITHOUT ROWID;
+CREATE INDEX run_started ON run (started_ns);
+CREATE TABLE param (
+    run TEXT NOT NULL REFERENCES run (uuid), key TEXT NOT NULL, value TEXT NOT NULL,
+    PRIMARY KEY (run, key)
+) WITHOUT ROWID;
+CREATE TABLE metric (
+    run TEXT NOT NULL REFERENCES run (uuid), name TEXT NOT NULL, step INTEGER NOT NULL,
+    value REAL, at_ns INTEGER NOT NULL, PRIMARY KEY (run, name, step)
+) WITHOUT ROWID;
+CREATE TABLE artifact (
+    run TEXT NOT NULL REFERENCES run (uuid), name TEXT NOT NULL, path TEXT NOT NULL,
+    sha256 TEXT NOT NULL, bytes INTEGER NOT NULL, PRIMARY KEY (run, name)
+) WITHOUT ROWID;
+CREATE VIEW plan_item AS
+    SELECT e.campaign, e.plan_item AS item, e.uuid AS episode, e.piece, e.bottom, e.recorded_ns,
+        e.accepted AND NOT h.deleted AS done
+    FROM episode e JOIN label_head h ON h.episode = e.uuid
+    WHERE e.campaign != '' AND e.plan_item IS NOT NULL;
+CREATE VIEW campaign AS
+    SELECT campaign AS uuid, min(piece) AS piece, min(bottom) AS bottom,
+        min(recorded_ns) AS began_ns, max(recorded_ns) AS last_ns, count(*) AS episodes,
+        count(DISTINCT CASE WHEN done THEN item END) AS done
+    FROM plan_item GROUP BY campaign;
+CREATE TABLE schema_migration (
+    from_version INTEGER NOT NULL, to_version INTEGER PRIMARY KEY, at_ns INTEGER NOT NULL,
+    program TEXT NOT NULL
+) WITHOUT ROWID;
+"""
+"""Of a run its folder is the truth, of a campaign its file: these say the same to queries.
+
+``mark`` and ``read_bytes``: which state of the run's files the rows show. A campaign needs no rows
+of its own: what is done of it is what its episodes are.
+"""
+
+CHECKED = """
+CREATE TABLE checked_folder (
+    path TEXT PRIMARY KEY, stamp TEXT NOT NULL, rows INTEGER NOT NULL, at_ns INTEGER NOT NULL
+) WITHOUT ROWID;
+"""
+
+
+def _guards(table: str, key: str) -> str:
+    stop = f"BEGIN SELECT RAISE(ABORT, '{table} is append-only'); END;\n"
+    known = f"EXISTS (SELECT 1 FROM {table} WHERE {key})"  # noqa: S608 - names of this module
+    return (
+        f"CREATE TRIGGER {table}_no_update BEFORE UPDATE ON {table} {stop}"
+        f"CREATE TRIGGER {table}_no_delete BEFORE DELETE ON {table} {stop}"
+        f"CREATE TRIGGER {table}_no_replace BEFORE INSERT ON {table} WHEN {known} {stop}"
+    )
+
+
+APART = """
+CREATE TABLE apart (
+    op_uuid TEXT NOT NULL REFERENCES op (op_uuid), episode TEXT NOT NULL, rev_uuid TEXT NOT NULL,
+    parent TEXT, x_um INTEGER, y_um INTEGER, theta_mdeg INTEGER, sigma_um INTEGER,
+    source TEXT NOT NULL, state TEXT NOT NULL, reason TEXT, verdict TEXT, geometry TEXT NOT NULL,
+    note TEXT NOT NULL, copy_of TEXT, deleted TEXT NOT NULL, skipped INTEGER NOT NULL,
+    shown_ns INTEGER NOT NULL, beside TEXT NOT NULL, PRIMARY KEY (op_uuid, episode)
+);
+CREATE INDEX apart_episode ON apart (episode);
+""" + _guards("apart", "op_uuid = NEW.op_uuid AND episode = NEW.episode")
+"""Of each step on gold what the person sees after it, and where the episode is shown.
+
+``shown_ns`` is always 0: it held an invented time of recording.
+"""
+
+KEYS = {
+    "op": "op_uuid = NEW.op_uuid OR (site = NEW.site AND seq = NEW.seq)",
+    "label_rev": "rev_uuid = NEW.rev_uuid",
+    "review": "op_uuid = NEW.op_uuid AND rev_uuid = NEW.rev_uuid",
+    "opinion": "op_uuid = NEW.op_uuid AND episode = NEW.episode",
+    "event": "id = NEW.id",
+}
+"""The append-only tables of ``TABLES`` and what makes a row of them the same row."""
+
+
+def statements() -> str:
+    """Return everything a new catalogue needs."""
+    guards = "".join(_guards(table, key) for table, key in KEYS.items())
+    return TABLES + guards + RUNS + CHECKED + APART
+
+
+NAME = "catalog.db"
+BUSY_MS = 2000
+"""Another program may hold the catalogue for so long."""
+LEAST_ROOM = 1_000_000
+Row = tuple[Any, ...]
+
+
+class Database:
+    """Rows of one catalogue, shared by threads: every call takes the lock for its own length.
+
+    Commits are durable when ``transaction`` ends (WAL, synchronous FULL).
+    """
+
+    def __init__(self, connection: sqlite3.Connection, path: Path, *, writable: bool) -> None:
+        self._connection, self.path, self.writable = connection, path, writable
+        self._lock = SharedLock()
+
+    @classmethod
+    def open(cls, path: Path, *, write: bool) -> Database:
+        """Open or (to write) make the catalogue ``path``.
+
+        A catalogue of a newer program opens for reading only (``writable`` is False). Raises
+        ``InputError`` for a file that is no catalogue, is of an older schema, or is not there.
+        """
+        if not write and not path.is_file():
+            raise InputError("There is no catalogue.", str(path), "Name the folder of a dataset.")
+        mode = "rwc" if write else _looking(path)
+        connection: sqlite3.Connection | None = None
+        try:
+            connection = _connect(path, mode)
+            found = _examine(connection, path)
+            if write and found == 0:
+                _create(connection)
+        except (sqlite3.Error, InputError) as error:
+            if connection is not None:
+                connection.close()
+            if isinstance(error, InputError):
+                raise
+            raise _unopened(path, error) from error
+        writable = write and found <= SCHEMA_VERSION
+        if not writable:
+            connection.execute("PRAGMA query_only = ON")
+        return cls(connection, path, writable=writable)
+
+    @property
+    def schema_version(self) -> int:
+        """Number of the schema of the file."""
+        return int(self.one("PRAGMA user_version")[0])
+
+    @contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """All or nothing, durable at the end; raises ``FaultError`` if the disk refuses.
+
+        Raises ``RefusedError`` where the catalogue was opened for reading only.
+        """
+        if not self.writable:
+            raise RefusedError("read-only", "The dataset is open for reading only.")
+        with self._lock:
+            try:
+                self._connection.execute("BEGIN IMMEDIATE")
+                yield self._connection
+                self._connection.execute("COMMIT")
+            except BaseException as error:
+                self._roll_back()
+                if isinstance(error, sqlite3.OperationalError):
+                    raise FaultError(_not_saved(error)) from error
+                raise
+
+    def _roll_back(self) -> None:
+        if self._connection.in_transaction:
+            self._connection.execute("ROLLBACK")
+
+    @contextmanager
+    def reading(self) -> Iterator[sqlite3.Connection]:
+        """Several queries that see one state."""
+        with self._lock:
+            yield self._connection
+
+    def rows(self, sql: str, values: Sequence[object] = ()) -> list[Row]:
+        """Return all rows of a query."""
+        with self._lock:
+            return self._connection.execute(sql, values).fetchall()
+
+    def first(self, sql: str, values: Sequence[object] = ()) -> Row | None:
+        """Return the first row, or None."""
+        with self._lock:
+            row: Row | None = self._connection.execute(sql, values).fetchone()
+            return row
+
+    def one(self, sql: str, values: Sequence[object] = ()) -> Row:
+        """Return the first row; raises ``LookupError`` if there is none."""
+        row = self.first(sql, values)
+        if row is None:
+            raise LookupError(f"no row: {sql}")
+        return row
+
+    def copy_to(self, target: Path) -> None:
+        """Write a consistent copy to ``target``, with what is still in the WAL."""
+        copy = sqlite3.connect(target)
+        try:
+            with self._lock:
+                self._connection.backup(copy)
+        finally:
+            copy.close()
+
+    def close(self) -> None:
+        """Close the connection; closing twice does no harm."""
+        with self._lock:
+            self._connection.close()
+
+
+def add_event(
+    connection: sqlite3.Connection, actor: str, verb: str, target: str, body: object = None
+) -> None:
+    """Append to the audit what is no operation on labels; ``body`` is kept as JSON."""
+    text = canonical_json({} if body is None else body).decode("utf-8")
+    connection.execute(
+        "INSERT INTO event (at_ns, actor, verb, target, body) VALUES (?, ?, ?, ?, ?)",
+        (time.time_ns(), actor, verb, target, text),
+    )
+
+
+def _connect(path: Path, mode: str) -> sqlite3.Connection:
+    # One connection for all threads; Database's lock serialises them.
+    connection = sqlite3.connect(
+        f"{path.resolve().as_uri()}?mode={mode}",
+        uri=True,
+        isolation_level=None,
+        check_same_thread=False,
+        cached_statements=256,
+    )
+    try:
+        connection.execute(f"PRAGMA busy_timeout = {BUSY_MS}")
+        connection.execute("PRAGMA foreign_keys = ON")
+        connection.execute("PRAGMA synchronous = FULL")
+    except sqlite3.Error:  # The first look at the file: it may be no catalogue at all.
+        connection.close()
+        raise
+    return connection
+
+
+def _looking(path: Path) -> str:
+    """Return how SQLite may look at a catalogue: beside a WAL it makes files, if it can."""
+    if os.access(path.parent, os.W_OK):
+        return "ro"
+    wal = path.with_name(f"{path.name}-wal")
+    if wal.is_file() and wal.stat().st_size:
+        raise InputError(
+            "The catalogue was not closed, and its folder cannot be written.",
+            str(path),
+            "Copy the dataset to a disk that can be written, and open it there.",
+        )
+    # Nobody can write it: it may be read without the files that writers would need.
+    return "ro&immutable=1"
+
+
+def _examine(connection: sqlite3.Connection, path: Path) -> int:
+    """Return the schema number (0: an empty file)."""
+    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    ours = connection.execute("PRAGMA application_id").fetchone()[0] == APPLICATION_ID
+    empty = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] == 0
+    if not ours and not (empty and version == 0):
+        raise InputError(
+            "The file is not a catalogue of Touchdown.", str(path), "Name the folder of a dataset."
+        )
+    if 0 < version < SCHEMA_VERSION:
+        raise InputError(
+            f"The catalogue is of schema {version}, before the first release.",
+            str(path),
+            "'touchdown dataset rebuild --replace' makes it anew from files and journal.",
+        )
+    return version
+
+
+def _create(connection: sqlite3.Connection) -> None:
+    # Set outside the transaction, where alone SQLite allows it.
+    connection.execute("PRAGMA journal_mode = WAL")
+    script = (
+        f"BEGIN IMMEDIATE;\n{statements()}"
+        f"PRAGMA application_id = {APPLICATION_ID};\n"
+        f"PRAGMA user_version = {SCHEMA_VERSION};\nCOMMIT;"
+    )
+    connection.executescript(script)
+
+
+def _unopened(path: Path, error: sqlite3.Error) -> InputError:
+    """Return why a catalogue does not open; SQLite needs some room even to read."""
+    if shutil.disk_usage(path.parent).free < LEAST_ROOM:
+        return InputError(
+            f"The catalogue cannot be opened, as its disk is full: {error}.",
+            str(path),
+            "Make room on it, then try again.",
+        )
+    return InputError(
+        f"The catalogue cannot be opened: {error}.",
+        str(path),
+        "Check the folder; 'touchdown dataset rebuild' makes it anew from files and journal.",
+    )
+
+
+def _not_saved(error: sqlite3.OperationalError) -> Fault:
+    if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY:
+        return Fault(
+            code="CATALOGUE-BUSY",
+            what=f"Another program has held the catalogue for {1e-3 * BUSY_MS:.0f} s.",
+            consequence="The last action is not saved; nothing that was saved before is touched.",
+            next_step="Close the program that has the catalogue open, then do the action again.",
+        )
+    if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_FULL:
+        return Fault(
+            code="DISK-FULL",
+            what="The disk is full: the catalogue could not be written.",
+            consequence="The last action is not saved; nothing that was saved before is touched.",
+            next_step="Make room on this disk, then do the action again.",
+        )
+    return Fault(
+        code="CATALOGUE-WRITE",
+        what=f"The catalogue could not be written: {error}.",
+        consequence="The last action is not saved; nothing that was saved before is touched.",
+        next_step="Make room on the disk or check it, then do the action again.",
+    )

@@ -1,0 +1,439 @@
+"""One dataset folder, as used by window, campaign and command line.
+
+Includes the quality check of a whole dataset, a job that runs pair by pair.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.annotations import episode_index, operation_log, queues, reconciliation
+from touchdown.backend.annotations.agreement import AgreementReport, compare_labellers
+from touchdown.backend.annotations.backups import BackupStore
+from touchdown.backend.annotations.consistency import CheckedFolders, DatasetParts, problem_lines
+from touchdown.backend.annotations.database import NAME as CATALOGUE
+from touchdown.backend.annotations.database import SCHEMA_VERSION, Database
+from touchdown.backend.annotations.episode_files import read_packed
+from touchdown.backend.annotations.episode_index import tagged_sides
+from touchdown.backend.annotations.geometry_records import GeometryStore, TruePatch
+from touchdown.backend.annotations.labels import LabelStore
+from touchdown.backend.annotations.operation_log import OperationJournal
+from touchdown.backend.annotations.queues import ScoreStore
+from touchdown.backend.annotations.reconciliation import MergeReport, reconcile
+from touchdown.backend.annotations.review import check_person
+from touchdown.backend.annotations.run_tracking import RunTracker
+from touchdown.backend.annotations.storage import WriterLock, check_local_disk, disk_weakness
+from touchdown.backend.annotations.values import (
+    EpisodeContext,
+    EpisodeEntry,
+    EpisodeFilter,
+    Label,
+    LabelContent,
+    Source,
+    follow_uuid,
+    uuid7,
+)
+from touchdown.backend.core import (
+    Episode,
+    FaultError,
+    InputError,
+    RefusedError,
+    make_folder,
+    program_stamp,
+    write_atomically,
+)
+from touchdown.backend.episodes import (
+    OBS,
+    CompressedEpisode,
+    ExaminedEpisode,
+    KeepFrames,
+    QualityIssue,
+    check_quality,
+    divided_indices,
+    input_errors,
+    read_chunk,
+    read_compressed_episode,
+    read_episode,
+    read_first,
+    unpack_observation,
+    without_images,
+)
+
+DESCRIPTION = "dataset.json"
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetDescription:
+    """``dataset.json``: what the dataset is. ``site``: the chain that this copy of it writes.
+
+    ``home``: computer and folder where the site was begun. A copy elsewhere begins its own, so
+    that two copies never continue one chain in two ways.
+    """
+
+    uuid: str
+    site: str
+    home: str
+    schema_version: int
+    created_by: str
+
+
+class Dataset:
+    """Episodes, labels and geometry of one folder. Every call may come from any thread.
+
+    ``notices``: what opening found, a sentence each. ``backup_trouble``: why the newest copy of
+    the catalogue failed, or "". Use it as a context, or ``close`` it.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        description: DatasetDescription,
+        database: Database,
+        lock: WriterLock | None,
+    ) -> None:
+        self.folder, self.description, self.database = folder, description, database
+        self._lock = lock
+        self._checked = CheckedFolders()
+        self.notices: tuple[str, ...] = ()
+        self.geometry = GeometryStore(folder / "geometry")
+        self.journal = OperationJournal(folder / "labels")
+        self.labels = LabelStore(database, self.journal, description.site)
+        self.scores = ScoreStore(database)
+        self.runs = RunTracker(folder, database, self.labels.chain_heads)
+        self.backups = BackupStore(database, folder / "backup")
+        self.backup_trouble = ""
+        self.labels.after_commit = partial(self._back_up, self.backups.hourly)
+        before_bulk = partial(self.backups.if_changed, "bulk")
+        self.labels.before_bulk = partial(self._back_up, before_bulk)
+
+    @classmethod
+    def open(
+        cls, folder: Path, *, create: bool = True, write: bool = True, person: str = ""
+    ) -> Self:
+        """Open the dataset ``folder``, or make it where ``create`` allows.
+
+        To write, it takes the lock in the name of ``person`` (default: the account): raises
+        ``DatasetInUseError`` naming the other writer. Raises ``InputError`` for a network file
+        system, a folder that is no dataset, or a damaged catalogue.
+        """
+        check_local_disk(folder)
+        is_there = (folder / DESCRIPTION).is_file()
+        if not is_there and not (create and write):
+            raise InputError(
+                "There is no dataset.",
+                str(folder),
+                "Collect probes first ('touchdown collect', or Ctrl+2 in the window), or name the "
+                "folder that holds dataset.json.",
+            )
+        make_folder(folder)
+        lock = WriterLock.take(folder, person) if write else None
+        try:
+            description = _describe(folder) if write else read_description(folder)
+            database = Database.open(folder / CATALOGUE, write=write)
+        except BaseException:
+            if lock is not None:
+                lock.release()
+            raise
+        dataset = cls(folder, description, database, lock)
+        try:
+            dataset._reconcile()
+        except BaseException:
+            dataset.close()
+            raise
+        return dataset
+
+    def _reconcile(self) -> None:
+        if self.writable:
+            self._checked = CheckedFolders.take(self.database)
+            found = reconcile(self.store)
+            follow_uuid(self.database.one("SELECT coalesce(max(uuid), '') FROM episode")[0])
+            self.labels.frozen = " ".join(finding.said for finding in found if finding.locks)
+            self.notices = (*problem_lines(found), *filter(None, (disk_weakness(self.folder),)))
+        elif self._lock is not None:
+            self.notices = (
+                "The catalogue was written by a newer version of Touchdown: open for reading only.",
+            )
+
+    @property
+    def store(self) -> DatasetParts:
+        """The parts that checks and repairs work on."""
+        site = self.description.site
+        return DatasetParts(
+            self.folder, self.database, self.journal, self.geometry, site, self._checked
+        )
+
+    def _back_up(self, make: Callable[[], object]) -> None:
+        """Make a copy where one is due; a copy that fails never fails what it follows."""
+        if not self.writable:
+            return
+        try:
+            make()
+            self.backup_trouble = ""
+        except FaultError as error:
+            self.backup_trouble = str(error)
+
+    def back_up_for(self, reason: str) -> Path | None:
+        """Make sure that a checked copy holds every operation; returns it (None: no operation yet).
+
+        Raises ``FaultError`` if it cannot be made: then do not do what it was for.
+        """
+        return self.backups.if_changed(reason) or self.backups.newest()
+
+    @property
+    def writable(self) -> bool:
+        """Whether this dataset may be written here."""
+        return self.database.writable
+
+    def record(
+        self,
+        episode: Episode,
+        label: Label,
+        *,
+        source: Source,
+        context: EpisodeContext,
+        keep_frames: KeepFrames = "jpeg95_444",
+    ) -> EpisodeEntry:
+        """Make ``episode`` and its first label durable; returns when both are.
+
+        Raises ``FaultError`` if the disk refuses: the caller still holds the episode.
+        """
+        self.labels.refuse_if_frozen()
+        episode = episode_index.with_uuid(episode)
+        message = episode_index.label_message(episode, label, source, context, time.time_ns())
+        written = episode_index.write_episode_file(
+            self.folder, episode, message, context, keep_frames
+        )
+        content = LabelContent(label, source, context.geometry)
+        with self.labels.commit() as connection:
+            site = self.description.site
+            episode_index.enter_episode(connection, site, written.row, content, "record")
+        return self.entry(episode.episode_id)
+
+    def entry(self, uuid: str) -> EpisodeEntry:
+        """Return one entry; raises ``InputError`` if there is no such episode."""
+        found = episode_index.find_episode(self.database, uuid)
+        if found is None:
+            raise InputError("There is no such episode.", uuid, "List the episodes of the dataset.")
+        return found
+
+    def episodes(self, wanted: EpisodeFilter | None = None) -> list[EpisodeEntry]:
+        """Return the entries that pass the filter (default: all but deleted), oldest first."""
+        return episode_index.find_episodes(self.database, wanted or EpisodeFilter())
+
+    def path(self, uuid: str) -> Path:
+        """Return the file of an episode; of a packed one its pack, which holds no pictures."""
+        return self.folder / self.entry(uuid).path
+
+    def read(self, uuid: str) -> Episode:
+        """Read the signals of an episode; raises ``InputError`` naming a damaged file."""
+        packed = self._packed(uuid)
+        return read_episode(self.path(uuid)) if packed is None else packed
+
+    def film(self, uuid: str) -> CompressedEpisode:
+        """Read an episode for looking at it, pictures still compressed; a packed one has none."""
+        packed = self._packed(uuid)
+        return (
+            read_compressed_episode(self.path(uuid)) if packed is None else without_images(packed)
+        )
+
+    def _packed(self, uuid: str) -> Episode | None:
+        path = self.path(uuid)
+        sql = "SELECT chunk_off, chunk_len FROM episode WHERE uuid = ?"
+        offset, length = self.database.one(sql, (uuid,))
+        if offset is None:
+            return None
+        return replace(read_packed(path, (offset, length)), episode_id=uuid)
+
+    def patch(self, uuid: str) -> TruePatch:
+        """Return the true patch of the label that holds, derived from the geometry."""
+        head = self.labels.head(uuid)
+        return self.geometry.patch(head.geometry, head.label)
+
+    def queue(
+        self, name: str, person: str, *, seed: int = 0, limit: int | None = None
+    ) -> list[str]:
+        """Return the episodes that ``person`` should see next, in order (``queues.queue``)."""
+        return queues.episode_queue(self.database, name, person, seed=seed, limit=limit)
+
+    def counts(self) -> dict[str, int]:
+        """Return how many episodes are unlabelled, in review, approved, rejected, ..."""
+        return queues.stage_counts(self.database)
+
+    def merge(self, person: str, other: Path) -> MergeReport:
+        """Bring in labels and episodes of another copy, which stays as it is.
+
+        Files first, rows and operations second. Raises ``InputError`` for another dataset, or a
+        chain of labels that is broken or does not fit, ``FaultError`` if the disk refuses.
+        """
+        name = check_person(person)
+        with Dataset.open(other, create=False, write=False) as theirs:
+            if theirs.description.uuid != self.description.uuid:
+                raise InputError(
+                    "This is another dataset, not a copy of the same one.",
+                    str(other),
+                    "Merge copies of one dataset; bring other data in with 'touchdown import'.",
+                )
+            self._back_up(partial(self.backups.if_changed, "merge"))
+            paths = [path for (path,) in theirs.database.rows("SELECT DISTINCT path FROM episode")]
+            try:
+                missing = reconciliation.copy_files(self.folder, other, paths)
+            except OSError as error:
+                raise FaultError(reconciliation.copy_fault(error, self.folder)) from error
+            with theirs.database.reading() as connection:
+                log = operation_log.read_operations(connection)
+            with self.labels.commit() as connection:
+                count = reconciliation.merge_episodes(
+                    connection, theirs.database, self.folder, missing
+                )
+                done = reconciliation.merge_labels(connection, log, str(other), episodes=count)
+                reconciliation.record_merge(connection, name, other, done)
+        self.labels.take_stock()
+        return done
+
+    def compare(self, first: str, second: str) -> AgreementReport:
+        """Return how far the answers of two persons agree."""
+        return compare_labellers(self.database, self.geometry, first, second)
+
+    def people(self) -> list[str]:
+        """Return the names of all who ever acted here."""
+        return self.labels.people()
+
+    def close(self) -> None:
+        """Back up, close the catalogue and let others write; closing twice does no harm."""
+        if self._lock is not None:
+            self._back_up(partial(self.backups.if_changed, "close"))
+            with suppress(FaultError, RefusedError):
+                # Without it the next start takes longer, and that is all.
+                self._checked.keep(self.database)
+        self.database.close()
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _describe(folder: Path) -> DatasetDescription:
+    """Return the description, made or moved to a new site where that is due."""
+    home = f"{socket.gethostname()}:{folder.resolve()}"
+    path = folder / DESCRIPTION
+    if not path.is_file():
+        found = DatasetDescription(uuid7(), uuid7(), home, SCHEMA_VERSION, program_stamp())
+    else:
+        found = read_description(folder)
+        if found.home == home:
+            return found
+        found = replace(found, site=uuid7(), home=home)
+    content = {name: getattr(found, name) for name in DatasetDescription.__slots__}
+    frames = {"O": "bottom face", "F": "grasped face"}
+    content |= {"units": {"length": "um", "angle": "mdeg", "time": "ns"}, "frames": frames}
+    write_atomically(path, json.dumps(content, indent=2).encode("utf-8"))
+    return found
+
+
+def read_description(folder: Path) -> DatasetDescription:
+    """Return what ``dataset.json`` says; raises ``InputError`` if it cannot be read."""
+    path = folder / DESCRIPTION
+    try:
+        content = json.loads(path.read_text("utf-8"))
+        return DatasetDescription(**{name: content[name] for name in DatasetDescription.__slots__})
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            "The description of the dataset cannot be read.", str(path), "Restore it from a copy."
+        ) from error
+
+
+Progress = Callable[[int, int], bool]
+"""Gets (done, all) after each episode; False stops."""
+
+
+@dataclass(frozen=True, slots=True)
+class QualityReport:
+    """``findings`` of the ``looked`` episodes, of ``count`` that the dataset has."""
+
+    findings: tuple[QualityIssue, ...]
+    looked: int
+    count: int
+
+
+def check_dataset_quality(dataset: Dataset, progress: Progress) -> QualityReport:
+    """Examine every episode that is not deleted; stopped early, what was read until then.
+
+    Distribution and twins are judged pair by pair. Episodes that cannot be read are findings.
+    """
+    entries = [entry for entry in dataset.episodes() if entry.file_state == "complete"]
+    pairs: dict[tuple[str, str], list[ExaminedEpisode]] = defaultdict(list)
+    found, looked = list(_divided(dataset, entries)), 0
+    for entry, seen in iter_observations(dataset, entries):
+        looked += 1
+        if isinstance(seen, InputError):
+            found.append(QualityIssue("unreadable", (entry.uuid,), seen.what))
+        else:
+            offset_mm = dataset.labels.head(entry.uuid).label.offset_mm
+            pair = pairs[entry.piece, entry.bottom]
+            pair.append(ExaminedEpisode(entry.uuid, seen, offset_mm, entry.quality))
+        if not progress(looked, len(entries)):
+            break
+    for names, rows in pairs.items():
+        found += [_named(finding, names, rows) for finding in check_quality(rows)]
+    return QualityReport(tuple(found), looked, len(entries))
+
+
+def iter_observations(
+    dataset: Dataset, entries: Iterable[EpisodeEntry]
+) -> Iterator[tuple[EpisodeEntry, NDArray[np.float32] | InputError]]:
+    """Yield what the model sees of each episode, (20, 258), or why it cannot be read."""
+    sql = "SELECT uuid, chunk_off, chunk_len FROM episode WHERE chunk_off IS NOT NULL"
+    chunks = {uuid: (offset, length) for uuid, offset, length in dataset.database.rows(sql)}
+    for entry in entries:
+        try:
+            yield entry, _observation(dataset.folder / entry.path, chunks.get(entry.uuid))
+        except InputError as error:
+            yield entry, error
+
+
+def _observation(path: Path, chunk: tuple[int, int] | None) -> NDArray[np.float32]:
+    group = read_first(path) if chunk is None else read_chunk(path, *chunk)
+    with input_errors(path):
+        return unpack_observation(group.messages[OBS.name])
+
+
+def _named(
+    finding: QualityIssue, pair: tuple[str, str], rows: list[ExaminedEpisode]
+) -> QualityIssue:
+    """Name the pair where a finding is of all its episodes."""
+    if finding.episodes:
+        return finding
+    uuids = tuple(row.uuid for row in rows)
+    return QualityIssue(finding.kind, uuids, f"{pair[0]} on {pair[1]}: {finding.text}")
+
+
+def _divided(dataset: Dataset, entries: list[EpisodeEntry]) -> Iterator[QualityIssue]:
+    """Yield each pair of a series that tags put on both sides of a split."""
+    tagged = tagged_sides(dataset.database)
+    if not tagged:
+        return
+    sides = [tagged.get(entry.uuid, "train") for entry in entries]
+    series = [(entry.mounting_id, entry.piece, entry.bottom) for entry in entries]
+    groups: dict[tuple[str, str, str], list[str]] = defaultdict(list)
+    for k in divided_indices(sides, series).tolist():
+        groups[series[k]].append(entries[k].uuid)
+    for (mounting, piece, bottom), uuids in groups.items():
+        text = f"Tags put {piece} on {bottom} of mounting {mounting} on both sides of the split."
+        yield QualityIssue("divided series", tuple(uuids), text)

@@ -1,0 +1,618 @@
+"""Consistency of episode and pack files with the index: adopt, mark, salvage, set aside.
+
+No file is deleted that holds data. Each chunk of a pack is one episode of the dataset.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from touchdown.backend.annotations import episode_index, operation_log, review
+from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts, stamp_of
+from touchdown.backend.annotations.values import PROGRAM, Label, LabelContent, uuid7_from_parts
+from touchdown.backend.core import Episode, EpisodeQuality, InputError, make_folder, sync_folder
+from touchdown.backend.episodes import (
+    FIX,
+    LABEL,
+    OBS,
+    StoredChunk,
+    input_errors,
+    read_chunk,
+    read_chunks,
+    read_whole,
+    salvage_file,
+    unpack_json,
+    unpack_observation,
+)
+from touchdown.backend.geometry import PieceLibrary, load_pieces
+
+PART = ".part"
+
+
+class EpisodeFileRow(NamedTuple):
+    """What the catalogue says of one file (a named tuple: a hundred thousand are made at once)."""
+
+    uuid: str
+    path: str
+    bytes: int
+    sha256: str
+    state: str
+
+
+@dataclass(frozen=True, slots=True)
+class CompleteFile:
+    """A file that was read whole: everything its row needs."""
+
+    path: Path
+    uuid: str
+    message: dict[str, Any]
+    quality: EpisodeQuality
+    keep_frames: str
+
+
+def check_episode_files(where: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
+    """Yield what is out of order below ``raw``; ``whole`` compares every hash, too.
+
+    Folders that are known to be in order, and look as they did, are passed over unless ``whole``.
+    """
+    now_ns = time.time_ns()
+    known = {} if whole else where.checked.unchanged(where.folder)
+    names = list(_folders(where, episode_index.RAW, known))
+    rows = _folder_rows(where, known, {*names, *where.checked.looks} - set(known))
+    if rows is None:
+        known, names = {}, list(_folders(where, episode_index.RAW, {}))
+        rows = _folder_rows(where, known, set()) or []
+    folders = [name for name in names if name not in known]
+    stamps = {name: stamp_of(where.folder / name) for name in folders}
+    where.checked.forget(set(where.checked.looks) - set(known))
+    disorder: set[str] = set()
+    for finding, folder in _compare_files(where, folders, rows, whole=whole):
+        disorder.add(folder)
+        yield finding
+    counts = Counter(row.path.rpartition("/")[0] for row in rows)
+    # One that has folders in it is always looked into.
+    outer = {name.rpartition("/")[0] for name in names}
+    for name in set(folders) - disorder - outer:
+        where.checked.remember(name, stamps[name], counts[name], now_ns)
+
+
+def _folder_rows(
+    where: DatasetParts, known: Mapping[str, int], folders: set[str]
+) -> list[EpisodeFileRow] | None:
+    """Return the rows of ``folders``, or of all where nothing is ``known``.
+
+    None if they and those of the known folders are not all there are: none must be passed over.
+    """
+    sql = "SELECT uuid, path, bytes, sha256, state FROM episode WHERE kind = 'file'"
+    if not known:
+        return [EpisodeFileRow._make(row) for row in where.database.rows(sql)]
+    # '0' follows '/'. Of a folder's own files alone: those further below have one of their own.
+    # Asked of the index by path first, and of the rows then: most folders have none to read.
+    sql += (
+        " AND uuid IN (SELECT uuid FROM episode WHERE path >= ? || '/' AND path < ? || '0'"
+        " AND NOT instr(substr(path, ?), '/'))"
+    )
+    rows = [
+        EpisodeFileRow._make(row)
+        for name in sorted(folders)
+        for row in where.database.rows(sql, (name, name, len(name) + 2))
+    ]
+    # Not by kind, which is in no index: what is not in a pack is a file.
+    count_sql = "SELECT count(*) FROM episode WHERE NOT (path >= 'packs/' AND path < 'packs0')"
+    (count,) = where.database.one(count_sql)
+    return rows if count == len(rows) + sum(known.values()) else None
+
+
+def _compare_files(
+    where: DatasetParts, folders: Sequence[str], rows: Sequence[EpisodeFileRow], *, whole: bool
+) -> Iterator[tuple[ConsistencyProblem, str]]:
+    """Yield findings, each with the folder that it is about."""
+    by_path = {row.path: row for row in rows}
+    index = _RowIndex(where, {row.uuid: row for row in rows})
+    found: set[str] = set()
+    for folder in folders:
+        for name, size in _files(where.folder / folder, folder):
+            row = by_path.get(name)
+            if row is not None:
+                found.add(name)
+                if not whole and size == row.bytes and row.state == "complete":
+                    continue
+                findings = _check_known_file(where, where.folder / name, size, row, whole=whole)
+            elif name.endswith(PART):
+                findings = _left_over(where, where.folder / name, by_path)
+            else:
+                findings = _unknown(where, where.folder / name, index)
+            for finding in findings:
+                if finding.kind == "moved":
+                    found.add(index[finding.target].path)
+                yield finding, folder
+    for row in rows:
+        if row.path not in found and row.state == "complete":
+            said = f"The file of episode {row.uuid} is missing; its label is kept."
+            yield _state(row, "missing", said), row.path.rpartition("/")[0]
+
+
+class _RowIndex(dict[str, EpisodeFileRow]):
+    """Rows by uuid; those that were not read before are looked up."""
+
+    def __init__(self, where: DatasetParts, rows: Mapping[str, EpisodeFileRow]) -> None:
+        super().__init__(rows)
+        self._database = where.database
+
+    def find(self, uuid: str) -> EpisodeFileRow | None:
+        """Return the row of an episode file, or None."""
+        if uuid not in self:
+            sql = "SELECT uuid, path, bytes, sha256, state FROM episode WHERE uuid = ?"
+            row = self._database.first(f"{sql} AND kind = 'file'", (uuid,))
+            if row is None:
+                return None
+            self[uuid] = EpisodeFileRow._make(row)
+        return self[uuid]
+
+
+def _folders(where: DatasetParts, name: str, known: Mapping[str, int]) -> Iterator[str]:
+    """Yield ``name`` and all folders below, in order; none is looked for below a known one."""
+    if not (where.folder / name).is_dir():
+        return
+    yield name
+    if name in known:
+        return
+    with os.scandir(where.folder / name) as entries:
+        below = sorted(e.name for e in entries if e.is_dir(follow_symlinks=False))
+    for each in below:
+        yield from _folders(where, f"{name}/{each}", known)
+
+
+def _files(folder: Path, name: str) -> Iterator[tuple[str, int]]:
+    """Yield episode files and leftovers in ``folder``, called ``name``, with their sizes.
+
+    Texts, not paths: a hundred thousand paths take longer to make than to read from the disk.
+    """
+    with os.scandir(folder) as entries:
+        listed = sorted(entries, key=lambda entry: entry.name)
+    for entry in listed:
+        if entry.name.endswith((".mcap", PART)) and entry.is_file(follow_symlinks=False):
+            yield f"{name}/{entry.name}", entry.stat(follow_symlinks=False).st_size
+
+
+def _check_known_file(
+    where: DatasetParts, path: Path, size: int, row: EpisodeFileRow, *, whole: bool
+) -> Iterator[ConsistencyProblem]:
+    same = size == row.bytes
+    if same and (whole or row.state != "complete"):
+        same = file_sha256(path) == row.sha256
+    if same and row.state != "complete":
+        yield _state(row, "complete", f"The file of episode {row.uuid} is back, unchanged.")
+    elif not same and row.state == "complete":
+        if size != row.bytes and not is_readable(path):
+            yield _torn_file(where, path, row)
+        else:
+            said = f"The file of episode {row.uuid} was changed: marked as damaged, left in place."
+            yield _state(row, "damaged", said)
+
+
+def _unknown(where: DatasetParts, path: Path, by_uuid: _RowIndex) -> Iterator[ConsistencyProblem]:
+    try:
+        complete = read_complete(path)
+    except InputError as error:
+        if is_readable(path):
+            said = f"{where.name(path)} is no episode of a dataset: {error.what}"
+            yield ConsistencyProblem("not-adopted", where.name(path), said)
+        else:
+            yield _torn_file(where, path, None)
+        return
+    row = by_uuid.find(complete.uuid)
+    if row is None:
+        size, name = path.stat().st_size, where.name(path)
+        by_uuid[complete.uuid] = EpisodeFileRow(
+            complete.uuid, name, size, file_sha256(path), "complete"
+        )
+        said = f"Episode {complete.uuid} was on disk without a row: adopted."
+        yield ConsistencyProblem(
+            "adopt", complete.uuid, said, lambda c: adopt_file(c, where, complete)
+        )
+    else:
+        yield _double(where, path, row)
+
+
+def read_complete(path: Path) -> CompleteFile:
+    """Read an episode file whole, all checksums included; ``InputError`` if it is no such file."""
+    contents = read_whole(path)
+    messages = contents.messages.get(LABEL.name, [])
+    if "episode" not in contents.metadata or not messages:
+        raise InputError("The file has no label message to adopt it by.", str(path), FIX)
+    with input_errors(path):
+        facts, message = contents.metadata["episode"], unpack_json(messages[-1])
+        quality = json.loads(facts["quality"])
+        quality["reasons"] = tuple(quality["reasons"])
+        if facts["uuid"] != message["episode"]:
+            raise ValueError("its label belongs to another episode")
+        episode_index.episode_row(
+            message, EpisodeQuality(**quality), facts["keep_frames"], path, path.parent
+        )
+        label_of(message)
+        return CompleteFile(
+            path, facts["uuid"], message, EpisodeQuality(**quality), facts["keep_frames"]
+        )
+
+
+def label_of(message: Mapping[str, Any]) -> Label:
+    """Return the label of a label message; raises ``ValueError`` unless it is in whole numbers."""
+    values = [message.get(name) for name in ("x_um", "y_um", "theta_mdeg", "sigma_um")]
+    if any(value is not None and type(value) is not int for value in values):
+        raise ValueError("its label is not in whole µm and mdeg")
+    return Label(*values)
+
+
+def adopt_file(connection: sqlite3.Connection, where: DatasetParts, complete: CompleteFile) -> None:
+    """Enter the row of a complete file, and its first label unless the log has one already."""
+    args = (complete.message, complete.quality, complete.keep_frames, complete.path, where.folder)
+    row = {**episode_index.episode_row(*args), "adopted": 1}
+    has_label = "SELECT 1 FROM label_rev WHERE episode = ? LIMIT 1"
+    if connection.execute(has_label, (complete.uuid,)).fetchone():
+        episode_index.insert_episode(connection, row)
+        review.refresh_heads(connection, [complete.uuid])
+        return
+    label, source = label_of(complete.message), str(complete.message["source"])
+    content = LabelContent(label, source, str(complete.message["geometry"]))
+    episode_index.enter_episode(connection, where.site, row, content, "adopt")
+
+
+def _double(where: DatasetParts, path: Path, row: EpisodeFileRow) -> ConsistencyProblem:
+    """Two files have one uuid: the one that the row's hash names stays."""
+    kept = where.folder / row.path
+    if file_sha256(path) != row.sha256 or (kept.exists() and file_sha256(kept) == row.sha256):
+        said = f"{where.name(path)} is a second file of episode {row.uuid}: moved to quarantine."
+        return ConsistencyProblem(
+            "double", row.uuid, said, lambda _: _quarantine_double(where, path)
+        )
+
+    def mend(connection: sqlite3.Connection) -> None:
+        if kept.exists():
+            quarantine_file(where, kept)
+        sql = "UPDATE episode SET path = ?, state = 'complete' WHERE uuid = ?"
+        connection.execute(sql, (where.name(path), row.uuid))
+
+    said = f"The file of episode {row.uuid} was moved to {where.name(path)}."
+    return ConsistencyProblem("moved", row.uuid, said, mend)
+
+
+def _torn_file(where: DatasetParts, path: Path, row: EpisodeFileRow | None) -> ConsistencyProblem:
+    def mend(connection: sqlite3.Connection) -> None:
+        aside = quarantine_file(where, path)
+        salvage_file(aside, aside.with_name(f"{path.stem}.salvaged.mcap"))
+        if row is not None:
+            sql = "UPDATE episode SET state = 'quarantined' WHERE uuid = ?"
+            connection.execute(sql, (row.uuid,))
+
+    said = f"{where.name(path)} is torn: moved to quarantine, its whole chunks saved beside it."
+    return ConsistencyProblem("torn", where.name(path), said, mend)
+
+
+def _left_over(
+    where: DatasetParts, part: Path, by_path: dict[str, EpisodeFileRow]
+) -> Iterator[ConsistencyProblem]:
+    """Yield what to do with ``.<episode>.mcap.part``."""
+    final = part.with_name(part.name.removeprefix(".").removesuffix(PART))
+    row = by_path.get(where.name(final))
+    if part.stat().st_size == 0:
+        said = f"{where.name(part)} was empty: deleted."
+        yield ConsistencyProblem(
+            "left-over", where.name(part), said, lambda _: part.unlink(missing_ok=True)
+        )
+        return
+    if final.exists():
+        if row is not None and file_sha256(final) == row.sha256:
+            said = f"{where.name(part)} was left beside its finished file: deleted."
+            mend = lambda _: part.unlink(missing_ok=True)  # noqa: E731
+            yield ConsistencyProblem("left-over", where.name(part), said, mend)
+        return
+    target = where.quarantine / final.name
+    if not _is_reported(target, part):
+        said = f"{where.name(part)} was never finished: its whole chunks are in quarantine."
+        yield ConsistencyProblem(
+            "unfinished", where.name(part), said, lambda _: _save(part, target)
+        )
+
+
+def _save(part: Path, target: Path) -> None:
+    salvage_file(part, target)
+
+
+def _is_reported(target: Path, part: Path) -> bool:
+    try:
+        report = json.loads(target.with_name(f"{target.name}.json").read_text("utf-8"))
+        return bool(report["bytes"] == part.stat().st_size)
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def quarantine_file(where: DatasetParts, path: Path) -> Path:
+    """Move a file to the quarantine under a free name; returns where it is."""
+    make_folder(where.quarantine)
+    target, number = where.quarantine / path.name, 1
+    while target.exists():
+        number += 1
+        target = where.quarantine / f"{path.stem}-{number}{path.suffix}"
+    path.replace(target)
+    sync_folder(where.quarantine)
+    sync_folder(path.parent)
+    return target
+
+
+def _quarantine_double(where: DatasetParts, path: Path) -> None:
+    quarantine_file(where, path)
+
+
+def _state(row: EpisodeFileRow, state: str, said: str) -> ConsistencyProblem:
+    def mend(connection: sqlite3.Connection) -> None:
+        connection.execute("UPDATE episode SET state = ? WHERE uuid = ?", (state, row.uuid))
+
+    return ConsistencyProblem("back" if state == "complete" else state, row.uuid, said, mend)
+
+
+def is_readable(path: Path) -> bool:
+    """Whether all checksums of an MCAP file are right."""
+    try:
+        read_whole(path)
+    except InputError:
+        return False
+    return True
+
+
+def file_sha256(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        found = sha256()
+        while block := file.read(1 << 20):
+            found.update(block)
+    return found.hexdigest()
+
+
+PACKS = "packs"
+MODE = "mass"
+GOOD = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
+"""Simulated episodes that fail a check are drawn again before they are packed."""
+RANDOM_BITS = 74
+
+
+@dataclass(frozen=True, slots=True)
+class PackEntry:
+    """One episode of a pack: its id, where it stands, and its label message."""
+
+    uuid: str
+    chunk: StoredChunk
+    label: Mapping[str, Any]
+
+
+def check_packs(where: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
+    """Yield what is out of order in the folder ``packs``; ``whole`` reads every chunk again."""
+    folder = where.folder / PACKS
+    known = _known_packs(where)
+    found: set[str] = set()
+    for path in sorted(folder.glob("*.mcap")) if folder.is_dir() else ():
+        if path.name.startswith("."):
+            continue
+        name = where.name(path)
+        found.add(name)
+        if known.get(name) == path.stat().st_size and not whole:
+            continue
+        try:
+            listed = list(read_pack_chunks(path))
+        except InputError as error:
+            if is_readable(path):
+                yield ConsistencyProblem("not-adopted", name, f"{name} is no pack: {error.what}")
+            else:
+                yield _torn_pack(where, path, error)
+            continue
+        yield from _compare_pack(where, path, listed, found)
+    for name in sorted(set(known) - found):
+        yield from _missing_pack(where, name)
+
+
+def read_pack_chunks(path: Path) -> Iterator[PackEntry]:
+    """Yield the episodes of a complete pack; raises ``InputError`` if it is damaged or foreign."""
+    for chunk in read_chunks(path):
+        messages = chunk.contents.messages.get(LABEL.name)
+        if not messages or "episode" in chunk.contents.metadata:
+            raise InputError("The file is not a pack of episodes.", str(path), FIX)
+        with input_errors(path):
+            label = unpack_json(messages[0])
+            label_of(label)
+            yield PackEntry(packed_uuid(chunk), chunk, label)
+
+
+def read_packed(path: Path, chunk: tuple[int, int]) -> Episode:
+    """Read one episode of a pack: what the model sees and the commanded offset, no recording."""
+    group = read_chunk(path, *chunk)
+    with input_errors(path):
+        label = unpack_json(group.messages[LABEL.name][0])
+        observation = unpack_observation(group.messages[OBS.name])
+        name, piece = str(label["episode"]), str(label["piece"])
+        return Episode(name, piece, observation, label_of(label).offset_mm, 0.0, GOOD)
+
+
+def packed_uuid(chunk: StoredChunk) -> str:
+    """Return the id of a packed episode: from its content, at the beginning of time."""
+    return uuid7_from_parts(0, int(chunk.sha256, 16) >> (256 - RANDOM_BITS))
+
+
+def _known_packs(where: DatasetParts) -> dict[str, int]:
+    rows = where.database.rows("SELECT bench FROM series WHERE mode = ?", (MODE,))
+    facts = [json.loads(bench) for (bench,) in rows]
+    return {fact["pack"]: fact["bytes"] for fact in facts if "pack" in fact}
+
+
+def _compare_pack(
+    where: DatasetParts, path: Path, listed: list[PackEntry], found: set[str]
+) -> Iterator[ConsistencyProblem]:
+    """Yield what to do with a complete pack that is new, or not as it was.
+
+    The former name of a renamed pack joins ``found``.
+    """
+    name = where.name(path)
+    marks = ", ".join("?" * len(listed))
+    rows = where.database.rows(
+        f"SELECT uuid, path, chunk_off, state FROM episode WHERE path = ? OR uuid IN ({marks})",  # noqa: S608
+        [name, *(packed.uuid for packed in listed)],
+    )
+    there = {uuid: (at, offset, state) for uuid, at, offset, state in rows}
+    elsewhere = {there[p.uuid][0] for p in listed if p.uuid in there} - {name}
+    if any((where.folder / other).exists() for other in elsewhere):
+        said = f"{name} holds episodes of {min(elsewhere)} again: moved to quarantine."
+        yield ConsistencyProblem("double", name, said, lambda _: _quarantine_pack(where, path))
+        return
+    found |= elsewhere
+    changed = [p for p in listed if there.get(p.uuid) != (name, p.chunk.offset, "complete")]
+    lost = [u for u, row in there.items() if row[0] == name and row[2] == "complete"]
+    lost = sorted(set(lost) - {p.uuid for p in listed})
+    if lost:
+        said = f"{len(lost)} episodes of {name} are gone or changed: marked as damaged."
+        yield ConsistencyProblem("damaged", name, said, lambda c: _mark(c, lost, "damaged"))
+    if changed:
+        new = sum(p.uuid not in there for p in changed)
+        said = f"{len(changed)} episodes of {name} entered ({new} of them new)."
+        yield ConsistencyProblem("adopt", name, said, lambda c: enter_pack(c, where, path, changed))
+
+
+def enter_pack(
+    connection: sqlite3.Connection, where: DatasetParts, path: Path, listed: list[PackEntry]
+) -> None:
+    """Enter rows and first labels of packed episodes, as one operation; known ones are moved."""
+    catalogue = load_pieces()
+    name, size = where.name(path), path.stat()
+    series = uuid7_from_parts(0, int(listed[0].chunk.sha256[:16], 16))
+    bench = json.dumps({"pack": name, "bytes": size.st_size})
+    connection.execute("DELETE FROM series WHERE uuid = ?", (series,))
+    values = (series, size.st_mtime_ns, "", "", MODE, bench)
+    connection.execute("INSERT INTO series VALUES (?, ?, ?, ?, ?, ?)", values)
+    revisions = []
+    for packed in listed:
+        known = connection.execute("SELECT 1 FROM episode WHERE uuid = ?", (packed.uuid,))
+        if known.fetchone():
+            _move(connection, name, packed)
+            continue
+        geometry = _pair(where, catalogue, packed.label, path)
+        row = _packed_row(packed, series, name, size.st_mtime_ns, geometry)
+        episode_index.insert_episode(connection, row)
+        if not _has_label(connection, packed.uuid):
+            label, source = label_of(packed.label), str(packed.label.get("source", "commanded"))
+            content = LabelContent(label, source, geometry)
+            revisions.append(operation_log.new_revision(packed.uuid, None, content, "draft"))
+    touched = {packed.uuid for packed in listed}
+    if revisions:
+        draft = operation_log.OperationDraft(revs=revisions)
+        operation_log.append_operation(connection, where.site, PROGRAM, "adopt", draft)
+    review.refresh_heads(connection, touched)
+
+
+def _packed_row(
+    packed: PackEntry, series: str, name: str, recorded_ns: int, geometry: str
+) -> dict[str, Any]:
+    label, chunk = packed.label, packed.chunk
+    words = ("piece", "bottom", "grip_id", "mounting_id", "person")
+    return {
+        **{word: str(label[word]) for word in words},
+        "uuid": packed.uuid,
+        "series": series,
+        "campaign": "",
+        "plan_item": None,
+        "kind": "pack",
+        "path": name,
+        "chunk_off": chunk.offset,
+        "chunk_len": chunk.length,
+        "crc": None,
+        "sha256": chunk.sha256,
+        "bytes": chunk.length,
+        "recorded_ns": recorded_ns,
+        "geometry": geometry,
+        "mode": MODE,
+        "quality": json.dumps(asdict(GOOD)),
+        "accepted": 1,
+        "keep_frames": "none",
+        "state": "complete",
+        "adopted": 1,
+    }
+
+
+def _pair(
+    where: DatasetParts, catalogue: PieceLibrary, label: Mapping[str, Any], path: Path
+) -> str:
+    """Store the geometry that a packed label was computed with; returns the hash of the pair."""
+    piece, bottom = catalogue.piece(label["piece"]), catalogue.piece(label["bottom"])
+    if piece.sha256 != label["geometry"]:
+        raise InputError(
+            f"The piece '{piece.name}' was changed since this pack was simulated.",
+            str(path),
+            "Simulate it again, or bring the former piece file back.",
+        )
+    return where.geometry.store_pair(piece, bottom)
+
+
+def _has_label(connection: sqlite3.Connection, uuid: str) -> bool:
+    sql = "SELECT 1 FROM label_rev WHERE episode = ? LIMIT 1"
+    return connection.execute(sql, (uuid,)).fetchone() is not None
+
+
+def _move(connection: sqlite3.Connection, name: str, packed: PackEntry) -> None:
+    connection.execute(
+        "UPDATE episode SET path = ?, chunk_off = ?, chunk_len = ?, bytes = ?, state = 'complete'"
+        " WHERE uuid = ?",
+        (name, packed.chunk.offset, packed.chunk.length, packed.chunk.length, packed.uuid),
+    )
+
+
+def _mark(connection: sqlite3.Connection, uuids: list[str], state: str) -> None:
+    rows = [(state, uuid) for uuid in uuids]
+    connection.executemany("UPDATE episode SET state = ? WHERE uuid = ?", rows)
+
+
+def _missing_pack(where: DatasetParts, name: str) -> Iterator[ConsistencyProblem]:
+    sql = "SELECT uuid FROM episode WHERE path = ? AND state = 'complete'"
+    uuids = [uuid for (uuid,) in where.database.rows(sql, (name,))]
+    if uuids:
+
+        def mend(connection: sqlite3.Connection) -> None:
+            _mark(connection, uuids, "missing")
+            # Of no size, so that it is read again when it comes back.
+            values = (json.dumps({"pack": name, "bytes": 0}), uuids[0])
+            sql = "UPDATE series SET bench = ? WHERE uuid = (SELECT series FROM episode"
+            connection.execute(f"{sql} WHERE uuid = ?)", values)
+
+        said = f"The pack {name} with {len(uuids)} episodes is missing; their labels are kept."
+        yield ConsistencyProblem("missing", name, said, mend)
+
+
+def _torn_pack(where: DatasetParts, path: Path, error: InputError) -> ConsistencyProblem:
+    name = where.name(path)
+
+    def mend(connection: sqlite3.Connection) -> None:
+        repaired = where.quarantine / f"{path.stem}.repaired.mcap"
+        where.quarantine.mkdir(exist_ok=True)
+        saved = salvage_file(path, repaired)
+        quarantine_file(where, path)
+        if saved.path is not None:
+            repaired.replace(path)
+            listed = list(read_pack_chunks(path))
+            enter_pack(connection, where, path, listed)
+            kept = {packed.uuid for packed in listed}
+        else:
+            kept = set()
+        rows = connection.execute("SELECT uuid FROM episode WHERE path = ?", (name,)).fetchall()
+        _mark(connection, [uuid for (uuid,) in rows if uuid not in kept], "damaged")
+
+    said = f"The pack {name} is damaged: {error.what} Its whole episodes were saved."
+    return ConsistencyProblem("torn", name, said, mend)
+
+
+def _quarantine_pack(where: DatasetParts, path: Path) -> None:
+    quarantine_file(where, path)

@@ -1,0 +1,282 @@
+"""Index of episodes: durable recording, listing by filters, campaigns, split tags.
+
+Recording writes the file first, the row second, the journal last, so that every crash leaves a
+state that can be recovered.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sqlite3
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from touchdown.backend.annotations import operation_log, review
+from touchdown.backend.annotations.database import Database
+from touchdown.backend.annotations.storage import NO_ROOM
+from touchdown.backend.annotations.values import (
+    DELETED,
+    FLAG,
+    PROGRAM,
+    EpisodeContext,
+    EpisodeEntry,
+    EpisodeFilter,
+    Label,
+    LabelContent,
+    LabelState,
+    Operation,
+    Source,
+    is_uuid7,
+    uuid7,
+)
+from touchdown.backend.core import Episode, EpisodeQuality, Fault, FaultError
+from touchdown.backend.episodes import KeepFrames, write_episode
+
+COLUMNS = (
+    "e.uuid, e.series, e.campaign, e.plan_item, e.path, e.recorded_ns, e.piece, e.bottom,"
+    " e.geometry, e.grip_id, e.mounting_id, e.person, e.mode, e.quality, e.keep_frames, e.sha256,"
+    " e.bytes, e.state, e.adopted, h.state, h.conflict, h.flagged, h.deleted"
+)
+TABLES = "episode e JOIN label_head h ON h.episode = e.uuid"
+
+
+def label_message(
+    episode: Episode, label: Label, source: Source, context: EpisodeContext, recorded_ns: int
+) -> dict[str, object]:
+    """Return the label message of an episode file: everything its row needs, for adoption."""
+    return {
+        "episode": episode.episode_id,
+        "x_um": label.x_um,
+        "y_um": label.y_um,
+        "theta_mdeg": label.theta_mdeg,
+        "sigma_um": label.sigma_um,
+        "source": source,
+        "geometry": context.geometry,
+        "plan_item": context.plan_item,
+        "piece": episode.piece,
+        "bottom": context.bottom,
+        "series": context.series,
+        "campaign": context.campaign,
+        "grip_id": context.grip_id,
+        "mounting_id": context.mounting_id,
+        "person": context.person,
+        "mode": context.mode,
+        "seed": context.seed,
+        "recorded_ns": recorded_ns,
+    }
+
+
+def episode_row(
+    message: Mapping[str, Any], quality: EpisodeQuality, keep_frames: str, path: Path, root: Path
+) -> dict[str, Any]:
+    """Return the row of a complete episode file ``path`` below ``root`` from its label message."""
+    content = path.read_bytes()
+    names = ("series", "campaign", "plan_item", "piece", "bottom", "geometry", "grip_id")
+    return {
+        **{name: message[name] for name in (*names, "mounting_id", "person", "mode")},
+        "uuid": message["episode"],
+        "recorded_ns": message["recorded_ns"],
+        "kind": "file",
+        "path": path.relative_to(root).as_posix(),
+        "chunk_off": None,
+        "chunk_len": None,
+        "crc": None,
+        "sha256": sha256(content).hexdigest(),
+        "bytes": len(content),
+        "quality": json.dumps(dataclasses.asdict(quality)),
+        "accepted": int(quality.accepted),
+        "keep_frames": keep_frames,
+        "state": "complete",
+        "adopted": 0,
+    }
+
+
+def insert_episode(connection: sqlite3.Connection, row: Mapping[str, Any]) -> None:
+    """Insert one row; raises ``sqlite3.IntegrityError`` if the uuid is there already."""
+    names = ", ".join(row)
+    values = ", ".join(f":{name}" for name in row)
+    connection.execute(f"INSERT INTO episode ({names}) VALUES ({values})", row)  # noqa: S608
+    started = (row["series"], row["recorded_ns"], row["person"], row["campaign"], row["mode"])
+    connection.execute("INSERT OR IGNORE INTO series VALUES (?, ?, ?, ?, ?, '{}')", started)
+
+
+def find_episodes(database: Database, wanted: EpisodeFilter) -> list[EpisodeEntry]:
+    """Return the entries that pass the filter, oldest first."""
+    where, values = _conditions(wanted)
+    sql = f"SELECT {COLUMNS} FROM {TABLES} WHERE {where} ORDER BY e.uuid"  # noqa: S608
+    if wanted.limit is not None:
+        sql += " LIMIT ?"
+        values.append(wanted.limit)
+    return [row_to_entry(row) for row in database.rows(sql, values)]
+
+
+def find_episode(database: Database, uuid: str) -> EpisodeEntry | None:
+    """Return one entry, or None."""
+    sql = f"SELECT {COLUMNS} FROM {TABLES} WHERE e.uuid = ?"  # noqa: S608
+    row = database.first(sql, (uuid,))
+    return None if row is None else row_to_entry(row)
+
+
+def row_to_entry(row: tuple[Any, ...]) -> EpisodeEntry:
+    """Return the entry of a row of ``COLUMNS``."""
+    (
+        uuid, series, campaign, plan_item, path, recorded_ns, piece, bottom, geometry, grip_id,
+        mounting_id, person, mode, quality, keep_frames, digest, size, file_state, adopted, state,
+        conflict, flagged, deleted,
+    ) = row  # fmt: skip
+    found = json.loads(quality)
+    found["reasons"] = tuple(found["reasons"])
+    return EpisodeEntry(
+        uuid, series, campaign, plan_item, path, recorded_ns, piece, bottom, geometry, grip_id,
+        mounting_id, person, mode, EpisodeQuality(**found), keep_frames, digest, size, file_state,
+        bool(adopted), state, bool(conflict), bool(flagged), bool(deleted),
+    )  # fmt: skip
+
+
+def _conditions(wanted: EpisodeFilter) -> tuple[str, list[Any]]:
+    equal = {
+        "e.piece": wanted.piece,
+        "e.bottom": wanted.bottom,
+        "e.series": wanted.series,
+        "e.campaign": wanted.campaign,
+        "e.person": wanted.person,
+        "e.accepted": wanted.accepted,
+        "h.conflict": wanted.conflict,
+        "h.deleted": wanted.deleted,
+    }
+    terms = [f"{column} = ?" for column, value in equal.items() if value is not None]
+    values: list[Any] = [value for value in equal.values() if value is not None]
+    if wanted.states:
+        terms.append(f"h.state IN ({', '.join('?' * len(wanted.states))})")
+        values += wanted.states
+    # Few episodes bear a mark: start from those, not from all.
+    for name in filter(None, (FLAG if wanted.flagged else None, wanted.tag)):
+        terms.append("e.uuid IN (SELECT episode FROM mark WHERE name = ? AND present)")
+        values.append(name)
+    if wanted.flagged is False:
+        terms.append("NOT h.flagged")
+    if wanted.after is not None:
+        terms.append("e.uuid > ?")
+        values.append(wanted.after)
+    return " AND ".join(terms) or "1", values
+
+
+RAW = "raw"
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenEpisode:
+    """An episode file that is complete and durable, and the row that describes it."""
+
+    path: Path
+    row: Mapping[str, Any]
+
+
+def with_uuid(episode: Episode) -> Episode:
+    """Return the episode under an id of the dataset; its former id goes to its metadata."""
+    if is_uuid7(episode.episode_id):
+        return episode
+    pairs = (*episode.metadata, ("recorded_as", episode.episode_id))
+    return replace(episode, episode_id=uuid7(), metadata=pairs)
+
+
+def write_episode_file(
+    root: Path,
+    episode: Episode,
+    message: Mapping[str, object],
+    context: EpisodeContext,
+    keep_frames: KeepFrames,
+) -> WrittenEpisode:
+    """Write the episode file, read it back and give it its name; raises ``FaultError``.
+
+    A disk that refuses is tried once more with a new file (never a second sync of the same one:
+    the system may have dropped its pages already); a full disk is not.
+    """
+    path = root / RAW / context.series / f"{episode.episode_id}.mcap"
+    bench = {"mode": context.mode, "seed": "" if context.seed is None else str(context.seed)}
+    for attempt in (1, 2):
+        try:
+            write_episode(path, episode, message, {**bench, **context.bench}, keep_frames)
+            row = episode_row(message, episode.quality, keep_frames, path, root)
+        except OSError as error:
+            if error.errno in NO_ROOM or attempt == 2:
+                raise FaultError(_not_recorded(error)) from error
+        else:
+            return WrittenEpisode(path, row)
+    raise AssertionError("unreachable")
+
+
+def enter_episode(
+    connection: sqlite3.Connection,
+    site: str,
+    row: Mapping[str, Any],
+    content: LabelContent,
+    verb: str,
+) -> Operation:
+    """Enter row, operation, first revision and head, within the caller's transaction.
+
+    ``verb``: ``record``, or ``adopt`` for a file found on disk.
+    """
+    insert_episode(connection, row)
+    state: LabelState = "draft" if content.label.is_set else "unlabelled"
+    revision = operation_log.new_revision(row["uuid"], None, content, state)
+    draft, actor = operation_log.OperationDraft(revs=[revision]), row["person"] or PROGRAM
+    operation, touched = operation_log.append_operation(connection, site, actor, verb, draft)
+    review.refresh_heads(connection, touched)
+    return operation
+
+
+def _not_recorded(error: OSError) -> Fault:
+    full = error.errno in NO_ROOM
+    return Fault(
+        code="DISK-FULL" if full else "EPISODE-WRITE",
+        what="The disk is full." if full else f"An episode could not be written: {error}.",
+        consequence="This episode is not recorded; everything recorded before is safe.",
+        next_step="Make room, then record it again."
+        if full
+        else "Check the disk, then record it again.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignEntry:
+    """One campaign: items done (accepted and not deleted) and all its episodes. Times are UTC."""
+
+    uuid: str
+    piece: str
+    bottom: str
+    began_ns: int
+    last_ns: int
+    episodes: int
+    done: int
+
+
+def items_deleted(database: Database, campaign: str, reason: str) -> set[int]:
+    """Return the items of a campaign with an episode that was deleted for this very reason."""
+    sql = (
+        "SELECT e.plan_item FROM episode e JOIN mark m ON m.episode = e.uuid"
+        " WHERE e.campaign = ? AND e.plan_item IS NOT NULL AND m.name = ? AND m.present"
+        " AND m.note = ?"
+    )
+    return {item for (item,) in database.rows(sql, (campaign, DELETED, reason))}
+
+
+def list_campaigns(database: Database) -> list[CampaignEntry]:
+    """Return the campaigns that have episodes, the newest last."""
+    sql = "SELECT uuid, piece, bottom, began_ns, last_ns, episodes, done FROM campaign"
+    return [CampaignEntry(*row) for row in database.rows(f"{sql} ORDER BY began_ns")]
+
+
+SPLIT_TAG = "split:"
+
+
+def tagged_sides(database: Database) -> dict[str, str]:
+    """Return the side of every tagged episode."""
+    rows = database.rows(
+        "SELECT episode, name FROM mark WHERE present AND name LIKE ?", (f"{SPLIT_TAG}%",)
+    )
+    return {episode: name.removeprefix(SPLIT_TAG) for episode, name in rows}

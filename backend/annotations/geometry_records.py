@@ -1,0 +1,170 @@
+"""Immutable geometry records (face, grid, pair), named by their hash.
+
+True contact patches derive from them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.annotations.values import Label, canonical_json, content_hash
+from touchdown.backend.core import FloatArray, InputError, write_atomically
+from touchdown.backend.geometry import (
+    Outline,
+    Piece,
+    Point,
+    circle,
+    convex_polygon,
+    face_points,
+    true_patch,
+)
+
+VERSION = 1
+GRID_UM = 1000
+INSIDE_OR_ON_EDGE = 1
+"""Rule 1: a face point touches if it lies inside the bottom outline or on its edge."""
+
+Record = dict[str, object]
+
+
+@dataclass(frozen=True, slots=True)
+class TruePatch:
+    """Which points of the face touch, by geometry and label.
+
+    ``points_mm`` (N, 2) in the face frame; ``touching`` (N,) bool; ``centre_mm``: projection of
+    the centre of mass on the face.
+    """
+
+    points_mm: FloatArray
+    touching: NDArray[np.bool_]
+    centre_mm: Point
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Geometry of a grasped face over a bottom face."""
+
+    sha256: str
+    face: Outline
+    bottom: Outline
+    centre_mm: Point
+    pitch_mm: float
+
+    @cached_property
+    def points_mm(self) -> FloatArray:
+        """(N, 2) lattice of the grasped face; read-only."""
+        points = face_points(self.face, self.pitch_mm)
+        points.flags.writeable = False
+        return points
+
+
+def face_record(outline: Outline, com_xy_mm: Point = (0.0, 0.0)) -> Record:
+    """Return the record of a face; ``com_xy_mm``: centre of mass beside the face's centre."""
+    record: Record = {"kind": "face", "v": VERSION, "com_um": [_um(value) for value in com_xy_mm]}
+    if outline.kind == "circle":
+        return record | {"shape": "circle", "d_um": _um(2 * outline.radius_mm)}
+    corners = [[_um(x), _um(y)] for x, y in outline.vertices_mm]
+    return record | {"shape": "polygon", "vertices_um": corners}
+
+
+def grid_record(pitch_um: int = GRID_UM) -> Record:
+    """Return the record of a square lattice through the face's centre."""
+    return {"kind": "grid", "v": VERSION, "pitch_um": pitch_um, "origin_um": [0, 0]}
+
+
+def pair_records(piece: Piece, bottom: Piece) -> dict[str, Record]:
+    """Return the records of ``piece`` over ``bottom`` by hash; the pair itself comes last."""
+    parts = [face_record(piece.face, piece.com_xy_mm), face_record(bottom.face), grid_record()]
+    face, below, grid = (content_hash(part) for part in parts)
+    pair: Record = {"kind": "pair", "v": VERSION, "rule": INSIDE_OR_ON_EDGE}
+    pair |= {"face": face, "bottom": below, "grid": grid}
+    return dict(zip((face, below, grid, content_hash(pair)), (*parts, pair), strict=True))
+
+
+class GeometryStore:
+    """The folder ``geometry`` of a dataset. Reading is memoised: a record never changes."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._patch = lru_cache(maxsize=4096)(self._derive)
+        self._pair = lru_cache(maxsize=256)(self._load_pair)
+
+    def store_pair(self, piece: Piece, bottom: Piece) -> str:
+        """Write the records of a pair, as far as they are new; returns the hash of the pair."""
+        records = pair_records(piece, bottom)
+        for name, record in records.items():
+            path = self.folder / f"{name}.json"
+            if not path.exists():
+                write_atomically(path, canonical_json(record))
+        return list(records)[-1]
+
+    def pair(self, sha256: str) -> Pair:
+        """Return a pair by its hash; raises ``InputError`` if it is missing or was changed."""
+        return self._pair(sha256)
+
+    def patch(self, sha256: str, label: Label) -> TruePatch:
+        """Return the true patch of ``label`` with the pair ``sha256``; no offset, no contact."""
+        return self._patch(sha256, label)
+
+    def read(self, sha256: str) -> Mapping[str, Any]:
+        """Return one record; raises ``InputError`` if it is missing or its hash is wrong."""
+        path = self.folder / f"{sha256}.json"
+        try:
+            record = json.loads(path.read_bytes())
+            whole = content_hash(record) == sha256
+        except OSError as error:
+            raise _bad(path, "is missing") from error
+        except (ValueError, TypeError) as error:
+            raise _bad(path, "is damaged") from error
+        if not whole or not isinstance(record, dict):
+            raise _bad(path, "is not what its name says")
+        return record
+
+    def _load_pair(self, sha256: str) -> Pair:
+        record = self.read(sha256)
+        path = self.folder / f"{sha256}.json"
+        if record.get("kind") != "pair" or record.get("rule") != INSIDE_OR_ON_EDGE:
+            raise _bad(path, "is no pair of faces that this version knows")
+        face, bottom = self.read(record["face"]), self.read(record["bottom"])
+        grid = self.read(record["grid"])
+        try:
+            x, y = face["com_um"]
+            pitch_mm = grid["pitch_um"] / 1e3
+            return Pair(sha256, _outline(face), _outline(bottom), (x / 1e3, y / 1e3), pitch_mm)
+        except (KeyError, TypeError, ValueError) as error:
+            raise _bad(path, f"cannot be used: {error}") from error
+
+    def _derive(self, sha256: str, label: Label) -> TruePatch:
+        pair = self.pair(sha256)
+        if not label.is_set:
+            touching = np.zeros(len(pair.points_mm), dtype=np.bool_)
+        else:
+            yaw_rad = math.radians((label.theta_mdeg or 0) / 1e3)
+            touching = true_patch(pair.points_mm, label.offset_mm, pair.bottom, yaw_rad)
+        touching.flags.writeable = False
+        return TruePatch(pair.points_mm, touching, pair.centre_mm)
+
+
+def _outline(record: Mapping[str, Any]) -> Outline:
+    if record["shape"] == "circle":
+        return circle(record["d_um"] / 1e3)
+    return convex_polygon(tuple((x / 1e3, y / 1e3) for x, y in record["vertices_um"]))
+
+
+def _um(value_mm: float) -> int:
+    return round(value_mm * 1e3)
+
+
+def _bad(path: Path, what: str) -> InputError:
+    return InputError(
+        f"A geometry record {what}.", str(path), "Restore it from another copy of the dataset."
+    )

@@ -1,0 +1,337 @@
+"""History of the labels: heads, marks, log entries, undo and redo stacks.
+
+Undo and redo are recomputed from the log: they survive restarts and have no limit.
+"""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from touchdown.backend.annotations import operation_log, review
+from touchdown.backend.annotations.database import Database
+from touchdown.backend.annotations.operation_log import (
+    COLUMNS,
+    REVERSING,
+    REVISION,
+    EpisodeMark,
+    OperationDraft,
+    as_operation,
+    as_revision,
+    new_revision,
+    newest_operations,
+    read_revision,
+)
+from touchdown.backend.annotations.review import ReviewStatus, RevisionNode, leaves_of, read_nodes
+from touchdown.backend.annotations.values import (
+    NO_LABEL,
+    ControlItemStep,
+    LabelContent,
+    Operation,
+    Revision,
+    uuid7,
+)
+from touchdown.backend.core import FloatArray, InputError, RefusedError
+
+TOGETHER = 500
+"""So many episodes are asked for in one query."""
+
+
+class LabelReader:
+    """Reads the labels of one dataset."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def head(self, uuid: str) -> Revision:
+        """Return the revision that holds; raises ``InputError`` if there is no such episode."""
+        row = self._database.first(
+            f"SELECT {REVISION} FROM label_head h JOIN label_rev r USING (rev_uuid)"  # noqa: S608
+            " JOIN op o USING (op_uuid) WHERE h.episode = ?",
+            (uuid,),
+        )
+        if row is None:
+            raise _unknown(uuid)
+        return as_revision(row)
+
+    def offsets_mm(self, uuids: Sequence[str]) -> FloatArray:
+        """Return (n, 2) displacements of the heads of known episodes, NaN where there is none."""
+        found: dict[str, tuple[float, float]] = {}
+        for start in range(0, len(uuids), TOGETHER):
+            some = uuids[start : start + TOGETHER]
+            marks = ", ".join("?" * len(some))
+            sql = (
+                "SELECT h.episode, r.x_um, r.y_um FROM label_head h JOIN label_rev r"  # noqa: S608
+                f" USING (rev_uuid) WHERE r.x_um NOTNULL AND h.episode IN ({marks})"
+            )
+            for uuid, x_um, y_um in self._database.rows(sql, some):
+                found[uuid] = x_um / 1e3, y_um / 1e3
+        nowhere = (math.nan, math.nan)
+        places = [found.get(uuid, nowhere) for uuid in uuids]
+        return np.array(places, dtype=np.float64).reshape(-1, 2)
+
+    def history(self, uuid: str) -> list[Revision]:
+        """Return all revisions of an episode, oldest first, the branches of a merge included.
+
+        An approved revision that a later approved one replaced reads ``superseded``.
+        """
+        rows = self._database.rows(
+            f"SELECT {REVISION} FROM label_rev r JOIN op o USING (op_uuid)"  # noqa: S608
+            " WHERE r.episode = ? ORDER BY o.lamport, o.site, r.rev_uuid",
+            (uuid,),
+        )
+        with self._database.reading() as connection:
+            nodes, closed = review.read_nodes(connection, uuid)
+        head = review.head_of(nodes, closed)
+        old = review.superseded_revisions(nodes, head.counting) if head else set[str]()
+        found = [as_revision(row) for row in rows]
+        return [replace(r, state="superseded") if r.rev_uuid in old else r for r in found]
+
+    def standing(self, uuid: str) -> ReviewStatus:
+        """Return what decides which actions an episode allows."""
+        with self._database.reading() as connection:
+            return read_review_status(connection, uuid)
+
+    def conflicting(self, uuid: str) -> list[Revision]:
+        """Return the leaves of an episode, the head last; more than one is a conflict."""
+        with self._database.reading() as connection:
+            leaves = review.leaves_of(*review.read_nodes(connection, uuid))
+            return [read_revision(connection, leaf.rev_uuid) for leaf in leaves]
+
+    def marks(self, uuid: str) -> dict[str, str]:
+        """Return the marks on an episode (flag, deleted, tags) and the note of each."""
+        sql = "SELECT name, note FROM mark WHERE episode = ? AND present ORDER BY name"
+        return dict(self._database.rows(sql, (uuid,)))
+
+    def steps_apart(self, person: str, uuid: str) -> list[ControlItemStep]:
+        """Return what ``person`` did to an episode as gold, oldest first."""
+        with self._database.reading() as connection:
+            return operation_log.read_steps(connection, person, uuid)
+
+    def left_apart(self, person: str) -> dict[str, ControlItemStep]:
+        """Return what ``person`` did last to each episode that was gold to them."""
+        with self._database.reading() as connection:
+            return operation_log.last_steps(connection, person)
+
+    def counting(self, uuid: str) -> Revision | None:
+        """Return the approved revision that training uses, or None."""
+        row = self._database.first(
+            "SELECT counting FROM label_head WHERE episode = ? AND NOT conflict AND NOT deleted",
+            (uuid,),
+        )
+        if row is None or row[0] is None:
+            return None
+        with self._database.reading() as connection:
+            return read_revision(connection, row[0])
+
+    def log(self, *, actor: str | None = None, episode: str | None = None,
+            text: str = "", limit: int = 500) -> list[Operation]:  # fmt: skip
+        """Return operations, newest first: of one person, on one episode, holding ``text``."""
+        terms, values = ["1"], list[object]()
+        if actor is not None:
+            terms.append("actor = ?")
+            values.append(actor)
+        for needle in filter(None, (episode, text)):
+            terms.append("instr(body || ' ' || verb || ' ' || actor, ?) > 0")
+            values.append(needle)
+        rows = self._database.rows(
+            f"SELECT {COLUMNS} FROM op WHERE {' AND '.join(terms)}"  # noqa: S608
+            " ORDER BY lamport DESC, site DESC, seq DESC LIMIT ?",
+            (*values, limit),
+        )
+        return [as_operation(row) for row in rows]
+
+    def people(self) -> list[str]:
+        """Return the names of all who acted."""
+        return [name for (name,) in self._database.rows("SELECT DISTINCT actor FROM op ORDER BY 1")]
+
+    def chain_heads(self) -> dict[str, str]:
+        """Return the newest hash of every site, for backups, manifests and training runs."""
+        with self._database.reading() as connection:
+            return {site: digest for site, (_, digest) in newest_operations(connection).items()}
+
+
+def read_review_status(connection: sqlite3.Connection, uuid: str) -> ReviewStatus:
+    """Return what decides about actions; raises ``InputError`` if there is no such episode."""
+    row = connection.execute(
+        "SELECT state, authors, counting, conflict, deleted FROM label_head WHERE episode = ?",
+        (uuid,),
+    ).fetchone()
+    if row is None:
+        raise _unknown(uuid)
+    state, authors, counting, conflict, deleted = row
+    return ReviewStatus(
+        state, review.split_names(authors), counting is not None, bool(conflict), bool(deleted)
+    )
+
+
+def _unknown(uuid: str) -> InputError:
+    return InputError("There is no such episode.", uuid, "List the episodes of the dataset.")
+
+
+NO_STEPS = ("record", "adopt", "import", "label.opinion")
+"""Verbs that are no action of a person, so that no undo takes them back."""
+
+
+@dataclass(slots=True)
+class UndoStacks:
+    """Operations of one person that can be undone, and undos that can be redone; last on top."""
+
+    undo: list[str] = field(default_factory=list)
+    redo: list[str] = field(default_factory=list)
+
+    def apply(self, op_uuid: str, verb: str, target: str | None) -> None:
+        """Take note of the next operation of the person."""
+        if verb in NO_STEPS:
+            return
+        if verb == "undo":
+            self._move(target, self.undo)
+            self.redo.append(op_uuid)
+        elif verb == "redo":
+            self._move(target, self.redo)
+            self.undo.append(op_uuid)
+        else:
+            self.undo.append(op_uuid)
+            self.redo.clear()
+
+    @staticmethod
+    def _move(target: str | None, stack: list[str]) -> None:
+        # After a merge the operations of two sites interleave: it need not be the topmost.
+        if target in stack:
+            stack.remove(str(target))
+
+
+def read_undo_stacks(connection: sqlite3.Connection, person: str) -> UndoStacks:
+    """Return the stacks of ``person`` from the whole log."""
+    stacks = UndoStacks()
+    rows = connection.execute(
+        "SELECT op_uuid, verb, target_op FROM op WHERE actor = ? ORDER BY lamport, site, seq",
+        (person,),
+    )
+    for op_uuid, verb, target in rows:
+        stacks.apply(op_uuid, verb, target)
+    return stacks
+
+
+def inverse_draft(connection: sqlite3.Connection, operation: Operation) -> OperationDraft:
+    """Return what takes ``operation`` back.
+
+    Raises ``RefusedError``, naming who, if anybody changed one of its episodes since. A change
+    that was itself undone is none.
+    """
+    draft = OperationDraft()
+    body: Mapping[str, Any] = operation.body
+    by_episode: dict[str, list[str]] = {}
+    for rev in body["revs"]:
+        by_episode.setdefault(rev["episode"], []).append(rev["rev_uuid"])
+    for episode, written in by_episode.items():
+        nodes, closed = read_nodes(connection, episode)
+        _take_back(connection, draft, _EpisodeHistory(nodes, closed), written)
+    for rev_uuid in body["closes"]:
+        retired = read_revision(connection, rev_uuid)
+        draft.add_copy(_following(retired, retired), rev_uuid)
+    # Of several leaves the one that led before has to lead again: ids decide, and they rise.
+    if body["closes"]:
+        _renumber(connection, draft)
+    for mark in body.get("marks", ()):
+        draft.marks.append(_unmark(connection, operation, mark))
+    for step in body.get("apart", ()):
+        operation_log.take_back_step(connection, draft, operation, step["episode"])
+    return draft
+
+
+class _EpisodeHistory:
+    """The revisions of one episode, and what its leaves stand for."""
+
+    def __init__(self, nodes: list[RevisionNode], closed: Iterable[str]) -> None:
+        self.by_id = {node.rev_uuid: node for node in nodes}
+        self.leaves = {self.original(leaf): leaf for leaf in leaves_of(nodes, closed)}
+
+    def original(self, node: RevisionNode) -> str | None:
+        """Return the revision that ``node`` brought back, or itself; None for the very start."""
+        while node.verb in REVERSING:
+            if node.copy_of is None:
+                return None
+            node = self.by_id[node.copy_of]
+        return node.rev_uuid
+
+
+def _take_back(
+    connection: sqlite3.Connection,
+    draft: OperationDraft,
+    story: _EpisodeHistory,
+    written: Iterable[str],
+) -> None:
+    expected = {story.original(story.by_id[rev]): story.by_id[rev] for rev in written}
+    others = [leaf for key, leaf in story.leaves.items() if key not in expected]
+    if others or len(story.leaves) != len(expected):
+        who = (others or list(story.leaves.values()))[-1].actor
+        raise RefusedError(
+            "changed since", f"{who} changed this label since: undo would lose that."
+        )
+    for key, node in expected.items():
+        leaf = story.leaves[key].rev_uuid
+        if node.verb in REVERSING and node.copy_of == node.parent:
+            # It had reopened a retired revision: retire that again.
+            draft.closes.append(leaf)
+            continue
+        now = read_revision(connection, leaf)
+        if node.parent is None:
+            content = LabelContent(NO_LABEL, now.source, now.geometry)
+            draft.revs.append(new_revision(now.episode, leaf, content, "unlabelled"))
+        else:
+            before = read_revision(connection, node.parent)
+            draft.add_copy(_following(now, before), node.parent)
+
+
+def _following(parent: Revision, said: Revision) -> dict[str, Any]:
+    content = LabelContent.of(said)
+    return new_revision(parent.episode, parent.rev_uuid, content, said.state, said.reason)
+
+
+def _renumber(connection: sqlite3.Connection, draft: OperationDraft) -> None:
+    """Give the copies of ``draft`` new ids, rising in the order of what they copy."""
+    revs, copies = draft.revs, draft.copies
+    revs.sort(key=lambda rev: _order(connection, copies[rev["rev_uuid"]]))
+    draft.revs, draft.copies = [], {}
+    for rev in revs:
+        draft.add_copy({**rev, "rev_uuid": uuid7()}, copies[rev["rev_uuid"]])
+
+
+def _order(connection: sqlite3.Connection, rev_uuid: str) -> tuple[int, str, str]:
+    row = connection.execute(
+        "SELECT o.lamport, o.site, r.rev_uuid FROM label_rev r JOIN op o USING (op_uuid)"
+        " WHERE r.rev_uuid = ?",
+        (rev_uuid,),
+    ).fetchone()
+    return int(row[0]), str(row[1]), str(row[2])
+
+
+def _unmark(
+    connection: sqlite3.Connection, operation: Operation, mark: Mapping[str, Any]
+) -> EpisodeMark:
+    owner = operation.op_uuid if mark["owner"] is None else mark["owner"]
+    now = connection.execute(
+        "SELECT m.owner, o.actor FROM mark m JOIN op o USING (op_uuid)"
+        " WHERE m.episode = ? AND m.name = ?",
+        (mark["episode"], mark["name"]),
+    ).fetchone()
+    if now[0] != owner:
+        raise RefusedError(
+            "changed since", f"{now[1]} changed this mark since: undo would lose that."
+        )
+    return EpisodeMark(
+        episode=mark["episode"],
+        name=mark["name"],
+        present=mark["was"],
+        note=mark["was_note"],
+        owner=mark["was_owner"],
+        was=mark["present"],
+        was_note=mark["note"],
+        was_owner=owner,
+    )

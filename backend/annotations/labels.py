@@ -1,0 +1,562 @@
+"""Editing of the labels of a dataset, one by one or in bulk, each change one undoable operation.
+
+A bulk change is previewed first, then applied as one operation.
+"""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from touchdown.backend.annotations import operation_log, review
+from touchdown.backend.annotations import review as heads
+from touchdown.backend.annotations.database import Database
+from touchdown.backend.annotations.label_history import (
+    LabelReader,
+    UndoStacks,
+    inverse_draft,
+    read_review_status,
+    read_undo_stacks,
+)
+from touchdown.backend.annotations.operation_log import (
+    OperationDraft,
+    OperationJournal,
+    new_revision,
+    read_mark,
+    read_revision,
+)
+from touchdown.backend.annotations.review import REJECT_REASONS, Action, ReviewStatus, check_person
+from touchdown.backend.annotations.values import (
+    DELETED,
+    FLAG,
+    GEOMETRY_CHANGED,
+    SKIPPED,
+    AnswerContext,
+    ControlItemStep,
+    Label,
+    LabelContent,
+    LabelState,
+    Operation,
+    Revision,
+    Source,
+    Verdict,
+    content_hash,
+)
+from touchdown.backend.core import InputError, RefusedError, SharedLock
+
+
+@dataclass(frozen=True, slots=True)
+class ShiftOrigin:
+    """The origin of the bottom was wrong: add this to every offset."""
+
+    dx_um: int
+    dy_um: int
+
+
+@dataclass(frozen=True, slots=True)
+class RotateFrame:
+    """The axes of the bottom were turned: turn every offset (and rotation) counter-clockwise."""
+
+    angle_mdeg: int
+
+
+@dataclass(frozen=True, slots=True)
+class MoveGeometry:
+    """A dimension was corrected: labels with the pair ``old`` refer to the pair ``new``."""
+
+    old: str
+    new: str
+
+
+@dataclass(frozen=True, slots=True)
+class SetState:
+    """Accept, approve or reject (with a ``reason``) as they are."""
+
+    action: Action
+    reason: str = ""
+
+
+BulkChange = ShiftOrigin | RotateFrame | MoveGeometry | SetState
+
+
+@dataclass(frozen=True, slots=True)
+class BulkChangeRow:
+    """One label as it is and as it would be."""
+
+    before: Revision
+    after: LabelContent
+    state: LabelState
+
+    @property
+    def episode(self) -> str:
+        """Whose label it is."""
+        return self.before.episode
+
+
+@dataclass(frozen=True, slots=True)
+class BulkPreview:
+    """What a change would do: ``rows`` change, ``refused`` (episode, reason) do not.
+
+    It holds the heads it has seen: applying it is refused once one of them has changed.
+    """
+
+    change: BulkChange
+    rows: tuple[BulkChangeRow, ...]
+    refused: tuple[tuple[str, str], ...]
+
+    @property
+    def token(self) -> str:
+        """Hash of the change and the heads seen."""
+        seen = [row.before.rev_uuid for row in self.rows]
+        return content_hash({"seen": seen, "change": {"kind": type(self.change).__name__}
+                             | asdict(self.change)})  # fmt: skip
+
+
+def preview_bulk_change(
+    connection: sqlite3.Connection,
+    uuids: Iterable[str],
+    change: BulkChange,
+    person: str,
+    *,
+    four_eyes: bool,
+) -> BulkPreview:
+    """Return what ``change`` would do to the heads of ``uuids``; nothing is written."""
+    if isinstance(change, SetState) and change.action == "set":
+        raise InputError("A state cannot be 'set'.", "action", "Use accept, approve or reject.")
+    rows, refused = [], []
+    for uuid in dict.fromkeys(uuids):
+        try:
+            standing = read_review_status(connection, uuid)
+            review.check_open(standing)
+            head = _head(connection, uuid)
+            if isinstance(change, SetState):
+                rows.append(_set_state(head, standing, change, person, four_eyes))
+            else:
+                rows.append(_corrected(head, change))
+        except RefusedError as error:
+            refused.append((uuid, error.detail))
+    return BulkPreview(change, tuple(rows), tuple(refused))
+
+
+def fill_bulk_draft(
+    connection: sqlite3.Connection,
+    draft: OperationDraft,
+    wanted: BulkPreview,
+    person: str,
+    *,
+    four_eyes: bool,
+) -> None:
+    """Put what was previewed into ``draft``; raises ``RefusedError`` if a label changed since."""
+    changed = []
+    for row in wanted.rows:
+        head, standing = _head(connection, row.episode), read_review_status(connection, row.episode)
+        if head.rev_uuid != row.before.rev_uuid or standing.conflict or standing.deleted:
+            changed.append(head)
+        elif isinstance(wanted.change, SetState):
+            review.state_after(wanted.change.action, standing, person, four_eyes=four_eyes)
+    if changed:
+        raise RefusedError(
+            "changed since the preview",
+            f"{len(changed)} of {len(wanted.rows)} labels changed since the preview, the first by"
+            f" {changed[0].person}: look at it again.",
+        )
+    change = wanted.change
+    for row in wanted.rows:
+        reason = row.before.reason if row.state == "rejected" else None
+        if isinstance(change, SetState) and change.action in ("approve", "reject"):
+            reason = change.reason or None
+            done = {"rev_uuid": row.before.rev_uuid, "decision": row.state, "reason": reason}
+            draft.reviews.append(done)
+        parent = row.before.rev_uuid
+        draft.revs.append(new_revision(row.episode, parent, row.after, row.state, reason))
+        if isinstance(change, MoveGeometry):
+            draft.marks.append(read_mark(connection, row.episode, GEOMETRY_CHANGED, present=True))
+
+
+def _head(connection: sqlite3.Connection, uuid: str) -> Revision:
+    row = connection.execute("SELECT rev_uuid FROM label_head WHERE episode = ?", (uuid,))
+    return read_revision(connection, row.fetchone()[0])
+
+
+def _set_state(
+    head: Revision, standing: ReviewStatus, change: SetState, person: str, four_eyes: bool
+) -> BulkChangeRow:
+    if change.action == "reject" and not change.reason.strip():
+        raise InputError("A rejection needs a reason.", "reason", "Say why in a few words.")
+    state = review.state_after(change.action, standing, person, four_eyes=four_eyes)
+    return BulkChangeRow(head, LabelContent.of(head), state)
+
+
+def _corrected(head: Revision, change: ShiftOrigin | RotateFrame | MoveGeometry) -> BulkChangeRow:
+    said = LabelContent.of(head)
+    if isinstance(change, MoveGeometry):
+        if head.geometry != change.old:
+            raise RefusedError("other geometry", "It belongs to another geometry.")
+        # What is rejected stays so: a corrected dimension is no reason to use it again.
+        keeps = head.state in ("unlabelled", "rejected")
+        return BulkChangeRow(
+            head, replace(said, geometry=change.new), head.state if keeps else "draft"
+        )
+    if not head.label.is_set:
+        raise RefusedError("is unlabelled", "It has no offset.")
+    if head.state == "rejected":
+        raise RefusedError("is rejected", "It is rejected.")
+    return BulkChangeRow(head, replace(said, label=_moved(head.label, change)), "draft")
+
+
+def _moved(label: Label, change: ShiftOrigin | RotateFrame) -> Label:
+    x_um, y_um = label.x_um or 0, label.y_um or 0
+    if isinstance(change, ShiftOrigin):
+        return replace(label, x_um=x_um + change.dx_um, y_um=y_um + change.dy_um)
+    angle = math.radians(change.angle_mdeg / 1e3)
+    c, s = math.cos(angle), math.sin(angle)
+    theta = None if label.theta_mdeg is None else label.theta_mdeg + change.angle_mdeg
+    return replace(
+        label,
+        x_um=round(c * x_um - s * y_um),
+        y_um=round(s * x_um + c * y_um),
+        theta_mdeg=theta,
+    )
+
+
+class LabelStore(LabelReader):
+    """Labels of one dataset. ``site``: the chain that new operations continue.
+
+    ``four_eyes``: nobody reviews what they wrote. ``frozen``: why nothing may be changed ("" if it
+    may); set where the chain of hashes is broken.
+    """
+
+    def __init__(self, database: Database, journal: OperationJournal, site: str) -> None:
+        super().__init__(database)
+        self._journal, self.site = journal, site
+        self._lock = SharedLock()
+        self._stacks: dict[str, UndoStacks] = {}
+        self.four_eyes = True
+        self.frozen = ""
+        self.journal_trouble = ""
+        self.after_commit: Callable[[], None] = lambda: None
+        self.before_bulk: Callable[[], None] = lambda: None
+
+    # One episode
+
+    def set(
+        self,
+        person: str,
+        uuid: str,
+        label: Label,
+        *,
+        source: Source | None = None,
+        verdict: Verdict | None = None,
+        note: str | None = None,
+    ) -> Revision:
+        """Write a draft. ``source`` None: ``human`` if the offset changed, else as it was.
+
+        ``verdict`` and ``note`` None: as they were. Nothing changed: nothing is written. Another's
+        draft or rejected label has to be taken over first.
+        """
+        with self._act(person, "label.set") as (connection, draft, name):
+            head, standing = _look(connection, uuid)
+            state = review.state_after("set", standing, name)
+            wanted = _edited(head, label, source, verdict, note)
+            if wanted != head or head.state not in ("draft", state):
+                draft.revs.append(_following(head, wanted, state))
+        return self.head(uuid)
+
+    def accept(
+        self,
+        person: str,
+        uuid: str,
+        label: Label | None = None,
+        *,
+        source: Source | None = None,
+        verdict: Verdict | None = None,
+        looked: AnswerContext | None = None,
+    ) -> Revision:
+        """Submit a draft for review; with a ``label`` that differs, set and submit it in one."""
+        with self._act(person, "label.accept_next", looked) as (connection, draft, name):
+            head, standing = _look(connection, uuid)
+            wanted = _edited(head, label or head.label, source, verdict, None)
+            if wanted.label != head.label:
+                edited = review.state_after("set", standing, name)
+                standing = replace(standing, state=edited)
+            state = review.state_after("accept", standing, name)
+            draft.revs.append(_following(head, wanted, state))
+        return self.head(uuid)
+
+    def take_over(self, person: str, uuid: str) -> Revision:
+        """Make another's draft or rejected label a draft of ``person``, as it is."""
+        with self._act(person, "label.take_over") as (connection, draft, name):
+            head, standing = _look(connection, uuid)
+            review.check_open(standing)
+            if head.state not in ("draft", "rejected") or name in standing.authors:
+                raise RefusedError("nothing to take over", "This is no draft of another person.")
+            draft.revs.append(_following(head, head, "draft"))
+        return self.head(uuid)
+
+    def approve(self, person: str, uuid: str, *, looked: AnswerContext | None = None) -> Revision:
+        """Approve a submitted label (or a changed one that was approved before)."""
+        return self._review(person, uuid, "approve", None, looked)
+
+    def reject(
+        self, person: str, uuid: str, reason: str, *, looked: AnswerContext | None = None
+    ) -> Revision:
+        """Reject a label with a reason; it goes back to its author."""
+        if not reason.strip():
+            raise InputError(
+                "A rejection needs a reason.", uuid, f"For instance: {', '.join(REJECT_REASONS)}."
+            )
+        return self._review(person, uuid, "reject", reason.strip(), looked)
+
+    def _review(
+        self,
+        person: str,
+        uuid: str,
+        action: Action,
+        reason: str | None,
+        looked: AnswerContext | None,
+    ) -> Revision:
+        with self._act(person, action, looked) as (connection, draft, name):
+            head, standing = _look(connection, uuid)
+            state = review.state_after(action, standing, name, four_eyes=self.four_eyes)
+            draft.revs.append(_following(head, replace(head, reason=reason), state))
+            done = {"rev_uuid": head.rev_uuid, "decision": state, "reason": reason}
+            draft.reviews.append(done)
+        return self.head(uuid)
+
+    def resolve(self, person: str, uuid: str, rev_uuid: str) -> Revision:
+        """End a conflict: ``rev_uuid``, one of the leaves, holds and the others are closed.
+
+        With four eyes nobody lets an approval of their own work win over another review.
+        """
+        with self._act(person, "resolve") as (connection, draft, name):
+            nodes, closed = heads.read_nodes(connection, uuid)
+            ids = [leaf.rev_uuid for leaf in heads.leaves_of(nodes, closed)]
+            if len(ids) < 2 or rev_uuid not in ids:
+                raise RefusedError("no conflict", "There is no conflict that this would resolve.")
+            winner = read_revision(connection, rev_uuid)
+            if self.four_eyes and winner.state == "approved":
+                review.check_other_author(heads.authors_of(nodes, rev_uuid), name)
+            draft.add_copy(_following(winner, winner, winner.state), winner.rev_uuid)
+            draft.closes += [other for other in ids if other != rev_uuid]
+        return self.head(uuid)
+
+    def opinion(
+        self,
+        person: str,
+        uuid: str,
+        label: Label,
+        *,
+        verdict: Verdict | None = None,
+        looked: AnswerContext | None = None,
+    ) -> None:
+        """Keep what ``person`` would have answered, for figures of agreement; no label changes.
+
+        The latest answer counts; it is no step of undo.
+        """
+        with self._act(person, "label.opinion", looked) as (connection, draft, _):
+            read_review_status(connection, uuid)
+            draft.opinions.append({"episode": uuid, "verdict": verdict} | asdict(label))
+
+    def keep_apart(
+        self, person: str, verb: str, step: ControlItemStep, *, looked: AnswerContext | None = None
+    ) -> None:
+        """Keep what ``person`` did to gold: a step of undo like any other, but in no label."""
+        with self._act(person, verb, looked) as (connection, draft, _):
+            read_review_status(connection, step.version.episode)
+            operation_log.add_step(draft, step)
+
+    def restore_revision(self, person: str, uuid: str, rev_uuid: str) -> Revision:
+        """Write an old revision again, as a draft with its own source."""
+        with self._database.reading() as connection:
+            old = read_revision(connection, rev_uuid)
+        if old.episode != uuid:
+            raise InputError("The revision is of another episode.", rev_uuid, "Look at its history")
+        return self.set(
+            person, uuid, old.label, source=old.source, verdict=old.verdict, note=old.note
+        )
+
+    # Many episodes
+
+    def preview(self, person: str, uuids: Iterable[str], change: BulkChange) -> BulkPreview:
+        """Return what ``change`` would do to these episodes; nothing is written."""
+        name = check_person(person)
+        with self._database.reading() as connection:
+            return preview_bulk_change(connection, uuids, change, name, four_eyes=self.four_eyes)
+
+    def bulk(self, person: str, wanted: BulkPreview) -> int:
+        """Do what was previewed, as one operation; returns how many labels changed.
+
+        Raises ``RefusedError`` and changes nothing if one of the labels changed since.
+        """
+        self.before_bulk()
+        with self._act(person, "bulk") as (connection, draft, name):
+            fill_bulk_draft(connection, draft, wanted, name, four_eyes=self.four_eyes)
+        return len(wanted.rows)
+
+    # Marks
+
+    def skip(self, person: str, uuid: str) -> None:
+        """Put an episode behind all others of its queue."""
+        self._mark(person, "skip", uuid, SKIPPED, present=True)
+
+    def flag(self, person: str, uuid: str, present: bool = True, note: str = "") -> None:
+        """Set or remove the flag."""
+        self._mark(person, "flag", uuid, FLAG, present=present, note=note)
+
+    def tag(self, person: str, uuid: str, name: str, present: bool = True) -> None:
+        """Set or remove a tag (any word but those of the catalogue itself)."""
+        if not name.strip() or name in (FLAG, SKIPPED, DELETED):
+            raise InputError("This cannot be a tag.", repr(name), "Choose another word.")
+        self._mark(person, "tag", uuid, name.strip(), present=present)
+
+    def delete(self, person: str, uuid: str, reason: str) -> None:
+        """Hide an episode, with a reason; its file and history stay."""
+        if not reason.strip():
+            raise InputError("A deletion needs a reason.", uuid, "Say why in a few words.")
+        self._mark(person, "delete", uuid, DELETED, present=True, note=reason.strip())
+
+    def restore(self, person: str, uuid: str, reason: str = "") -> None:
+        """Bring a deleted episode back."""
+        self._mark(person, "restore", uuid, DELETED, present=False, note=reason.strip())
+
+    def _mark(self, person: str, verb: str, uuid: str, name: str, *,
+              present: bool, note: str = "") -> None:  # fmt: skip
+        with self._act(person, verb) as (connection, draft, _):
+            standing = read_review_status(connection, uuid)
+            if standing.deleted and name != DELETED:
+                review.check_open(standing)
+            mark = read_mark(connection, uuid, name, present=present, note=note)
+            if mark["present"] != mark["was"] or mark["note"] != mark["was_note"]:
+                draft.marks.append(mark)
+
+    # Undo
+
+    def can_undo(self, person: str) -> bool:
+        """Whether ``person`` has an action to undo."""
+        return bool(self._stack(person).undo)
+
+    def can_redo(self, person: str) -> bool:
+        """Whether ``person`` has an undo to take back."""
+        return bool(self._stack(person).redo)
+
+    def undo(self, person: str) -> Operation | None:
+        """Take back the last action of ``person``; None if there is none.
+
+        Raises ``RefusedError`` naming who changed the label since.
+        """
+        return self._reverse(person, "undo", self._stack(person).undo)
+
+    def redo(self, person: str) -> Operation | None:
+        """Take back the last undo of ``person``; None if there is none."""
+        return self._reverse(person, "redo", self._stack(person).redo)
+
+    def _reverse(self, person: str, verb: str, stack: Sequence[str]) -> Operation | None:
+        with self._lock:
+            if not stack:
+                return None
+            target = stack[-1]
+            with self.commit() as connection:
+                (found,) = operation_log.read_operations(connection, "op_uuid = ?", (target,))
+                draft = inverse_draft(connection, found)
+                operation = self._append(connection, check_person(person), verb, draft, target)
+            self._note(operation)
+            return operation
+
+    def _stack(self, person: str) -> UndoStacks:
+        with self._lock:
+            if person not in self._stacks:
+                with self._database.reading() as connection:
+                    self._stacks[person] = read_undo_stacks(connection, person)
+            return self._stacks[person]
+
+    def take_stock(self) -> None:
+        """Follow operations that came from elsewhere (a merge): undo, redo and all journals."""
+        sites = self._database.rows("SELECT DISTINCT site FROM op")
+        with self._lock:
+            self._stacks.clear()
+            self._follow(*(site for (site,) in sites))
+
+    # Writing
+
+    @contextmanager
+    def commit(self) -> Iterator[sqlite3.Connection]:
+        """One transaction on the log; the journal follows it. For the parts of the catalogue."""
+        self.refuse_if_frozen()
+        with self._lock:
+            with self._database.transaction() as connection:
+                yield connection
+            self._follow(self.site)
+        self.after_commit()
+
+    def refuse_if_frozen(self) -> None:
+        """Raise ``RefusedError`` where the log may not be continued."""
+        if self.frozen:
+            raise RefusedError("labels are read-only", self.frozen)
+
+    def _follow(self, *sites: str) -> None:
+        try:
+            with self._database.reading() as connection:
+                for site in sites:
+                    self._journal.catch_up(connection, site)
+            self.journal_trouble = ""
+        except OSError as error:
+            # The operation is safe in the catalogue; the next append writes what is missing.
+            self.journal_trouble = f"The journal of labels lags behind: {error}."
+
+    @contextmanager
+    def _act(
+        self, person: str, verb: str, looked: AnswerContext | None = None
+    ) -> Iterator[tuple[sqlite3.Connection, OperationDraft, str]]:
+        """Collect a draft and commit it as one operation; an empty draft writes nothing."""
+        name, draft = check_person(person), OperationDraft()
+        if looked is not None:
+            draft.extra = {"seen_ms": looked.seen_ms, "blind": looked.blind}
+        with self._lock:
+            operation = None
+            with self.commit() as connection:
+                yield connection, draft, name
+                if draft.revs or draft.marks or draft.opinions or draft.apart:
+                    operation = self._append(connection, name, verb, draft)
+            if operation is not None:
+                self._note(operation)
+
+    def _append(self, connection: sqlite3.Connection, name: str, verb: str, draft: OperationDraft,
+                target: str | None = None) -> Operation:  # fmt: skip
+        operation, touched = operation_log.append_operation(
+            connection, self.site, name, verb, draft, target
+        )
+        heads.refresh_heads(connection, touched)
+        return operation
+
+    def _note(self, operation: Operation) -> None:
+        if operation.actor in self._stacks:
+            stacks = self._stacks[operation.actor]
+            stacks.apply(operation.op_uuid, operation.verb, operation.target_op)
+
+
+def _look(connection: sqlite3.Connection, uuid: str) -> tuple[Revision, ReviewStatus]:
+    standing = read_review_status(connection, uuid)
+    row = connection.execute("SELECT rev_uuid FROM label_head WHERE episode = ?", (uuid,))
+    return read_revision(connection, row.fetchone()[0]), standing
+
+
+def _edited(head: Revision, label: Label, source: Source | None, verdict: Verdict | None,
+            note: str | None) -> Revision:  # fmt: skip
+    moved = label != head.label
+    return replace(
+        head,
+        label=label,
+        source=source or ("human" if moved else head.source),
+        verdict=verdict or head.verdict,
+        note=head.note if note is None else note,
+    )
+
+
+def _following(head: Revision, said: Revision, state: LabelState) -> dict[str, Any]:
+    """Return the revision after ``head`` that says what ``said`` says."""
+    reason = said.reason if state == "rejected" else None
+    return new_revision(head.episode, head.rev_uuid, LabelContent.of(said), state, reason)

@@ -1,0 +1,504 @@
+"""Append-only log of label operations, in the database and as JSON lines.
+
+The lines are in ``labels/<site>.jsonl``. Other tables derive from the log. Work on control items is
+logged apart from labels.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, TypedDict
+
+from touchdown.backend.annotations.values import (
+    FIRST,
+    NO_LABEL,
+    ControlItemStep,
+    Label,
+    LabelContent,
+    LabelState,
+    Operation,
+    Revision,
+    canonical_json,
+    operation_hash,
+    uuid7,
+)
+from touchdown.backend.core import make_folder, sync_folder
+
+COLUMNS = "op_uuid, site, seq, lamport, at_ns, actor, verb, target_op, body, prev_hash, hash"
+REVERSING = ("undo", "redo")
+
+
+class EpisodeMark(TypedDict):
+    """A word put on an episode or taken off, and what was there before.
+
+    ``owner``: the operation whose mark it is, None for the one that writes it; an undo gives it
+    back to the one before ("" if there was none).
+    """
+
+    episode: str
+    name: str
+    present: bool
+    note: str
+    owner: str | None
+    was: bool
+    was_note: str
+    was_owner: str
+
+
+@dataclass(slots=True)
+class OperationDraft:
+    """What one action is about to write. ``copies``: whose content a revision writes again.
+
+    ``apart``: steps on gold, which are in no label.
+    """
+
+    revs: list[dict[str, Any]] = field(default_factory=list)
+    closes: list[str] = field(default_factory=list)
+    marks: list[EpisodeMark] = field(default_factory=list)
+    copies: dict[str, str] = field(default_factory=dict)
+    reviews: list[Mapping[str, object]] = field(default_factory=list)
+    opinions: list[Mapping[str, object]] = field(default_factory=list)
+    apart: list[Mapping[str, object]] = field(default_factory=list)
+    extra: dict[str, object] = field(default_factory=dict)
+
+    def add_copy(self, revision: dict[str, Any], source: str) -> None:
+        """Write ``revision``, whose content is that of the revision ``source``."""
+        self.revs.append(revision)
+        self.copies[revision["rev_uuid"]] = source
+
+    def body(self) -> dict[str, object]:
+        """Return the body of the operation; empty optional parts are left out."""
+        body: dict[str, object] = {"closes": list(self.closes), "revs": list(self.revs)}
+        for name in ("marks", "copies", "reviews", "opinions", "apart"):
+            if getattr(self, name):
+                body[name] = getattr(self, name)
+        return body | self.extra
+
+
+def new_revision(
+    episode: str,
+    parent: str | None,
+    content: LabelContent,
+    state: LabelState,
+    reason: str | None = None,
+) -> dict[str, Any]:
+    """Return the columns of a new revision as they stand in the body of its operation."""
+    label = content.label
+    return {
+        "rev_uuid": uuid7(),
+        "episode": episode,
+        "parent": parent,
+        "x_um": label.x_um,
+        "y_um": label.y_um,
+        "theta_mdeg": label.theta_mdeg,
+        "sigma_um": label.sigma_um,
+        "source": content.source,
+        "state": state,
+        "reason": reason,
+        "verdict": content.verdict,
+        "geometry": content.geometry,
+        "note": content.note,
+    }
+
+
+def append_operation(
+    connection: sqlite3.Connection,
+    site: str,
+    actor: str,
+    verb: str,
+    draft: OperationDraft,
+    target_op: str | None = None,
+) -> tuple[Operation, set[str]]:
+    """Make the next operation of ``site`` and store it, within the caller's transaction.
+
+    Returns it and the episodes whose heads to refresh.
+    """
+    last = connection.execute(
+        "SELECT seq, hash FROM op WHERE site = ? ORDER BY seq DESC LIMIT 1", (site,)
+    ).fetchone()
+    seq, previous = last if last else (0, FIRST)
+    (clock,) = connection.execute("SELECT max(lamport) FROM op").fetchone()
+    content: dict[str, Any] = {
+        "op_uuid": uuid7(),
+        "site": site,
+        "seq": seq + 1,
+        "lamport": 1 + (clock or 0),
+        "at_ns": time.time_ns(),
+        "actor": actor,
+        "verb": verb,
+        "target_op": target_op,
+        "body": draft.body(),
+        "prev_hash": previous,
+    }
+    unsigned = Operation(**content, hash="")
+    operation = Operation(**content, hash=operation_hash(unsigned))
+    return operation, store_operation(connection, operation)
+
+
+def store_operation(connection: sqlite3.Connection, operation: Operation) -> set[str]:
+    """Insert ``operation`` and what it says; return the episodes whose heads to refresh.
+
+    What it refers to must be there: store in the order of (lamport, site, seq). Raises
+    ``sqlite3.IntegrityError`` if it is there already, or its site has another of that number.
+    """
+    connection.execute(
+        f"INSERT INTO op ({COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",  # noqa: S608
+        (
+            operation.op_uuid,
+            operation.site,
+            operation.seq,
+            operation.lamport,
+            operation.at_ns,
+            operation.actor,
+            operation.verb,
+            operation.target_op,
+            canonical_json(operation.body).decode("utf-8"),
+            operation.prev_hash,
+            operation.hash,
+        ),
+    )
+    _store_body(connection, operation)
+    return _touched(connection, operation)
+
+
+def _touched(connection: sqlite3.Connection, operation: Operation) -> set[str]:
+    body: Mapping[str, Any] = operation.body
+    named = {part["episode"] for part in (*body["revs"], *body.get("marks", ()))}
+    return named.union(*(_episode_of(connection, closed) for closed in body["closes"]))
+
+
+def _store_body(connection: sqlite3.Connection, operation: Operation) -> None:
+    body: Mapping[str, Any] = operation.body
+    copies = body.get("copies", {})
+    for rev in body["revs"]:
+        copy_of = copies.get(rev["rev_uuid"])
+        values = {**rev, "op_uuid": operation.op_uuid, "copy_of": copy_of}
+        connection.execute(_INSERT_REVISION, values)
+    for closed in body["closes"]:
+        connection.execute("INSERT INTO closed VALUES (?, ?)", (closed, operation.op_uuid))
+    for mark in body.get("marks", ()):
+        _store_mark(connection, operation, mark)
+    for review in body.get("reviews", ()):
+        seen, blind = body.get("seen_ms"), body.get("blind")
+        who = (operation.op_uuid, review["rev_uuid"], operation.actor)
+        what = (review["decision"], review["reason"], seen, blind)
+        connection.execute("INSERT INTO review VALUES (?, ?, ?, ?, ?, ?, ?)", (*who, *what))
+    for opinion in body.get("opinions", ()):
+        connection.execute(
+            "INSERT INTO opinion VALUES (:op_uuid, :episode, :x_um, :y_um, :theta_mdeg, :sigma_um,"
+            " :verdict)",
+            {**opinion, "op_uuid": operation.op_uuid},
+        )
+    for step in body.get("apart", ()):
+        connection.execute(_INSERT_APART, {**step, "op_uuid": operation.op_uuid})
+
+
+_INSERT_REVISION = """
+INSERT INTO label_rev (rev_uuid, op_uuid, episode, parent, x_um, y_um, theta_mdeg, sigma_um,
+    source, state, reason, verdict, geometry, note, copy_of)
+VALUES (:rev_uuid, :op_uuid, :episode, :parent, :x_um, :y_um, :theta_mdeg, :sigma_um,
+    :source, :state, :reason, :verdict, :geometry, :note, :copy_of)
+"""
+_INSERT_APART = """
+INSERT INTO apart VALUES (:op_uuid, :episode, :rev_uuid, :parent, :x_um, :y_um, :theta_mdeg,
+    :sigma_um, :source, :state, :reason, :verdict, :geometry, :note, :copy_of, :deleted, :skipped,
+    :shown_ns, :beside)
+"""
+
+
+def _episode_of(connection: sqlite3.Connection, rev_uuid: str) -> set[str]:
+    row = connection.execute("SELECT episode FROM label_rev WHERE rev_uuid = ?", (rev_uuid,))
+    return {episode for (episode,) in row}
+
+
+def _store_mark(
+    connection: sqlite3.Connection, operation: Operation, mark: Mapping[str, Any]
+) -> None:
+    # The mark of the greatest (lamport, site) stays, so that the order of arrival does not matter.
+    connection.execute(
+        "INSERT INTO mark VALUES (?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO UPDATE SET"
+        " present = excluded.present, note = excluded.note, op_uuid = excluded.op_uuid,"
+        " lamport = excluded.lamport, site = excluded.site, owner = excluded.owner"
+        " WHERE (excluded.lamport, excluded.site) > (mark.lamport, mark.site)",
+        (
+            mark["episode"],
+            mark["name"],
+            int(mark["present"]),
+            mark["note"],
+            operation.op_uuid,
+            operation.lamport,
+            operation.site,
+            operation.op_uuid if mark["owner"] is None else mark["owner"],
+        ),
+    )
+
+
+def read_mark(
+    connection: sqlite3.Connection, episode: str, name: str, *, present: bool, note: str = ""
+) -> EpisodeMark:
+    """Return the mark for the body of an operation, with what was there before."""
+    row = connection.execute(
+        "SELECT present, note, owner FROM mark WHERE episode = ? AND name = ?", (episode, name)
+    ).fetchone()
+    was, was_note, was_owner = row or (0, "", "")
+    return EpisodeMark(
+        episode=episode,
+        name=name,
+        present=present,
+        note=note,
+        owner=None,
+        was=bool(was),
+        was_note=was_note,
+        was_owner=was_owner,
+    )
+
+
+def read_operations(
+    connection: sqlite3.Connection, where: str = "", values: Iterable[object] = ()
+) -> list[Operation]:
+    """Return operations in (lamport, site, seq) order; ``where`` is a constant SQL condition."""
+    condition = f"WHERE {where}" if where else ""
+    rows = connection.execute(
+        f"SELECT {COLUMNS} FROM op {condition} ORDER BY lamport, site, seq",  # noqa: S608
+        tuple(values),
+    )
+    return [as_operation(row) for row in rows]
+
+
+def as_operation(row: tuple[Any, ...]) -> Operation:
+    """Return the operation of a row of ``COLUMNS``."""
+    op_uuid, site, seq, lamport, at_ns, actor, verb, target, body, previous, digest = row
+    content = json.loads(body)
+    return Operation(
+        op_uuid, site, seq, lamport, at_ns, actor, verb, target, content, previous, digest
+    )
+
+
+REVISION = (
+    "r.rev_uuid, r.op_uuid, r.episode, r.parent, r.x_um, r.y_um, r.theta_mdeg, r.sigma_um,"
+    " r.source, r.state, r.reason, r.verdict, r.geometry, r.note, o.actor, o.at_ns"
+)
+"""Columns of ``as_revision``, from ``label_rev r JOIN op o USING (op_uuid)``."""
+
+
+def as_revision(row: tuple[Any, ...]) -> Revision:
+    """Return the revision of a row of ``REVISION``."""
+    rev_uuid, op_uuid, episode, parent, *label, source, state = row[:10]
+    reason, verdict, geometry, note, person, at_ns = row[10:]
+    return Revision(
+        rev_uuid, op_uuid, episode, parent, Label(*label), source, state, reason, verdict, geometry,
+        note, person, at_ns,
+    )  # fmt: skip
+
+
+def read_revision(connection: sqlite3.Connection, rev_uuid: str) -> Revision:
+    """Return one revision as written."""
+    row = connection.execute(
+        f"SELECT {REVISION} FROM label_rev r JOIN op o USING (op_uuid)"  # noqa: S608
+        " WHERE r.rev_uuid = ?",
+        (rev_uuid,),
+    ).fetchone()
+    return as_revision(row)
+
+
+def newest_operations(connection: sqlite3.Connection) -> dict[str, tuple[int, str]]:
+    """Return number and hash of the newest operation per site."""
+    # From site to site by the index: GROUP BY would pass over every operation.
+    rows = connection.execute(
+        "WITH RECURSIVE s(site) AS (SELECT min(site) FROM op UNION ALL"
+        " SELECT (SELECT min(op.site) FROM op WHERE op.site > s.site) FROM s"
+        " WHERE s.site IS NOT NULL)"
+        " SELECT op.site, op.seq, op.hash FROM s JOIN op ON op.site = s.site"
+        " AND op.seq = (SELECT max(o.seq) FROM op o WHERE o.site = s.site) ORDER BY op.site"
+    )
+    return {site: (seq, digest) for site, seq, digest in rows}
+
+
+TAIL_BYTES = 65_536
+FIELDS = tuple(field.name for field in fields(Operation))
+
+
+class OperationJournal:
+    """The journals of one dataset, one file per site."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._written: dict[str, int] = {}
+
+    def path(self, site: str) -> Path:
+        """Return the journal of ``site``."""
+        return self.folder / f"{site}.jsonl"
+
+    def catch_up(self, connection: sqlite3.Connection, site: str) -> int:
+        """Append what the catalogue has and the journal of ``site`` has not; returns how many.
+
+        A torn last line is cut off first. Raises ``OSError`` if the disk refuses.
+        """
+        path = self.path(site)
+        last = self._written.get(site)
+        if last is None:
+            last = _mend(path)
+        missing = read_operations(connection, "site = ? AND seq > ?", (site, last))
+        if missing:
+            # Unknown until written: a failure half-way makes the next call look again.
+            self._written.pop(site, None)
+            _append(path, missing)
+        self._written[site] = missing[-1].seq if missing else last
+        return len(missing)
+
+
+def read_journal(path: Path) -> Iterator[Operation]:
+    """Yield the operations of a journal; a torn last line is passed over.
+
+    Raises ``ValueError`` naming the line for any other damage.
+    """
+    for number, line in enumerate(path.read_bytes().splitlines(keepends=True), start=1):
+        if not line.endswith(b"\n"):
+            return
+        try:
+            yield Operation(**json.loads(line))
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{path.name}, line {number}: {error}") from error
+
+
+def _append(path: Path, operations: list[Operation]) -> None:
+    is_new = not path.exists()
+    if is_new:
+        make_folder(path.parent)
+    lines = b"".join(canonical_json(_as_line(operation)) + b"\n" for operation in operations)
+    with path.open("ab") as file:
+        file.write(lines)
+        file.flush()
+        os.fsync(file.fileno())
+    if is_new:
+        sync_folder(path.parent)
+
+
+def _as_line(operation: Operation) -> dict[str, object]:
+    # Not ``asdict``: it copies the body of a bulk operation value by value.
+    return {name: getattr(operation, name) for name in FIELDS}
+
+
+def _mend(path: Path) -> int:
+    """Cut a torn last line off; return the last sequence number in the file (0 if none)."""
+    if not path.exists():
+        return 0
+    start, tail = read_tail(path)
+    end = tail.rfind(b"\n") + 1
+    if end < len(tail):
+        os.truncate(path, start + end)
+    line = tail[tail.rfind(b"\n", 0, max(end - 1, 0)) + 1 : end]
+    try:
+        return int(json.loads(line)["seq"]) if line else 0
+    except (ValueError, TypeError, KeyError):
+        return _last_readable(path)
+
+
+def read_tail(path: Path) -> tuple[int, bytes]:
+    """Return the end of a file with its last whole line at least, and where that begins."""
+    size, length = path.stat().st_size, TAIL_BYTES
+    with path.open("rb") as file:
+        while True:
+            start = max(0, size - length)
+            file.seek(start)
+            tail = file.read()
+            if not start or tail.count(b"\n") >= 2:
+                return start, tail
+            length *= 4
+
+
+def _last_readable(path: Path) -> int:
+    last = 0
+    try:
+        for operation in read_journal(path):
+            last = operation.seq
+    except ValueError:
+        return last
+    return last
+
+
+_STEPS = (
+    f"SELECT {REVISION}, r.copy_of, r.deleted, r.skipped, r.beside"  # noqa: S608
+    " FROM apart r JOIN op o USING (op_uuid) WHERE o.actor = ?"
+)
+_IN_ORDER = " ORDER BY o.lamport, o.site, o.seq"
+
+
+def read_steps(connection: sqlite3.Connection, person: str, uuid: str) -> list[ControlItemStep]:
+    """Return the steps of ``person`` on one episode, oldest first."""
+    rows = connection.execute(f"{_STEPS} AND r.episode = ?{_IN_ORDER}", (person, uuid))
+    return list(_steps(rows))
+
+
+def last_steps(connection: sqlite3.Connection, person: str) -> dict[str, ControlItemStep]:
+    """Return what ``person`` sees of each gold episode that they did anything to."""
+    rows = connection.execute(_STEPS + _IN_ORDER, (person,))
+    return {step.version.episode: step for step in _steps(rows)}
+
+
+def _steps(rows: sqlite3.Cursor) -> Iterator[ControlItemStep]:
+    for row in rows:
+        copy_of, deleted, skipped, beside = row[16:]
+        yield ControlItemStep(as_revision(row[:16]), copy_of, deleted, bool(skipped), beside)
+
+
+def recorded_label(connection: sqlite3.Connection, uuid: str) -> Revision:
+    """Return the label that an episode was recorded with."""
+    row = connection.execute(
+        f"SELECT {REVISION} FROM label_rev r JOIN op o USING (op_uuid)"  # noqa: S608
+        " WHERE r.episode = ? ORDER BY o.lamport, o.site, r.rev_uuid LIMIT 1",
+        (uuid,),
+    ).fetchone()
+    return as_revision(row)
+
+
+def add_step(draft: OperationDraft, step: ControlItemStep) -> None:
+    """Write a step; what is decided by it is an opinion as well."""
+    r = step.version
+    draft.apart.append({
+        "episode": r.episode, "rev_uuid": r.rev_uuid, "parent": r.parent, **asdict(r.label),
+        "source": r.source, "state": r.state, "reason": r.reason, "verdict": r.verdict,
+        "geometry": r.geometry, "note": r.note, "copy_of": step.copy_of, "deleted": step.deleted,
+        "skipped": step.skipped, "shown_ns": 0, "beside": step.beside,
+    })  # fmt: skip
+    if step.answer is not None:
+        draft.opinions.append({"episode": r.episode, "verdict": r.verdict} | asdict(step.answer))
+
+
+def take_back_step(
+    connection: sqlite3.Connection, draft: OperationDraft, operation: Operation, uuid: str
+) -> None:
+    """Write the step that takes one of ``operation`` back; an opinion goes or comes with it."""
+    steps = read_steps(connection, operation.actor, uuid)
+    at = [step.version.op_uuid for step in steps].index(operation.op_uuid)
+    done, now = steps[at], steps[-1]
+    before = steps[at - 1] if at else replace(
+        done, version=recorded_label(connection, uuid), copy_of=None, deleted="", skipped=False
+    )  # fmt: skip
+    if done.version.rev_uuid == before.version.rev_uuid:
+        step = replace(now, deleted=before.deleted, skipped=before.skipped)
+    else:
+        old = before.version
+        version = replace(old, rev_uuid=uuid7(), parent=now.version.rev_uuid)
+        step = replace(now, version=version, copy_of=old.rev_uuid)
+    add_step(draft, step)
+    if step.answer is not None:
+        draft.extra |= _looked(connection, before)
+    elif now.answer is not None:
+        draft.opinions.append({"episode": uuid, "verdict": None} | asdict(NO_LABEL))
+
+
+def _looked(connection: sqlite3.Connection, step: ControlItemStep) -> dict[str, object]:
+    """Return how the person had come to the answer of a step."""
+    seen_ms, blind = connection.execute(
+        "SELECT json_extract(body, '$.seen_ms'), json_extract(body, '$.blind') FROM op"
+        " WHERE op_uuid = ?",
+        (step.version.op_uuid,),
+    ).fetchone()
+    return {} if seen_ms is None else {"seen_ms": seen_ms, "blind": bool(blind)}

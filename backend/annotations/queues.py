@@ -1,0 +1,261 @@
+"""Review queues: ordered lists of episodes, reproducible from the same labels and scores.
+
+Scores are computed by a job about episodes; models also suggest offsets.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from hashlib import blake2b
+from typing import Literal, get_args
+
+from touchdown.backend.annotations import operation_log
+from touchdown.backend.annotations.database import Database
+from touchdown.backend.annotations.values import Label, Revision
+from touchdown.backend.core import InputError
+
+SCORES = ("doubt", "disagreement", "uncertainty", "duplicates")
+"""``doubt``: how much likelier the signals are a few mm away. ``duplicates``: how far the
+label lies off those of the most alike signals, in what is usual among them."""
+
+MODEL = "model:"
+
+
+@dataclass(frozen=True, slots=True)
+class Suggestion:
+    """The offset a model would give; ``source`` is ``model:<sha256 of its weights>``."""
+
+    label: Label
+    source: str
+    at_ns: int
+
+
+class ScoreStore:
+    """Scores and suggestions of one dataset; the newest of each kind per episode."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def put(self, name: str, values: Mapping[str, float], model: str) -> None:
+        """Store a score for many episodes, as computed for their present labels by ``model``."""
+        if name not in SCORES:
+            raise InputError(f"There is no score '{name}'.", "score", f"Use {', '.join(SCORES)}.")
+        now = time.time_ns()
+        rows = [(name, value, model, now, episode) for episode, value in values.items()]
+        with self._database.transaction() as connection:
+            connection.executemany(
+                "INSERT OR REPLACE INTO score (name, episode, value, model, rev_uuid, at_ns)"
+                " SELECT ?, h.episode, ?, ?, h.rev_uuid, ? FROM label_head h WHERE h.episode = ?",
+                rows,
+            )
+
+    def of(self, uuid: str) -> dict[str, float]:
+        """Return the scores of an episode by name."""
+        return dict(self._database.rows("SELECT name, value FROM score WHERE episode = ?", (uuid,)))
+
+    def of_revision(self, name: str, uuid: str) -> tuple[str, float] | None:
+        """Return a score with the revision for which it was computed, None without one."""
+        row = self._database.first(
+            "SELECT rev_uuid, value FROM score WHERE name = ? AND episode = ?", (name, uuid)
+        )
+        return None if row is None else (str(row[0]), float(row[1]))
+
+    def suggest(self, labels: Mapping[str, Label], model: str) -> None:
+        """Store the offsets that ``model`` (hash of its weights) gives, with their sigma."""
+        now = time.time_ns()
+        rows = [
+            (uuid, label.x_um, label.y_um, label.theta_mdeg, label.sigma_um, model, now)
+            for uuid, label in labels.items()
+        ]
+        with self._database.transaction() as connection:
+            connection.executemany(
+                "INSERT OR REPLACE INTO suggestion VALUES (?, ?, ?, ?, ?, ?, ?)", rows
+            )
+
+    def suggestion(self, uuid: str) -> Suggestion | None:
+        """Return what a model suggests for an episode, or None."""
+        row = self._database.first(
+            "SELECT x_um, y_um, theta_mdeg, sigma_um, model, at_ns FROM suggestion"
+            " WHERE episode = ?",
+            (uuid,),
+        )
+        return None if row is None else Suggestion(Label(*row[:4]), f"{MODEL}{row[4]}", row[5])
+
+
+def disagreement(head: Revision, suggestion: Suggestion) -> float | None:
+    """Return the distance of label and suggestion in standard uncertainties; None without both."""
+    a, b = head.label, suggestion.label
+    if a.x_um is None or a.y_um is None or b.x_um is None or b.y_um is None:
+        return None
+    sigma = ((a.sigma_um or 0) ** 2 + (b.sigma_um or 0) ** 2) ** 0.5
+    if not sigma:
+        return None
+    return float(((a.x_um - b.x_um) ** 2 + (a.y_um - b.y_um) ** 2) ** 0.5 / sigma)
+
+
+QueueName = Literal[
+    "unlabelled",
+    "review",
+    "returned",
+    "doubt",
+    "disagreement",
+    "uncertainty",
+    "coverage",
+    "duplicates",
+    "conflicts",
+    "audit",
+    "gold",
+]
+QUEUES: tuple[QueueName, ...] = get_args(QueueName)
+
+AUDIT_SHARE = 0.05
+"""Share of the submitted and approved labels that a random audit looks at again."""
+
+BIN_UM = 2000
+"""Coverage is counted in squares of this size, per pair of pieces."""
+
+
+def episode_queue(
+    database: Database, name: str, person: str, *, seed: int = 0, limit: int | None = None
+) -> list[str]:
+    """Return episodes in the order in which ``person`` should see them; deleted ones in none.
+
+    - unlabelled: not yet accepted, oldest first, skipped ones last
+    - review: submitted by others; returned: the person's own that a reviewer rejected
+    - doubt, disagreement, duplicates, uncertainty: highest score first; a label that changed since
+      it was scored is left out of all but uncertainty, which looks at no label: it holds what is
+      not yet approved, for choosing what to label and train on
+    - coverage: not yet approved, squares with the fewest approved labels first
+    - conflicts: two labels since a merge; audit: a share drawn by ``seed``
+    - gold: a share of the approved labels of others, to be answered blind, once each;
+      what they answered and took back is among them again
+    """
+    if name not in QUEUES:
+        raise InputError(f"There is no queue '{name}'.", "queue", f"Use {', '.join(QUEUES)}.")
+    return _MAKERS[name](database, person, seed, -1 if limit is None else limit)
+
+
+def stage_counts(database: Database) -> dict[str, int]:
+    """Return how many episodes stand where: unlabelled, review, approved, rejected, ..."""
+    sql = "SELECT stage, count(*) FROM label_head GROUP BY stage ORDER BY stage"
+    return dict(database.rows(sql))
+
+
+def _ids(database: Database, sql: str, *values: object) -> list[str]:
+    return [uuid for (uuid,) in database.rows(sql, values)]
+
+
+def _stage(stage: str) -> Callable[[Database, str, int, int], list[str]]:
+    def make(database: Database, person: str, seed: int, limit: int) -> list[str]:
+        return _ids(
+            database,
+            "SELECT episode FROM label_head WHERE stage = ? ORDER BY skipped, episode LIMIT ?",
+            stage,
+            limit,
+        )
+
+    return make
+
+
+def _review(database: Database, person: str, seed: int, limit: int) -> list[str]:
+    return _ids(
+        database,
+        "SELECT episode FROM label_head WHERE stage = 'review' AND instr(authors, ?) = 0"
+        " ORDER BY skipped, episode LIMIT ?",
+        f"\n{person}\n",
+        limit,
+    )
+
+
+def _returned(database: Database, person: str, seed: int, limit: int) -> list[str]:
+    return _ids(
+        database,
+        "SELECT episode FROM label_head WHERE stage = 'rejected' AND instr(authors, ?) > 0"
+        " AND actor != ? ORDER BY skipped, episode LIMIT ?",
+        f"\n{person}\n",
+        person,
+        limit,
+    )
+
+
+def _scored(name: str, condition: str) -> Callable[..., list[str]]:
+    # Names and condition are those below: nothing from outside enters the text.
+    sql = (
+        "SELECT s.episode FROM score s JOIN label_head h USING (episode)"  # noqa: S608
+        f" WHERE s.name = '{name}' AND {condition} ORDER BY s.value DESC, s.episode LIMIT ?"
+    )
+
+    def make(database: Database, person: str, seed: int, limit: int) -> list[str]:
+        return _ids(database, sql, limit)
+
+    return make
+
+
+def _coverage(database: Database, person: str, seed: int, limit: int) -> list[str]:
+    rows = database.rows(
+        "SELECT h.episode, h.stage, e.piece, e.bottom, r.x_um, r.y_um FROM label_head h"
+        " JOIN label_rev r USING (rev_uuid) JOIN episode e ON e.uuid = h.episode"
+        " WHERE h.stage IN ('unlabelled', 'review', 'approved') AND r.x_um IS NOT NULL"
+        " AND r.y_um IS NOT NULL ORDER BY h.episode"
+    )
+    where = {row[0]: (row[2], row[3], row[4] // BIN_UM, row[5] // BIN_UM) for row in rows}
+    approved = Counter(where[row[0]] for row in rows if row[1] == "approved")
+    waiting = [row[0] for row in rows if row[1] != "approved"]
+    waiting.sort(key=lambda uuid: (approved[where[uuid]], uuid))
+    return waiting if limit < 0 else waiting[:limit]
+
+
+def _audit(database: Database, person: str, seed: int, limit: int) -> list[str]:
+    sql = "SELECT episode FROM label_head WHERE stage IN ('review', 'approved')"
+    return _drawn(_ids(database, sql), seed, limit)
+
+
+def _control_items(database: Database, person: str, seed: int, limit: int) -> list[str]:
+    sql = "SELECT episode FROM label_head WHERE stage = 'approved' AND instr(authors, ?) = 0"
+    drawn = _drawn(_ids(database, sql, f"\n{person}\n"), seed, -1)
+    answered = _answered(database, person)
+    left = [uuid for uuid in drawn if uuid not in answered]
+    return left if limit < 0 else left[:limit]
+
+
+def _answered(database: Database, person: str) -> set[str]:
+    """Return the episodes with an opinion of ``person`` that they did not take back since."""
+    sql = "SELECT episode FROM opinion JOIN op USING (op_uuid) WHERE actor = ?"
+    by_itself = " AND NOT EXISTS (SELECT 1 FROM apart a WHERE a.op_uuid = opinion.op_uuid)"
+    with database.reading() as connection:
+        steps = operation_log.last_steps(connection, person)
+    decided = {uuid for uuid, step in steps.items() if step.answer is not None}
+    return decided.union(_ids(database, sql + by_itself, person))
+
+
+def _drawn(uuids: list[str], seed: int, limit: int) -> list[str]:
+    """Return a share of ``uuids`` in random order: a die per episode, whatever else is there."""
+    key = seed.to_bytes(16, "little", signed=True)
+
+    def die(uuid: str) -> int:
+        return int.from_bytes(blake2b(uuid.encode(), digest_size=8, key=key).digest(), "little")
+
+    thrown = sorted((die(uuid), uuid) for uuid in uuids)
+    chosen = [uuid for value, uuid in thrown if value < AUDIT_SHARE * 2**64]
+    return chosen if limit < 0 else chosen[:limit]
+
+
+_OPEN = "h.stage IN ('unlabelled', 'review')"
+_SAME_LABEL = "h.stage IN ('unlabelled', 'review', 'approved') AND h.rev_uuid = s.rev_uuid"
+
+_MAKERS: dict[str, Callable[[Database, str, int, int], list[str]]] = {
+    "unlabelled": _stage("unlabelled"),
+    "review": _review,
+    "returned": _returned,
+    "doubt": _scored("doubt", _SAME_LABEL),
+    "disagreement": _scored("disagreement", _SAME_LABEL),
+    "uncertainty": _scored("uncertainty", _OPEN),
+    "coverage": _coverage,
+    "duplicates": _scored("duplicates", _SAME_LABEL),
+    "conflicts": _stage("conflicts"),
+    "audit": _audit,
+    "gold": _control_items,
+}

@@ -1,0 +1,448 @@
+"""Reconciliation of a dataset with its files, its journals, or another copy of it.
+
+Runs at every start before anything can be recorded. Merging takes the union of the operations.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+import time
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from touchdown.backend.annotations import operation_log, review
+from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts
+from touchdown.backend.annotations.database import Database, add_event
+from touchdown.backend.annotations.episode_files import check_episode_files, check_packs
+from touchdown.backend.annotations.operation_log import (
+    newest_operations,
+    read_journal,
+    read_operations,
+    read_tail,
+    store_operation,
+)
+from touchdown.backend.annotations.run_tracking import check_runs, sync_run_tables
+from touchdown.backend.annotations.values import (
+    FIRST,
+    PROGRAM,
+    Operation,
+    canonical_json,
+    first_broken_link,
+    operation_hash,
+)
+from touchdown.backend.core import Fault, InputError, write_atomically
+
+TAIL = 500
+"""At a start the newest operations of a chain are checked, by ``verify`` all of them."""
+
+ChainPosition = tuple[int, str]
+"""Number and hash of an operation."""
+
+
+def check_labels(where: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
+    """Yield what is out of order with operations, journals and heads."""
+    with where.database.reading() as connection:
+        catalogue = newest_operations(connection)
+    broken: set[str] = set()
+    for site, (seq, _) in catalogue.items():
+        bad = _bad_link(where, site, 0 if whole else max(0, seq - TAIL))
+        if bad is not None:
+            broken.add(site)
+            yield _broken(site, bad, "The chain of label operations is broken")
+    missing: list[Operation] = []
+    for site in sorted({*catalogue, *_journalled(where)} - broken):
+        ahead, findings = _against_journal(where, site, catalogue.get(site, (0, FIRST)))
+        missing += ahead
+        yield from findings
+    if missing:
+        missing.sort(key=lambda op: (op.lamport, op.site, op.seq))
+        said = (
+            f"{len(missing)} label operations of the journal were not in the catalogue: replayed."
+        )
+        yield ConsistencyProblem(
+            "replay", where.site, said, lambda connection: _replay(connection, missing)
+        )
+    wrong = wrong_heads(where, whole=whole)
+    if wrong:
+        said = f"{len(wrong)} label heads did not follow from the revisions: made anew."
+        yield ConsistencyProblem("heads", str(len(wrong)), said, review.rebuild_heads)
+
+
+def wrong_heads(where: DatasetParts, *, whole: bool) -> list[str]:
+    """Return episodes whose head is absent, not a leaf, or (``whole``) not what the rule says."""
+    rows = where.database.rows(
+        "SELECT DISTINCT r.episode FROM label_rev r LEFT JOIN label_head h USING (episode)"
+        " WHERE h.episode IS NULL"
+        " UNION SELECT h.episode FROM label_head h LEFT JOIN label_rev r USING (rev_uuid)"
+        " WHERE r.rev_uuid IS NULL OR r.episode != h.episode"
+        " UNION SELECT h.episode FROM label_rev c JOIN label_head h ON h.episode = c.episode"
+        " WHERE c.parent = h.rev_uuid"
+    )
+    found = {episode for (episode,) in rows}
+    if whole:
+        found |= set(_heads_against_rule(where))
+    return sorted(found)
+
+
+def _heads_against_rule(where: DatasetParts) -> Iterator[str]:
+    with where.database.reading() as connection:
+        rows = connection.execute("SELECT episode, rev_uuid, conflict FROM label_head").fetchall()
+        for episode, rev_uuid, conflict in rows:
+            head = review.head_of(*review.read_nodes(connection, episode))
+            found = head and (head.node.rev_uuid, int(len(head.leaves) > 1))
+            if found != (rev_uuid, conflict):
+                yield episode
+
+
+def _journalled(where: DatasetParts) -> set[str]:
+    return {path.stem for path in where.journal.folder.glob("*.jsonl")}
+
+
+def _bad_link(where: DatasetParts, site: str, after: int) -> int | None:
+    """Return the number of the first operation after ``after`` that does not fit, or None."""
+    with where.database.reading() as connection:
+        operations = read_operations(connection, "site = ? AND seq >= ?", (site, after))
+    if after:
+        start = (operations[0].seq, operations[0].hash)
+        return first_sequence_break(operations[1:], start)
+    return first_sequence_break(operations, (0, FIRST))
+
+
+def first_sequence_break(operations: Iterable[Operation], start: ChainPosition) -> int | None:
+    """Return the first number that does not continue the chain of one site from ``start``."""
+    seq, digest = start
+    for operation in operations:
+        fits = (operation.seq, operation.prev_hash) == (seq + 1, digest)
+        if not fits or _link(operation) != operation.hash:
+            return seq + 1
+        seq, digest = operation.seq, operation.hash
+    return None
+
+
+def _link(operation: Operation) -> str:
+    try:
+        return operation_hash(operation)
+    except (TypeError, ValueError):
+        return ""
+
+
+def _against_journal(
+    where: DatasetParts, site: str, newest: ChainPosition
+) -> tuple[list[Operation], list[ConsistencyProblem]]:
+    """Return operations only the journal has, and what else there is to say of one site."""
+    path = where.journal.path(site)
+    last = _last_line(path)
+    if last == newest:
+        return [], []
+    if last is not None and last[0] < newest[0] and _is_known(where, site, last):
+        return [], [_behind(where, site, newest[0] - last[0])]
+    try:
+        operations = list(read_journal(path))
+    except (ValueError, OSError) as error:
+        return [], [
+            ConsistencyProblem("journal-damaged", site, f"The journal is damaged: {error}.")
+        ]
+    ahead = [operation for operation in operations if operation.seq > newest[0]]
+    shared = [operation for operation in operations if operation.seq == newest[0]]
+    if newest[0] and [operation.hash for operation in shared] != [newest[1]]:
+        said = "Journal and catalogue have different label operations"
+        return [], [_broken(site, newest[0], said)]
+    misfit = first_sequence_break(ahead, newest)
+    if misfit is not None:
+        return [], [_broken(site, misfit, "The journal's chain of label operations is broken")]
+    return ahead, []
+
+
+def _is_known(where: DatasetParts, site: str, place: ChainPosition) -> bool:
+    if not place[0]:
+        return True
+    found = where.database.first("SELECT hash FROM op WHERE site = ? AND seq = ?", (site, place[0]))
+    return found == (place[1],)
+
+
+def _last_line(path: Path) -> ChainPosition | None:
+    """Return the place of the last whole line; (0, ...) without any, None if it is unreadable."""
+    try:
+        _, content = read_tail(path)
+    except FileNotFoundError:
+        return 0, FIRST
+    end = content.rfind(b"\n") + 1
+    line = content[content.rfind(b"\n", 0, max(end - 1, 0)) + 1 : end]
+    if not line:
+        return 0, FIRST
+    try:
+        facts = json.loads(line)
+        return int(facts["seq"]), str(facts["hash"])
+    except (ValueError, TypeError, KeyError):
+        return None
+
+
+def _behind(where: DatasetParts, site: str, count: int) -> ConsistencyProblem:
+    def mend(connection: sqlite3.Connection) -> None:
+        where.journal.catch_up(connection, site)
+
+    said = f"{count} label operations were missing in the journal: written."
+    return ConsistencyProblem("journal", site, said, mend)
+
+
+def _replay(connection: sqlite3.Connection, missing: list[Operation]) -> None:
+    touched: set[str] = set()
+    for operation in missing:
+        touched |= store_operation(connection, operation)
+    review.refresh_heads(connection, touched)
+
+
+def _broken(site: str, seq: int, what: str) -> ConsistencyProblem:
+    said = (
+        f"{what} at number {seq} of site {site}: labels are read-only."
+        " Restore a backup, or rebuild the catalogue."
+    )
+    return ConsistencyProblem("broken-chain", f"{site}/{seq}", said, locks=True)
+
+
+LEFT_OVERS = (
+    ("cache", "*.tmp"),
+    ("cache", ".*.part"),
+    ("exports", "*.tmp"),
+    ("backup", ".*.tmp*"),
+    ("geometry", ".*.part"),
+    (".", ".*.tmp"),
+    (".", ".*.part"),
+    ("runs/*", ".*.part"),
+    (".", ".rebuilt.db*"),
+)
+"""What a crash may leave of files that are made again anyway."""
+TOGETHER = 500
+"""Findings mended in one transaction: a disk that is not mounted makes thousands."""
+BUSY_S = 60.0
+"""A cache that changed this recently is not a left-over."""
+
+
+def check_dataset(where: DatasetParts, *, whole: bool = False) -> Iterator[ConsistencyProblem]:
+    """Yield everything out of order, changing nothing.
+
+    ``whole`` reads every file and checks every operation; else the newest operations are looked
+    at, and the sizes of files in folders that are not known to be in order.
+    """
+    yield from check_labels(where, whole=whole)
+    yield from check_episode_files(where, whole=whole)
+    yield from check_packs(where, whole=whole)
+    yield from check_runs(where)
+    yield from _left_overs(where)
+
+
+def reconcile(where: DatasetParts, *, whole: bool = False) -> list[ConsistencyProblem]:
+    """Mend what ``examine`` finds; returns what there is to say, each also kept as an event."""
+    told: list[ConsistencyProblem] = []
+    # Labels come first: an episode whose label is in the journal must not get a second one.
+    for check in (
+        check_labels(where, whole=whole),
+        check_episode_files(where, whole=whole),
+        check_packs(where, whole=whole),
+        check_runs(where),
+        _left_overs(where),
+    ):
+        found = list(check)
+        for start in range(0, len(found), TOGETHER):
+            told += _mended(where, found[start : start + TOGETHER])
+    sync_run_tables(where.folder, where.database)
+    with where.database.reading() as connection:
+        sites = list(newest_operations(connection))
+    for site in sites:
+        with where.database.transaction() as connection:
+            where.journal.catch_up(connection, site)
+    return told
+
+
+def _mended(
+    where: DatasetParts, findings: Sequence[ConsistencyProblem]
+) -> list[ConsistencyProblem]:
+    """Mend in one transaction; return what to say: all but what was said before."""
+    told: list[ConsistencyProblem] = []
+    untold = [finding for finding in findings if finding.mend is None]
+    with where.database.transaction() as connection:
+        for finding in findings:
+            if finding.mend is None:
+                continue
+            connection.execute("SAVEPOINT one")
+            try:
+                finding.mend(connection)
+                body = {"said": finding.said}
+                add_event(connection, PROGRAM, finding.kind, finding.target, body)
+                told.append(finding)
+            except (InputError, OSError, sqlite3.IntegrityError) as error:
+                connection.execute("ROLLBACK TO one")
+                said = f"{finding.said} That failed: {error}"
+                untold.append(ConsistencyProblem("not-mended", finding.target, said))
+            connection.execute("RELEASE one")
+    return told + [f for f in untold if _tell_once(where, f) or f.locks]
+
+
+def _tell_once(where: DatasetParts, finding: ConsistencyProblem) -> bool:
+    """Keep a finding as an event; False if the same was kept before."""
+    body = {"said": finding.said}
+    kept = canonical_json(body).decode("utf-8")
+    sql = "SELECT 1 FROM event WHERE verb = ? AND target = ? AND body = ? LIMIT 1"
+    if where.database.first(sql, (finding.kind, finding.target, kept)):
+        return False
+    with where.database.transaction() as connection:
+        add_event(connection, PROGRAM, finding.kind, finding.target, body)
+    return True
+
+
+def _left_overs(where: DatasetParts) -> Iterator[ConsistencyProblem]:
+    for folder, pattern in LEFT_OVERS:
+        for path in sorted((where.folder / folder).glob(pattern)):
+            if not _in_use(where, path):
+                said = f"{where.name(path)} was left half-made: deleted."
+                yield ConsistencyProblem(
+                    "left-over", where.name(path), said, partial(_remove, path)
+                )
+
+
+def _in_use(where: DatasetParts, path: Path) -> bool:
+    """Whether we work on it, or it is a cache that a training beside us may be building."""
+    if path.name.startswith(where.database.path.name):
+        return True
+    return path.parent.name == "cache" and time.time() - path.stat().st_mtime < BUSY_S
+
+
+def _remove(path: Path, _: sqlite3.Connection) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True, slots=True)
+class MergeReport:
+    """What a merge brought: numbers of operations and episodes, and the episodes in conflict."""
+
+    operations: int
+    episodes: int
+    conflicts: tuple[str, ...]
+
+
+def merge_operations(
+    connection: sqlite3.Connection, theirs: Sequence[Operation], where: str
+) -> set[str]:
+    """Store the operations that are new here; return the episodes they touch.
+
+    ``where`` names their dataset. Raises ``InputError`` for a broken chain, or one that goes on
+    differently in both.
+    """
+    _check_chains(theirs, where)
+    touched: set[str] = set()
+    for operation in sorted(theirs, key=lambda op: (op.lamport, op.site, op.seq)):
+        row = connection.execute(
+            "SELECT hash FROM op WHERE site = ? AND seq = ?", (operation.site, operation.seq)
+        ).fetchone()
+        if row is None:
+            touched |= operation_log.store_operation(connection, operation)
+        elif row[0] != operation.hash:
+            raise InputError(
+                f"Both datasets continue one chain differently (operation {operation.seq}).",
+                where,
+                "Start from a copy that was opened once where it lies, then label there.",
+            )
+    review.refresh_heads(connection, touched)
+    return touched
+
+
+def copy_files(mine: Path, theirs: Path, paths: Sequence[str]) -> list[str]:
+    """Copy files (relative names) that are not here yet, geometry included; return those missing.
+
+    A file appears complete or not at all. Raises ``InputError`` for a name that leaves the folder.
+    """
+    missing = []
+    names = [*(f"geometry/{path.name}" for path in (theirs / "geometry").glob("*.json")), *paths]
+    for name in names:
+        source, target = theirs / name, mine / name
+        if not (_is_inside(mine, target) and _is_inside(theirs, source)):
+            raise InputError("A file lies outside its dataset.", name, "Do not merge this dataset.")
+        if target.exists():
+            continue
+        if not source.is_file():
+            missing.append(name)
+            continue
+        write_atomically(target, source.read_bytes())
+    return missing
+
+
+def _is_inside(folder: Path, path: Path) -> bool:
+    """Whether ``path`` names something below ``folder``, links followed."""
+    try:
+        return folder.resolve() in path.resolve().parents and len(path.name) <= 200
+    except (OSError, ValueError):
+        # A name that no system takes.
+        return False
+
+
+def merge_episodes(
+    connection: sqlite3.Connection, theirs: Database, mine: Path, missing: Sequence[str]
+) -> int:
+    """Enter their episodes that are not here yet; return how many. ``missing``: without a file."""
+    columns = [row[1] for row in theirs.rows("PRAGMA table_info(episode)")]
+    names, marks = ", ".join(columns), ", ".join("?" * len(columns))
+    state, path = columns.index("state"), columns.index("path")
+    count = 0
+    for row in theirs.rows(f"SELECT {names} FROM episode"):  # noqa: S608
+        values = list(row)
+        if values[path] in missing:
+            values[state] = "missing"
+        elif (mine / values[path]).is_file():
+            values[state] = "complete" if values[state] == "missing" else values[state]
+        sql = f"INSERT OR IGNORE INTO episode ({names}) VALUES ({marks})"  # noqa: S608
+        count += connection.execute(sql, values).rowcount
+    for row in theirs.rows("SELECT * FROM series"):
+        connection.execute("INSERT OR IGNORE INTO series VALUES (?, ?, ?, ?, ?, ?)", row)
+    return count
+
+
+def merge_labels(
+    connection: sqlite3.Connection, log: Sequence[Operation], where: str, *, episodes: int
+) -> MergeReport:
+    """Unite their log with this one; ``episodes``: how many came along."""
+    (before,) = connection.execute("SELECT count(*) FROM op").fetchone()
+    touched = merge_operations(connection, log, where)
+    (after,) = connection.execute("SELECT count(*) FROM op").fetchone()
+    rows = connection.execute("SELECT episode FROM label_head WHERE conflict ORDER BY episode")
+    conflicts = tuple(episode for (episode,) in rows if episode in touched)
+    return MergeReport(after - before, episodes, conflicts)
+
+
+def record_merge(
+    connection: sqlite3.Connection, person: str, where: Path, done: MergeReport
+) -> None:
+    """Keep the merge in the audit."""
+    body = {"operations": done.operations, "episodes": done.episodes}
+    add_event(connection, person, "merge", str(where), body | {"conflicts": len(done.conflicts)})
+
+
+def copy_fault(error: OSError, folder: Path) -> Fault:
+    """Return the fault of files that could not be copied."""
+    return Fault(
+        code="MERGE-WRITE",
+        what=f"A file of the other dataset could not be copied: {error.strerror or error}.",
+        consequence="Nothing was merged; files that came are complete, and used the next time.",
+        next_step=f"Make room on the disk of {folder} or check both disks, then merge again.",
+    )
+
+
+def _check_chains(theirs: Sequence[Operation], where: str) -> None:
+    by_site: dict[str, list[Operation]] = defaultdict(list)
+    for operation in theirs:
+        by_site[operation.site].append(operation)
+    for site, chain in by_site.items():
+        bad = first_broken_link(sorted(chain, key=lambda op: op.seq))
+        if bad is not None:
+            raise InputError(
+                f"The chain of labels is broken at operation {bad} of site {site}.",
+                where,
+                "Restore that dataset from a backup first.",
+            )

@@ -1,0 +1,317 @@
+"""Review state of a label: valid revision, stage, permitted actions.
+
+The valid revision (head) of an episode is a pure function of the set of operations.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from touchdown.backend.annotations.operation_log import REVERSING
+from touchdown.backend.annotations.values import DELETED, FLAG, PROGRAM, SKIPPED, LabelState
+from touchdown.backend.core import InputError, RefusedError
+
+Stage = Literal["unlabelled", "review", "approved", "rejected", "conflicts", "deleted"]
+"""Where an episode stands in the work: each is in exactly one."""
+
+BY_PROGRAM = ("record", "adopt")
+"""Verbs whose revisions nobody is the author of."""
+
+
+@dataclass(frozen=True, slots=True)
+class RevisionNode:
+    """What of a revision decides about heads.
+
+    ``copy_of``: the revision whose content an undo, redo or resolve wrote again.
+    """
+
+    rev_uuid: str
+    parent: str | None
+    copy_of: str | None
+    state: LabelState
+    geometry: str
+    lamport: int
+    site: str
+    verb: str
+    actor: str
+
+    @property
+    def order(self) -> tuple[int, str, str]:
+        """Its place among the leaves."""
+        return self.lamport, self.site, self.rev_uuid
+
+    @property
+    def is_copy(self) -> bool:
+        """Whether its content was written before."""
+        return self.verb in REVERSING or self.copy_of is not None
+
+
+@dataclass(frozen=True, slots=True)
+class LabelHead:
+    """The head of one episode and what follows from it.
+
+    ``counting``: the revision that training uses, the latest approved one before the head with the
+    geometry of the head; None for a rejected head. ``authors``: who made the content.
+    """
+
+    node: RevisionNode
+    leaves: tuple[str, ...]
+    counting: str | None
+    authors: tuple[str, ...]
+
+
+def leaves_of(nodes: Sequence[RevisionNode], closed: Iterable[str]) -> list[RevisionNode]:
+    """Return the leaves of one episode, the head last."""
+    inner = {node.parent for node in nodes} | set(closed)
+    return sorted((n for n in nodes if n.rev_uuid not in inner), key=lambda n: n.order)
+
+
+def head_of(nodes: Sequence[RevisionNode], closed: Iterable[str]) -> LabelHead | None:
+    """Return the head of one episode from all its revisions, in any order."""
+    leaves = leaves_of(nodes, closed)
+    if not leaves:
+        return None
+    by_id = {node.rev_uuid: node for node in nodes}
+    head = leaves[-1]
+    counting = None if head.state == "rejected" else _counting(head, by_id)
+    ids = tuple(leaf.rev_uuid for leaf in leaves)
+    return LabelHead(head, ids, counting, _authors(head, by_id))
+
+
+def authors_of(nodes: Sequence[RevisionNode], rev_uuid: str) -> tuple[str, ...]:
+    """Return who wrote what the revision ``rev_uuid`` says."""
+    by_id = {node.rev_uuid: node for node in nodes}
+    return _authors(by_id[rev_uuid], by_id)
+
+
+def _before(node: RevisionNode, by_id: Mapping[str, RevisionNode]) -> RevisionNode | None:
+    """Return what ``node`` goes back to: what it copies, else its parent."""
+    key = node.copy_of if node.is_copy else node.parent
+    return None if key is None else by_id.get(key)
+
+
+def _counting(head: RevisionNode, by_id: Mapping[str, RevisionNode]) -> str | None:
+    node: RevisionNode | None = head
+    while node is not None:
+        if node.state == "approved" and node.geometry == head.geometry:
+            return node.rev_uuid
+        node = _before(node, by_id)
+    return None
+
+
+def _authors(head: RevisionNode, by_id: Mapping[str, RevisionNode]) -> tuple[str, ...]:
+    """Return who wrote the content since it was last approved (reviewing is not writing)."""
+    found: set[str] = set()
+    node: RevisionNode | None = head
+    while node is not None and node.verb not in BY_PROGRAM:
+        if node.state == "approved" and found:
+            break
+        if not node.is_copy and node.state in ("draft", "submitted"):
+            found.add(node.actor)
+        node = _before(node, by_id)
+    return tuple(sorted(found))
+
+
+def superseded_revisions(nodes: Sequence[RevisionNode], counting: str | None) -> set[str]:
+    """Return the approved revisions behind the one that counts."""
+    by_id = {node.rev_uuid: node for node in nodes}
+    node = None if counting is None else _before(by_id[counting], by_id)
+    found = set()
+    while node is not None:
+        if node.state == "approved":
+            found.add(node.rev_uuid)
+        node = _before(node, by_id)
+    return found
+
+
+def stage_of(state: LabelState, *, conflict: bool, deleted: bool) -> Stage:
+    """Return where an episode stands."""
+    if deleted:
+        return "deleted"
+    if conflict:
+        return "conflicts"
+    stages: dict[str, Stage] = {"submitted": "review", "approved": "approved"}
+    return "rejected" if state == "rejected" else stages.get(state, "unlabelled")
+
+
+def join_names(names: Iterable[str]) -> str:
+    """Return names so that SQL finds a whole one: each between line breaks."""
+    return "".join(f"\n{name}" for name in names) + "\n"
+
+
+def split_names(text: str) -> tuple[str, ...]:
+    """Return the names of ``as_text``."""
+    return tuple(name for name in text.split("\n") if name)
+
+
+NODES = """
+SELECT r.rev_uuid, r.parent, r.copy_of, r.state, r.geometry, o.lamport, o.site, o.verb, o.actor
+FROM label_rev r JOIN op o USING (op_uuid) WHERE r.episode = ?
+"""
+CLOSED = """
+SELECT c.rev_uuid FROM closed c JOIN label_rev r USING (rev_uuid) WHERE r.episode = ?
+"""
+
+
+def read_nodes(
+    connection: sqlite3.Connection, episode: str
+) -> tuple[list[RevisionNode], list[str]]:
+    """Return the revisions of one episode and those that were closed."""
+    nodes = [RevisionNode(*row) for row in connection.execute(NODES, (episode,))]
+    closed = [rev for (rev,) in connection.execute(CLOSED, (episode,))] if nodes else []
+    return nodes, closed
+
+
+def refresh_heads(connection: sqlite3.Connection, episodes: Iterable[str]) -> None:
+    """Write the derived rows of ``episodes`` anew, within the caller's transaction."""
+    for episode in sorted(set(episodes)):
+        head = head_of(*read_nodes(connection, episode))
+        if head is None:
+            continue
+        marks = connection.execute(
+            "SELECT name FROM mark WHERE episode = ? AND present", (episode,)
+        ).fetchall()
+        names = {name for (name,) in marks}
+        conflict, deleted = len(head.leaves) > 1, DELETED in names
+        row = (
+            episode,
+            head.node.rev_uuid,
+            int(conflict),
+            stage_of(head.node.state, conflict=conflict, deleted=deleted),
+            head.node.state,
+            head.counting,
+            join_names(head.authors),
+            head.node.actor,
+            int(FLAG in names),
+            int(SKIPPED in names),
+            int(deleted),
+        )
+        connection.execute(
+            "INSERT OR REPLACE INTO label_head VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row
+        )
+
+
+def rebuild_heads(connection: sqlite3.Connection) -> None:
+    """Make all heads anew from the revisions."""
+    connection.execute("DELETE FROM label_head")
+    episodes = connection.execute("SELECT DISTINCT episode FROM label_rev").fetchall()
+    refresh_heads(connection, (episode for (episode,) in episodes))
+
+
+Action = Literal["set", "accept", "approve", "reject"]
+
+REJECT_REASONS = (
+    "slip in grasp",
+    "tilt",
+    "wrong piece",
+    "no contact",
+    "edge of range",
+    "sensor fault",
+    "markers lost",
+    "disturbed",
+    "other",
+)
+"""By the digits 1 to 9; the last one takes a text."""
+
+MAX_NAME = 80
+
+
+@dataclass(frozen=True, slots=True)
+class ReviewStatus:
+    """What decides about an action: the head of one episode, and the marks on it.
+
+    ``approved_before``: an approved revision counts behind the head.
+    """
+
+    state: LabelState
+    authors: tuple[str, ...]
+    approved_before: bool
+    conflict: bool
+    deleted: bool
+
+
+def check_person(person: str) -> str:
+    """Return the name without outer spaces; raises ``InputError`` unless it can name a person."""
+    name = person.strip()
+    if not name or len(name) > MAX_NAME or not name.isprintable() or name == PROGRAM:
+        raise InputError(
+            "This is not the name of a person.",
+            repr(person),
+            f"Give a name of 1 to {MAX_NAME} printable characters other than '{PROGRAM}'.",
+        )
+    return name
+
+
+def state_after(
+    action: Action, standing: ReviewStatus, person: str, *, four_eyes: bool = True
+) -> LabelState:
+    """Return the state after ``action``; raises ``RefusedError`` with the reason in words."""
+    check_open(standing)
+    if action == "set":
+        return _set(standing, person)
+    if action == "accept":
+        return _accept(standing)
+    return _review(action, standing, person, four_eyes)
+
+
+def check_open(standing: ReviewStatus) -> None:
+    """Raise ``RefusedError`` for an episode that is deleted or in conflict."""
+    if standing.deleted:
+        raise RefusedError("deleted", "The episode is deleted: restore it first.")
+    if standing.conflict:
+        raise RefusedError("conflict", "It has two labels since a merge: resolve that first.")
+
+
+def check_other_author(authors: Sequence[str], person: str) -> None:
+    """Raise ``RefusedError`` for a review by one of those who wrote the label."""
+    if person in authors:
+        raise RefusedError("four eyes", f"{person} wrote it: another person has to review it.")
+
+
+def _set(standing: ReviewStatus, person: str) -> LabelState:
+    if standing.state == "submitted":
+        raise RefusedError(
+            "waits for review",
+            "It waits for review: undo the submission, or let the reviewer reject it.",
+        )
+    own = not standing.authors or person in standing.authors
+    if standing.state in ("draft", "rejected") and not own:
+        names = " and ".join(standing.authors)
+        raise RefusedError("another's work", f"This is the work of {names}: take it over first.")
+    return "draft"
+
+
+def _accept(standing: ReviewStatus) -> LabelState:
+    if standing.state != "draft":
+        reasons = {
+            "unlabelled": "There is no offset yet: set one.",
+            "submitted": "It waits for review already.",
+            "approved": "It is approved already.",
+            "rejected": "It was rejected: change it first.",
+        }
+        raise RefusedError(f"is {standing.state}", reasons.get(standing.state, standing.state))
+    return "submitted"
+
+
+def _review(action: Action, standing: ReviewStatus, person: str, four_eyes: bool) -> LabelState:
+    state = standing.state
+    if action == "reject" and state in ("unlabelled", "draft"):
+        # The labeller says that this episode cannot be labelled; nothing was submitted to review.
+        return "rejected"
+    if state != "submitted" and not (state == "draft" and standing.approved_before):
+        raise RefusedError(f"is {state}", _NOT_SUBMITTED[state])
+    if four_eyes:
+        check_other_author(standing.authors, person)
+    return "approved" if action == "approve" else "rejected"
+
+
+_NOT_SUBMITTED = {
+    "unlabelled": "There is no label to review.",
+    "draft": "It is a draft: its author has to accept it first.",
+    "approved": "It is approved: change the label, or delete the episode with a reason.",
+    "rejected": "It is rejected already: its author has to change it.",
+    "superseded": "A later revision replaced it.",
+}

@@ -1,0 +1,434 @@
+"""Tracking of trainings and other runs of a dataset: parameters, metrics, artifacts, state.
+
+One run is one folder (``runs/<uuid>/run.json``, ``metrics.jsonl``), complete after any crash;
+tables follow the folders.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import sqlite3
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self, get_args
+
+from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts
+from touchdown.backend.annotations.database import Database
+from touchdown.backend.annotations.values import uuid7
+from touchdown.backend.core import (
+    InputError,
+    lock_file,
+    make_folder,
+    package_version,
+    program_stamp,
+    sync_folder,
+    write_atomically,
+)
+
+PACKAGES = ("numpy", "torch")
+
+
+def hardware_info() -> dict[str, object]:
+    """Return what a run ran on."""
+    return {"machine": platform.machine(), "cores": os.cpu_count(), "system": platform.system()}
+
+
+def package_versions() -> dict[str, object]:
+    """Return the versions that numbers may depend on."""
+    return {
+        "python": platform.python_version(),
+        **{name: package_version(name) for name in PACKAGES},
+    }
+
+
+RUNS = "runs"
+ABOUT, METRICS, ALIVE = "run.json", "metrics.jsonl", "alive.lock"
+FORMAT = 1
+
+RunState = Literal["queued", "running", "finished", "failed", "cancelled", "interrupted"]
+
+
+@dataclass(frozen=True, slots=True)
+class Artifact:
+    """A file that a run made; ``path`` is absolute, or relative to the dataset within it."""
+
+    name: str
+    path: str
+    sha256: str
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class RunInfo:
+    """What ``run.json`` says. ``chain``: the newest label operation per site when it began.
+
+    ``params``: JSON values. ``manifest``: hash of what it worked on, "" if it has none.
+    ``reason``: why it failed. Times are UTC.
+    """
+
+    uuid: str
+    kind: str
+    state: RunState
+    started_ns: int
+    seed: int
+    program: str
+    params: Mapping[str, Any]
+    manifest: str = ""
+    ended_ns: int | None = None
+    reason: str = ""
+    hardware: Mapping[str, Any] = field(default_factory=dict)
+    environment: Mapping[str, Any] = field(default_factory=dict)
+    chain: Mapping[str, Any] = field(default_factory=dict)
+    artifacts: tuple[Artifact, ...] = ()
+
+
+def write_run_info(folder: Path, about: RunInfo) -> None:
+    """Write ``run.json`` durably."""
+    content = {"format": FORMAT, **asdict(about)}
+    write_atomically(folder / ABOUT, json.dumps(content, indent=1).encode("utf-8"))
+
+
+def read_run_info(folder: Path) -> RunInfo:
+    """Read ``run.json``; raises ``InputError`` naming it."""
+    path = folder / ABOUT
+    try:
+        content = json.loads(path.read_text("utf-8"))
+        if content.pop("format") != FORMAT or content["state"] not in get_args(RunState):
+            raise ValueError("it is of another version")
+        content["artifacts"] = tuple(Artifact(**made) for made in content["artifacts"])
+        about = RunInfo(**content)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        fix = "Move the folder of this run out of the dataset."
+        raise InputError(f"The run cannot be read: {error}.", str(path), fix) from error
+    if about.uuid != folder.name:
+        raise InputError("This run belongs to another folder.", str(path), "Move it back.")
+    return about
+
+
+def is_run_alive(folder: Path) -> bool:
+    """Whether a process still works on the run in ``folder``."""
+    path = folder / ALIVE
+    if not path.exists():
+        return False
+    try:
+        os.close(lock_file(path))
+    except OSError:
+        return True
+    return False
+
+
+class ActiveRun:
+    """A run while it goes on; as a context it ends as cancelled or failed where nothing else did.
+
+    Not for several threads at once.
+    """
+
+    def __init__(self, dataset: Path, about: RunInfo) -> None:
+        self._dataset, self.about = dataset, about
+        self.folder = dataset / RUNS / about.uuid
+        make_folder(self.folder.parent)
+        self.folder.mkdir()
+        # Alive before there is anything to find: a check beside us must not take it for a crash.
+        self._alive: int | None = lock_file(self.folder / ALIVE)
+        self._metrics = (self.folder / METRICS).open("w", encoding="utf-8")
+        write_run_info(self.folder, about)
+        sync_folder(self.folder.parent)
+
+    @property
+    def uuid(self) -> str:
+        """Id of the run, and name of its folder."""
+        return self.about.uuid
+
+    def metric(self, name: str, step: int, value: float) -> None:
+        """Append one value; whole lines survive the death of this process."""
+        kept = value if math.isfinite(value) else None
+        line = {"name": name, "step": step, "value": kept, "at_ns": time.time_ns()}
+        self._metrics.write(json.dumps(line) + "\n")
+        self._metrics.flush()
+
+    def end_epoch(self) -> None:
+        """Make all values so far survive a loss of power."""
+        os.fsync(self._metrics.fileno())
+
+    def artifact(self, name: str, path: Path) -> None:
+        """Note a file that the run made."""
+        with path.open("rb") as file:
+            digest = sha256()
+            while block := file.read(1 << 20):
+                digest.update(block)
+        full, root = path.resolve(), self._dataset.resolve()
+        place = full.relative_to(root) if full.is_relative_to(root) else full
+        made = Artifact(name, place.as_posix(), digest.hexdigest(), path.stat().st_size)
+        self._write(artifacts=(*self.about.artifacts, made))
+
+    def name_data(self, manifest: str) -> None:
+        """Note the hash of what it works on, where that is known only now."""
+        self._write(manifest=manifest)
+
+    def finish(self) -> None:
+        """End it: it did what it was asked for."""
+        self._end("finished")
+
+    def fail(self, reason: str) -> None:
+        """End it: it could not go on; ``reason`` is a sentence."""
+        self._end("failed", reason)
+
+    def cancel(self) -> None:
+        """End it: a person asked for that."""
+        self._end("cancelled")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
+    ) -> None:
+        if error is None or isinstance(error, KeyboardInterrupt):
+            self.cancel()
+        else:
+            self.fail(str(error) or type(error).__name__)
+
+    def _end(self, state: RunState, reason: str = "") -> None:
+        if self._alive is None:
+            return
+        self.end_epoch()
+        self._metrics.close()
+        self._write(state=state, reason=reason, ended_ns=time.time_ns())
+        os.close(self._alive)
+        self._alive = None
+
+    def _write(self, **changes: Any) -> None:
+        self.about = replace(self.about, **changes)
+        write_run_info(self.folder, self.about)
+
+
+RUN_COLUMNS = (
+    "uuid", "kind", "state", "started_ns", "seed", "program", "manifest", "ended_ns", "reason",
+    "hardware", "environment", "chain",
+)  # fmt: skip
+
+
+def sync_run_tables(folder: Path, database: Database) -> None:
+    """Bring the tables up to what the folders of the runs say.
+
+    The rows of a folder that is gone stay.
+    """
+    sql = "SELECT uuid, mark, read_bytes FROM run"
+    known = {uuid: (mark, count) for uuid, mark, count in database.rows(sql)}
+    for run in run_folders(folder):
+        mark, size = run_file_stamp(run)
+        if mark and known.get(run.name, ("", 0)) != (mark, size):
+            try:
+                about = read_run_info(run)
+            except InputError:
+                continue
+            with database.transaction() as connection:
+                _enter(connection, about, mark)
+                _take_metrics(connection, run, known.get(run.name, ("", 0))[1])
+
+
+def run_folders(folder: Path) -> list[Path]:
+    """Return the folders of runs, in the order in which they were begun."""
+    runs = folder / RUNS
+    return sorted(path for path in runs.iterdir() if path.is_dir()) if runs.is_dir() else []
+
+
+def run_file_stamp(run: Path) -> tuple[str, int]:
+    """Return what tells one state of ``run.json`` from another ("" without it).
+
+    And how many bytes of metrics there are.
+    """
+    try:
+        about = (run / ABOUT).stat()
+        mark = f"{about.st_mtime_ns}:{about.st_size}"
+    except FileNotFoundError:
+        mark = ""
+    try:
+        return mark, (run / METRICS).stat().st_size
+    except FileNotFoundError:
+        return mark, 0
+
+
+def _enter(connection: sqlite3.Connection, about: RunInfo, mark: str) -> None:
+    row = {name: getattr(about, name) for name in RUN_COLUMNS}
+    for name in ("hardware", "environment", "chain"):
+        row[name] = json.dumps(row[name])
+    row["mark"] = mark
+    names = ", ".join(row)
+    values = ", ".join(f":{name}" for name in row)
+    changes = ", ".join(f"{name} = excluded.{name}" for name in row if name != "uuid")
+    connection.execute(
+        f"INSERT INTO run ({names}, read_bytes) VALUES ({values}, 0)"  # noqa: S608
+        f" ON CONFLICT (uuid) DO UPDATE SET {changes}",
+        row,
+    )
+    params = [(about.uuid, key, json.dumps(value)) for key, value in about.params.items()]
+    connection.executemany("INSERT OR REPLACE INTO param VALUES (?, ?, ?)", params)
+    made = [(about.uuid, *asdict(each).values()) for each in about.artifacts]
+    connection.executemany("INSERT OR REPLACE INTO artifact VALUES (?, ?, ?, ?, ?)", made)
+
+
+def _take_metrics(connection: sqlite3.Connection, run: Path, start: int) -> None:
+    """Copy the whole lines after byte ``start``; all of them if there are fewer bytes by now."""
+    path = run / METRICS
+    if not path.exists():
+        return
+    if path.stat().st_size < start:
+        connection.execute("DELETE FROM metric WHERE run = ?", (run.name,))
+        start = 0
+    with path.open("rb") as file:
+        file.seek(start)
+        content = file.read()
+    content = content[: content.rfind(b"\n") + 1]
+    rows = []
+    for line in content.splitlines():
+        try:
+            said = json.loads(line)
+            row = (said["name"], said["step"], said["value"], said["at_ns"])
+        except (ValueError, KeyError, TypeError):
+            continue
+        rows.append((run.name, *row))
+    connection.executemany("INSERT OR REPLACE INTO metric VALUES (?, ?, ?, ?, ?)", rows)
+    sql = "UPDATE run SET read_bytes = ? WHERE uuid = ?"
+    connection.execute(sql, (start + len(content), run.name))
+
+
+_ALL = ", ".join(RUN_COLUMNS)
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """One value of a run; ``value`` is NaN where it was no number."""
+
+    name: str
+    step: int
+    value: float
+    at_ns: int
+
+
+class RunTracker:
+    """The runs of one dataset; every call may come from any thread.
+
+    Where the dataset is open for reading only, what is told is as its last writer left it.
+    """
+
+    def __init__(
+        self, folder: Path, database: Database, heads: Callable[[], Mapping[str, Any]]
+    ) -> None:
+        self._folder, self._database, self._heads = folder, database, heads
+
+    def begin(
+        self, kind: str, *, seed: int, settings: Mapping[str, Any], manifest: str = ""
+    ) -> ActiveRun:
+        """Begin a run of ``kind`` ("train", "evaluate" ...); ``settings``: JSON values.
+
+        ``manifest``: hash of the exact data it works on. Writes files only, so that it may be
+        called where another program has the dataset open, and used after this one is closed.
+        """
+        about = RunInfo(
+            uuid7(), kind, "running", time.time_ns(), seed, program_stamp(), dict(settings), manifest,
+            hardware=hardware_info(), environment=package_versions(), chain=self._heads(),
+        )  # fmt: skip
+        return ActiveRun(self._folder, about)
+
+    def entries(self, kind: str | None = None) -> list[RunInfo]:
+        """Return the runs (of ``kind``), the newest first."""
+        self._follow()
+        sql = f"SELECT {_ALL} FROM run WHERE kind = coalesce(?, kind) ORDER BY started_ns DESC"  # noqa: S608
+        return [self._entry(row) for row in self._database.rows(sql, (kind,))]
+
+    def entry(self, uuid: str) -> RunInfo:
+        """Return one run; raises ``InputError`` if there is none of that id."""
+        self._follow()
+        sql = f"SELECT {_ALL} FROM run WHERE uuid = ?"  # noqa: S608
+        row = self._database.first(sql, (uuid,))
+        if row is None:
+            raise InputError("There is no such run.", uuid, "List the runs of the dataset.")
+        return self._entry(row)
+
+    def metrics(self, uuid: str, name: str | None = None) -> list[Metric]:
+        """Return the values of a run (of one name), by name and step."""
+        self._follow()
+        sql = (
+            "SELECT name, step, value, at_ns FROM metric WHERE run = ? AND name = coalesce(?, name)"
+        )
+        rows = self._database.rows(f"{sql} ORDER BY name, step", (uuid, name))
+        return [Metric(n, s, math.nan if v is None else v, at_ns) for n, s, v, at_ns in rows]
+
+    def _follow(self) -> None:
+        """Bring the tables up to date."""
+        if self._database.writable:
+            sync_run_tables(self._folder, self._database)
+
+    def _entry(self, row: tuple[Any, ...]) -> RunInfo:
+        values = dict(zip(RUN_COLUMNS, row, strict=True))
+        for name in ("hardware", "environment", "chain"):
+            values[name] = json.loads(values[name])
+        uuid = values["uuid"]
+        params = self._database.rows("SELECT key, value FROM param WHERE run = ?", (uuid,))
+        sql = "SELECT name, path, sha256, bytes FROM artifact WHERE run = ?"
+        made = tuple(Artifact(*each) for each in self._database.rows(sql, (uuid,)))
+        return RunInfo(
+            **values, params={key: json.loads(text) for key, text in params}, artifacts=made
+        )
+
+
+OPEN = ("queued", "running")
+
+
+def check_runs(where: DatasetParts) -> Iterator[ConsistencyProblem]:
+    """Yield the runs that nobody works on any more, and folders that hold none."""
+    for run in run_folders(where.folder):
+        if not (run / ABOUT).exists():
+            if not is_run_alive(run) and not run_file_stamp(run)[1]:
+                said = f"{where.name(run)} was left before its run began: deleted."
+                yield ConsistencyProblem("left-over", where.name(run), said, partial(_remove, run))
+            continue
+        try:
+            about = read_run_info(run)
+        except InputError as error:
+            yield ConsistencyProblem("run-unreadable", where.name(run), str(error))
+            continue
+        if about.state in OPEN and not is_run_alive(run):
+            said = f"The run {about.uuid} ({about.kind}) was interrupted: it can be begun again."
+            if about.kind == "train" and "out" in about.params:
+                said = (
+                    f"The training of {about.params['out']} was interrupted; "
+                    "its whole epochs are kept: go on with --resume."
+                )
+            yield ConsistencyProblem(
+                "interrupted", about.uuid, said, partial(_interrupt, run, about)
+            )
+    yield from _gone(where)
+
+
+def _gone(where: DatasetParts) -> Iterator[ConsistencyProblem]:
+    """Yield the rows of runs that never ended and have no folder any more."""
+    for (uuid,) in where.database.rows("SELECT uuid FROM run WHERE state IN (?, ?)", OPEN):
+        if not (where.folder / RUNS / uuid).is_dir():
+            said = f"The folder of run {uuid} is gone; its figures so far are kept."
+            yield ConsistencyProblem("interrupted", uuid, said, partial(_close, uuid))
+
+
+def _close(uuid: str, connection: sqlite3.Connection) -> None:
+    connection.execute("UPDATE run SET state = 'interrupted' WHERE uuid = ?", (uuid,))
+
+
+def _interrupt(run: Path, about: RunInfo, _: sqlite3.Connection) -> None:
+    lines = run / METRICS
+    last_ns = lines.stat().st_mtime_ns if lines.exists() else about.started_ns
+    write_run_info(run, replace(about, state="interrupted", ended_ns=last_ns))
+
+
+def _remove(run: Path, _: sqlite3.Connection) -> None:
+    for path in run.iterdir():
+        path.unlink()
+    run.rmdir()

@@ -1,0 +1,207 @@
+"""Requirements on the folder of a dataset: local file system, free space, single writer.
+
+The writer holds a locked file that names it; the operating system frees the lock when the process
+ends.
+"""
+
+from __future__ import annotations
+
+import errno
+import getpass
+import json
+import os
+import shutil
+import socket
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Self
+
+import psutil
+
+from touchdown.backend.core import InputError, lock_file
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Error numbers of a disk that is full, for everybody or for this user."""
+LEAST_BYTES = 1_000_000_000
+LEAST_EPISODES = 100
+GO_ON_BYTES = 500_000_000
+"""A run that has begun pauses below this: catalogue and journals still need room."""
+EPISODE_BYTES = 3_700_000
+"""Size of an episode with JPEG pictures of real gels; simulated ones are smaller."""
+
+
+@dataclass(frozen=True, slots=True)
+class FreeSpace:
+    """Free bytes, how many episodes fit, and whether all that are planned do."""
+
+    free_bytes: int
+    episodes: int
+    enough: bool
+
+
+def free_space_for(folder: Path, episodes: int, bytes_each: int = EPISODE_BYTES) -> FreeSpace:
+    """Return the room for ``episodes`` where ``folder`` is or will be.
+
+    Raises ``InputError`` if less than 1 GB is free, or less than 100 episodes take: a disk that is
+    nearly full is seldom filled by one program alone. Whoever plans more may warn by ``enough``.
+    """
+    place, free = _free(folder)
+    needed = max(LEAST_BYTES, LEAST_EPISODES * bytes_each)
+    if free < needed:
+        raise InputError(
+            f"Only {free / 1e9:.2f} GB are free; recording needs {needed / 1e9:.2f} GB to start.",
+            str(place),
+            "Free some space, or record on another disk.",
+        )
+    fit = free // max(1, bytes_each)
+    return FreeSpace(free, fit, fit >= episodes)
+
+
+def free_bytes_if_low(folder: Path) -> int | None:
+    """Return the free bytes where too few are left to record another episode, else None."""
+    _, free = _free(folder)
+    return free if free < GO_ON_BYTES else None
+
+
+def _free(folder: Path) -> tuple[Path, int]:
+    """Return the nearest folder that exists, and the free bytes of its disk."""
+    place = folder.absolute()
+    while not place.exists():
+        place = place.parent
+    return place, shutil.disk_usage(place).free
+
+
+_NETWORK = """
+nfs nfs3 nfs4 cifs smb smb2 smb3 smbfs sshfs fuse.sshfs ncpfs afs afpfs webdav davfs fuse.davfs2
+fuse.rclone fuse.s3fs glusterfs fuse.glusterfs ceph lustre gpfs beegfs 9p
+"""
+NETWORK = frozenset(_NETWORK.split())
+FAT = frozenset({"vfat", "msdos", "exfat", "fat", "fat32", "fuse.exfat"})
+
+Mounts = Sequence[tuple[str, str]]
+"""(mount point, type of file system)."""
+
+
+def check_local_disk(folder: Path, mounts: Mounts | None = None) -> None:
+    """Raise ``InputError`` if ``folder`` lies on a network file system (NFS, SMB, sshfs ...)."""
+    kind = file_system(folder.resolve(), _mounts() if mounts is None else mounts)
+    if kind.lower() in NETWORK:
+        raise InputError(
+            f"The dataset lies on a network file system ({kind}), where its catalogue can break.",
+            str(folder),
+            "Keep the dataset on a local disk; copy or merge it afterwards.",
+        )
+
+
+def disk_weakness(folder: Path, mounts: Mounts | None = None) -> str:
+    """Return what the disk of ``folder`` does not promise, in words; "" where it promises all."""
+    kind = file_system(folder.resolve(), _mounts() if mounts is None else mounts)
+    if kind.lower() not in FAT:
+        return ""
+    return (
+        f"The dataset lies on a {kind} disk, which a power cut can damage: what was recorded is "
+        "safe from a crash of the program only. Keep the dataset on a disk with a journal (ext4, "
+        "NTFS, APFS) and only copies of it here."
+    )
+
+
+def file_system(folder: Path, mounts: Mounts) -> str:
+    """Return the type of the file system that holds ``folder`` ("" if unknown)."""
+    holding = [(len(Path(at).parts), kind) for at, kind in mounts if folder.is_relative_to(at)]
+    return max(holding, default=(0, ""))[1]
+
+
+def _mounts() -> Mounts:
+    return [(part.mountpoint, part.fstype) for part in psutil.disk_partitions(all=True)]
+
+
+LOCK_NAME = "writer.lock"
+
+
+@dataclass(frozen=True, slots=True)
+class WriterInfo:
+    """Who writes: a person's name, process, computer, and since when (UTC)."""
+
+    person: str
+    pid: int
+    host: str
+    since: str
+
+    def __str__(self) -> str:
+        return f"{self.person} (process {self.pid} on {self.host}, since {self.since})"
+
+
+class NotWritableError(InputError):
+    """The dataset cannot be opened to write, but to look at."""
+
+
+class ReadOnlyFolderError(NotWritableError):
+    """The folder of the dataset cannot be written at all."""
+
+    def __init__(self, folder: Path, error: OSError) -> None:
+        super().__init__(
+            f"The dataset cannot be written: {error.strerror or error}.",
+            str(folder),
+            "Make its folder and disk writable, or copy it to a disk that is; looking, verifying "
+            "and exporting do without.",
+        )
+
+
+class DatasetInUseError(NotWritableError):
+    """Another process (or another part of this one) writes the dataset; ``holder`` says who."""
+
+    def __init__(self, folder: Path, holder: WriterInfo | None) -> None:
+        who = "another program" if holder is None else str(holder)
+        super().__init__(
+            f"The dataset is being written by {who}.",
+            str(folder),
+            "Close it there first; `touchdown dataset status` looks without writing.",
+        )
+        self.holder = holder
+
+
+class WriterLock:
+    """The right to write a dataset, from ``take`` until ``release``."""
+
+    def __init__(self, folder: Path, descriptor: int) -> None:
+        self._path, self._descriptor = folder / LOCK_NAME, descriptor
+
+    @classmethod
+    def take(cls, folder: Path, person: str = "") -> Self:
+        """Lock ``folder`` for ``person``.
+
+        Raises ``DatasetInUseError`` naming the holder, or ``ReadOnlyFolderError``.
+        """
+        try:
+            descriptor = lock_file(folder / LOCK_NAME)
+        except BlockingIOError:
+            raise DatasetInUseError(folder, lock_holder(folder)) from None
+        except OSError as error:
+            raise ReadOnlyFolderError(folder, error) from error
+        now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")
+        me = WriterInfo(person or _account(), os.getpid(), socket.gethostname(), now)
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, json.dumps(asdict(me)).encode("utf-8"))
+        return cls(folder, descriptor)
+
+    def release(self) -> None:
+        """Give the right back. The file stays: removing it would let two writers in."""
+        os.ftruncate(self._descriptor, 0)
+        os.close(self._descriptor)
+
+
+def lock_holder(folder: Path) -> WriterInfo | None:
+    """Return who wrote the lock last, or None if nobody says so."""
+    try:
+        return WriterInfo(**json.loads((folder / LOCK_NAME).read_text("utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def _account() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError, ImportError):
+        return "someone"

@@ -1,0 +1,361 @@
+"""Labelled episodes of a dataset as rows to train on, read through a memory-mapped cache.
+
+The cache gives random access to observations without decoding files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.annotations.database import NAME, Database
+from touchdown.backend.annotations.geometry_records import GeometryStore, Pair, face_record
+from touchdown.backend.annotations.values import Label, canonical_json
+from touchdown.backend.config import SAMPLES_PER_PROBE
+from touchdown.backend.core import CHANNELS, FloatArray, InputError, sync_folder, write_atomically
+from touchdown.backend.episodes import (
+    FIX,
+    OBS,
+    TrainingRows,
+    input_errors,
+    read_chunk,
+    read_first,
+    unpack_observation,
+)
+from touchdown.backend.geometry import Piece, face_points, load_pieces, true_patch
+
+FEATURES = 1
+"""Raised whenever the same file would give other numbers."""
+KEPT = 3
+"""So many caches stay, the newest first."""
+LISTED = ("episode", "sha256", "revision", "x_um", "y_um", "pair")
+SHAPE = (SAMPLES_PER_PROBE, CHANNELS)
+Width = Literal["float16", "float32"]
+
+
+@dataclass(frozen=True, slots=True)
+class CacheRow:
+    """One episode: where its observation stands, and the label revision it goes with.
+
+    ``chunk``: (offset, length) within a pack; None for an episode file of its own.
+    """
+
+    episode: str
+    sha256: str
+    revision: str
+    path: str
+    chunk: tuple[int, int] | None
+    x_um: int
+    y_um: int
+    pair: str
+
+
+class TrainingCache:
+    """An open cache: ``rows`` in order, ``observation`` (N, 20, 258) as a read-only memory map."""
+
+    def __init__(self, path: Path, rows: Sequence[CacheRow]) -> None:
+        self.path, self.rows = path, tuple(rows)
+        self.observation: NDArray[np.floating] = np.load(path, mmap_mode="r", allow_pickle=False)
+        self._start = path.stat().st_size - self.observation.nbytes
+        self._row_bytes = self.observation.nbytes // max(len(rows), 1)
+        self._asked = np.zeros(len(rows), dtype=bool)
+        self._descriptor = os.open(path, os.O_RDONLY)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def batch(self, index: NDArray[np.integer]) -> NDArray[np.floating]:
+        """Return the observations at ``index`` (B, 20, 258) as stored, in that order."""
+        self._read_ahead(index)
+        return np.asarray(self.observation[index])
+
+    def close(self) -> None:
+        """Close the file; arrays already returned stay valid."""
+        os.close(self._descriptor)
+
+    def _read_ahead(self, index: NDArray[np.integer]) -> None:
+        """Ask for all rows at once: one page fault after the other is three times slower."""
+        if not hasattr(os, "posix_fadvise"):
+            return
+        for row in np.sort(index[~self._asked[index]]).tolist():
+            place = self._start + row * self._row_bytes
+            os.posix_fadvise(self._descriptor, place, self._row_bytes, os.POSIX_FADV_WILLNEED)
+        self._asked[index] = True
+
+
+def cache_spec(rows: Sequence[CacheRow], width: Width = "float16") -> dict[str, object]:
+    """Return what a cache depends on; two equal specs have equal numbers."""
+    return {
+        "episodes": [[row.episode, row.sha256, row.revision] for row in rows],
+        "features": FEATURES,
+        "ticks": SAMPLES_PER_PROBE,
+        "channels": CHANNELS,
+        "rate_hz": 10,
+        "resampling": "markers linear between frames, wrench mean of 100 ms",
+        "dtype": width,
+    }
+
+
+def open_cache(
+    dataset: Path,
+    rows: Sequence[CacheRow],
+    width: Width = "float16",
+    advance: Callable[[int], None] = lambda done: None,
+) -> TrainingCache:
+    """Open the cache of ``rows`` (by episode), building it first if it is not there.
+
+    ``advance`` gets the number of rows done. Raises ``InputError`` naming a damaged file.
+    """
+    ordered = sorted(rows, key=lambda row: row.episode)
+    spec = cache_spec(ordered, width)
+    name = sha256(canonical_json(spec)).hexdigest()
+    folder = dataset / "cache"
+    path = folder / f"{name}.npy"
+    if not _fits(path, len(ordered), width):
+        folder.mkdir(parents=True, exist_ok=True)
+        _write(path, _observations(dataset, ordered, advance), len(ordered), width)
+        write_atomically(path.with_suffix(".json"), _cache_header(spec, ordered))
+    _forget_old(folder, path)
+    return TrainingCache(path, ordered)
+
+
+def _fits(path: Path, count: int, width: Width) -> bool:
+    """Whether the cache is whole: its name is the spec, and its ``.json`` was written last."""
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return False
+    whole = (array.shape, array.dtype.name) == ((count, *SHAPE), width)
+    return whole and path.with_suffix(".json").exists()
+
+
+def _cache_header(spec: dict[str, object], rows: Sequence[CacheRow]) -> bytes:
+    columns = {name: [getattr(row, name) for row in rows] for name in LISTED}
+    return json.dumps({"spec": {**spec, "episodes": len(rows)}, **columns}).encode()
+
+
+def _write(
+    path: Path, observations: Iterator[NDArray[np.float32]], count: int, width: Width
+) -> None:
+    header = {"descr": np.dtype(width).str, "fortran_order": False, "shape": (count, *SHAPE)}
+    descriptor, part = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".tmp")
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            np.lib.format.write_array_header_1_0(file, header)
+            for observation in observations:
+                file.write(observation.astype(width).tobytes())
+            file.flush()
+            os.fsync(file.fileno())
+        Path(part).replace(path)
+    except BaseException:
+        Path(part).unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
+
+
+def _observations(
+    dataset: Path, rows: Sequence[CacheRow], advance: Callable[[int], None]
+) -> Iterator[NDArray[np.float32]]:
+    for done, row in enumerate(rows):
+        yield read_observation(dataset, row)
+        if done % 64 == 0:
+            advance(done)
+    advance(len(rows))
+
+
+def read_observation(dataset: Path, row: CacheRow) -> NDArray[np.float32]:
+    """Return (20, 258) of one row from its file; raises ``InputError`` naming a damaged one."""
+    path = dataset / row.path
+    group = read_first(path) if row.chunk is None else read_chunk(path, *row.chunk)
+    with input_errors(path):
+        observation = unpack_observation(group.messages[OBS.name])
+    if observation.shape != SHAPE or not (np.abs(observation) < np.finfo(np.float16).max).all():
+        raise InputError("The observation is no probe of 20 ticks.", str(path), FIX)
+    return observation
+
+
+def _forget_old(folder: Path, used: Path) -> None:
+    with contextlib.suppress(OSError):
+        os.utime(used)
+        by_age = sorted(folder.glob("*.npy"), key=lambda path: -path.stat().st_mtime_ns)
+        for path in by_age[KEPT:]:
+            path.unlink(missing_ok=True)
+            path.with_suffix(".json").unlink(missing_ok=True)
+
+
+LabelChoice = Literal["approved", "submitted", "drafts"]
+"""``submitted`` adds labels that wait for review; ``drafts`` also what a simulated bench noted."""
+LABEL_CHOICES: tuple[LabelChoice, ...] = get_args(LabelChoice)
+
+_QUERY = """
+SELECT e.uuid, e.sha256, e.path, e.chunk_off, e.chunk_len, e.piece, e.bottom, e.grip_id,
+    e.mounting_id, e.mode, r.rev_uuid, r.x_um, r.y_um, r.theta_mdeg, r.sigma_um, r.source,
+    r.geometry
+FROM episode e JOIN label_head h ON h.episode = e.uuid
+JOIN label_rev r ON r.rev_uuid = {revision}
+WHERE e.state = 'complete' AND e.accepted AND NOT h.conflict AND NOT h.deleted
+    AND h.state != 'rejected' AND r.x_um IS NOT NULL AND ({allowed})
+ORDER BY e.uuid
+"""
+_WAITING = "h.state = 'submitted'"
+_NOTED = (
+    "h.state = 'draft' AND e.mode IN ('live simulation', 'stepped', 'mass')"
+    " AND r.source IN ('commanded', 'measured')"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledEpisode:
+    """One episode and the label revision that counts for it."""
+
+    row: CacheRow
+    label: Label
+    source: str
+    piece: str
+    bottom: str
+    grip_id: str
+    mounting_id: str
+    mode: str
+
+
+def is_dataset(folder: Path) -> bool:
+    """Whether ``folder`` is a dataset (and not a folder of packs)."""
+    return (folder / NAME).is_file()
+
+
+def load_training_set(
+    folder: Path,
+    piece: str | None = None,
+    labels: LabelChoice = "approved",
+    advance: Callable[[int], None] = lambda done: None,
+) -> TrainingRows:
+    """Return the labelled episodes of ``piece`` (None: the only one) in the dataset ``folder``.
+
+    Reads beside a writer. ``advance`` gets the number of episodes copied into the cache, if it has
+    to be built. Raises ``InputError`` if there are none, or if they belong to several pieces.
+    """
+    database = Database.open(folder / NAME, write=False)
+    try:
+        listed = labelled_episodes(database, labels)
+    finally:
+        database.close()
+    chosen = _of_one_piece(listed, piece, folder, labels)
+    pairs = {e.row.pair: None for e in chosen}
+    store = GeometryStore(folder / "geometry")
+    geometry = {name: store.pair(name) for name in pairs}
+    top = load_pieces().piece(chosen[0].piece)
+    _check_face(top, geometry.values(), folder)
+    cache = open_cache(folder, [e.row for e in chosen], advance=advance)
+    return TrainingRows(
+        top.name,
+        top.sha256,
+        cache.observation,
+        np.stack([e.label.offset_mm for e in chosen]),
+        _patches(chosen, geometry, face_points(top.face)),
+        tuple(e.bottom for e in chosen),
+        tuple(e.grip_id for e in chosen),
+        tuple(e.mounting_id for e in chosen),
+        tuple(_label_facts(e) for e in chosen),
+        fetch=cache.batch,
+    )
+
+
+def labelled_episodes(database: Database, labels: LabelChoice) -> list[LabelledEpisode]:
+    """Return the usable episodes with the labels that count, by uuid."""
+    revision, allowed = "h.counting", "1"
+    if labels != "approved":
+        also = _WAITING if labels == "submitted" else f"{_WAITING} OR ({_NOTED})"
+        # What was approved once counts until the new version is.
+        revision = "coalesce(h.counting, h.rev_uuid)"
+        allowed = f"h.counting IS NOT NULL OR {also}"
+    rows = database.rows(_QUERY.format(revision=revision, allowed=allowed))
+    return [_labelled(row) for row in rows]
+
+
+def _labelled(row: Sequence[Any]) -> LabelledEpisode:
+    uuid, sha256, path, offset, length, piece, bottom, grip, mounting, mode = row[:10]
+    revision, x_um, y_um, theta_mdeg, sigma_um, source, pair = row[10:]
+    chunk = None if offset is None else (offset, length)
+    cached = CacheRow(uuid, sha256, revision, path, chunk, x_um, y_um, pair)
+    label = Label(x_um, y_um, theta_mdeg, sigma_um)
+    return LabelledEpisode(cached, label, source, piece, bottom, grip, mounting, mode)
+
+
+def _of_one_piece(
+    listed: Sequence[LabelledEpisode], piece: str | None, folder: Path, labels: LabelChoice
+) -> list[LabelledEpisode]:
+    found = sorted({e.piece for e in listed})
+    if not found:
+        further = LABEL_CHOICES[LABEL_CHOICES.index(labels) + 1 :]
+        fix = "Label and approve some"
+        fix += f", or allow more with --labels {' or '.join(further)}." if further else "."
+        raise InputError("No episode has a label to train on.", str(folder), fix)
+    if piece is None and len(found) > 1:
+        raise InputError(
+            f"The episodes belong to different grasped pieces ({', '.join(found)}).",
+            str(folder),
+            "Name one with --piece.",
+        )
+    chosen = [e for e in listed if e.piece == (piece or found[0])]
+    if not chosen:
+        raise InputError(
+            f"There are no labelled episodes of '{piece}' here, only of {', '.join(found)}.",
+            str(folder),
+            "Choose one of these pieces.",
+        )
+    return chosen
+
+
+def _check_face(piece: Piece, pairs: Iterable[Pair], folder: Path) -> None:
+    """Raise ``InputError`` unless all labels refer to the face of ``piece``."""
+    face = face_record(piece.face)
+    if any(face_record(pair.face) != face for pair in pairs):
+        raise InputError(
+            f"Some labels refer to another face than that of the piece '{piece.name}'.",
+            str(folder),
+            "Move them to the corrected geometry by a bulk operation.",
+        )
+
+
+def _patches(
+    chosen: Sequence[LabelledEpisode], pairs: Mapping[str, Pair], points: FloatArray
+) -> NDArray[np.bool_]:
+    """(n, N) true patches over ``points`` (N, 2), derived per pair and rotation at once."""
+    patch = np.zeros((len(chosen), len(points)), dtype=np.bool_)
+    offset: FloatArray = np.stack([e.label.offset_mm for e in chosen])
+    groups: dict[tuple[str, int], list[int]] = {}
+    for i, e in enumerate(chosen):
+        groups.setdefault((e.row.pair, e.label.theta_mdeg or 0), []).append(i)
+    for (name, theta_mdeg), index in groups.items():
+        yaw_rad = math.radians(theta_mdeg / 1e3)
+        patch[index] = true_patch(points, offset[index], pairs[name].bottom, yaw_rad)
+    return patch
+
+
+def _label_facts(e: LabelledEpisode) -> dict[str, object]:
+    return {
+        "episode": e.row.episode,
+        "revision": e.row.revision,
+        "x_um": e.label.x_um,
+        "y_um": e.label.y_um,
+        "sigma_um": e.label.sigma_um,
+        "source": e.source,
+        "piece": e.piece,
+        "bottom": e.bottom,
+        "grip_id": e.grip_id,
+        "mounting_id": e.mounting_id,
+        "mode": e.mode,
+        "file": e.row.path,
+        "file_sha256": e.row.sha256,
+    }

@@ -1,0 +1,18 @@
+"""Sessions on a bench: simulated, emulated or of a laboratory."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend.bench import (
+        assembly,
+        emulated,
+        emulated_bench,
+        gelsight_emulator,
+        lab,
+        serving,
+        session,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

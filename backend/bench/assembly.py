@@ -1,0 +1,348 @@
+"""Assembly of a session on the simulated bench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from touchdown.backend.bench.session import Session
+from touchdown.backend.config import (
+    PRESETS,
+    BenchDescription,
+    SimulationSettings,
+    StackSettings,
+    describe_simulation,
+    read_settings,
+)
+from touchdown.backend.core import InputError, Pose
+from touchdown.backend.emulation import parse_script
+from touchdown.backend.geometry import (
+    Piece,
+    PieceLibrary,
+    Tower,
+    can_be_placed,
+    draw_start,
+    draw_tower,
+    load_pieces,
+)
+from touchdown.backend.learning import ModelCard, ModelRegistry, card_mismatches, check_autonomous
+from touchdown.backend.placement import Estimator
+from touchdown.backend.runs import (
+    NoEstimator,
+    PatchEstimator,
+    RecordingOptions,
+    ReleaseVerdict,
+    SceneChoice,
+    SceneDevices,
+    SceneView,
+)
+from touchdown.backend.sensing import RawStreams, calibrate_scene_camera, gripper_payload
+from touchdown.backend.simulation import Scene, SceneTruth, start_command_mm, true_margin_mm
+from touchdown.backend.simulation.devices import BenchStreams, SimulatedBench
+
+TOWERS = 100
+"""So many towers are drawn at most until the piece can stand on one."""
+DIRECTIONS = 32
+JIG_MM = (-80.0, 0.0)
+"""The jig stands here beside the bottom."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedBenchChoice:
+    """Which simulated bench: given settings, else a file, else a preset; faults; extra pieces.
+
+    ``disturbances`` are texts such as ``tactile_left:stop@3.0``.
+    """
+
+    file: Path | None = None
+    preset: str | None = None
+    disturbances: tuple[str, ...] = ()
+    pieces: Path | None = None
+    given: SimulationSettings | None = None
+
+    def settings(self) -> SimulationSettings:
+        """Read or make the settings; raises ``InputError``."""
+        if self.given is not None:
+            return self.given
+        if self.file is not None:
+            if self.preset is not None:
+                raise InputError(
+                    "A settings file and a preset were both given.", "--preset", "Give one of them."
+                )
+            return read_settings(SimulationSettings, self.file)
+        name = self.preset or "mixed"
+        if name not in PRESETS:
+            known = ", ".join(PRESETS)
+            raise InputError(f"There is no preset '{name}'.", "--preset", f"Choose one of {known}.")
+        return SimulationSettings.model_validate({"preset": name})
+
+
+class KnownTruth(Protocol):
+    """A scene of which the truth is known."""
+
+    @property
+    def scene(self) -> Scene:
+        """What was set up."""
+
+    def truth(self, *, animate: bool = False) -> SceneTruth:
+        """Return how things really are."""
+
+
+@dataclass
+class SimulatedScoring:
+    """The truth of one scene, handed to scoring and display, never to the method."""
+
+    bench: KnownTruth
+    longest_step_mm: float
+    animate: bool
+
+    def start_mm(self) -> tuple[float, float]:
+        """Return the true offset at the start."""
+        return self.bench.scene.start_mm
+
+    def least_probes(self) -> int:
+        """Return 1 + the least number of longest steps from the start to a stable offset.
+
+        The distance to the stable region is searched along ``DIRECTIONS`` rays.
+        """
+        scene = self.bench.scene
+        x, y = scene.start_mm
+        steps = 0
+        while steps < 20:
+            radius = steps * self.longest_step_mm
+            angles = 2 * np.pi * np.arange(DIRECTIONS if steps else 1) / DIRECTIONS
+            for angle in angles:
+                for part in (1.0, 0.75, 0.5, 0.25) if steps else (1.0,):
+                    reach = radius - (1.0 - part) * self.longest_step_mm
+                    at = (x + reach * float(np.cos(angle)), y + reach * float(np.sin(angle)))
+                    if true_margin_mm(scene, at, 0.0) > 0.0:
+                        return 1 + steps
+            steps += 1
+        return 1 + steps
+
+    def verdict(self) -> ReleaseVerdict:
+        """Judge the scene as it is; after the release the physics engine is asked as well."""
+        truth = self.bench.truth()
+        if truth.stands is not None and self.animate:
+            truth = self.bench.truth(animate=True)
+        return ReleaseVerdict(
+            bool(truth.stands),
+            truth.knocked_over,
+            truth.margin_mm,
+            truth.fall,
+            truth.contradicted,
+        )
+
+
+def shipped_model(piece: str) -> Path:
+    """Return the path of the default model of ``piece``; raises ``InputError`` if none ships."""
+    path = Path(str(files("touchdown.resources"))) / "models" / f"{piece}.safetensors"
+    if not path.is_file():
+        raise InputError(
+            f"No model ships for piece '{piece}'.",
+            str(path),
+            "Train one with `touchdown train` and name it with --model.",
+        )
+    return path
+
+
+class Models:
+    """The trained models of a bench: each file is read once for a piece.
+
+    Without a file in the choice it is the model in use of ``registry``, else the one that ships;
+    a run keeps the one that it was checked with, whatever is promoted or becomes of its file
+    meanwhile. The next run reads a file that has changed anew.
+    """
+
+    def __init__(
+        self, registry: ModelRegistry | None, facts: BenchDescription, grid_mm: float
+    ) -> None:
+        self._registry, self._facts, self._grid_mm = registry, facts, grid_mm
+        self._loaded: dict[tuple[Path, str], Estimator] = {}
+        self._stamps: dict[Path, tuple[int, int] | None] = {}
+        self._checked: dict[str, Path] = {}
+
+    def of(self, choice: SceneChoice, piece: Piece) -> Estimator | None:
+        """Return the model of a scene, None if it needs none; raises ``InputError``."""
+        if not choice.estimates:
+            return None
+        path = Path(choice.model) if choice.model else self._checked.get(choice.piece)
+        return self._read(path or model_in_use(choice.piece, self._registry), piece)
+
+    def check(self, choice: SceneChoice, piece: Piece) -> Estimator | None:
+        """Return the model for a run that begins; ``InputError`` if it must not be ``alone``."""
+        if not choice.estimates:
+            return None
+        path = Path(choice.model or model_in_use(choice.piece, self._registry))
+        if self._stamps.get(path) != _stamp(path):
+            self._loaded = {key: one for key, one in self._loaded.items() if key[0] != path}
+        loaded = self._read(path, piece)
+        if not choice.model:
+            self._checked[choice.piece] = path
+        if choice.alone:
+            card = loaded.card
+            probes = (
+                0 if self._registry is None else self._registry.hardware_probes(card.weights_sha256)
+            )
+            found = card_mismatches(card, self._facts, piece.sha256, self._grid_mm, probes)
+            check_autonomous(card, found, f"model {card.weights_sha256[:12]}")
+        return loaded
+
+    def _read(self, path: Path, piece: Piece) -> Estimator:
+        if (path, piece.name) not in self._loaded:
+            self._stamps[path] = _stamp(path)
+            self._loaded[path, piece.name] = Estimator.load(path, piece)
+        return self._loaded[path, piece.name]
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    """Return by what a file is known to be the same as before, None if there is none."""
+    try:
+        told = path.stat()
+    except OSError:
+        return None
+    return told.st_mtime_ns, told.st_size
+
+
+def model_in_use(piece: str, registry: ModelRegistry | None) -> Path:
+    """Return the model that was put in use for ``piece``, else the one that ships."""
+    path = None if registry is None else registry.in_use(piece)
+    return shipped_model(piece) if path is None else path
+
+
+def make_tower(
+    catalogue: PieceLibrary, choice: SceneChoice, piece: Piece, rng: np.random.Generator
+) -> Tower:
+    """Stand the named bottoms on each other; those above the first lean out at random.
+
+    Drawn until ``piece`` can stand on it. Raises ``InputError`` for an unknown bottom, or where
+    nothing could be placed.
+    """
+    names = choice.bottoms
+    if not names or not all(names):
+        raise InputError("No bottom was named.", "--bottom", "Name one, such as short.")
+    bottoms = tuple(map(catalogue.bottom, names))
+    for _ in range(TOWERS):
+        tower = draw_tower(rng, bottoms)
+        if len(bottoms) == 1 or can_be_placed(piece, tower):
+            return tower
+    raise InputError(
+        f"'{piece.name}' stands nowhere on it.", "+".join(names), "Choose another tower."
+    )
+
+
+def make_scene(catalogue: PieceLibrary, choice: SceneChoice, settings: SimulationSettings) -> Scene:
+    """Return the scene of one trial: everything about it follows from the seed."""
+    seed = choice.seed
+    if seed < 0:
+        raise InputError(f"The seed {seed} is negative.", "--seed", "Give 0 or a positive number.")
+    piece = catalogue.top(choice.piece)
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 77])))
+    tower = make_tower(catalogue, choice, piece, rng)
+    if choice.jig:
+        return _collecting(piece, tower, choice, settings)
+    start = draw_start(rng, piece.body(), tower)
+    return Scene(piece=piece, bottoms=tower, start_mm=start, seed=seed, settings=settings)
+
+
+def _collecting(
+    piece: Piece, tower: Tower, choice: SceneChoice, settings: SimulationSettings
+) -> Scene:
+    """Return a scene with the piece in its jig: a jig grasps better than a hand."""
+    grasp_mm = settings.spread.grasp_offset_mm if choice.handed else settings.spread.jig_mm
+    spread = settings.spread.model_copy(update={"grasp_offset_mm": grasp_mm})
+    return Scene(
+        piece=piece,
+        bottoms=tower,
+        start_mm=JIG_MM,
+        seed=choice.seed,
+        settings=settings.model_copy(update={"spread": spread}),
+        mounting=choice.mounting,
+        jig=True,
+    )
+
+
+def _scene_view(bench: SimulatedBench) -> SceneView:
+    """Return the scene camera, calibrated by a picture of the bench with the piece in its jig."""
+    return SceneView(bench.scene_picture, calibrate_scene_camera(bench.scene_picture()))
+
+
+def simulated_session(
+    choice: SimulatedBenchChoice | None = None,
+    *,
+    keep: RecordingOptions | None = None,
+    method: StackSettings | None = None,
+    animate: bool = False,
+    estimate: Callable[[SimulatedBench], PatchEstimator] | None = None,
+    registry: ModelRegistry | None = None,
+) -> Session:
+    """Return a session on the simulated bench.
+
+    >>> session = simulated_session(keep=Keep(None))
+    >>> session.hub.subscribe(print)                                     # doctest: +SKIP
+    >>> session.run(StackRequest(piece="pot", bottoms=("short",), seed=7))  # doctest: +SKIP
+
+    ``animate`` asks MuJoCo, where it is installed, after every release: for the motion of a fall
+    and as second judge (0.4 s). ``estimate`` makes what stands in for the trained model on a new
+    bench. ``registry`` knows the models in use (None: those that ship). Raises ``InputError`` for
+    bad settings.
+    """
+    choice = choice or SimulatedBenchChoice()
+    settings, disturbances = choice.settings(), choice.disturbances
+    script = parse_script(disturbances)
+    catalogue = load_pieces(choice.pieces)
+    method = method or StackSettings()
+    facts = describe_simulation(settings)
+    models = Models(registry, facts, method.belief.pitch_mm)
+
+    def _estimator(bench: SimulatedBench, choice: SceneChoice) -> PatchEstimator:
+        if estimate is not None:
+            return estimate(bench)
+        return models.of(choice, bench.scene.piece) or NoEstimator()
+
+    def make_stage(choice: SceneChoice, raw: RawStreams) -> SceneDevices:
+        scene = make_scene(catalogue, choice, settings)
+        streams = BenchStreams(raw.frames, raw.samples, raw.poses, raw.commands)
+        bench = SimulatedBench(scene, script, streams)
+        return SceneDevices(
+            clock=bench.clock,
+            devices=bench.devices,
+            arm=bench.arm,
+            gripper=bench.gripper,
+            piece=scene.piece,
+            bottom="+".join(choice.bottoms),
+            advance=bench.advance,
+            scoring=SimulatedScoring(bench, method.policy.longest_step_mm, animate),
+            estimator=_estimator(bench, choice),
+            payload=gripper_payload(settings.wrist.payload_kg, settings.wrist.payload_com_mm),
+            outline=scene.surface,
+            jig=Pose(*start_command_mm(scene).tolist()) if scene.jig else None,
+            scene_view=_scene_view(bench) if scene.jig else None,
+        )
+
+    def check(choice: SceneChoice) -> Mapping[str, object]:
+        scene = make_scene(catalogue, choice, settings)
+        loaded = None if estimate else models.check(choice, scene.piece)
+        return _told(settings, disturbances, None if loaded is None else loaded.card)
+
+    return Session(
+        make_stage, check, catalogue, settings=method, keep=keep or RecordingOptions(), facts=facts
+    )
+
+
+def _told(
+    settings: SimulationSettings, disturbances: Sequence[str], card: ModelCard | None
+) -> dict[str, object]:
+    """Return what a run journal says of the bench."""
+    return {
+        "simulation": settings.model_dump(mode="json"),
+        "disturbances": list(disturbances),
+        "model": card and {"piece": card.piece, "weights_sha256": card.weights_sha256},
+        "program": version("touchdown"),
+    }

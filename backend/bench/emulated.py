@@ -1,0 +1,160 @@
+"""Session on emulated devices."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from collections.abc import Mapping
+from contextlib import ExitStack
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+
+from touchdown.backend.bench.assembly import (
+    Models,
+    SimulatedBenchChoice,
+    SimulatedScoring,
+    make_scene,
+)
+from touchdown.backend.bench.command_log import Witnessed
+from touchdown.backend.bench.emulated_bench import BENCH_FILE, RemoteTruth
+from touchdown.backend.bench.emulated_process import EmulatedProcess
+from touchdown.backend.bench.session import Session
+from touchdown.backend.config import (
+    HardwareSettings,
+    StackSettings,
+    describe_simulation,
+    read_settings,
+)
+from touchdown.backend.core import BenchClock, Pose
+from touchdown.backend.emulation import FaultPlan
+from touchdown.backend.geometry import load_pieces
+from touchdown.backend.learning import ModelRegistry
+from touchdown.backend.rig import LATE_S, FlightRecorder, WiredDevices
+from touchdown.backend.runs import NoEstimator, RecordingOptions, SceneChoice, SceneDevices
+from touchdown.backend.sensing import RawStreams, gripper_payload
+from touchdown.backend.simulation import Scene, start_command_mm
+
+
+class EmulatedBench:
+    """Holds the session and, scene by scene, the emulated devices and their drivers.
+
+    ``plan``: what goes wrong, by the time since a scene was set; it may be changed between scenes.
+    Close it when done.
+    """
+
+    def __init__(
+        self,
+        choice: SimulatedBenchChoice | None = None,
+        *,
+        keep: RecordingOptions | None = None,
+        method: StackSettings | None = None,
+        registry: ModelRegistry | None = None,
+        plan: FaultPlan | None = None,
+    ) -> None:
+        choice = choice or SimulatedBenchChoice()
+        self._settings, self.plan = choice.settings(), plan or FaultPlan()
+        self._pieces, self._catalogue = choice.pieces, load_pieces(choice.pieces)
+        self._method = method or StackSettings()
+        self._clock = BenchClock()
+        facts = describe_simulation(self._settings)
+        self._models = Models(registry, facts, self._method.belief.pitch_mm)
+        self._present = ExitStack()
+        self._process = EmulatedProcess(lambda fault: self.session.interlock.raise_fault(fault))
+        self.session = Session(
+            self._make_stage,
+            self._check,
+            self._catalogue,
+            settings=self._method,
+            keep=keep or RecordingOptions(),
+            facts=facts,
+        )
+        self._wired: WiredDevices | None = None
+        self._truth: RemoteTruth | None = None
+        recorder = FlightRecorder(
+            lambda: None if self._wired is None else self._wired.link.memory,
+            lambda: self.session.run_folder,
+        )
+        self.session.hub.subscribe(recorder.note)
+
+    def close(self) -> None:
+        """End the run, disconnect the drivers, then take the emulated devices away."""
+        self._process.end_if_still()
+        self.session.close()
+        self._present.close()
+        self._process.close()
+
+    def witnessed(self) -> Witnessed | None:
+        """Return what the devices of the present scene have seen of their driver; None before.
+
+        Raises ``OSError`` if they are gone.
+        """
+        return None if self._truth is None else self._truth.witnessed()
+
+    def __enter__(self) -> EmulatedBench:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _make_stage(self, choice: SceneChoice, raw: RawStreams) -> SceneDevices:
+        self._present.close()
+        scene = make_scene(self._catalogue, choice, self._settings)
+        estimator = self._models.of(choice, scene.piece) or NoEstimator()
+        with ExitStack() as stack:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            address = self._process.set_scene(
+                choice, self._settings, self.plan, folder, self._pieces
+            )
+            self._truth = truth = RemoteTruth(scene, address)
+            hardware = read_settings(HardwareSettings, folder / BENCH_FILE)
+            self._wired = wired = WiredDevices(
+                hardware,
+                self._clock.now_s,
+                raw.frames,
+                raw.samples,
+                raw.poses,
+                self.session.interlock,
+            )
+            stack.callback(wired.close)
+            wired.connect(threading.Event())
+            wired.home()
+            self._present = stack.pop_all()
+        wrist = self._settings.wrist
+        return SceneDevices(
+            clock=self._clock,
+            devices=wired.devices,
+            arm=wired.arm,
+            gripper=wired.gripper,
+            piece=scene.piece,
+            bottom="+".join(choice.bottoms),
+            advance=self._clock.wait,
+            scoring=SimulatedScoring(truth, self._method.policy.longest_step_mm, False),
+            estimator=estimator,
+            payload=gripper_payload(wrist.payload_kg, wrist.payload_com_mm),
+            outline=scene.surface,
+            jig=_jig(scene),
+            wrench_late_s=1e-3 * hardware.ft.latency_ms + LATE_S,
+            real_time=True,
+        )
+
+    def _check(self, choice: SceneChoice) -> Mapping[str, object]:
+        scene = make_scene(self._catalogue, choice, self._settings)
+        loaded = self._models.check(choice, scene.piece)
+        return {
+            "emulated": True,
+            "simulation": self._settings.model_dump(mode="json"),
+            "faults": self.plan.model_dump(mode="json"),
+            "model": loaded
+            and {"piece": loaded.card.piece, "weights_sha256": loaded.card.weights_sha256},
+            "program": version("touchdown"),
+        }
+
+
+def _jig(scene: Scene) -> Pose | None:
+    return Pose(*start_command_mm(scene).tolist()) if scene.jig else None

@@ -1,0 +1,423 @@
+"""Session on a bench: runs, events, stop."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from touchdown.backend.annotations import Dataset
+from touchdown.backend.calibration import CalibrationStore, calibrated_positions
+from touchdown.backend.config import BenchDescription, StackSettings
+from touchdown.backend.core import (
+    FINGERS,
+    EpisodeDecision,
+    EventBus,
+    FaultsReset,
+    Finger,
+    MarkerField,
+    RefusedError,
+    RepaintHold,
+    Said,
+    SampleStream,
+    Stream,
+    TactileFrame,
+    blocking_section,
+)
+from touchdown.backend.devices import (
+    Around,
+    Degraded,
+    Device,
+    GuardedArm,
+    GuardedGripper,
+    Interlock,
+    Limits,
+    Supervision,
+    refuse_degraded,
+)
+from touchdown.backend.geometry import PieceLibrary
+from touchdown.backend.learning import ModelCard
+from touchdown.backend.placement import Estimator, SupportTower
+from touchdown.backend.rig import Connection
+from touchdown.backend.runs import (
+    SET_S,
+    Bench,
+    DriftMonitor,
+    DriftScene,
+    Engine,
+    FaultNotifier,
+    LiveThread,
+    ManualControl,
+    ManualDevices,
+    OperatorPrompt,
+    PendingDecision,
+    Plan,
+    RecordingOptions,
+    Request,
+    RunContext,
+    RunRecorder,
+    RunStatus,
+    SceneCheck,
+    SceneChoice,
+    SceneDevices,
+    SceneFactory,
+    SetRequest,
+    Used,
+    calibration_metadata,
+    calibrations_for,
+    check_devices,
+    check_no_contact,
+    contact_height_mm,
+    latch_device_faults,
+    log_limit_change,
+    payload_wrench,
+    plan_of,
+    wire_stop,
+)
+from touchdown.backend.sensing import LiveSensing, RawStreams, WrenchDrift
+
+STEP_US = 20_000
+"""The bench advances in steps of 20 ms: a cancel is seen within that time."""
+LIVE_MODES = {"simulated": "live simulation", "emulated": "emulated"}
+"""What recordings call a live bench, by its facts; anything else is a lab."""
+FRAME_CAPACITY, SAMPLE_CAPACITY = 192, 60_000
+"""Newest 7.7 s of images per finger (44 MB each) and 60 s of 1 kHz samples are kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Scene:
+    """A stage with its sensing and its guarded devices."""
+
+    stage: SceneDevices
+    sensing: LiveSensing
+    arm: GuardedArm
+    gripper: GuardedGripper
+    hand: ManualControl
+    drift: DriftMonitor
+
+
+class Session:
+    """A bench that can be run headless (``run``) or live (``open``, then ``engine``)."""
+
+    def __init__(
+        self,
+        make_stage: SceneFactory,
+        check: SceneCheck,
+        catalogue: PieceLibrary,
+        *,
+        settings: StackSettings,
+        keep: RecordingOptions,
+        facts: BenchDescription,
+    ) -> None:
+        self._make_stage, self._check, self.catalogue = make_stage, check, catalogue
+        self._settings, self.facts = settings, facts
+        self.simulated, self.name = facts.mode == "simulated", ""
+        self.limits_source, self.usual = "the program itself", SceneChoice()
+        self.connection: Connection | None = None
+        """Devices that outlive every scene (None: each scene has its own)."""
+        self.hub, self.interlock, self.gate = EventBus(), Interlock(), OperatorPrompt()
+        self.hush = RepaintHold()
+        """Whoever shares this interpreter draws nothing while it is on."""
+        self.decisions = PendingDecision()
+        self.dataset: Dataset | None = None
+        """Takes what is collected; set while no run goes on."""
+        self.calibrations: CalibrationStore | None = None
+        """What the bench knows about itself; set before its scene."""
+        self._used: Used = {}
+        self.frames: Mapping[Finger, Stream[TactileFrame]] = {
+            finger: Stream(f"tactile_{finger}", FRAME_CAPACITY) for finger in FINGERS
+        }
+        self.fields: Mapping[Finger, Stream[MarkerField]] = {
+            finger: Stream(f"markers_{finger}", FRAME_CAPACITY) for finger in FINGERS
+        }
+        samples = SampleStream("force_torque", 6, SAMPLE_CAPACITY)
+        poses = SampleStream("arm", 3, SAMPLE_CAPACITY)
+        self.wrench = SampleStream("wrench", 6, SAMPLE_CAPACITY)
+        commands = SampleStream("arm_command", 3, SAMPLE_CAPACITY)
+        self.raw = RawStreams(self.frames, samples, poses, commands)
+        self._supervision = Supervision(self.interlock, self.wrench, self.frames)
+        self.engine = Engine(self.hub, self.interlock, self.clock_s, self._supervision.unwell)
+        mode = LIVE_MODES.get(facts.mode, "lab")
+        self._keep, self._recorder = keep, RunRecorder(keep, self.hub, self.interlock, mode)
+        self._teller = FaultNotifier(self.hub, self.interlock, self.clock_s)
+        self._scene: _Scene | None = None
+        ended, still = self.engine.abandon, self._teller.tell_now
+        self._live = LiveThread(self._live_step, 1e-6 * STEP_US, ended, still)
+
+    # -- for the window and for scripts -----------------------------------------------------------
+
+    @property
+    def devices(self) -> Mapping[str, Device]:
+        """The five devices by name; of a simulated bench those of the scene, once there is one."""
+        if self._scene is not None:
+            return self._scene.stage.devices
+        return {} if self.connection is None else self.connection.devices
+
+    @property
+    def pace(self) -> float:
+        """Bench seconds per wall second, measured while live."""
+        return self._live.pace
+
+    @property
+    def still_s(self) -> float:
+        """For how long the live bench has made no step."""
+        return self._live.still_s
+
+    @property
+    def run_folder(self) -> Path | None:
+        """Folder of the last run, None if it is not kept."""
+        return self._recorder.folder
+
+    @property
+    def hand(self) -> ManualControl | None:
+        """What the operator does by hand on the present scene (None before the first)."""
+        return None if self._scene is None else self._scene.hand
+
+    @property
+    def model(self) -> ModelCard | None:
+        """What reads the probes of the present scene (None where no model does)."""
+        estimator = None if self._scene is None else self._scene.stage.estimator
+        return estimator.card if isinstance(estimator, Estimator) else None
+
+    @property
+    def degraded(self) -> tuple[Degraded, ...]:
+        """Sensors of the present scene that are late or slow now."""
+        return () if self._scene is None else self._supervision.degraded
+
+    @property
+    def drift(self) -> WrenchDrift | None:
+        """By how much the wrist sensor drifted, None while that is not known."""
+        return None if self._scene is None else self._scene.sensing.drift
+
+    def clock_s(self) -> float:
+        """Return the bench clock of the present scene."""
+        return 0.0 if self._scene is None else self._scene.stage.clock.now_s()
+
+    def status(self) -> RunStatus:
+        """Return a snapshot of the engine."""
+        return self.engine.status()
+
+    def start(self, request: Request) -> None:
+        """Begin a run (live); raises ``RefusedError`` while another goes on or after STOP."""
+        self._refuse_busy()
+        if self.interlock.recovering:
+            raise RefusedError("RECOVERY", "After a fault: jog away from contact first.")
+        if not isinstance(request, SetRequest):
+            check_no_contact(self.hand)
+            refuse_degraded(self.degraded, self.clock_s())
+            if self.hand is not None:
+                self.hand.refuse_turned()
+            if self.hand is not None and not self.hand.powered:
+                raise RefusedError("SERVO-OFF", "The servo of the arm is off: switch it on first.")
+        self.engine.begin(self._plan(request))
+
+    def run(self, request: Request) -> None:
+        """Run to the end on this thread, as fast as it computes. Raises what ended it early."""
+        if self.hand is not None and not self.simulated:
+            self.hand.refuse_turned()
+        plan = self._plan(request)
+        try:
+            self.engine.run(plan, self.advance)
+        finally:
+            self._recorder.close()
+
+    def stop(self) -> None:
+        """STOP: latch, halt arm and gripper, end the run. Legal always; returns at once."""
+        self.interlock.stop()
+
+    def reset(self) -> None:
+        """Clear latch and faults after the operator looked; nothing moves."""
+        self.interlock.reset()
+        self.hub.publish(FaultsReset(self.clock_s()))
+
+    def answer(self, yes: bool) -> None:
+        """Approve or decline the action that waits."""
+        self.gate.answer(yes)
+
+    def decide(self, decision: EpisodeDecision) -> None:
+        """Keep, discard, redo, flag or skip the newest collected episode; never waits."""
+        self.decisions.give(decision)
+
+    def prepare(self, choice: SceneChoice) -> None:
+        """Set a scene without starting a run, so that a live view has something to show."""
+        self._set_scene(choice)
+
+    def join(self, connection: Connection, name: str, limits: Limits, source: str) -> None:
+        """Take the devices of lab ``name``, which outlive every scene; STOP reaches them now."""
+        self.connection, self.name, self.limits_source = connection, name, source
+        self.interlock.change_limits(limits, self.clock_s())
+        wire_stop(connection, self.interlock)
+
+    def leave_scene(self) -> None:
+        """Let nothing move until a scene is set again: a device will be disconnected."""
+        self._refuse_busy()
+        self._scene = None
+
+    def home_gripper(self) -> None:
+        """Home the gripper, whose jaws must be empty; raises ``RefusedError``."""
+        self._refuse_busy()
+        if self.interlock.latched:
+            raise RefusedError("LATCHED", "The bench is stopped: press Reset first.")
+        if self.connection is not None:
+            self.connection.home()
+
+    def change_limits(self, limits: Limits, person: str) -> None:
+        """Take other limits, between motions, once the change is durable in the limit journal.
+
+        Raises ``RefusedError`` while something moves, ``InputError`` where the disk refuses.
+        """
+        self._refuse_busy()
+        if self._keep.runs is not None:
+            log_limit_change(self._keep.runs, self.name, person, self.interlock.limits, limits)
+        self.interlock.change_limits(limits, self.clock_s())
+        self.hub.publish(Said(self.clock_s(), f"Limits changed by {person}."))
+
+    # -- time -------------------------------------------------------------------------------------
+
+    def advance(self) -> None:
+        """Move the bench by one step and process what the sensors delivered."""
+        latch_device_faults(self.devices.values(), self.interlock)
+        if (scene := self._scene) is not None:
+            scene.hand.tick()
+            scene.stage.advance(STEP_US)
+            scene.sensing.update()
+            scene.drift.update()
+            self._supervision.check(self.clock_s())
+        if not self.engine.busy:
+            self._teller.tell()
+
+    def open(self, speed: float = 1.0) -> None:
+        """Start the live thread; ``speed`` simulated seconds per wall second."""
+        self._live.open(speed)
+
+    def close(self) -> None:
+        """Stop motion, end the run and the live thread; the gripper stays as it is."""
+        if self.engine.busy:
+            self.interlock.stop("shutdown")
+        self._live.close(lambda: self.engine.wait_idle(2.0))
+        self._recorder.close()
+        if self.connection is not None:
+            self.connection.close()
+
+    def _live_step(self) -> None:
+        self.engine.tick()
+        if not self.engine.busy:
+            self._recorder.close()
+        self.advance()
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _refuse_busy(self) -> None:
+        if self.engine.busy:
+            raise RefusedError("BUSY", "A run is going on: cancel it first.")
+        if self.hand is not None and self.hand.active:
+            raise RefusedError("BY-HAND", "The bench is being moved by hand: let go first.")
+
+    def _plan(self, request: Request) -> Plan[None]:
+        check_devices(self.connection, request)
+        self._used = calibrations_for(request, self.facts.mode, self.calibrations, self.devices)
+        run_id = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
+        host = RunContext(
+            run_id=run_id,
+            simulated=self.simulated,
+            mode=self._mode(),
+            facts=self.facts,
+            dataset=self.dataset,
+            decisions=self.decisions,
+            piece=self.catalogue.piece,
+            method=self._settings,
+            check=lambda c: {**self._check(c), "limits": asdict(self.interlock.limits)},
+            open=lambda: self._recorder.open(run_id),
+            set_scene=lambda choice, method: self._bench(
+                self._set_scene(choice, self._used), method
+            ),
+            present=self._present,
+        )
+        return plan_of(request, host)
+
+    def _mode(self) -> str:
+        stepped = self.simulated and not self._live.running
+        return "stepped" if stepped else LIVE_MODES.get(self.facts.mode, "lab")
+
+    def _wall_s(self) -> float:
+        """Return the clock of whoever holds a button: the wall's while live, else the bench's."""
+        return time.monotonic() if self._live.running else self.clock_s()
+
+    def _present(self, method: StackSettings) -> Bench:
+        if self._scene is None:
+            raise RefusedError("NO-SCENE", "Nothing is set up on the bench yet.")
+        return self._bench(self._scene, method)
+
+    def _bench(self, scene: _Scene, method: StackSettings) -> Bench:
+        """Return the bench of a plan on ``scene``."""
+        stage, now_s = scene.stage, scene.stage.clock.now_s
+        bottoms = [self.catalogue.bottom(name) for name in stage.bottom.split("+")]
+        self.interlock.untested_release = self.simulated and method.strategy == "pick-and-place"
+        self.interlock.renew_lease(now_s())
+        return Bench(
+            now_s=now_s,
+            arm=scene.arm,
+            gripper=scene.gripper,
+            interlock=self.interlock,
+            sensing=scene.sensing,
+            estimator=stage.estimator,
+            piece=stage.piece,
+            bottom=stage.bottom,
+            store=self._recorder.store,
+            gate=self.gate,
+            settings=method,
+            scoring=stage.scoring,
+            wall_s=time.perf_counter,
+            probe_count=lambda: self.engine.status().probe,
+            felt_count=lambda: self.engine.status().felt,
+            hush=self.hush,
+            outline=stage.outline,
+            jig=stage.jig,
+            scene_view=stage.scene_view,
+            wrench_late_s=stage.wrench_late_s,
+            calibrations=calibration_metadata(self._used),
+            sensor_height_mm=self.facts.sensor_height_mm,
+            below=SupportTower.entered(stage.piece, bottoms, method.tower),
+            placed=calibrated_positions(self._used),
+            real_time=stage.real_time,
+        )
+
+    @blocking_section("sets the scene", SET_S)
+    def _set_scene(self, choice: SceneChoice, used: Used | None = None) -> _Scene:
+        """Build the scene and let its sensors start; ``used``: what a run was checked with."""
+        self.interlock.forget_stoppers()
+        wire_stop(self.connection, self.interlock)
+        for finger in FINGERS:
+            self.frames[finger].clear()
+            self.fields[finger].clear()
+        raw = self.raw
+        for samples in (raw.samples, raw.poses, raw.commands, self.wrench):
+            samples.clear()
+        stage = self._make_stage(choice, raw)
+        cancel = threading.Event()
+        for device in stage.devices.values():
+            device.connect(5.0, cancel)
+        payload = payload_wrench(self.calibrations, stage.devices, used)
+        payload = stage.payload if payload is None else payload
+        sensing = LiveSensing(raw, self.fields, self.wrench, payload)
+        now_s = stage.clock.now_s
+
+        def press_n() -> float:
+            return sensing.press_n(now_s(), max_age_s=0.2)
+
+        def surface_mm() -> float:
+            return contact_height_mm(stage.piece, stage.bottom, self._used)
+
+        arm = GuardedArm(stage.arm, self.interlock, now_s, press_n, surface_mm)
+        gripper = GuardedGripper(stage.gripper, self.interlock, now_s)
+        around = Around(now_s, self._wall_s, press_n, surface_mm, lambda: self.engine.busy)
+        hand = ManualControl(
+            ManualDevices(arm, gripper, sensing), self.interlock, around, self.hub.publish
+        )
+        drift = DriftMonitor(DriftScene(now_s, arm, gripper, surface_mm), sensing, self.hub.publish)
+        self._scene = scene = _Scene(stage, sensing, arm, gripper, hand, drift)
+        self._supervision.begin(now_s(), gripper, stage.devices["force_torque"])
+        return scene

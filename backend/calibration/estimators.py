@@ -1,0 +1,348 @@
+"""Least-squares estimators of board, tool, payload, and sensor yaw.
+
+Board: height and tilt from touches, x, y and yaw from its edges. Tool: centre of the face of a held
+piece from the axis of the tool; the piece touches the edges of a bottom at a known position, grip
+by grip. Payload: mass and centre of mass below the wrist sensor, and the bias of the sensor. In
+pose k gravity points along g_k in the axes of the hand, so that f_k = m g_k + b and t_k = (m c) x
+g_k + d: linear in the ten unknowns m, m c, b, d. Sensor yaw about the tool axis: a tilted hand
+projects part of the known direction of gravity into the plane of the sensor; with a = m cos(yaw)
+and b = m sin(yaw) the readings are linear in a, b, the mass m and the bias.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from touchdown.backend.calibration.result import (
+    CalibrationEstimate,
+    LeastSquaresSolution,
+    Quantity,
+    quantities,
+    rms,
+    solve_least_squares,
+)
+from touchdown.backend.core import FloatArray, RefusedError
+
+BOARD_LIMIT_MM = 0.1
+LARGEST_YAW_RAD = math.radians(2.0)
+"""A corner 12 mm from the centre is then 0.4 mm off: less than a label is known to."""
+TOUCH_SIGMA_MM = 0.05
+EDGE_SIGMA_MM = 0.06
+"""Standard uncertainty of one touch and one edge: arm, resolution of the search, onset."""
+LEAST_TOUCHES = 4
+YawOf = Literal["board", "piece", ""]
+
+
+@dataclass(frozen=True, slots=True)
+class TouchedEdge:
+    """One edge as it was felt, in mm for the arm.
+
+    ``axis`` 0 (x) or 1 (y) across the edge, ``side`` -1 or 1; contact begins at ``at_mm`` of that
+    axis, with the piece ``along_mm`` off the centre along the edge.
+    """
+
+    axis: int
+    side: float
+    along_mm: float
+    at_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class BoardPlane:
+    """Height over (0, 0) and slopes of a board, with the residuals (n,) of the touches, mm."""
+
+    solution: LeastSquaresSolution
+
+    @property
+    def residual_mm(self) -> float:
+        """Root mean square of the residuals per degree of freedom."""
+        return rms(self.solution.residuals, 3)
+
+
+def fit_plane(touches_mm: FloatArray) -> BoardPlane:
+    """Fit z = h + a x + b y to ``touches_mm`` (n, 3).
+
+    Raises ``RefusedError`` "TOUCHES" for fewer than four, "DEGENERATE" if they lie on one line.
+    """
+    count = len(touches_mm)
+    if count < LEAST_TOUCHES:
+        raise RefusedError("TOUCHES", f"{count} touches are too few: take {LEAST_TOUCHES} or more.")
+    design = np.column_stack([np.ones(count), touches_mm[:, :2]])
+    sigma = np.full(count, TOUCH_SIGMA_MM)
+    found = solve_least_squares(
+        design, touches_mm[:, 2], sigma, "All touches lie on one line: spread them."
+    )
+    return BoardPlane(found)
+
+
+def fit_edges(edges: Sequence[TouchedEdge], *, yaw: bool) -> LeastSquaresSolution:
+    """Return (x, y, reach x, reach y[, yaw]) of the felt edges, mm and rad.
+
+    An edge across x is felt at x + side * reach - yaw * along, one across y at
+    y + side * reach + yaw * along; the reach is that of piece and board together. Raises
+    ``RefusedError`` "EDGES" without a surplus of edges, "DEGENERATE" if a side is missing.
+    """
+    unknowns = 5 if yaw else 4
+    if len(edges) <= unknowns:
+        raise RefusedError("EDGES", f"{len(edges)} edges are too few: feel more than {unknowns}.")
+    design = np.zeros((len(edges), unknowns))
+    for row, edge in zip(design, edges, strict=True):
+        row[edge.axis], row[2 + edge.axis] = 1.0, edge.side
+        if yaw:
+            row[4] = edge.along_mm * (1.0 if edge.axis else -1.0)
+    at_mm = np.array([edge.at_mm for edge in edges])
+    sigma = np.full(len(edges), EDGE_SIGMA_MM)
+    return solve_least_squares(
+        design, at_mm, sigma, "Feel every edge on both sides, and yaw at two places."
+    )
+
+
+def estimate_board(
+    touches_mm: FloatArray, edges: Sequence[TouchedEdge], yaw_of: YawOf
+) -> CalibrationEstimate:
+    """Return height, tilt, x, y and yaw of the board.
+
+    ``touches_mm`` (n, 3): places and heights of contact; ``yaw_of``: whose turn the edges told, ""
+    for round ones. The residual is the larger of those of plane and edges. Refused as ``fit_plane``
+    and ``fit_edges``.
+    """
+    plane, felt = fit_plane(touches_mm), fit_edges(edges, yaw=bool(yaw_of))
+    x, y = felt.x[:2].tolist()
+    height, slope_x, slope_y = plane.solution.x
+    over = np.array([1.0, x, y])
+    found = [
+        Quantity("x_mm", x, float(np.sqrt(felt.covariance[0, 0])), "mm"),
+        Quantity("y_mm", y, float(np.sqrt(felt.covariance[1, 1])), "mm"),
+        Quantity(
+            "z_mm",
+            float(height + slope_x * x + slope_y * y),
+            float(np.sqrt(over @ plane.solution.covariance @ over)),
+            "mm",
+        ),
+    ]
+    found += quantities(
+        ("slope_x_rad", "slope_y_rad"),
+        ("rad", "rad"),
+        plane.solution.x[1:],
+        plane.solution.covariance[1:, 1:],
+    )
+    if yaw_of:
+        sigma = float(np.sqrt(felt.covariance[4, 4]))
+        found.append(Quantity("yaw_rad", float(felt.x[4]), sigma, "rad"))
+    edge_mm = rms(felt.residuals, 5 if yaw_of else 4)
+    return CalibrationEstimate(
+        tuple(found),
+        np.diag([q.sigma**2 for q in found]),
+        np.concatenate([plane.solution.residuals, felt.residuals]),
+        max(plane.residual_mm, edge_mm), BOARD_LIMIT_MM, "mm",
+        note=_yaw_note(yaw_of), obstacle=_bottom_obstacle(found[-1]) if yaw_of == "board" else "",
+    )  # fmt: skip
+
+
+def _bottom_obstacle(yaw: Quantity) -> str:
+    """Return how the bottom is to be turned if it does not lie straight enough, else "".
+
+    Labels and maps take it as straight: the hand does not turn while it presses.
+    """
+    if abs(yaw.value) <= LARGEST_YAW_RAD + 2.0 * yaw.sigma:
+        return ""
+    way = "clockwise" if yaw.value > 0.0 else "counter-clockwise"
+    turned = math.degrees(yaw.value)
+    return (
+        f"The bottom is turned by {turned:.1f}°, and labels and maps take it as straight: turn it "
+        f"{way}, seen from above, by as much. On a MELFA arm {turned:.1f} may be added to "
+        "melfa.yaw_deg of the lab file instead: bench and hand turn with it. Then measure again."
+    )
+
+
+def _yaw_note(yaw_of: YawOf) -> str:
+    if yaw_of == "board":
+        return "The yaw is that of the board: its edges are longer than the piece."
+    if yaw_of == "piece":
+        return "The yaw is that of the piece in the hand: its edges are longer than the board."
+    return "No yaw: an edge is round, or piece and board are of the same length."
+
+
+TOOL_LIMIT_MM = 0.2
+FELT_SIGMA_MM = 0.06
+"""Standard uncertainty of a felt centre of the bottom."""
+_TOOL_NAMES, _TOOL_UNITS = ("face_x_mm", "face_y_mm"), ("mm", "mm")
+KNOWN_NOTE = "The centre of the bottom counts as known; its error is in the face centre."
+TOOL_GRIPS = 3
+
+
+def estimate_tool(
+    bottom_mm: FloatArray, bottom_sigma_mm: float, felt_mm: FloatArray
+) -> CalibrationEstimate:
+    """Return the mean face centre over several grips against a known bottom.
+
+    ``felt_mm`` (n, 2): where the hand stood, grip by grip, with the face over the centre of the
+    bottom at ``bottom_mm`` (2,), known to ``bottom_sigma_mm`` per axis. The residual is the spread
+    of the grips. Raises ``RefusedError`` "GRIPS" for fewer than three.
+    """
+    count = len(felt_mm)
+    if count < TOOL_GRIPS:
+        raise RefusedError("GRIPS", f"{count} grips are too few: take {TOOL_GRIPS} or more.")
+    face_mm = bottom_mm - felt_mm
+    design = np.tile(np.eye(2), (count, 1))
+    sigma = np.full(2 * count, FELT_SIGMA_MM)
+    found = solve_least_squares(design, face_mm.ravel(), sigma, "The grips tell nothing.")
+    residual_mm = rms(found.residuals, 2)
+    spread = max(residual_mm, FELT_SIGMA_MM) ** 2 / count
+    covariance = (spread + bottom_sigma_mm**2) * np.eye(2)
+    return CalibrationEstimate(
+        quantities(_TOOL_NAMES, _TOOL_UNITS, found.x, covariance),
+        covariance, found.residuals, residual_mm, TOOL_LIMIT_MM, "mm", note=KNOWN_NOTE,
+    )  # fmt: skip
+
+
+GRAVITY_M_S2 = 9.80665
+PAYLOAD_LIMIT_N = 0.3
+PAYLOAD_POSES = 6
+FORCE_SIGMA_N, MOMENT_SIGMA_NM = 0.02, 0.0008
+"""Standard uncertainty of a mean over one rest: noise, creep and cables."""
+_PAYLOAD_NAMES = (
+    "mass_kg", "com_x_mm", "com_y_mm", "com_z_mm",
+    "bias_fx_n", "bias_fy_n", "bias_fz_n", "bias_tx_nm", "bias_ty_nm", "bias_tz_nm",
+)  # fmt: skip
+_PAYLOAD_UNITS = ("kg", "mm", "mm", "mm", "N", "N", "N", "N·m", "N·m", "N·m")
+LEVEL_NOTE = (
+    "The hand stayed level: the sensor's own zero counts as true, and the height of the centre of "
+    "mass is not known."
+)
+
+
+def estimate_payload(turns: FloatArray, wrenches: FloatArray) -> CalibrationEstimate:
+    """Return mass, centre of mass from the sensor, and bias.
+
+    ``turns`` (n, 3, 3): from the axes of the hand to those of the bench; ``wrenches`` (n, 6): mean
+    untared readings at rest, N and N·m in the axes of the hand. The residual is the largest force
+    that the model leaves over. Raises ``RefusedError`` "POSES" for fewer than six poses,
+    "DEGENERATE" if they do not turn the hand about two axes.
+    """
+    count = len(wrenches)
+    if count < PAYLOAD_POSES:
+        raise RefusedError("POSES", f"{count} poses are too few: take {PAYLOAD_POSES}.")
+    gravity = np.einsum("nji,j->ni", turns, [0.0, 0.0, -GRAVITY_M_S2])
+    design = np.zeros((count, 6, 10))
+    design[:, :3, 0] = gravity
+    design[:, :3, 4:7] = np.eye(3)
+    design[:, 3:, 1:4] = -_cross(gravity)
+    design[:, 3:, 7:] = np.eye(3)
+    sigma = np.repeat([FORCE_SIGMA_N, MOMENT_SIGMA_NM], 3)
+    found = solve_least_squares(
+        design.reshape(-1, 10),
+        wrenches.ravel(),
+        np.tile(sigma, count),
+        "The poses do not turn the hand enough: lean it by 15 degrees or more about two axes.",
+    )
+    values, covariance = _centred(found.x, found.covariance)
+    left_n = np.linalg.norm(found.residuals.reshape(count, 6)[:, :3], axis=1)
+    obstacle = "" if values[0] > 0.0 else "The mass comes out negative: check ft.sign."
+    return CalibrationEstimate(
+        quantities(_PAYLOAD_NAMES, _PAYLOAD_UNITS, values, covariance),
+        covariance, left_n, float(left_n.max()), PAYLOAD_LIMIT_N, "N", obstacle=obstacle,
+    )  # fmt: skip
+
+
+def estimate_level_payload(wrenches: FloatArray) -> CalibrationEstimate:
+    """Return mass and centre of mass in the plane, of an arm that keeps its hand level.
+
+    ``wrenches`` (n, 6) as in ``estimate_payload``. Weight and bias cannot be told apart in one
+    pose, so the bias counts as zero: a sensor that was not zeroed shows as sideways force in the
+    residual. Raises ``RefusedError`` "POSES" for fewer than six readings.
+    """
+    count = len(wrenches)
+    if count < PAYLOAD_POSES:
+        raise RefusedError("POSES", f"{count} readings are too few: take {PAYLOAD_POSES}.")
+    if not np.isfinite(wrenches).all():
+        raise RefusedError("NOT-FINITE", "A measurement is not a finite number.")
+    mean = wrenches.mean(axis=0)
+    weight_n = -float(mean[2])
+    if weight_n <= 3.0 * FORCE_SIGMA_N:
+        raise RefusedError("NO-WEIGHT", f"The sensor carries {weight_n:.2f} N: check ft.sign.")
+    x_mm, y_mm = 1e3 * float(mean[4]) / weight_n, -1e3 * float(mean[3]) / weight_n
+    change = np.zeros((3, 3))
+    # Of (mass, x, y) by (Fz, Tx, Ty).
+    change[0, 0] = -1.0 / GRAVITY_M_S2
+    change[1] = x_mm / weight_n, 0.0, 1e3 / weight_n
+    change[2] = y_mm / weight_n, -1e3 / weight_n, 0.0
+    spread = np.diag([FORCE_SIGMA_N, MOMENT_SIGMA_NM, MOMENT_SIGMA_NM]) ** 2 / count
+    covariance = change @ spread @ change.T
+    left_n = np.linalg.norm(wrenches[:, :3] - [0.0, 0.0, -weight_n], axis=1)
+    return CalibrationEstimate(
+        quantities(
+            (_PAYLOAD_NAMES[0], *_PAYLOAD_NAMES[1:3]),
+            _PAYLOAD_UNITS[:3],
+            np.array([weight_n / GRAVITY_M_S2, x_mm, y_mm]),
+            covariance,
+        ),
+        covariance, left_n, float(left_n.max()), PAYLOAD_LIMIT_N, "N", note=LEVEL_NOTE,
+    )  # fmt: skip
+
+
+def _cross(vectors: FloatArray) -> FloatArray:
+    """Return (n, 3, 3): the matrices of v x."""
+    x, y, z = vectors.T
+    o = np.zeros_like(x)
+    return np.stack([np.stack([o, -z, y], 1), np.stack([z, o, -x], 1), np.stack([-y, x, o], 1)], 1)
+
+
+def _centred(x: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Change m c (kg·m) into c (mm), in values (10,) and covariance (10, 10)."""
+    mass = float(x[0])
+    centre_mm = 1e3 * x[1:4] / mass
+    change = np.eye(10)
+    change[1:4, 1:4] *= 1e3 / mass
+    change[1:4, 0] = -centre_mm / mass
+    values = x.copy()
+    values[1:4] = centre_mm
+    return values, change @ covariance @ change.T
+
+
+def estimate_wrist(turns: FloatArray, wrenches: FloatArray) -> CalibrationEstimate:
+    """Return the yaw of the sensor against the tool; positive turns its x towards the tool's y.
+
+    ``turns`` (n, 3, 3) and ``wrenches`` (n, 6) as in ``estimate_payload``. The residual is the
+    largest force that the model leaves over. Raises ``RefusedError`` "POSES" for fewer than six,
+    "DEGENERATE" if the hand hardly leans.
+    """
+    count = len(wrenches)
+    if count < PAYLOAD_POSES:
+        raise RefusedError("POSES", f"{count} poses are too few: take {PAYLOAD_POSES}.")
+    g_x, g_y, g_z = np.einsum("nji,j->in", turns, [0.0, 0.0, -GRAVITY_M_S2])
+    design = np.zeros((count, 3, 6))
+    design[:, 0, 0], design[:, 0, 1] = g_x, g_y
+    design[:, 1, 0], design[:, 1, 1] = g_y, -g_x
+    design[:, 2, 2] = g_z
+    design[:, :, 3:] = np.eye(3)
+    found = solve_least_squares(
+        design.reshape(-1, 6),
+        wrenches[:, :3].ravel(),
+        np.full(3 * count, FORCE_SIGMA_N),
+        "The poses do not lean the hand enough: 10 degrees or more about two axes.",
+    )
+    a, b = found.x[:2].tolist()
+    mass = math.hypot(a, b)
+    change = np.array([[-b / mass**2, a / mass**2], [a / mass, b / mass]])
+    covariance = change @ found.covariance[:2, :2] @ change.T
+    yaw = math.atan2(b, a)
+    sigma, mass_sigma = np.sqrt(np.diag(covariance)).tolist()
+    left_n = np.linalg.norm(found.residuals.reshape(count, 3), axis=1)
+    return CalibrationEstimate(
+        (Quantity("yaw_rad", yaw, sigma, "rad"), Quantity("mass_kg", mass, mass_sigma, "kg")),
+        covariance, left_n, float(left_n.max()), PAYLOAD_LIMIT_N, "N",
+        note="The yaw is what is left after ft.rotation.",
+        obstacle=_yaw_obstacle(yaw, sigma),
+    )  # fmt: skip
+
+
+def _yaw_obstacle(yaw: float, sigma: float) -> str:
+    if abs(yaw) <= LARGEST_YAW_RAD + 2.0 * sigma:
+        return ""
+    return f"The sensor is turned by {math.degrees(yaw):.1f}°: turn ft.rotation by that."

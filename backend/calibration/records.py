@@ -1,0 +1,354 @@
+"""Accepted calibrations of a bench, one small file each; the newest of each kind is in use.
+
+A file holds values, residual, date, devices, expiry and a hash.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from hashlib import sha256
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError
+
+from touchdown.backend.calibration.cameras import NUMBERS
+from touchdown.backend.calibration.result import (
+    CALIBRATION_KINDS,
+    CALIBRATION_NAMES,
+    MIRROR_CODES,
+    ON_BOTTOM,
+    CalibrationName,
+)
+from touchdown.backend.config import Settings
+from touchdown.backend.core import CalibrationMeasured, InputError, RefusedError, write_atomically
+
+VERSION = 1
+MOST_CHARACTERS = 1_000_000
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Mode = Literal["simulated", "emulated", "hardware"]
+
+
+class CalibrationValue(Settings):
+    """A number with its standard uncertainty and unit."""
+
+    value: Finite
+    sigma: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    unit: str
+
+
+class DeviceName(Settings):
+    """Who a device said it is."""
+
+    maker: str
+    model: str
+    serial: str
+
+
+class CalibrationFile(Settings):
+    """What the file holds, apart from its hash. Dates are UTC."""
+
+    version: Literal[1] = 1
+    what: CalibrationName
+    mode: Mode
+    values: dict[str, CalibrationValue]
+    residual: Finite
+    limit: Finite
+    unit: str
+    note: str = ""
+    person: str = ""
+    date: datetime
+    expires_days: Annotated[int, Field(ge=1)]
+    devices: dict[str, DeviceName]
+    about: str = ""
+    """Which piece on which bottom, "" where neither matters."""
+    gels: dict[str, tuple[Finite, ...]] = Field(default_factory=dict)
+    """Of each camera, by its name in ``devices``, u and v of the 63 dots at rest: the fingerprint
+    of its gel. Empty where none was taken."""
+
+    @property
+    def expires(self) -> datetime:
+        """When it stops to hold."""
+        return self.date + timedelta(days=self.expires_days)
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationRecord:
+    """A calibration with the SHA-256 of its content."""
+
+    file: CalibrationFile
+    sha256: str
+
+    @classmethod
+    def of(cls, file: CalibrationFile) -> CalibrationRecord:
+        """Return the record of ``file``."""
+        return cls(file, content_sha256(file))
+
+    def days_left(self, now: datetime) -> float:
+        """Return for how many days it still holds; negative once it has expired."""
+        return (self.file.expires - now) / timedelta(days=1)
+
+    def foreign(self, devices: Mapping[str, DeviceName]) -> str:
+        """Return the first device of ``devices`` that is not the one it was made with, else "".
+
+        A device that tells no number goes by the name of its port, in whatever folder that is.
+        """
+        for name, now in devices.items():
+            then = self.file.devices.get(name)
+            if then is not None and _device_names(then) != _device_names(now):
+                return name
+        return ""
+
+    def text(self) -> str:
+        """Return the text of its file."""
+        content = {**_content(self.file), "sha256": self.sha256}
+        return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+
+
+def _device_names(device: DeviceName) -> tuple[str, str, str]:
+    return device.maker, device.model, device.serial.rpartition("/")[2]
+
+
+def content_sha256(file: CalibrationFile) -> str:
+    """Return the SHA-256 of the canonical JSON of ``file``."""
+    content = json.dumps(_content(file), sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return sha256(content.encode()).hexdigest()
+
+
+def _content(file: CalibrationFile) -> dict[str, object]:
+    """Return what is written and hashed; files from before ``about``, ``gels`` keep their hash."""
+    content = file.model_dump(mode="json")
+    for later in ("about", "gels"):
+        if not content[later]:
+            del content[later]
+    return content
+
+
+def read_record(path: Path) -> CalibrationRecord:
+    """Read a calibration; raises ``InputError`` if it is damaged, changed or of a newer version."""
+    try:
+        content = json.loads(_text(path))
+        given = content.pop("sha256")
+        file = CalibrationFile.model_validate(content)
+    except (OSError, ValueError, KeyError, AttributeError, TypeError, RecursionError) as error:
+        raise InputError(
+            f"This is no calibration of version {VERSION}: {_first(error)}.",
+            str(path),
+            "Calibrate again; the damaged file can be deleted.",
+        ) from error
+    if given != content_sha256(file):
+        raise InputError(
+            "The calibration was changed after it was accepted.",
+            str(path),
+            "Calibrate again; a number is never corrected by hand.",
+        )
+    if file.date.tzinfo is None or file.date.utcoffset() != datetime.now(UTC).utcoffset():
+        raise InputError("The date of the calibration is not UTC.", str(path), "Calibrate again.")
+    if flaw := _flaw(file):
+        raise InputError(flaw, str(path), "Calibrate again; the damaged file can be deleted.")
+    return CalibrationRecord(file, given)
+
+
+def _text(path: Path) -> str:
+    with path.open(encoding="utf-8") as file:
+        text = file.read(MOST_CHARACTERS + 1)
+    if len(text) > MOST_CHARACTERS:
+        raise ValueError(f"it is longer than {MOST_CHARACTERS} characters")
+    return text
+
+
+def _flaw(file: CalibrationFile) -> str:
+    """Return what keeps a well-formed file from being applied, "" if nothing does."""
+    for name in CALIBRATION_KINDS[file.what].values:
+        if name not in file.values:
+            return f"The calibration lacks '{name}'."
+        if name.endswith("_mm_px") and not file.values[name].value > 0:
+            return f"The calibration has no scale above zero: '{name}'."
+    for name in ("left_mirror", "right_mirror"):
+        if name in file.values and file.values[name].value not in range(len(MIRROR_CODES)):
+            return f"The calibration knows no such mirror: '{name}'."
+    if file.about and len(file.about.split(ON_BOTTOM)) != 2:
+        return "The calibration does not say which piece was on which bottom."
+    for name, numbers in file.gels.items():
+        if len(numbers) != NUMBERS or name not in file.devices:
+            return f"The calibration holds no fingerprint of a gel: '{name}'."
+    return ""
+
+
+def _first(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        return f"'{where}': {first['msg']}"
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+Condition = Literal["valid", "expired", "missing", "other device", "damaged"]
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationStatus:
+    """How one calibration stands: ``record`` if there is one, ``why`` it does not hold else "".
+
+    ``command``: what measures it anew on this bench.
+    """
+
+    what: CalibrationName
+    condition: Condition
+    record: CalibrationRecord | None
+    why: str
+    command: str
+
+    @property
+    def fix(self) -> str:
+        """What to do about it."""
+        return "" if self.condition == "valid" else f"Run '{self.command}'."
+
+    @property
+    def notice(self) -> str:
+        """What one that holds does not tell, "" for nothing."""
+        if self.what != "camera" or self.record is None or self.record.file.gels:
+            return ""
+        return "no fingerprint of the gels yet"
+
+
+def _age(days: float) -> str:
+    return f"{days:.0f} days" if days >= 2.0 else f"{math.ceil(24.0 * days)} h"
+
+
+class CalibrationStore:
+    """The files of one folder; only those of the same ``mode`` of bench count.
+
+    ``where``: how the command line names the bench, such as "--bench lab.toml".
+    """
+
+    def __init__(self, folder: Path, mode: Mode, where: str = "") -> None:
+        self.folder, self.mode, self._where = folder, mode, where
+
+    def command(self, what: CalibrationName) -> str:
+        """Return the command that measures a calibration of this bench, and keeps it."""
+        return " ".join(filter(None, ("touchdown calibrate", what, self._where, "--accept")))
+
+    def accept(
+        self,
+        measured: CalibrationMeasured,
+        devices: Mapping[str, DeviceName],
+        person: str = "",
+        now: datetime | None = None,
+        gels: Mapping[str, tuple[float, ...]] | None = None,
+    ) -> Path:
+        """Write a calibration; returns its path. ``gels``: fingerprints, as the file has them.
+
+        Raises ``RefusedError`` "RESIDUAL" or "OBSTACLE" for what is not acceptable, ``InputError``
+        where the folder cannot be written.
+        """
+        if measured.obstacle:
+            raise RefusedError("OBSTACLE", measured.obstacle)
+        if not measured.acceptable:
+            raise RefusedError(
+                "RESIDUAL",
+                f"The residual of {measured.residual:.3g} {measured.unit} exceeds "
+                f"{measured.limit:g} {measured.unit}: measure again.",
+            )
+        kind = next(kind for kind in CALIBRATION_KINDS.values() if kind.what == measured.what)
+        date = (now or datetime.now(UTC)).replace(microsecond=0)
+        file = CalibrationFile(
+            what=kind.what,
+            mode=self.mode,
+            values={
+                name: CalibrationValue(value=value, sigma=sigma, unit=unit)
+                for name, value, sigma, unit in zip(
+                    measured.names, measured.values, measured.sigmas, measured.units, strict=True
+                )
+            },
+            residual=measured.residual,
+            limit=measured.limit,
+            unit=measured.unit,
+            note=measured.note,
+            person=person,
+            date=date,
+            expires_days=kind.days,
+            devices={name: devices[name] for name in kind.devices if name in devices},
+            about=measured.about,
+            gels=dict(gels or {}),
+        )
+        record = CalibrationRecord.of(file)
+        path = self.folder / f"{kind.what}-{date:%Y%m%d-%H%M%S}-{record.sha256[:8]}.json"
+        try:
+            write_atomically(path, record.text().encode())
+        except OSError as error:
+            raise InputError(
+                f"The calibration cannot be written: {error.strerror or error}.",
+                str(path),
+                "Make room, or name a folder that can be written.",
+            ) from error
+        return path
+
+    def standing(
+        self, what: CalibrationName, devices: Mapping[str, DeviceName], now: datetime | None = None
+    ) -> CalibrationStatus:
+        """Return how the newest calibration of a kind stands with the present ``devices``.
+
+        Devices that are not connected yet are not compared.
+        """
+        command = self.command(what)
+        try:
+            record = self._newest(what)
+        except InputError as error:
+            return CalibrationStatus(
+                what, "damaged", None, f"{error.what} [{error.where}]", command
+            )
+        if record is None:
+            return CalibrationStatus(
+                what, "missing", None, "never calibrated on this bench", command
+            )
+        other = record.foreign(devices)
+        if other:
+            then = record.file.devices[other].serial or "another one"
+            return CalibrationStatus(
+                what, "other device", record, f"made with {other} {then}", command
+            )
+        left = record.days_left(now or datetime.now(UTC))
+        if left < 0:
+            return CalibrationStatus(what, "expired", record, f"expired {_age(-left)} ago", command)
+        return CalibrationStatus(what, "valid", record, "", command)
+
+    def standings(
+        self, devices: Mapping[str, DeviceName], now: datetime | None = None
+    ) -> list[CalibrationStatus]:
+        """Return how all stand."""
+        return [self.standing(what, devices, now) for what in CALIBRATION_NAMES]
+
+    def in_use(
+        self, devices: Mapping[str, DeviceName], *, required: bool, now: datetime | None = None
+    ) -> dict[CalibrationName, CalibrationRecord]:
+        """Return those that hold; raises ``RefusedError`` naming the first that is ``required``.
+
+        The names: CALIBRATION-MISSING, -EXPIRED, -OTHER-DEVICE, -DAMAGED.
+        """
+        used: dict[CalibrationName, CalibrationRecord] = {}
+        for standing in self.standings(devices, now):
+            if standing.condition == "valid":
+                assert standing.record is not None
+                used[standing.what] = standing.record
+            elif required:
+                title = CALIBRATION_KINDS[standing.what].title
+                raise RefusedError(
+                    f"CALIBRATION-{standing.condition.upper().replace(' ', '-')}",
+                    f"{title}: {standing.why}.",
+                    standing.fix,
+                )
+        return used
+
+    def _newest(self, what: CalibrationName) -> CalibrationRecord | None:
+        """Return the newest of this bench's mode; raises ``InputError`` if it is damaged."""
+        # The names sort by date.
+        for path in sorted(self.folder.glob(f"{what}-*.json"), reverse=True):
+            record = read_record(path)
+            if record.file.what == what and record.file.mode == self.mode:
+                return record
+        return None

@@ -1,0 +1,3 @@
+from .output import VerbOutput as VerbOutput
+
+__all__ = ["VerbOutput"]

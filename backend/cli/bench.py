@@ -1,0 +1,221 @@
+"""``touchdown bench``: check a lab file, write a new one, or connect its devices once."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+import threading
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.table import Table
+
+from touchdown.backend.cli.output import VerbOutput, write_new
+from touchdown.backend.config import PLACEHOLDERS, Lab, LabSettings, Settings, load_lab
+
+if TYPE_CHECKING:
+    from touchdown.backend.bench import Session
+    from touchdown.backend.core import FloatArray, SampleStream, Stream, TactileFrame
+    from touchdown.backend.rig import Newest, Since, Timing
+
+
+NAME = "bench"
+HELP = "check a lab file, write a new one, or connect its devices once"
+JSON_VERSION = 1
+WATCHED_S = 3.0
+"""How long the sensors are watched for the report on their time."""
+TEMPLATE = "lab.toml"
+FILLED_IN = ("ft.address", "gelsight.left.serial", "gelsight.right.serial")
+"""What a new file has no usable value for."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("file", type=Path, help="lab file (TOML)")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--new", action="store_true", help="write a new one to fill in")
+    what.add_argument(
+        "--connect",
+        action="store_true",
+        help="connect all devices, tell who answers, disconnect; the arm is switched on and stands",
+    )
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Check, write or connect; 1 if a device does not answer."""
+    if args.new:
+        _write_template(args.file)
+        screen.say(f"Fill in {args.file}, then: touchdown bench {args.file}")
+        screen.result({"version": JSON_VERSION, "written": str(args.file)})
+        return 0
+    lab = load_lab(args.file)
+    if args.connect:
+        return _connect(args.file, screen)
+    # Imported here: a new file is written without it.
+    from touchdown.backend.devices import refuse_unknown_drivers
+
+    refuse_unknown_drivers(lab.settings, str(args.file))
+    _show(lab, screen)
+    return 0
+
+
+def _show(lab: Lab, screen: VerbOutput) -> None:
+    settings = lab.settings
+    table = Table(title=f"{settings.name} ({settings.kind})")
+    table.add_column("setting")
+    table.add_column("value")
+    for group in ("limits", "mounting", "serials"):
+        for key, value in getattr(settings, group).model_dump(mode="json").items():
+            table.add_row(f"{group}.{key}", json.dumps(value))
+    for key, text in _devices(settings).items():
+        table.add_row(key, text)
+    screen.show(table)
+    made_up = placeholders(settings)
+    if made_up and settings.kind == "hardware":
+        screen.say(f"Still made up, put in the lab's own numbers: {', '.join(made_up)}.")
+    screen.result(
+        {
+            "version": JSON_VERSION,
+            "name": settings.name,
+            "kind": settings.kind,
+            "piece": settings.piece,
+            "bottom": settings.bottom,
+            "limits": settings.limits.model_dump(mode="json"),
+            "devices": _devices(settings),
+            "placeholders": made_up,
+            "calibrations": str(lab.calibrations),
+        }
+    )
+
+
+def _devices(settings: LabSettings) -> dict[str, str]:
+    left, right = settings.gelsight.left, settings.gelsight.right
+    return {
+        "arm": f"{settings.melfa.driver} {settings.melfa.host}:{settings.melfa.r3.port}",
+        "gripper": f"{settings.wsg.driver} {settings.wsg.host}:{settings.wsg.port}",
+        "force_torque": f"{settings.ft.driver} {settings.ft.address}",
+        "tactile_left": f"{settings.gelsight.driver} {left.file or left.serial}",
+        "tactile_right": f"{settings.gelsight.driver} {right.file or right.serial}",
+    }
+
+
+def placeholders(settings: LabSettings) -> list[str]:
+    """Return the keys whose made-up default still stands, and those that were never filled in."""
+    usual = LabSettings(version=1, name="usual", kind="hardware")
+    made_up = [key for key in PLACEHOLDERS if _at(settings, key) == _at(usual, key)]
+    return [*(key for key in FILLED_IN if _is_blank(_at(settings, key))), *made_up]
+
+
+def _is_blank(value: object) -> bool:
+    return isinstance(value, str) and re.search("FILL.IN", value) is not None
+
+
+def _at(settings: Settings, key: str) -> object:
+    value: object = settings
+    for part in key.split("."):
+        value = getattr(value, part)
+    return value
+
+
+def _connect(file: Path, screen: VerbOutput) -> int:
+    from touchdown.backend.bench import LabChoice, lab_session
+    from touchdown.backend.cli.connection import line_text, report_devices
+    from touchdown.backend.runs import RecordingOptions
+
+    session = lab_session(LabChoice(file), keep=RecordingOptions(None))
+    try:
+        connection = session.connection
+        assert connection is not None
+        connection.begin()
+        report_devices(connection, screen.say)
+        lines, away = connection.lines(), connection.missing()
+        timings = [] if away else _watched(session)
+    finally:
+        session.close()
+    if away:
+        screen.say(f"Not connected: {', '.join(away)}.")
+    if timings:
+        screen.show(_timing_table(timings))
+    screen.result(
+        {
+            "version": JSON_VERSION,
+            "devices": [
+                {
+                    "name": line.name,
+                    "state": line.state,
+                    "steps": line.steps,
+                    "identity": None if line.identity is None else asdict(line.identity),
+                    "needs": line.needs,
+                    "text": line_text(line),
+                }
+                for line in lines
+            ],
+            "timing": [
+                {key: _as_number(value) for key, value in asdict(timing).items()}
+                for timing in timings
+            ],
+        }
+    )
+    return 1 if away else 0
+
+
+def _watched(session: Session) -> list[Timing]:
+    """Return how the sensors go together in time while everything stands."""
+    from touchdown.backend.rig import watch
+
+    raw = session.raw
+    sensors: dict[str, tuple[Newest, Since]] = {
+        name: (partial(_newest_s, stream), partial(_since_s, stream))
+        for name, stream in (("force_torque", raw.samples), ("arm", raw.poses))
+    }
+    for finger, frames in raw.frames.items():
+        sensors[f"tactile_{finger}"] = (partial(_frame_s, frames), partial(_frames_s, frames))
+    return watch(sensors, session.clock_s, threading.Event().wait, WATCHED_S)
+
+
+def _newest_s(stream: SampleStream) -> float:
+    stamps_s = stream.since(stream.count - 1).t_s
+    return float(stamps_s[-1]) if len(stamps_s) else math.nan
+
+
+def _since_s(stream: SampleStream, t_s: float) -> FloatArray:
+    return stream.window(t_s, math.inf).t_s
+
+
+def _frame_s(frames: Stream[TactileFrame]) -> float:
+    newest = frames.newest()
+    return math.nan if newest is None else newest.t_s
+
+
+def _frames_s(frames: Stream[TactileFrame], t_s: float) -> FloatArray:
+    return np.array([frame.t_s for frame in frames.between(t_s, math.inf)])
+
+
+def _timing_table(timings: Sequence[Timing]) -> Table:
+    table = Table(title=f"Time, {WATCHED_S:.0f} s at rest, all on this computer's clock")
+    table.add_column("sensor", min_width=len("tactile_right"))
+    # Short words: a terminal of 80 columns would cut the last figure, which is then another one.
+    for column in ("samples", "Hz", "interval\n\N{PLUS-MINUS SIGN}ms, 99 %", "longest\nms",
+                   "age\nms", "age ms,\n99 %"):  # fmt: skip
+        table.add_column(column, justify="right", no_wrap=True)
+    for one in timings:
+        values = (one.rate_hz, one.spread_ms, one.gap_ms, one.age_ms, one.late_ms)
+        table.add_row(one.name, str(one.samples), *(f"{value:.1f}" for value in values))
+    return table
+
+
+def _as_number(value: str | float) -> str | float | None:
+    """Return ``value`` as JSON has it: None for NaN."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _write_template(path: Path) -> None:
+    text = files("touchdown.resources").joinpath("benches", TEMPLATE).read_text("utf-8")
+    write_new(path, text)

@@ -1,0 +1,330 @@
+"""``touchdown collect``: fill a dataset with labelled probes of a bench."""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from touchdown.backend.cli.connection import (
+    add_lab_arguments,
+    add_scene_arguments,
+    fill_in_scene,
+    lab_choice,
+    open_lab_bench,
+    refuse_lab_arguments,
+    wait_for_disk_space,
+)
+from touchdown.backend.cli.output import AdvanceFunction, VerbOutput, ctrl_c_cancels
+from touchdown.backend.config import CollectSettings, StackSettings, is_lab_file
+from touchdown.backend.core import (
+    CampaignBegan,
+    Event,
+    Fault,
+    FaultRaised,
+    Gripped,
+    HandOverAwaited,
+    InputError,
+    MountingAwaited,
+    Noticed,
+    Paused,
+    ProbeCollected,
+    RunFinished,
+    Said,
+)
+from touchdown.backend.runs import (
+    CollectRequest,
+    calibrations_folder,
+    data_folder,
+    dataset_folder,
+    hand_over_message,
+    mounting_question,
+)
+
+if TYPE_CHECKING:
+    from touchdown.backend.annotations import Dataset
+    from touchdown.backend.bench import Session
+    from touchdown.backend.episodes import Coverage, QualityIssue
+
+
+NAME = "collect"
+HELP = "collect labelled probes into a dataset"
+JSON_VERSION = 1
+BOTTOM = "circle15"
+LISTED = 12
+"""So many findings are printed; ``--json`` has all of them."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments of this verb."""
+    add_scene_arguments(parser, BOTTOM, "bottom piece")
+    parser.add_argument("--count", type=int, default=20, help="probes to collect (default: 20)")
+    parser.add_argument("--pattern", choices=("random", "grid", "adaptive"), default="random")
+    parser.add_argument("--within", type=float, metavar="MM", help="largest displacement in x, y")
+    parser.add_argument("--seed", type=int, default=0)
+    limits = CollectSettings()
+    parser.add_argument(
+        "--probes-per-grip", type=int,
+        help=f"at most (default: a third of the campaign, at most {limits.probes_per_grip})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--grips-per-mounting", type=int,
+        help=f"at most (default: a third of the grips, at most {limits.grips_per_mounting})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
+        help="centre of the bottom in the frame of the arm, mm (default: 0 0)",
+    )  # fmt: skip
+    parser.add_argument("--origin-sigma", type=float, metavar="MM", help="its uncertainty")
+    parser.add_argument(
+        "--check-origin", action="store_true", help="probe at known displacements first"
+    )
+    parser.add_argument(
+        "--hand-over", action="store_true",
+        help="hand the piece to the gripper, where there is no jig; Enter confirms",
+    )  # fmt: skip
+    parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
+    parser.add_argument("--person", help="who collects (default: the account's name)")
+    parser.add_argument(
+        "--resume", action="store_true", help="go on with the newest campaign, by its own plan"
+    )
+    parser.add_argument(
+        "--bench", metavar="FILE", help="lab file, or settings of the simulated bench (TOML)"
+    )
+    add_lab_arguments(parser)
+    parser.add_argument("--preset", help="noise preset: mixed, quiet, hard, off, realistic")
+    parser.add_argument("--inject", action="append", default=[], metavar="FAULT",
+                        help="scripted disturbance such as force_torque:stop@30")  # fmt: skip
+    parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
+    parser.add_argument("--runs", metavar="DIR", help="folder for journals (default: data folder)")
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Collect; 0 if every probe of the plan is there or was left out on purpose, else 1."""
+    # Imported here so that `touchdown --help` starts without SQLite and scipy.
+    from touchdown.backend.annotations import Dataset
+
+    for flag in ("probes_per_grip", "grips_per_mounting"):
+        value = getattr(args, flag)
+        if value is not None and value < 1:
+            name = "--" + flag.replace("_", "-")
+            raise InputError(f"{name} must be at least 1.", name, "Give a positive number.")
+    lab = args.bench is not None and is_lab_file(Path(args.bench))
+    if not lab:
+        refuse_lab_arguments(args)
+    fill_in_scene(args, BOTTOM)
+    # No jig is taught on a lab's bench: the operator hands the piece over.
+    args.hand_over |= lab
+    if args.hand_over and screen.json:
+        raise InputError(
+            "Nobody would see when to hold the piece.", "--hand-over", "Leave out --json."
+        )
+    folder = Path(args.dataset) if args.dataset else dataset_folder()
+    person = args.person or getpass.getuser()
+    with Dataset.open(folder, create=not args.resume, person=person) as dataset:
+        for notice in dataset.notices:
+            screen.say(notice)
+        with _session(args, screen, lab=lab) as session:
+            session.dataset = dataset
+            # The bar begins with the campaign: bad words are refused before anything is said.
+            with ExitStack() as bars, ctrl_c_cancels(session.engine.cancel):
+                told = _CollectionProgress(screen, bars, session)
+                session.hub.subscribe(told.take)
+                session.run(_request(args, dataset, person))
+        return _report(dataset, session, told, screen)
+
+
+class _CollectionProgress:
+    """What the run told so far, and the bar that follows it."""
+
+    def __init__(self, screen: VerbOutput, bars: ExitStack, session: Session) -> None:
+        self._screen, self._bars, self._confirm = screen, bars, session.answer
+        self._engine = session.engine
+        self.advance: AdvanceFunction | None = None
+        self.began: CampaignBegan | None = None
+        self.ended: RunFinished | None = None
+        self.collected: list[ProbeCollected] = []
+        self.faults: list[str] = []
+
+    def take(self, fact: Event) -> None:
+        """Take one fact."""
+        if isinstance(fact, CampaignBegan):
+            self._begin(fact)
+        elif isinstance(fact, ProbeCollected):
+            self.collected.append(fact)
+            self._move(fact.done, fact.total, "")
+            if fact.reasons:
+                self._screen.say(f"  probe {fact.probe} is not an observation: {fact.reasons}")
+        elif isinstance(fact, Gripped):
+            self._screen.say(
+                f"  mounting {fact.mounting}, grip {fact.grip}: {fact.mass_g:.1f} g held"
+            )
+        elif isinstance(fact, HandOverAwaited | MountingAwaited):
+            self._asked(fact)
+        elif isinstance(fact, Paused):
+            self._paused(fact.fault)
+        elif isinstance(fact, Said | Noticed):
+            self._screen.say(f"  {fact.text}")
+        elif isinstance(fact, FaultRaised):
+            self.faults.append(fact.fault.code)
+        elif isinstance(fact, RunFinished):
+            self.ended = fact
+
+    def _asked(self, fact: HandOverAwaited | MountingAwaited) -> None:
+        """Ask on standard input; its end is a no: nobody is there to hold or to fit anything."""
+        if isinstance(fact, MountingAwaited):
+            self._screen.say(
+                f"  {mounting_question(fact)} Type y if so; Enter alone: it is as it was."
+            )
+            self._confirm(sys.stdin.readline().strip().lower() in ("y", "yes"))
+        else:
+            self._screen.say(f"  {hand_over_message(fact)} Enter confirms.")
+            self._confirm(sys.stdin.readline() != "")
+
+    def _begin(self, fact: CampaignBegan) -> None:
+        """Begin the bar with the first mounting; it goes on with the others."""
+        self.began = fact
+        if self.advance is None:
+            bar = self._screen.progress("Collecting", fact.total)
+            self.advance = self._bars.enter_context(bar)
+        self._move(fact.done, fact.total, "")
+
+    def _paused(self, fault: Fault) -> None:
+        """Wait for the operator; where nobody can answer the campaign ends, to be resumed later."""
+        if wait_for_disk_space(fault, self._screen, "campaign"):
+            self._engine.resume()
+        else:
+            self.faults.append(fault.code)
+            self._engine.cancel()
+
+    def _move(self, done: int, total: int, text: str) -> None:
+        if self.advance is not None:
+            self.advance(done, f"of {total} {text}")
+
+
+@contextmanager
+def _session(args: argparse.Namespace, screen: VerbOutput, *, lab: bool) -> Iterator[Session]:
+    from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
+    from touchdown.backend.calibration import CalibrationStore
+    from touchdown.backend.runs import RecordingOptions
+
+    runs = Path(args.runs) if args.runs else data_folder() / "runs"
+    keep = RecordingOptions(runs, episodes=False)
+    method = StackSettings()
+    if lab:
+        with open_lab_bench(
+            lab_choice(args), keep, method, screen, home=args.home, override=args.override
+        ) as session:
+            yield session
+        return
+    choice = SimulatedBenchChoice(
+        file=Path(args.bench) if args.bench else None,
+        preset=args.preset,
+        disturbances=tuple(args.inject),
+        pieces=Path(args.pieces) if args.pieces else None,
+    )
+    session = simulated_session(choice, keep=keep, method=method)
+    session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
+    try:
+        yield session
+    finally:
+        session.close()
+
+
+def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> CollectRequest:
+    from touchdown.backend.runs import newest_campaign
+
+    campaign = newest_campaign(dataset.folder) if args.resume else ""
+    if campaign is None:
+        raise InputError(
+            "No campaign was ever begun here.", str(dataset.folder), "Collect without --resume."
+        )
+    return CollectRequest(
+        piece=args.piece,
+        bottom=args.bottom,
+        count=args.count,
+        seed=args.seed,
+        pattern=args.pattern,
+        person=person,
+        within_mm=args.within,
+        origin_mm=(args.origin[0], args.origin[1]),
+        origin_sigma_mm=args.origin_sigma,
+        check_origin=args.check_origin,
+        campaign=campaign,
+        probes_per_grip=args.probes_per_grip,
+        grips_per_mounting=args.grips_per_mounting,
+        hand_over=args.hand_over,
+    )
+
+
+def _report(
+    dataset: Dataset, session: Session, told: _CollectionProgress, screen: VerbOutput
+) -> int:
+    from touchdown.backend.annotations import EpisodeFilter
+    from touchdown.backend.episodes import check_quality
+    from touchdown.backend.runs import current_campaign, labelled_coverage, read_examined_episodes
+
+    assert told.began is not None
+    assert told.ended is not None
+    campaign = current_campaign(dataset, told.began.campaign)
+    entries = dataset.episodes(EpisodeFilter(campaign=campaign.uuid))
+    piece, bottom = (session.catalogue.piece(n) for n in (campaign.piece, campaign.bottom))
+    seen = labelled_coverage(dataset, entries, piece.face, bottom.face)
+    findings = check_quality(read_examined_episodes(dataset, entries))
+    left = len(campaign.todo(entries))
+    done = campaign.count - left - len(campaign.skipped)
+    screen.say(told.ended.reason)
+    more = f"; --resume goes on with the other {left}." if left else "."
+    screen.say(f"{done} of {campaign.count} probes are there{more}")
+    screen.say(coverage_text(seen))
+    _say_findings(findings, screen)
+    screen.say(f"Dataset {dataset.folder}, campaign {campaign.uuid}")
+    screen.result({
+        "version": JSON_VERSION,
+        "dataset": str(dataset.folder),
+        "campaign": campaign.uuid,
+        "piece": campaign.piece,
+        "bottom": campaign.bottom,
+        "simulated": session.simulated,
+        "ending": told.ended.ending,
+        "collected": done,
+        "count": campaign.count,
+        "left_out": list(campaign.skipped),
+        "covered": seen.covered,
+        "holes": seen.holes,
+        "findings": [
+            {"kind": f.kind, "episodes": list(f.episodes), "text": f.text} for f in findings
+        ],
+        "faults": told.faults,
+        "run": None if session.run_folder is None else str(session.run_folder),
+    })  # fmt: skip
+    return 0 if not left else 1
+
+
+def coverage_text(seen: Coverage) -> str:
+    """Return counts per bin as lines of text, y up; a point is a hole, a blank cannot be probed."""
+    possible = int(seen.possible.sum())
+    lines = [f"Covered {possible - seen.holes} of {possible} bins of {seen.bin_mm:g} mm:"]
+    for row in range(len(seen.counts) - 1, -1, -1):
+        marks = [
+            ("." if possible else " ") if count == 0 else str(count) if count < 10 else "+"
+            for count, possible in zip(seen.counts[row], seen.possible[row], strict=True)
+        ]
+        lines.append(("  " + " ".join(marks)).rstrip())
+    return "\n".join(line for line in lines if line.strip())
+
+
+def _say_findings(findings: list[QualityIssue], screen: VerbOutput) -> None:
+    if not findings:
+        screen.say("Health: nothing looks wrong.")
+        return
+    screen.say(f"Health: {len(findings)} findings.")
+    for finding in findings[:LISTED]:
+        names = " ".join(finding.episodes)
+        screen.say(f"  {finding.kind}: {finding.text} {names}".rstrip())
+    if len(findings) > LISTED:
+        screen.say(f"  ... and {len(findings) - LISTED} more (--json has them all)")

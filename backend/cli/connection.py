@@ -1,0 +1,273 @@
+"""Connection of a verb to a lab's devices: arguments, progress of each device, and the operator's
+answers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+from collections.abc import Callable, Container, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.config import is_lab_file, load_lab
+from touchdown.backend.core import (
+    Event,
+    Fault,
+    FaultError,
+    HandOverAwaited,
+    InputError,
+    Outcome,
+    OutcomeAwaited,
+    Paused,
+    RefusedError,
+    SetUpAwaited,
+    raised_priority,
+)
+from touchdown.backend.runs import (
+    hand_over_message,
+    models_folder,
+    outcome_question,
+    scene_to_set_message,
+)
+
+if TYPE_CHECKING:
+    from touchdown.backend.bench import LabChoice, Session
+    from touchdown.backend.config import StackSettings
+    from touchdown.backend.rig import Connection, DeviceLine
+    from touchdown.backend.runs import RecordingOptions
+
+
+POLL_S = 0.05
+PIECE = "pot"
+"""Held on a bench whose file names none."""
+START_OVERRIDE = 10
+"""Percent of every speed in air, unless --override says otherwise."""
+
+
+def add_lab_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what only a lab's devices need."""
+    parser.add_argument(
+        "--home", action="store_true", help="with a lab file: home the empty gripper first"
+    )
+    parser.add_argument(
+        "--override",
+        type=int,
+        choices=range(10, 101, 10),
+        metavar="PERCENT",
+        help=f"with a lab file: share of every speed in air (default: {START_OVERRIDE})",
+    )
+
+
+def add_scene_arguments(parser: argparse.ArgumentParser, bottom: str, of_bottom: str) -> None:
+    """Declare what stands on the bench; ``name_scene`` fills in what was left out."""
+    at_lab = "with a lab file what it names"
+    parser.add_argument("--piece", help=f"grasped piece (default: {PIECE}; {at_lab})")
+    parser.add_argument("--bottom", help=f"{of_bottom} (default: {bottom}; {at_lab})")
+
+
+def fill_in_scene(args: argparse.Namespace, bottom: str) -> None:
+    """Fill in piece and bottom where they were left out: a lab file says what stands there.
+
+    Raises ``InputError`` for a lab file that cannot be read.
+    """
+    at_lab = args.bench is not None and is_lab_file(Path(args.bench))
+    lab = load_lab(Path(args.bench)).settings if at_lab else None
+    if args.piece is None:
+        args.piece = PIECE if lab is None else lab.piece
+    if args.bottom is None:
+        args.bottom = bottom if lab is None else lab.bottom
+
+
+def refuse_lab_arguments(args: argparse.Namespace) -> None:
+    """Raise ``InputError`` where they are given without a lab file."""
+    for flag, given in (("--home", args.home), ("--override", args.override)):
+        if given:
+            raise InputError("Only devices need that.", flag, "Name a lab file with --bench.")
+
+
+def refuse_simulated_arguments(args: argparse.Namespace) -> None:
+    """Raise ``InputError`` where they are given with a lab file."""
+    for name in ("preset", "inject", "emulated"):
+        if getattr(args, name, None):
+            raise InputError("That is of the simulated bench.", f"--{name}", "Leave it out here.")
+
+
+def lab_choice(args: argparse.Namespace) -> LabChoice:
+    """Return the lab of ``--bench``, for a campaign.
+
+    Raises ``InputError`` for what only simulations have.
+    """
+    from touchdown.backend.bench import LabChoice
+
+    refuse_simulated_arguments(args)
+    pieces = Path(args.pieces) if args.pieces else None
+    return LabChoice(Path(args.bench), pieces, campaign=True)
+
+
+@contextmanager
+def open_lab_bench(
+    choice: LabChoice,
+    keep: RecordingOptions,
+    method: StackSettings | None,
+    screen: VerbOutput,
+    *,
+    home: bool,
+    override: int | None = None,
+) -> Iterator[Session]:
+    """Open a session on the devices of a lab file and connect all; closed in the end.
+
+    Raises what ``lab_session`` does, and ``FaultError`` naming the first device that failed.
+    """
+    from touchdown.backend.bench import lab_session
+    from touchdown.backend.learning import ModelRegistry
+
+    registry = ModelRegistry(models_folder())
+    with ExitStack() as rest:
+        # Before there are threads: all of them inherit it.
+        rest.enter_context(raised_priority())
+        session = lab_session(choice, keep=keep, method=method, registry=registry)
+        rest.callback(session.close)
+        connection = session.connection
+        assert connection is not None
+        session.interlock.override_speed((override or START_OVERRIDE) / 100)
+        connection.begin()
+        report_devices(connection, screen.say)
+        if home:
+            screen.say("  gripper: homing, the jaws move")
+            session.home_gripper()
+            report_devices(connection, screen.say, ("gripper",))
+        require_usable(connection)
+        yield session
+
+
+def report_devices(
+    connection: Connection, say: Callable[[str], None], names: Container[str] | None = None
+) -> None:
+    """Say each device (of ``names``) as it becomes ready or fails, until the work is done."""
+    said: dict[str, str] = {}
+    working = True
+    while working:
+        working = not connection.wait(POLL_S)
+        for line in connection.lines():
+            if names is not None and line.name not in names:
+                continue
+            text = line_text(line)
+            if line.state in ("ready", "failed") and said.get(line.name) != text:
+                said[line.name] = text
+                say(f"  {text}")
+
+
+def line_text(line: DeviceLine) -> str:
+    """Return one line of a device for people."""
+    from touchdown.backend.devices import STEPS
+
+    if line.fault is not None:
+        at = STEPS[min(line.steps, len(STEPS) - 1)]
+        return f"{line.name}: {line.fault.what} ({at}) {line.fault.next_step}".rstrip()
+    who = line.identity
+    named = "" if who is None else f", {who.maker} {who.model}, {who.serial}".replace(",  ", ", ")
+    needs = f", needs: {line.needs}" if line.needs else ""
+    notice = f". {line.notice}" if line.notice else ""
+    return f"{line.name}: {line.state}{named}{needs}{notice}"
+
+
+def require_usable(connection: Connection) -> None:
+    """Raise the first fault of a device, or what the operator has to do first."""
+    for line in connection.lines():
+        if line.fault is not None:
+            raise FaultError(line.fault)
+        if line.needs == "home":
+            raise RefusedError(
+                "NOT-HOMED",
+                "The gripper does not know where its jaws are: empty them, then add --home.",
+            )
+        if line.needs == "acknowledge":
+            raise RefusedError(
+                "FAST-STOP", "The gripper waits for an acknowledgement: see the Connect panel."
+            )
+    if connection.trouble is not None:
+        raise connection.trouble
+    if connection.missing():
+        raise RefusedError("NOT-CONNECTED", f"Not connected: {', '.join(connection.missing())}.")
+
+
+def ask_yes_no_in_thread(answer: Callable[[bool], None]) -> None:
+    """Answer by a line of standard input, while the bench goes on; its end is a no."""
+
+    def read() -> None:
+        line = sys.stdin.readline()
+        answer(line != "" and line.strip().lower() in ("", "y", "yes"))
+
+    threading.Thread(target=read, name="answer", daemon=True).start()
+
+
+OUTCOME_KEYS = {
+    "s": Outcome.PLACED,
+    "f": Outcome.FELL,
+    "d": Outcome.KNOCKED_OVER,
+    "v": Outcome.ABORTED,
+}
+OUTCOME_HELP = "s: stands, f: fell, d: disturbed, v and why: void. Enter: as proposed."
+
+
+def answer_prompt(fact: Event, session: Session, screen: VerbOutput) -> None:
+    """Ask what ``fact`` wants to know; the bench goes on meanwhile, and STOP stays possible."""
+    if isinstance(fact, SetUpAwaited):
+        screen.say(f"  {scene_to_set_message(fact)} Enter: it is set. Ctrl-D: not today.")
+        _read_line_in_thread(lambda line: session.answer(line != ""))
+    elif isinstance(fact, HandOverAwaited):
+        screen.say(f"  {hand_over_message(fact)} Enter confirms.")
+        _read_line_in_thread(lambda line: session.answer(line != ""))
+    elif isinstance(fact, OutcomeAwaited):
+        screen.say(f"  {outcome_question(fact)} {OUTCOME_HELP}")
+        _read_line_in_thread(lambda line: _judge(line, fact, session, screen))
+    # Devices cannot be left alone until somebody answers: there the run ends.
+    elif isinstance(fact, Paused) and wait_for_disk_space(
+        fact.fault, screen, "run", waits=session.simulated
+    ):
+        session.engine.resume()
+
+
+def wait_for_disk_space(fault: Fault, screen: VerbOutput, what: str, *, waits: bool = True) -> bool:
+    """Say what paused ``what`` and wait for its operator; False where nobody can answer."""
+    screen.say(f"  {fault.what} {fault.consequence}")
+    if screen.json or not waits:
+        return False
+    screen.say(f"  Make room on this disk, then press Enter. Ctrl-D ends the {what}.")
+    return sys.stdin.readline() != ""
+
+
+def parse_outcome(line: str, proposed: OutcomeAwaited) -> tuple[Outcome, str] | None:
+    """Return what a line says, None where it says nothing; a void trial needs its reason."""
+    word, _, reason = line.strip().partition(" ")
+    if not word:
+        reason = proposed.why if proposed.proposed is Outcome.ABORTED else ""
+        return proposed.proposed, reason
+    outcome = OUTCOME_KEYS.get(word.lower())
+    if outcome is None or (outcome is Outcome.ABORTED and not reason.strip()):
+        return None
+    return outcome, reason.strip()
+
+
+def _judge(line: str, fact: OutcomeAwaited, session: Session, screen: VerbOutput) -> None:
+    while line:
+        said = parse_outcome(line, fact)
+        if said is not None:
+            session.gate.see(*said)
+            return
+        screen.say(f"  {OUTCOME_HELP}")
+        line = sys.stdin.readline()
+    session.gate.see(Outcome.ABORTED, "nobody said what became of the piece")
+
+
+def _read_line_in_thread(take: Callable[[str], None]) -> None:
+    """Give the next line of standard input to ``take``: "" at its end."""
+
+    def read() -> None:
+        take(sys.stdin.readline())
+
+    threading.Thread(target=read, name="answer", daemon=True).start()

@@ -1,0 +1,231 @@
+"""``touchdown dataset``: status, verification, backup, rebuild and merge of datasets."""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core import InputError
+from touchdown.backend.runs import dataset_folder
+
+if TYPE_CHECKING:
+    from touchdown.backend.annotations import ConsistencyProblem
+
+
+# What a catalogue needs is imported where it is used, so that `touchdown --help` starts quickly.
+
+
+def examine_only(folder: Path, screen: VerbOutput) -> int:
+    """Report what is out of order, changing nothing; 1 if anything is."""
+    from touchdown.backend.annotations import Dataset, check_dataset, list_backups
+
+    with Dataset.open(folder, create=False, write=False) as dataset:
+        found = list(check_dataset(dataset.store, whole=True))
+    copies = list_backups(folder / "backup")
+    newest = copies[0].made.isoformat(timespec="seconds") if copies else None
+    screen.say(f"{folder}, newest backup: {newest or 'none'}")
+    return _report(found, screen, {"dataset": str(folder), "newest_backup": newest})
+
+
+def verify(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
+    """Read every file, check every label operation, and note what is damaged; 1 if anything is."""
+    from touchdown.backend.annotations import Dataset, NotWritableError, check_dataset, reconcile
+
+    try:
+        with Dataset.open(folder, create=False) as dataset:
+            for notice in dataset.notices:
+                screen.say(notice)
+            found, count = reconcile(dataset.store, whole=True), len(dataset.episodes())
+    except NotWritableError as error:
+        with Dataset.open(folder, create=False, write=False) as dataset:
+            found, count = list(check_dataset(dataset.store, whole=True)), len(dataset.episodes())
+        screen.say(f"{error.what} It is looked at only; nothing is noted there.")
+        return _report(found, screen, {"dataset": str(folder), "episodes": count, "noted": False})
+    screen.say(f"{count} episodes read.")
+    return _report(found, screen, {"dataset": str(folder), "episodes": count, "noted": True})
+
+
+def backup(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
+    """Make a verified copy of the catalogue now."""
+    from touchdown.backend.annotations import Dataset
+
+    with Dataset.open(folder, create=False) as dataset:
+        path = dataset.backups.make("by hand")
+    screen.say(f"{path} ({path.stat().st_size / 1e6:.1f} MB), opened and checked.")
+    screen.result({"dataset": str(folder), "backup": str(path), "bytes": path.stat().st_size})
+    return 0
+
+
+def restore(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
+    """Go back to a copy of the catalogue; later labels come back from the journal."""
+    from touchdown.backend.annotations import Dataset, WriterLock, restore_backup
+
+    if args.other is None:
+        raise InputError(
+            "Which backup?", "restore", f"Name a file, such as one in {folder / 'backup'}."
+        )
+    lock = WriterLock.take(folder)
+    try:
+        aside = restore_backup(folder, args.other)
+    finally:
+        lock.release()
+    with Dataset.open(folder, create=False) as dataset:
+        notices = dataset.notices
+    for line in (*notices, f"Restored from {args.other}; the former catalogue: {aside}."):
+        screen.say(line)
+    answer = {"dataset": str(folder), "restored": str(args.other), "former": str(aside)}
+    screen.result({**answer, "notices": list(notices)})
+    return 0
+
+
+def rebuild(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
+    """Make the catalogue anew from files, packs and journal; 1 if it differs from the old one."""
+    from touchdown.backend.annotations import rebuild_dataset as make_anew
+
+    result = make_anew(folder, replace=args.replace)
+    table = Table(title="catalogue made anew")
+    for column in ("table", "rows", "only in the old", "only in the new"):
+        table.add_column(column, justify="left" if column == "table" else "right")
+    for name, rows in result.rows.items():
+        only = (result.only_old.get(name, "-"), result.only_new.get(name, "-"))
+        table.add_row(name, str(rows), *map(str, only))
+    screen.show(table)
+    for notice in result.notices:
+        screen.say(notice)
+    if not result.old_readable:
+        screen.say("The old catalogue could not be read: nothing to compare with.")
+    else:
+        screen.say("Both say the same." if result.equal else "They differ.")
+    if result.replaced:
+        screen.say("The new one is in its place; the old one is in quarantine.")
+    screen.result(
+        {
+            "dataset": str(folder), "rows": result.rows, "only_old": result.only_old,
+            "only_new": result.only_new, "equal": result.equal, "replaced": result.replaced,
+            "notices": list(result.notices),
+        }
+    )  # fmt: skip
+    return 0 if result.equal or (result.replaced and not result.old_readable) else 1
+
+
+def _report(
+    found: Sequence[ConsistencyProblem], screen: VerbOutput, facts: dict[str, object]
+) -> int:
+    table = Table(title="out of order")
+    for column in ("what", "where", "found"):
+        table.add_column(column, overflow="fold")
+    for finding in found:
+        table.add_row(finding.kind.replace("-", " "), finding.target, finding.said)
+    if found:
+        screen.show(table)
+    screen.say(f"{len(found)} findings." if found else "Files, labels and journal agree.")
+    listed = [{"kind": f.kind, "target": f.target, "said": f.said} for f in found]
+    screen.result({**facts, "findings": listed})
+    return 1 if found else 0
+
+
+NAME = "dataset"
+HELP = "show, check, back up, rebuild and merge datasets"
+JSON_VERSION = 1
+
+
+def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
+    """Count the episodes by pair and label state."""
+    from touchdown.backend.annotations import Dataset, EpisodeFilter, list_campaigns
+
+    with Dataset.open(folder, create=False, write=False) as dataset:
+        entries = dataset.episodes(EpisodeFilter(deleted=None))
+        age, campaigns = dataset.backups.age, list_campaigns(dataset.database)
+    pairs = Counter((e.piece, e.bottom, "deleted" if e.deleted else e.state) for e in entries)
+    files = Counter(e.file_state for e in entries)
+    states = sorted({state for _, _, state in pairs})
+    table = Table(title=f"{len(entries)} episodes in {folder}")
+    for column in ("piece", "bottom", *states):
+        table.add_column(column, justify="right" if column in states else "left")
+    for piece, bottom in sorted({(piece, bottom) for piece, bottom, _ in pairs}):
+        counts = (str(pairs[piece, bottom, state] or "-") for state in states)
+        table.add_row(piece, bottom, *counts)
+    screen.show(table)
+    conflicts = sum(e.conflict for e in entries)
+    if conflicts:
+        screen.say(f"{conflicts} episodes have two labels since a merge: resolve them.")
+    for state, count in sorted(files.items()):
+        if state != "complete":
+            screen.say(f"{count} files are {state}.")
+    for one in campaigns:
+        screen.say(f"Campaign {one.uuid}: {one.done} items of {one.piece} over {one.bottom} done.")
+    hours = None if age is None else round(age.total_seconds() / 3600, 1)
+    screen.say("There is no backup." if hours is None else f"Newest backup: {hours} h old.")
+    listed = [
+        {"piece": piece, "bottom": bottom, "state": state, "episodes": count}
+        for (piece, bottom, state), count in sorted(pairs.items())
+    ]
+    answer = {"version": JSON_VERSION, "dataset": str(folder), "episodes": len(entries)}
+    screen.result({**answer, "pairs": listed, "files": dict(files), "conflicts": conflicts,
+                   "campaigns": [asdict(one) for one in campaigns],
+                   "backup_age_h": hours})  # fmt: skip
+    return 0
+
+
+def merge(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
+    """Bring in labels and episodes of another copy of the dataset."""
+    from touchdown.backend.annotations import Dataset
+
+    if args.other is None:
+        raise InputError("Which copy?", "merge", "Name the folder of another copy of the dataset.")
+    person = args.person or getpass.getuser()
+    with Dataset.open(folder, create=False, person=person) as dataset:
+        notices = dataset.notices
+        done = dataset.merge(person, args.other)
+    for notice in notices:
+        screen.say(notice)
+    screen.say(f"{done.operations} label operations and {done.episodes} episodes are new here.")
+    if done.conflicts:
+        screen.say(f"{len(done.conflicts)} episodes have two labels: resolve them in the window.")
+    answer = {"version": JSON_VERSION, "dataset": str(folder), "merged": str(args.other)}
+    counts = {"operations": done.operations, "episodes": done.episodes}
+    screen.result({**answer, **counts, "conflicts": list(done.conflicts)})
+    return 0
+
+
+DatasetAction = Callable[[argparse.Namespace, Path, VerbOutput], int]
+ACTIONS: dict[str, DatasetAction] = {
+    "status": status,
+    "verify": verify,
+    "backup": backup,
+    "restore": restore,
+    "rebuild": rebuild,
+    "merge": merge,
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    lines = "; ".join(f"{name}: {(act.__doc__ or '')[:-1]}" for name, act in ACTIONS.items())
+    parser.add_argument("action", nargs="?", choices=ACTIONS, default="status", help=lines)
+    parser.add_argument(
+        "other", nargs="?", type=Path, help="the backup to restore, or the copy to merge"
+    )
+    parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
+    parser.add_argument("--person", help="who merges (default: the account's name)")
+    parser.add_argument(
+        "--replace", action="store_true", help="rebuild: put the new catalogue in its place"
+    )
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Do one action; returns its exit code."""
+    if args.other is not None and args.action not in ("restore", "merge"):
+        raise InputError(
+            f"'{args.action}' takes no file.", str(args.other), "Name the dataset by --dataset."
+        )
+    folder = Path(args.dataset) if args.dataset else dataset_folder()
+    return ACTIONS[args.action](args, folder, screen)

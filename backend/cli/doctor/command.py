@@ -1,0 +1,478 @@
+"""``touchdown doctor``: check this computer, a lab's devices or a dataset, and name the fix of each
+finding.
+
+Nothing heavy is imported in this process: packages are examined by their metadata or in a child.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+
+from rich.table import Table
+from rich.text import Text
+
+from touchdown.backend.cli.doctor.qt_libraries import missing_libraries, packages_for
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class DoctorCheck:
+    """What was looked at and found.
+
+    ``ok`` is False only for what stops Touchdown from working; something optional that is absent
+    is ``ok`` with a ``fix`` that says how to get it. ``fix`` is empty if there is nothing to do.
+    """
+
+    name: str
+    ok: bool
+    detail: str
+    fix: str = ""
+
+    @property
+    def word(self) -> str:
+        """OK, NOTE (optional thing absent) or FAIL."""
+        if not self.ok:
+            return "FAIL"
+        return "NOTE" if self.fix else "OK"
+
+
+CheckFunction = Callable[[], DoctorCheck]
+
+
+LEAST_FREE_GB = 2.0
+CAMERAS = Path("/dev/v4l/by-id")
+PIECES = ("pot", "mushroom", "barrel")
+
+
+def check_display() -> DoctorCheck:
+    """Look for a display server that a window can use."""
+    if not sys.platform.startswith("linux"):
+        return DoctorCheck("display", True, "native")
+    wayland, x11 = os.environ.get("WAYLAND_DISPLAY"), os.environ.get("DISPLAY")
+    if wayland or x11:
+        return DoctorCheck("display", True, f"Wayland {wayland}" if wayland else f"X11 {x11}")
+    return DoctorCheck(
+        "display",
+        True,
+        "none: no window can open here",
+        "Work without one ('make demo', 'touchdown stack'), or log in to a desktop.",
+    )
+
+
+def check_cameras(folder: Path = CAMERAS) -> DoctorCheck:
+    """Look for tactile cameras by their stable names (index 0; index 1 is metadata)."""
+    found = sorted(path.name for path in folder.glob("*-index0")) if folder.is_dir() else []
+    if found:
+        return DoctorCheck("cameras", True, ", ".join(found))
+    return DoctorCheck(
+        "cameras",
+        True,
+        "none connected (the simulated bench needs none)",
+        "Connect both tactile sensors by USB; add your account to the group 'video'.",
+    )
+
+
+def check_serial_ports() -> DoctorCheck:
+    """Look for serial ports, for a force/torque sensor."""
+    from serial.tools import list_ports
+
+    found = [f"{port.device} ({port.description})" for port in list_ports.comports()]
+    if found:
+        return DoctorCheck("serial ports", True, ", ".join(sorted(found)))
+    return DoctorCheck(
+        "serial ports",
+        True,
+        "none (the simulated bench needs none)",
+        "Connect the sensor; add your account to the group 'dialout'.",
+    )
+
+
+def check_processors() -> DoctorCheck:
+    """Count the processors that this process may use."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    if usable is not None and usable >= 2:
+        return DoctorCheck("processors", True, f"{usable} usable")
+    return DoctorCheck("processors", True, f"{usable} usable", "Use at least 2 for live runs.")
+
+
+def check_data_folder(folder: Path | None = None) -> DoctorCheck:
+    """Write to the operator's data folder."""
+    if folder is None:
+        folder = _data_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"touchdown")
+    except OSError as error:
+        reason = error.strerror or "not writable"
+        fix = "Name another folder in TOUCHDOWN_DATA, or give yourself the right to write."
+        return DoctorCheck("data folder", False, f"{folder}: {reason}", fix)
+    return DoctorCheck("data folder", True, str(folder))
+
+
+def check_disk(folder: Path | None = None) -> DoctorCheck:
+    """Look for room for data where the data folder is (or will be)."""
+    place = folder or _data_folder()
+    while not place.exists():
+        place = place.parent
+    free_gb = shutil.disk_usage(place).free / 1e9
+    ok = free_gb >= LEAST_FREE_GB
+    fix = "" if ok else f"Make room: at least {LEAST_FREE_GB:.0f} GB, or set TOUCHDOWN_DATA."
+    return DoctorCheck("disk", ok, f"{free_gb:.1f} GB free at {place}", fix)
+
+
+def check_models(folder: Traversable | None = None) -> DoctorCheck:
+    """Look for the shipped models, one per piece."""
+    models = files("touchdown.resources").joinpath("models") if folder is None else folder
+    entries = models.iterdir() if models.is_dir() else ()
+    shipped = sorted(entry.name for entry in entries if entry.name.endswith(".safetensors"))
+    absent = [piece for piece in PIECES if not any(name.startswith(piece) for name in shipped)]
+    if absent:
+        return DoctorCheck("models", False, f"missing for {', '.join(absent)}", "make models")
+    return DoctorCheck("models", True, ", ".join(shipped))
+
+
+def check_catalogue(folder: Path | None = None) -> DoctorCheck:
+    """Read the shipped pieces (and those of ``folder``) and name the first broken file."""
+    from touchdown.backend.geometry import load_pieces
+
+    try:
+        catalogue = load_pieces(folder)
+    except InputError as error:
+        fix = f"{error.fix} A shipped file: install Touchdown again."
+        return DoctorCheck("catalogue", False, f"{error.where}: {error.what}", fix)
+    absent = [piece for piece in PIECES if piece not in catalogue.pieces]
+    if absent:
+        detail = f"no piece file for {', '.join(absent)}"
+        return DoctorCheck("catalogue", False, detail, "Install Touchdown again.")
+    return DoctorCheck("catalogue", True, ", ".join(sorted(catalogue.pieces)))
+
+
+def _data_folder() -> Path:
+    from touchdown.backend.runs import data_folder
+
+    return data_folder()
+
+
+QT_INSTALL = 'pip install --force-reinstall "PySide6-Essentials>=6.8,!=6.9.1,<6.12"'
+CHILD_LIMIT_S = 60
+BUSY = "Nothing may be wrong: this computer was too busy to tell. Close what else runs, ask again."
+
+
+def installed(name: str) -> str | None:
+    """Return the installed version of distribution ``name``, or None."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def check_python() -> DoctorCheck:
+    """Look for CPython 3.11 or newer."""
+    found = f"{platform.python_implementation()} {platform.python_version()}"
+    ok = sys.version_info >= (3, 11) and platform.python_implementation() == "CPython"
+    return DoctorCheck("python", ok, found, "" if ok else "Install CPython 3.11, 3.12 or 3.13.")
+
+
+def qt_pair_fault(qt: str, python: tuple[int, int]) -> str:
+    """Return what is wrong with this PySide6 version on this CPython, or an empty text.
+
+    6.9.1 draws no pyqtgraph curves (pyqtgraph issue 3326); 6.12.0 loses references to True, False
+    and None on CPython below 3.12 and aborts; below 6.8 nothing was tried.
+    """
+    numbers = tuple(int(part) for part in qt.split(".")[:3] if part.isdigit())
+    if numbers == (6, 9, 1):
+        return "PySide6 6.9.1 draws no curves."
+    if numbers >= (6, 12) and python < (3, 12):
+        return f"PySide6 {qt} aborts on CPython {python[0]}.{python[1]}."
+    if not (6, 8) <= numbers < (6, 12):
+        return f"PySide6 {qt} is outside the tested window 6.8 to 6.11."
+    return ""
+
+
+def check_qt_versions() -> DoctorCheck:
+    """Look for PySide6-Essentials alone, in a version that works with this interpreter."""
+    qt = installed("PySide6-Essentials")
+    if qt is None:
+        return DoctorCheck("qt", False, "PySide6-Essentials is not installed", QT_INSTALL)
+    shiboken = installed("shiboken6")
+    if shiboken != qt:
+        return DoctorCheck(
+            "qt", False, f"PySide6-Essentials {qt} with shiboken6 {shiboken}", QT_INSTALL
+        )
+    spec = importlib.util.find_spec("PySide6")
+    if spec is None or spec.origin is None:
+        # Uninstalling PySide6-Addons removes the shared PySide6/__init__.py.
+        return DoctorCheck("qt", False, "the package PySide6 is damaged", QT_INSTALL)
+    fault = qt_pair_fault(qt, sys.version_info[:2])
+    full = installed("PySide6")
+    if full is not None and not fault:
+        fault = f"PySide6 {full} and PySide6-Essentials {qt} are mixed."
+    return DoctorCheck(
+        "qt", not fault, fault or f"PySide6-Essentials {qt}", QT_INSTALL if fault else ""
+    )
+
+
+def check_qt_libraries() -> DoctorCheck:
+    """Look for the system libraries of Qt's platform plugins."""
+    missing = missing_libraries()
+    if not missing:
+        return DoctorCheck("qt libraries", True, "complete")
+    packages = packages_for(missing)
+    fix = f"sudo apt-get install {' '.join(packages)}" if packages else "Install these libraries."
+    return DoctorCheck("qt libraries", False, f"missing: {', '.join(missing)}", fix)
+
+
+def check_qt_platform() -> DoctorCheck:
+    """Start Qt without a display (offscreen), in a child process because a failure aborts."""
+    code = (
+        "from PySide6.QtWidgets import QApplication\n"
+        "import sys\n"
+        "sys.stdout.write(QApplication([]).platformName())\n"
+    )
+    done = _child(code, {"QT_QPA_PLATFORM": "offscreen"})
+    if done is None:
+        return _unanswered("qt platform")
+    if done.returncode == 0:
+        return DoctorCheck("qt platform", True, f"{done.stdout.strip()} plugin starts")
+    tail = (done.stderr.strip().splitlines() or ["aborted"])[-1]
+    return DoctorCheck("qt platform", False, tail, "See 'qt' and 'qt libraries' above.")
+
+
+def check_opencv() -> DoctorCheck:
+    """Look for the headless OpenCV alone: others bring a second Qt into the process."""
+    name = "opencv-contrib-python-headless"
+    others = [
+        other
+        for other in ("opencv-python", "opencv-contrib-python", "opencv-python-headless")
+        if installed(other) is not None
+    ]
+    if others:
+        fix = f"pip uninstall -y {' '.join(others)} && pip install --force-reinstall {name}"
+        return DoctorCheck("opencv", False, f"also installed: {', '.join(others)}", fix)
+    found = installed(name)
+    fix = "" if found else f"pip install {name}"
+    return DoctorCheck("opencv", found is not None, found or "not installed", fix)
+
+
+def check_torch() -> DoctorCheck:
+    """Ask torch for version, threads and device, in a child process (its import is slow)."""
+    if installed("torch") is None:
+        return DoctorCheck(
+            "torch", False, "not installed", "pip install torch (the CPU build will do)"
+        )
+    code = (
+        "import json, sys, torch\n"
+        "gpu = torch.cuda.get_device_name(0) if torch.cuda.is_available() else ''\n"
+        "json.dump([torch.__version__, torch.get_num_threads(), gpu], sys.stdout)\n"
+    )
+    done = _child(code, {})
+    if done is None:
+        return _unanswered("torch")
+    if done.returncode != 0:
+        return DoctorCheck(
+            "torch", False, "cannot be imported", "pip install --force-reinstall torch"
+        )
+    release, threads, gpu = json.loads(done.stdout)
+    where = f"GPU: {gpu}" if gpu else f"CPU, {threads} threads"
+    return DoctorCheck("torch", True, f"{release} on {where}")
+
+
+def check_others() -> DoctorCheck:
+    """Look for the other required packages, and the optional judge."""
+    required = (
+        "pyqtgraph",
+        "numpy",
+        "scipy",
+        "pydantic",
+        "rich",
+        "safetensors",
+        "zstandard",
+        "pyserial",
+    )
+    absent = [name for name in required if installed(name) is None]
+    if absent:
+        detail = f"missing: {', '.join(absent)}"
+        return DoctorCheck("packages", False, detail, f"pip install {' '.join(absent)}")
+    listed = ", ".join(f"{name} {installed(name)}" for name in required)
+    return DoctorCheck("packages", True, listed)
+
+
+def check_mujoco() -> DoctorCheck:
+    """Look for MuJoCo (second judge and fall animation, optional)."""
+    found = installed("mujoco-core") or installed("mujoco")
+    if found:
+        return DoctorCheck("mujoco", True, found)
+    return DoctorCheck(
+        "mujoco", True, "not installed (optional)", 'pip install "touchdown[mujoco]"'
+    )
+
+
+def _unanswered(name: str) -> DoctorCheck:
+    return DoctorCheck(name, False, f"no answer within {CHILD_LIMIT_S} s", BUSY)
+
+
+def _child(code: str, extra: dict[str, str]) -> subprocess.CompletedProcess[str] | None:
+    """Run ``code`` in an interpreter of its own; None if it has not ended within the limit."""
+    try:
+        return subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            timeout=CHILD_LIMIT_S,
+            check=False,
+            env={**os.environ, **extra},
+        )
+    except subprocess.TimeoutExpired:
+        return None
+
+
+DEVICES = ("force_torque", "tactile_left", "tactile_right", "gripper", "arm")
+
+
+def lab_checks(path: Path) -> Iterator[Callable[[], DoctorCheck]]:
+    """Yield the looks at a lab file; raises ``InputError`` where it cannot be read."""
+    from touchdown.backend.config import load_lab
+    from touchdown.backend.rig import examine
+
+    lab = load_lab(path)
+    settings = lab.settings
+    yield partial(DoctorCheck, "lab file", True, f"{settings.name} ({settings.kind}), {path}")
+    yield partial(_check_placeholders, path)
+    yield partial(_check_fingers, path)
+    findings = examine(settings)
+    for _ in DEVICES:
+        yield partial(_next_device, findings)
+
+
+def _check_placeholders(path: Path) -> DoctorCheck:
+    from touchdown.backend.cli.bench import placeholders
+    from touchdown.backend.config import load_lab
+
+    settings = load_lab(path).settings
+    names = placeholders(settings) if settings.kind == "hardware" else []
+    if not names:
+        return DoctorCheck("made up", True, "nothing")
+    return DoctorCheck("made up", True, ", ".join(names), "Put in the lab's own numbers.")
+
+
+def _check_fingers(path: Path) -> DoctorCheck:
+    from touchdown.backend.bench import otherwise_named
+    from touchdown.backend.config import load_lab
+
+    told = otherwise_named(load_lab(path))
+    if not told:
+        return DoctorCheck(
+            "cameras", True, "at the fingers that the lab file names, as far as is known"
+        )
+    what, _, fix = next(iter(told.values())).partition(". ")
+    return DoctorCheck("cameras", True, what, f"{fix}.")
+
+
+def _next_device(findings: Iterator[object]) -> DoctorCheck:
+    from touchdown.backend.rig import Finding
+
+    found = next(findings)
+    assert isinstance(found, Finding)
+    return DoctorCheck(found.device, found.ok, found.detail, found.fix)
+
+
+NAME = "doctor"
+HELP = "check this computer, each finding with its fix"
+
+EXAMINATIONS: tuple[CheckFunction, ...] = (
+    check_python,
+    check_qt_versions,
+    check_qt_libraries,
+    check_qt_platform,
+    check_display,
+    check_opencv,
+    check_torch,
+    check_others,
+    check_mujoco,
+    check_processors,
+    check_cameras,
+    check_serial_ports,
+    check_data_folder,
+    check_disk,
+    check_catalogue,
+    check_models,
+)
+
+COLOURS = {"OK": "green", "NOTE": "yellow", "FAIL": "bold red"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        "--bench", type=Path, metavar="FILE", help="ask the devices of a lab file instead"
+    )
+    parser.add_argument(
+        "--dataset",
+        nargs="?",
+        const="",
+        metavar="DIR",
+        help="check a dataset instead, changing nothing (default: the one in the data folder)",
+    )
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Print all findings; returns 1 if one of them stops Touchdown from working."""
+    # Imported here so that the check does not load what it checks (OpenCV).
+    from touchdown.backend.cli.dataset import examine_only
+    from touchdown.backend.runs import dataset_folder
+
+    if args.dataset is not None:
+        folder = Path(args.dataset) if args.dataset else dataset_folder()
+        return examine_only(folder, screen)
+    looks: list[CheckFunction] = [partial(_run_check, look) for look in EXAMINATIONS]
+    if args.bench is not None:
+        looks = list(lab_checks(args.bench))
+    with screen.progress("Examining", len(looks)) as advance:
+        checks = []
+        for look in looks:
+            checks.append(look())
+            advance(len(checks), checks[-1].name)
+    screen.show(findings_table(checks))
+    failed = [check for check in checks if not check.ok]
+    screen.say("Everything that is needed is here." if not failed else f"{len(failed)} to fix.")
+    screen.result(
+        {"checks": [{"name": c.name, "ok": c.ok, "detail": c.detail, "fix": c.fix} for c in checks]}
+    )
+    return 1 if failed else 0
+
+
+def findings_table(checks: list[DoctorCheck]) -> Table:
+    """Return the table for people."""
+    table = Table(title="touchdown doctor", show_lines=False)
+    for column in ("", "check", "found", "what to do"):
+        table.add_column(column, overflow="fold")
+    for check in checks:
+        word = Text(check.word, style=COLOURS[check.word])
+        table.add_row(word, check.name, check.detail, check.fix)
+    return table
+
+
+def _run_check(look: CheckFunction) -> DoctorCheck:
+    name = look.__name__.removeprefix("check_").replace("_", " ")
+    try:
+        return look()
+    except (ImportError, OSError) as error:
+        # A damaged installation is what doctor is for: it must not end there.
+        return DoctorCheck(name, False, f"cannot be examined: {error}", "make setup")

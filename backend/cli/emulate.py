@@ -1,0 +1,313 @@
+"""``touchdown emulate``: emulate a device over its real wire.
+
+While it serves, faults are typed as ``[device] kind [seconds]``, and ``clear`` ends them. A sensor
+that slows down needs its rate (``slow=300 5`` for 300 samples a second), one that drifts its drift
+(``drift=0.05 60`` for 0.05 N a second).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import select
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TextIO
+
+from pydantic import ValidationError
+from rich.table import Table
+from rich.text import Text
+
+from touchdown.backend.bench import (
+    PRIORITY,
+    SERIAL,
+    SUFFERS,
+    Choice,
+    Emulation,
+    JoinedScene,
+    Wrench,
+    bench_toml,
+    emulate,
+    lab_toml,
+    serve_bench,
+    take_short_turns,
+)
+from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels
+from touchdown.backend.config import first_error_message
+from touchdown.backend.core import FINGERS, InputError, round_robin_priority
+from touchdown.backend.emulation import AMOUNTS, FaultPlan, Front, hanging, load_faults, noisy
+from touchdown.backend.geometry import load_pieces
+from touchdown.backend.runs import SceneChoice
+
+CLEAR = "clear"
+CHUNK = 4096
+USAGE = (
+    "Type a fault and Enter: [device] kind [seconds], slow=Hz, drift=N/s; 'clear' ends all faults."
+)
+
+
+class FaultPrompt:
+    """Lines of ``source`` as they are typed; a source that cannot be waited on gives none."""
+
+    def __init__(self, fronts: Sequence[Front], source: TextIO | None = None) -> None:
+        self._fronts, self._typed = fronts, b""
+        self._source: TextIO | None = sys.stdin if source is None else source
+        try:
+            usable = self._source is not None and self._source.fileno() >= 0
+        except (OSError, ValueError):
+            usable = False
+        if not usable or sys.platform == "win32":
+            self._source = None
+
+    @property
+    def listens(self) -> bool:
+        """Whether anything can still be typed."""
+        return self._source is not None
+
+    def take(self, limit_s: float) -> str:
+        """Wait for a line, ``limit_s`` at most; return what it did, or why it did nothing."""
+        # Lines that came at once wait here: in a buffer of the source no select would see them.
+        if b"\n" not in self._typed and self._source is not None:
+            if not select.select([self._source], [], [], limit_s)[0]:
+                return ""
+            data = os.read(self._source.fileno(), CHUNK)
+            self._typed += data
+            if not data:
+                self._source = None  # its end: nobody types any more
+        line, ended, rest = self._typed.partition(b"\n")
+        if not ended and self._source is not None:
+            return ""
+        self._typed = rest
+        return self.obey(line.decode(errors="replace"))
+
+    def obey(self, line: str) -> str:
+        """Do what a line says; return a sentence."""
+        words = line.split()
+        if not words:
+            return ""
+        if words == [CLEAR]:
+            for front in self._fronts:
+                front.faults.clear()
+            return "All faults have ended."
+        named = {front.faults.device: front for front in self._fronts if front.faults.device}
+        device = words[0] if words[0] in named and len(words) > 1 else ""
+        struck = named.get(device, self._fronts[0])
+        kind, *rest = words[1:] if device else words
+        try:
+            for_s = float(rest[0]) if rest else None
+            kind, _, much = kind.partition("=")
+            name, _ = AMOUNTS.get(kind, ("hz", ""))
+            struck.inject(kind, for_s, **({name: float(much)} if much else {}))
+        except ValidationError as error:
+            return f"'{line.strip()}' is no fault: {first_error_message(error)}. {USAGE}"
+        except ValueError:
+            return f"'{line.strip()}' is no fault of {', '.join(named)}. {USAGE}"
+        until = "until 'clear'" if for_s is None else f"for {for_s:g} s"
+        return f"{struck.faults.device}: {kind} {until}."
+
+
+NAME = "emulate"
+HELP = "emulate a device over its real wire"
+STATUS_S = 0.5
+BENCH = "bench"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("kind", choices=[*SUFFERS, BENCH], help="which device, or all of a bench")
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
+    parser.add_argument("--port", type=_port, help="port (default: a free one)")
+    parser.add_argument(
+        "--tty", type=_whole, metavar="LINK", help="name for the serial port of a wrist sensor"
+    )
+    parser.add_argument(
+        "--faults", type=Path, metavar="FILE", help="fault plan in TOML: what goes wrong, and when"
+    )
+    parser.add_argument(
+        "--load",
+        type=_wrench,
+        metavar="Fx,Fy,Fz,Tx,Ty,Tz",
+        help="what a wrist sensor feels, N and N·m (default: a swaying gripper)",
+    )
+    parser.add_argument(
+        "--part", type=float, default=20.0, metavar="MM", help="piece between the jaws; 0: none"
+    )
+    parser.add_argument("--text", action="store_true", help="a gripper with its text protocol")
+    parser.add_argument(
+        "--folder", type=_whole, metavar="DIR", help="where an emulated camera is found"
+    )
+    parser.add_argument("--finger", choices=FINGERS, default="left", help="which camera")
+    parser.add_argument("--serial", default=SERIAL, help="number of the camera")
+    parser.add_argument(
+        "--film", type=Path, metavar="FILE", help="video or picture that the camera sees"
+    )
+    parser.add_argument(
+        "--lab-file",
+        type=Path,
+        metavar="FILE",
+        help="of a bench: write the lab file that leads to it; see 'touchdown app --bench'",
+    )
+    parser.add_argument("--piece", default="pot", help="of a bench: the grasped piece")
+    parser.add_argument("--bottom", default="short", help="of a bench: what it is put on")
+    parser.add_argument("--preset", default="mixed", help="of a bench: nuisances")
+    parser.add_argument("--seed", type=int, default=1, help="of a bench")
+    parser.add_argument(
+        "--jig",
+        action="store_true",
+        help="of a bench: with an operator, who has the piece in a jig and hands it over again",
+    )
+    parser.add_argument(
+        "--for", type=float, dest="for_s", metavar="S", help="end after this time (default: Ctrl-C)"
+    )
+
+
+def _whole(text: str) -> Path:
+    """Return a path that also leads there from elsewhere: a bench file is read anywhere."""
+    return Path(text).absolute()
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Serve until Ctrl-C or the end of the time; then say what went over the wire."""
+    if args.for_s is not None and not 0 < args.for_s < float("inf"):
+        raise InputError("The time is not above zero.", "--for", "Give seconds.")
+    with ExitStack() as rest:
+        if args.kind == BENCH and args.folder is None and args.lab_file is not None:
+            args.folder = Path(rest.enter_context(tempfile.TemporaryDirectory(prefix="bench-")))
+        if args.kind == BENCH:
+            # Threads of one interpreter wait for each other: none may wait for other programs.
+            rest.enter_context(round_robin_priority(PRIORITY))
+        world, emulation = _bench(args) if args.kind == BENCH else (None, _device(args))
+        return _serve(args, screen, world, emulation)
+
+
+def _serve(
+    args: argparse.Namespace, screen: VerbOutput, world: JoinedScene | None, emulation: Emulation
+) -> int:
+    end = threading.Event()
+    begun_s = time.monotonic()
+    if world is not None:
+        take_short_turns()
+        world.start()
+    emulation.start()
+    try:
+        screen.say(f"The emulated {args.kind} answers at {emulation.fronts[0].url}.")
+        if args.lab_file is None:
+            screen.say(f"In a bench file:\n\n{bench_toml(emulation.bench)}\n")
+        else:
+            screen.say(f"Open it with: touchdown app --bench {args.lab_file}")
+        screen.say(f"{USAGE} Ctrl-C ends it.")
+        with ctrl_c_cancels(end.set):
+            _watch(emulation, end, args.for_s, screen)
+    finally:
+        if world is not None:
+            world.close()
+        emulation.close()
+    front = emulation.fronts[0]
+    seen = None if world is None else world.witnessed()
+    if seen is not None:
+        screen.say(f"What the devices saw of their driver: {seen}.")
+    screen.result(
+        {
+            "version": 1,
+            "kind": args.kind,
+            "address": front.url,
+            "bench": emulation.bench,
+            "seconds": round(time.monotonic() - begun_s, 3),
+            "clients": front.clients,
+            "received_bytes": front.received,
+            "sent_bytes": front.sent,
+            "seen": None if seen is None else asdict(seen),
+        }
+    )
+    return 0
+
+
+def _device(args: argparse.Namespace) -> Emulation:
+    wrench: Wrench = noisy(args.load or hanging)
+    part_mm = args.part if args.part > 0 else None
+    wire = Choice(args.kind, args.host, args.port, args.tty, _plan(args), wrench, part_mm)
+    camera = {"finger": args.finger, "serial": args.serial, "folder": args.folder}
+    return emulate(replace(wire, **camera, text=args.text, film=args.film))
+
+
+def _bench(args: argparse.Namespace) -> tuple[JoinedScene, Emulation]:
+    """Make a whole bench and write its bench file."""
+    if args.folder is None:
+        raise InputError(
+            "An emulated bench needs a folder or a lab file.",
+            "--folder",
+            "Name a folder, or write its lab file with --lab-file.",
+        )
+    # Imported here: the other devices start without what a scene needs.
+    from touchdown.backend.bench import SimulatedBenchChoice, make_scene
+
+    settings = SimulatedBenchChoice(preset=args.preset).settings()
+    choice = SceneChoice(args.piece, (args.bottom,), args.seed, jig=args.jig)
+    scene = make_scene(load_pieces(), choice, settings)
+    try:
+        world, emulation = serve_bench(scene, args.folder, _plan(args), args.host)
+        if args.lab_file is not None:
+            args.lab_file.write_text(lab_toml(scene, emulation), "utf-8")
+    except OSError as error:
+        raise InputError(
+            f"The bench cannot be made: {error.strerror or error}.",
+            str(args.lab_file or args.folder),
+            "Name another folder or --host.",
+        ) from error
+    return world, emulation
+
+
+def _plan(args: argparse.Namespace) -> FaultPlan:
+    return load_faults(args.faults) if args.faults else FaultPlan()
+
+
+def _watch(
+    emulation: Emulation, end: threading.Event, for_s: float | None, screen: VerbOutput
+) -> None:
+    """Show what goes over the wires until the end."""
+    end_s = float("inf") if for_s is None else time.monotonic() + for_s
+    typed = FaultPrompt(emulation.fronts)
+    with screen.status() as show:
+        while not end.is_set() and (left_s := end_s - time.monotonic()) > 0:
+            show(_table(emulation.fronts))
+            if not typed.listens:
+                end.wait(min(left_s, STATUS_S))
+            elif said := typed.take(min(left_s, STATUS_S)):
+                screen.say(said)
+
+
+def _table(fronts: Sequence[Front]) -> Table:
+    """Return what went over each wire so far, and which faults are on."""
+    table = Table()
+    table.add_column("wire")
+    for column in ("clients", "bytes in", "bytes out"):
+        table.add_column(column, justify="right")
+    table.add_column("faults on")
+    for front in fronts:
+        name = front.faults.device or front.url.partition("://")[2]
+        faults = ", ".join(front.faults.names(time.monotonic()))
+        counts = (f"{count:,}" for count in (front.clients, front.received, front.sent))
+        table.add_row(name, *counts, Text(faults or "none", "bold red" if faults else ""))
+    return table
+
+
+def _port(text: str) -> int:
+    if not text.isdigit() or not 1 <= int(text) <= 65535:
+        raise argparse.ArgumentTypeError(f"'{text}' is no port (1 to 65535)")
+    return int(text)
+
+
+def _wrench(text: str) -> Wrench:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != 6 or not all(abs(value) < float("inf") for value in values):
+        raise argparse.ArgumentTypeError(f"'{text}' is not six finite numbers")
+    return lambda now_s: values

@@ -1,0 +1,107 @@
+"""``touchdown evaluate``: measure a contact-patch model on labelled episodes."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.config import StabilitySettings
+from touchdown.backend.runs import models_folder
+
+if TYPE_CHECKING:
+    from touchdown.backend.learning import EvaluationScores
+
+
+NAME = "evaluate"
+HELP = "measure a contact-patch model"
+JSON_VERSION = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("model", type=Path, help="model file (.safetensors)")
+    parser.add_argument(
+        "data", type=Path, help="a dataset, or the folder that 'touchdown simulate --out' wrote"
+    )
+    parser.add_argument(
+        "--labels",
+        choices=("approved", "submitted", "drafts"),
+        default="approved",
+        help="which labels of a dataset count (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--delta",
+        type=float,
+        default=StabilitySettings().delta,
+        help="a point supports above this probability (default: 0.9)",
+    )
+    parser.add_argument(
+        "--pieces", type=Path, metavar="DIR", help="folder with further piece files"
+    )
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Evaluate and show the scores per bottom; returns 0."""
+    # Imported here so that `touchdown --help` starts without torch.
+    from touchdown.backend.geometry import face_points, load_pieces
+    from touchdown.backend.learning import (
+        ModelRegistry,
+        evaluate_model,
+        hardware_rows,
+        load_checkpoint,
+        load_episodes,
+    )
+
+    checkpoint = load_checkpoint(args.model)
+    card = checkpoint.card
+    rows = load_episodes(args.data, card.piece, args.labels)
+    points = face_points(load_pieces(args.pieces).piece(card.piece).face)
+    scores = evaluate_model(checkpoint, rows, points, args.delta)
+    real = hardware_rows(rows)
+    if real is not None:
+        of_real = evaluate_model(checkpoint, real, points, args.delta)["all"]
+        registry = ModelRegistry(models_folder())
+        registry.note_hardware(card.weights_sha256, len(real), of_real.iou, of_real.point_accuracy)
+    trained_on = set(card.data.get("episodes", {}))
+    kind = "simulated" if real is None else f"{len(real)} hardware probes"
+    screen.show(score_table(f"{card.piece}, {card.modality} ({kind})", scores, trained_on))
+    screen.result(
+        {
+            "version": JSON_VERSION,
+            "model": str(args.model),
+            "piece": card.piece,
+            "modality": card.modality,
+            "delta": args.delta,
+            "simulated": card.simulated,
+            "hardware_probes": 0 if real is None else len(real),
+            "trained_on": sorted(trained_on),
+            "scores": {name: s.as_json() for name, s in scores.items()},
+        }
+    )
+    return 0
+
+
+def score_table(title: str, scores: dict[str, EvaluationScores], trained_on: set[str]) -> Table:
+    """Return the table of scores; bottoms never seen in training are marked."""
+    table = Table(title=title, caption="n = 1; 95 % Wilson interval of the stability accuracy")
+    for column in ("bottom", "episodes", "IoU %", "points right %", "stable right %",
+                   "base rate %", "unsafe %"):  # fmt: skip
+        table.add_column(column, justify="left" if column == "bottom" else "right")
+    for name, s in scores.items():
+        unseen = "" if name == "all" or name in trained_on else " (unseen)"
+        low, high = s.stability_interval
+        table.add_row(
+            name + unseen,
+            str(s.episodes),
+            f"{100 * s.iou:.1f}",
+            f"{100 * s.point_accuracy:.1f}",
+            f"{100 * s.stability_accuracy:.1f} ({100 * low:.1f}-{100 * high:.1f})",
+            f"{100 * s.base_rate:.1f}",
+            "-" if math.isnan(s.unsafe) else f"{100 * s.unsafe:.1f}",
+        )
+    return table

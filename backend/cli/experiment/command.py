@@ -1,0 +1,541 @@
+"""``touchdown experiment``: the paper's tables, strategies beyond it, learned fusion, and their
+reports on the simulated bench.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+from touchdown.backend.cli.experiment.domain_shift import (
+    EVALUATIONS,
+    add_evaluation_arguments,
+    run_evaluation,
+)
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.train import add_device
+from touchdown.backend.core import InputError, write_atomically
+
+if TYPE_CHECKING:
+    from touchdown.backend.experiments import Recipe, StrategyComparison
+    from touchdown.backend.jobs import Executor, JobSpec, JobStore
+
+
+Json = dict[str, Any]
+
+
+def add_report_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    report = parser.add_argument_group("report")
+    report.add_argument("--tables", type=Path, metavar="JSON", help="the tables.json whose page is "
+                        "written anew, beside it (default: that of --out)")  # fmt: skip
+    report.add_argument("--beyond", type=Path, nargs="+", default=[], metavar="JSON", help="its "
+                        "comparisons of strategies from now on: each a beyond.json of the same "
+                        "bench (default: those that it has); gap: those to count")  # fmt: skip
+
+
+@contextmanager
+def report_write_errors(where: Path) -> Iterator[None]:
+    """Turn a disk that refuses into ``InputError``; files are as they were, or whole."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"It could not be written: {error.strerror or error}.",
+            str(error.filename or where),
+            "Free some space, or name another folder; finished jobs are kept.",
+        ) from error
+
+
+def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
+    """Write the page, and the comparisons into the JSON; raises ``InputError`` for a bad file."""
+    from touchdown.backend.experiments import DATA, rewrite_tables
+
+    file = args.tables or args.out / DATA
+    with report_write_errors(file):
+        page = rewrite_tables(file, args.beyond)
+    screen.say(f"Written: {page}")
+    return {"page": str(page), "file": str(file)}
+
+
+def tables_to_compare(file: Path | None) -> Json | None:
+    """Return the content of a tables.json that others are held against, None without one.
+
+    Read before the first job: a wrong file is told at once. Raises ``InputError``.
+    """
+    from touchdown.backend.experiments import read_report
+
+    return None if file is None else read_report(file)[0]
+
+
+def compare_tables(answer: Json, other: Json, file: Path, screen: VerbOutput) -> None:
+    """Tell which 95 % intervals of ``answer`` miss the values of ``other``, read from ``file``."""
+    from touchdown.backend.experiments import CONTENT_ERRORS, compare_intervals
+
+    try:
+        found = compare_intervals(answer, other)
+    except CONTENT_ERRORS as error:
+        what = f"There are no tables to compare with: {error}."
+        raise InputError(what, str(file), "Name a tables.json.") from error
+    agree = found.cells - len(found.outside)
+    screen.say(f"{agree} of {found.cells} cells agree with {file}")
+    for name in found.outside:
+        screen.say(f"  not: {name}")
+
+
+KEPT, TABLE = "gap.json", "gap.md"
+
+
+def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
+    """Print the shares over all files of ``--beyond``, and leave them in ``--out``.
+
+    Raises ``InputError`` for files that cannot be held together, or hold no paper or no ceiling.
+    """
+    # Imported here so that `touchdown --help` starts without torch.
+    from touchdown.backend.core import write_atomically
+    from touchdown.backend.experiments import (
+        BEYOND_FORMAT,
+        merged_oracle_shares,
+        oracle_share_table,
+        read_beyond,
+        to_markdown,
+    )
+
+    stored = [(str(path), read_beyond(path)) for path in args.beyond]
+    rows = merged_oracle_shares(stored)
+    if not rows:
+        raise InputError(
+            "The files hold no seeds of paper, ceiling and another strategy.",
+            "--beyond",
+            "Name each beyond.json that one of them stands in.",
+        )
+    sheet = oracle_share_table(rows)
+    table = Table(title=sheet.title)
+    for column in sheet.columns:
+        table.add_column(column)
+    for row in sheet.rows:
+        table.add_row(*row)
+    screen.show(table)
+    first = stored[0][1]
+    content = {
+        "format": BEYOND_FORMAT,
+        "bench_sha256": first["bench_sha256"],
+        "code": first["code"],
+        "models": {},
+        "cells": [],
+        "pooled": [],
+        "gaps": rows,
+    }
+    file = args.out / KEPT
+    with report_write_errors(file):
+        args.out.mkdir(parents=True, exist_ok=True)
+        write_atomically(args.out / TABLE, to_markdown([sheet]).encode())
+        write_atomically(file, json.dumps(content, indent=1, sort_keys=True).encode() + b"\n")
+    screen.say(f"Written: {file} and {TABLE}")
+    return {"file": str(file), "gaps": rows}
+
+
+ABLATIONS = ("wrench", "fields", "others", "mirrors")
+RunJobs = Callable[[list["JobSpec"], Callable[["JobSpec"], int]], list[str]]
+"""Does the jobs that are not done, given the effort of each; returns the ids of the failed."""
+
+
+def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    fused = parser.add_argument_group("fused")
+    fused.add_argument("--parts", type=int, default=100, help="jobs of 240 sequences of five "
+                       "probes (default: %(default)s)")  # fmt: skip
+    fused.add_argument("--long-parts", type=int, default=0, help="of eight probes (default: "
+                       "%(default)s)")  # fmt: skip
+    fused.add_argument("--free-parts", type=int, default=0, help="of eight probes on bottoms that "
+                       "rock and slide (default: %(default)s)")  # fmt: skip
+    fused.add_argument("--steps", type=int, default=6000, help="of the training (default: "
+                       "%(default)s)")  # fmt: skip
+    fused.add_argument("--seed", type=int, default=0, help="of data and training (default: "
+                       "%(default)s)")  # fmt: skip
+    fused.add_argument("--without", choices=ABLATIONS, help="an ablation: the wrench, the marker "
+                       "fields, the other probes, or mirror images of the data")  # fmt: skip
+    fused.add_argument("--rule-trials", type=int, default=0, help="trials of each piece on each of "
+                       "four bottoms of their own, under every rule of release "
+                       "(default: %(default)s)")  # fmt: skip
+
+
+def train_fused(
+    args: argparse.Namespace, screen: VerbOutput, store: JobStore, done: RunJobs
+) -> dict[str, Any]:
+    """Make the network; copies it with its card to the folder of the experiment when it is there.
+
+    Raises ``InputError`` for counts with which nothing can be held out or trained.
+    """
+    # Imported here so that `touchdown --help` starts without torch.
+    from touchdown.backend.config import load_simulation
+    from touchdown.backend.experiments import (
+        PORTIONS,
+        WEIGHTS,
+        FusionRecipe,
+        program_version,
+        threshold_jobs,
+    )
+    from touchdown.backend.learning import card_path
+
+    half = args.parts // 2
+    counts = {"short": args.parts - half, "more": half}
+    counts |= {"free": args.free_parts, "long": args.long_parts}
+    known = all(n == 0 or 2 <= n <= PORTIONS[name].most for name, n in counts.items())
+    if not known or args.parts < 4 or args.steps < 1 or min(args.seed, args.rule_trials) < 0:
+        raise InputError(
+            "The number of parts, steps or trials is out of range, or the seed is negative.",
+            "--parts, --long-parts, --free-parts, --steps, --rule-trials, --seed",
+            "Give 4 to 120 parts, none or 2 to 400 long and 2 to 100 free ones, at least 1 step.",
+        )
+    bench = load_simulation(args.bench, None if args.bench else args.preset)
+    code = program_version()
+    recipe = FusionRecipe(bench, code, counts, args.steps, args.seed, args.without, args.device)
+    jobs = recipe.jobs()
+    training = jobs[-1].id
+    asked = threshold_jobs(bench, code, training, args.rule_trials)
+    failed = done([*jobs, *asked], recipe.effort)
+    made = store.has(training)
+    out = args.out / WEIGHTS
+    if made:
+        weights = store.folder(training) / WEIGHTS
+        for made_there, wanted in ((card_path(weights), card_path(out)), (weights, out)):
+            write_atomically(wanted, made_there.read_bytes())
+        screen.say(f"The network lies in {out}.")
+    missing = sum(not store.has(spec.id) for spec in [*jobs, *asked])
+    return {
+        "file": str(out) if made else None,
+        "jobs": len(jobs) + len(asked),
+        "missing": missing,
+        "failed": failed,
+        "fused": store.result(training) if made else None,
+        "rules": _rules(screen, store, asked),
+    }
+
+
+def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[dict[str, Any]]:
+    """Show and return what would have come of the finished trials under every rule."""
+    from touchdown.backend.experiments import threshold_counts
+
+    trials = [t for spec in asked if store.has(spec.id) for t in store.result(spec.id)["trials"]]
+    if not trials:
+        return []
+    found = threshold_counts(trials)
+    table = Table(title=f"Rules of release, {len(trials)} trials on bottoms of their own")
+    for column in found[0]:
+        table.add_column(column)
+    for row in found:
+        table.add_row(*(str(value) for value in row.values()))
+    screen.show(table)
+    return found
+
+
+NAME = "experiment"
+HELP = "measure the paper's three tables on the simulated bench, or strategies beyond it"
+JSON_VERSION = 1
+EXECUTORS = ("serial", "local", "dask")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        "what",
+        choices=("tables", "report", "beyond", "gap", "fused", *EVALUATIONS),
+        help="the paper's Tables I to III; their page anew, with other comparisons; strategies "
+        "beyond the paper, and the ceiling; the share of the way to it; train the network of "
+        "fusion; what exists in a second simulated world; or what each nuisance of the bench "
+        "costs",
+    )
+    scale = parser.add_mutually_exclusive_group()
+    scale.add_argument(
+        "--quick", dest="scale", action="store_const", const="quick", help="existing models, a few "
+        "probes and trials per cell (default)",
+    )  # fmt: skip
+    scale.add_argument(
+        "--full", dest="scale", action="store_const", const="full", help="train as the paper does; "
+        "400 places and 100 trials per cell",
+    )  # fmt: skip
+    parser.set_defaults(scale="quick")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("output/experiment"),
+        metavar="DIR",
+        help="page, JSON and jobs; an interrupted experiment goes on there (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--preset", default="bench-v1", help="preset of the bench (default: %(default)s)"
+    )
+    parser.add_argument("--bench", type=Path, metavar="FILE", help="settings of the bench (TOML)")
+    parser.add_argument("--pieces", default="mushroom,barrel,pot", help="separated by commas")
+    parser.add_argument(
+        "--models", type=Path, metavar="DIR", help="models for --quick (default: those that ship)"
+    )
+    parser.add_argument(
+        "--keep-models", type=Path, metavar="DIR", help="write the models that --full trained, in "
+        "half precision",
+    )  # fmt: skip
+    parser.add_argument(
+        "--against", type=Path, metavar="JSON", help="tell which 95 %% intervals miss the values "
+        "of another tables.json",
+    )  # fmt: skip
+    add_device(parser)
+    parser.add_argument("--executor", choices=EXECUTORS, default="local", help="default: local")
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=max(1, (os.cpu_count() or 2) - 1),
+        help="processes of the local executor (default: %(default)s)",
+    )
+    parser.add_argument("--cluster", metavar="ADDRESS", help="scheduler of the executor dask")
+    parser.add_argument("--shard", metavar="i/n", help="do every n-th job only, for batch queues")
+    _add_beyond_arguments(parser)
+    add_evaluation_arguments(parser)
+    add_fused_arguments(parser)
+    add_report_arguments(parser)
+
+
+def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
+    beyond = parser.add_argument_group("beyond")
+    beyond.add_argument("--strategies", default="paper,fused", help="or "
+                        "zero-wrench, ceiling, ceiling-diameter, pick-and-place "
+                        "(default: %(default)s)")  # fmt: skip
+    beyond.add_argument("--bottoms", default="short,long", help="or hex20, rect12x28, and towers "
+                        "short+long, short+hex20, short+rect12x28 "
+                        "(default: %(default)s)")  # fmt: skip
+    beyond.add_argument("--trials", type=int, default=50, help="of a cell (default: %(default)s)")
+    beyond.add_argument("--statics", type=int, default=0, metavar="GROUPS", help="also ask each "
+                        "strategy at so many places of a cell, after 1 to 5 probes")  # fmt: skip
+    beyond.add_argument("--entry-sigma", type=float, default=1.0, metavar="MM", help="how well the "
+                        "operator knows where the upper bottom of a tower stands "
+                        "(default: %(default)s)")  # fmt: skip
+    beyond.add_argument("--no-entry", action="store_true", help="nobody tells strategies of the "
+                        "lower bottom")  # fmt: skip
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Do all jobs that are not done, then write the page; 0 when no job failed."""
+    if args.workers < 1:
+        raise InputError("--workers must be at least 1.", "--workers", "Give a positive number.")
+    if args.what in ("report", "gap"):
+        way = rewrite_report if args.what == "report" else write_gap
+        screen.result({"version": JSON_VERSION, **way(args, screen)})
+        return 0
+    other = tables_to_compare(args.against)
+    # Imported here so that `touchdown --help` starts without torch.
+    from touchdown.backend.experiments import write_tables
+    from touchdown.backend.jobs import JobStore
+
+    store = JobStore(_folder(args.out) / "jobs")
+    if args.what == "beyond":
+        return _run_beyond(args, screen, store)
+    if args.what in ("fused", *EVALUATIONS):
+        asked = train_fused if args.what == "fused" else run_evaluation
+        answer = asked(args, screen, store, lambda j, e: _run_jobs(j, e, args, screen, store))
+        screen.result({"version": JSON_VERSION, **answer})
+        return 1 if answer["failed"] else 0
+    recipe = _recipe(args, store)
+    jobs = recipe.jobs()
+    failed = _run_jobs(jobs, recipe.effort, args, screen, store)
+    missing = sum(not store.has(spec.id) for spec in jobs)
+    with report_write_errors(args.out):
+        page, answer = write_tables(args.out, recipe, store)
+    if args.keep_models:
+        _keep(args, recipe, store, screen)
+    screen.say(f"{len(jobs) - missing} of {len(jobs)} jobs are done: {page}")
+    if other is not None:
+        compare_tables(answer, other, args.against, screen)
+    screen.result(
+        {
+            "version": JSON_VERSION,
+            "page": str(page),
+            "jobs": len(jobs),
+            "missing": missing,
+            "failed": failed,
+            "tables": answer,
+        }
+    )
+    return 1 if failed else 0
+
+
+def _keep(args: argparse.Namespace, recipe: Recipe, store: JobStore, screen: VerbOutput) -> None:
+    from touchdown.backend.experiments import keep_models
+
+    with report_write_errors(args.keep_models):
+        args.keep_models.mkdir(parents=True, exist_ok=True)
+        kept = keep_models(store, recipe, args.keep_models)
+    screen.say(f"{len(kept)} models: {args.keep_models}")
+
+
+def _run_jobs(
+    jobs: list[JobSpec],
+    effort_of: Callable[[JobSpec], int],
+    args: argparse.Namespace,
+    screen: VerbOutput,
+    store: JobStore,
+) -> list[str]:
+    """Do what is not done of all jobs, or of one shard; return the ids of those that failed."""
+    from touchdown.backend.jobs import independent_jobs, parse_shard, run_campaign, shard_of
+
+    part = jobs
+    if args.shard:
+        part = independent_jobs(jobs, shard_of(jobs, *parse_shard(args.shard)), store)
+    else:
+        store.sweep()
+    effort = sum(map(effort_of, part))
+    failed: list[str] = []
+    done = 0
+    with screen.progress(f"{len(part)} jobs", effort) as advance:
+        by_id = {spec.id: spec for spec in part}
+        for result in run_campaign(part, _executor(args, store, screen.say), store):
+            done += effort_of(by_id[result.id])
+            advance(done, _name(by_id[result.id]))
+            if result.state == "failed":
+                failed.append(result.id)
+                screen.say(f"{_name(by_id[result.id])} failed: {result.error.strip()}")
+    return failed
+
+
+def _run_beyond(args: argparse.Namespace, screen: VerbOutput, store: JobStore) -> int:
+    """Compare strategies; writes ``beyond.json`` with all that is finished by now."""
+    from touchdown.backend.experiments import comparison_tables, write_comparison
+
+    plan = _comparison_of(args, store)
+    jobs = plan.jobs()
+    failed = _run_jobs(jobs, plan.effort, args, screen, store)
+    answer = plan.answer(store)
+    missing = sum(not store.has(spec.id) for spec in jobs)
+    with report_write_errors(args.out):
+        path = write_comparison(args.out, answer)
+    for sheet in comparison_tables(answer):
+        table = Table(title=sheet.title)
+        for column in sheet.columns:
+            table.add_column(column)
+        for row in sheet.rows:
+            table.add_row(*row)
+        screen.show(table)
+    screen.result({"version": JSON_VERSION, "file": str(path), "jobs": len(jobs),
+                   "missing": missing, "failed": failed, "beyond": answer})  # fmt: skip
+    return 1 if failed else 0
+
+
+def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyComparison:
+    from touchdown.backend.config import load_simulation
+    from touchdown.backend.experiments import (
+        BOTTOMS,
+        PIECES,
+        STRATEGIES,
+        ClosedLoopComparison,
+        StaticComparison,
+        StrategyComparison,
+        adopt_models,
+        models_that_ship,
+        program_version,
+    )
+
+    pieces = _named(args.pieces, PIECES, "--pieces")
+    bench = load_simulation(args.bench, None if args.bench else args.preset)
+    folders = [args.models] if args.models else models_that_ship(bench.preset)
+    found = adopt_models(store, *folders)
+    if args.trials < (0 if args.statics else 1):
+        raise InputError("--trials must be at least 1.", "--trials", "Give a positive number.")
+    if args.statics < 0:
+        raise InputError("--statics is negative.", "--statics", "Give 0 or a positive number.")
+    if not args.entry_sigma > 0.0:
+        raise InputError("--entry-sigma must be positive.", "--entry-sigma", "Give it in mm.")
+    loops = ClosedLoopComparison(
+        bench=bench,
+        code=program_version(),
+        models={piece: found[piece, "FT+Tac"] for piece in pieces},
+        pieces=pieces,
+        bottoms=_named(args.bottoms, BOTTOMS, "--bottoms"),
+        strategies=_named(args.strategies, STRATEGIES, "--strategies"),
+        trials=args.trials,
+        entry_sigma_mm=None if args.no_entry else args.entry_sigma,
+    )
+    said = None
+    if args.statics:
+        said = StaticComparison(
+            bench, loops.code, loops.models, pieces, loops.bottoms, loops.strategies, args.statics
+        )
+    return StrategyComparison(loops, said)
+
+
+def _named(text: str, known: tuple[str, ...], where: str) -> tuple[str, ...]:
+    """Return the names in a text with commas; raises ``InputError`` for one that is not known."""
+    names = tuple(text.split(","))
+    if unknown := [name for name in names if name not in known]:
+        raise InputError(f"'{unknown[0]}' is not known.", where, f"Name some of {','.join(known)}.")
+    return names
+
+
+def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
+    from touchdown.backend.config import load_simulation
+    from touchdown.backend.experiments import (
+        SCALES,
+        Recipe,
+        adopt_models,
+        models_that_ship,
+        pieces_of,
+        program_version,
+    )
+
+    pieces = pieces_of(args.pieces)
+    if not pieces or len(pieces) != len(args.pieces.split(",")):
+        raise InputError(
+            f"'{args.pieces}' names other pieces than those of the tables.",
+            "--pieces",
+            "Name some of mushroom,barrel,pot.",
+        )
+    scale = SCALES[args.scale]
+    if args.keep_models and not scale.probes:
+        raise InputError("--quick trains no models.", "--keep-models", "Leave it out, or --full.")
+    if args.models and scale.probes:
+        raise InputError("--full trains its own models.", "--models", "Leave it out, or --quick.")
+    bench = load_simulation(args.bench, None if args.bench else args.preset)
+    models = {}
+    if not scale.probes:
+        folders = [args.models] if args.models else models_that_ship(bench.preset)
+        models = adopt_models(store, *folders)
+    return Recipe(scale, bench, program_version(), models, pieces, args.device)
+
+
+def _executor(args: argparse.Namespace, store: JobStore, tell: Callable[[str], None]) -> Executor:
+    from touchdown.backend.experiments import KINDS
+    from touchdown.backend.jobs import DaskCluster, ProcessPool, SerialExecutor
+
+    if args.executor == "serial":
+        return SerialExecutor(KINDS, store)
+    if args.executor == "local":
+        return ProcessPool(KINDS, store, args.workers, tell)
+    if not args.cluster:
+        raise InputError("The executor dask needs a scheduler.", "--cluster", "Give its address.")
+    return DaskCluster.at(KINDS, store, args.cluster)
+
+
+def _folder(out: Path) -> Path:
+    try:
+        (out / "jobs").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"The folder cannot be made: {error.strerror or error}.",
+            str(out),
+            "Name another folder.",
+        ) from error
+    return out
+
+
+def _name(spec: JobSpec) -> str:
+    """Say in words which job this is."""
+    p = spec.params
+    over = "+".join(p["bottoms"]) if "bottoms" in p else p.get("bottom", "")
+    training = p.get("training", {}).get("modality", "")
+    words = (spec.kind, p.get("piece", ""), over, training, p.get("strategy", ""))
+    return " ".join(word for word in words if word)

@@ -1,0 +1,252 @@
+"""``touchdown experiment elsewhere`` and ``sensitivity``: existing models and strategies on other
+benches.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from rich.table import Table
+
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core import InputError
+
+if TYPE_CHECKING:
+    from touchdown.backend.config import SimulationSettings
+    from touchdown.backend.experiments import RandomisedTraining
+    from touchdown.backend.jobs import JobSpec, JobStore
+
+
+EVALUATIONS = ("elsewhere", "sensitivity")
+RunJobs: TypeAlias = Callable[[list["JobSpec"], Callable[["JobSpec"], int]], list[str]]
+"""Does the jobs that are not done, given the effort of each; returns the ids of the failed."""
+Json: TypeAlias = dict[str, Any]
+
+
+def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    asked = parser.add_argument_group("elsewhere, sensitivity")
+    asked.add_argument("--groups", type=int, default=20, help="of three probes, in each cell "
+                       "(default: %(default)s)")  # fmt: skip
+    asked.add_argument("--first", type=int, default=0, metavar="N", help="number of the first "
+                       "group and trial in each cell; choose on later ones than are reported "
+                       "(elsewhere, default: %(default)s)")  # fmt: skip
+    asked.add_argument("--train", metavar="NAMES", help="train FT+Tac first, as the paper may have "
+                       "done it, and ask it too: on probes of 120 mountings of the bench "
+                       "(mountings), or of as many with sizes of nuisances and laws of gel and "
+                       "friction drawn anew for each (randomised), or both with a comma between "
+                       "(elsewhere)")  # fmt: skip
+    asked.add_argument("--probes", type=int, default=2000, help="of --train on each of three "
+                       "outlines (default: %(default)s)")  # fmt: skip
+    asked.add_argument("--epochs", type=int, default=30, help="of --train (default: %(default)s)")
+
+
+def run_evaluation(
+    args: argparse.Namespace, screen: VerbOutput, store: JobStore, done: RunJobs
+) -> Json:
+    """Do ``args.what``, a name of ``ASKED``; leaves a JSON file, and a page of the sensitivity.
+
+    Raises ``InputError`` for counts that ask nothing, for names that are not known, and where the
+    second world needs an engine that is missing.
+    """
+    # Imported here so that `touchdown --help` starts without torch.
+    from touchdown.backend.config import load_simulation
+
+    if args.groups < 1 or args.trials < 0:
+        raise InputError(
+            "There is nothing to press.", "--groups, --trials", "Give a positive number of groups."
+        )
+    bench = load_simulation(args.bench, None if args.bench else args.preset)
+    sources = _models(args, bench, store)
+    way = _elsewhere if args.what == "elsewhere" else _sensitivity
+    return way(args, screen, store, done, (bench, sources))
+
+
+def _elsewhere(
+    args: argparse.Namespace,
+    screen: VerbOutput,
+    store: JobStore,
+    done: RunJobs,
+    given: tuple[SimulationSettings, Mapping[str, str]],
+) -> Json:
+    from touchdown.backend.experiments import (
+        DomainShift,
+        change_rows,
+        press_rows,
+        program_version,
+        trial_rows,
+    )
+    from touchdown.backend.simulation import import_mujoco
+
+    import_mujoco()
+    if args.first < 0 or args.epochs < 1 or args.probes < 10:
+        raise InputError(
+            "No group has such a number, or nothing is trained.",
+            "--first, --epochs, --probes",
+            "Give --first 0 or more, --epochs 1 or more, --probes 10 or more.",
+        )
+    trained = _trained(args, given[0])
+    plan = DomainShift(
+        bench=given[0],
+        code=program_version(),
+        piece=args.pieces,
+        models=given[1],
+        bottoms=tuple(args.bottoms.split(",")),
+        strategies=tuple(args.strategies.split(",")) if args.trials else (),
+        groups=args.groups,
+        trials=args.trials,
+        trained=trained,
+        first=args.first,
+    )
+    failed = done(plan.jobs(), plan.effort)
+    if args.keep_models:
+        _keep(args.keep_models, trained, store, screen)
+    answer = plan.answer(store)
+    _show(
+        screen,
+        "Presses: IoU %, stability right after one probe %; bench, elsewhere, change",
+        ("model", "IoU", "elsewhere", "", "right", "elsewhere", "", "unsafe"),
+        press_rows(answer),
+    )
+    title = "Change of the IoU in points, group by group"
+    _show(screen, title, ("what", "bottom", "change", "groups"), change_rows(answer))
+    _show(
+        screen,
+        "Trials: placed %, unsafe %; bench, elsewhere, change",
+        ("strategy", "trials", "placed", "elsewhere", "", "unsafe", "elsewhere", ""),
+        trial_rows(answer),
+    )
+    return _kept(args.out, "elsewhere", answer, (plan.jobs(), failed), store)
+
+
+def _sensitivity(
+    args: argparse.Namespace,
+    screen: VerbOutput,
+    store: JobStore,
+    done: RunJobs,
+    given: tuple[SimulationSettings, Mapping[str, str]],
+) -> Json:
+    from touchdown.backend.core import write_atomically
+    from touchdown.backend.experiments import (
+        COLUMNS,
+        NuisanceSensitivity,
+        job_effort,
+        program_version,
+        sensitivity_page,
+        sensitivity_rows,
+    )
+
+    plan = NuisanceSensitivity(
+        bench=given[0],
+        code=program_version(),
+        piece=args.pieces,
+        model=given[1]["FT+Tac"],
+        bottoms=tuple(args.bottoms.split(",")),
+        strategy=args.strategies.split(",")[0],
+        groups=args.groups,
+        trials=args.trials,
+    )
+    failed = done(plan.jobs(), job_effort)
+    answer = plan.answer(store)
+    write_atomically(args.out / "sensitivity.html", sensitivity_page(answer).encode())
+    title = "Change of IoU in points at 0 to 3 times each nuisance; stability right, %"
+    _show(screen, title, ("nuisance", *COLUMNS[1:]), sensitivity_rows(answer))
+    return _kept(args.out, "sensitivity", answer, (plan.jobs(), failed), store)
+
+
+def _trained(args: argparse.Namespace, bench: SimulationSettings) -> tuple[RandomisedTraining, ...]:
+    """Return the trainings that are asked for; raises ``InputError`` for unknown collections."""
+    from typing import get_args
+
+    from touchdown.backend.experiments import CollectionKind, RandomisedTraining, program_version
+
+    names: tuple[CollectionKind, ...] = get_args(CollectionKind)
+    wanted = args.train.split(",") if args.train else []
+    if unknown := [word for word in wanted if word not in names]:
+        raise InputError(
+            f"'{unknown[0]}' is no collection.", "--train", f"Name some of {','.join(names)}."
+        )
+    own = RandomisedTraining(
+        bench,
+        program_version(),
+        args.pieces,
+        "randomised",
+        probes=args.probes,
+        epochs=args.epochs,
+        device=args.device,
+    )
+    return tuple(replace(own, collected=name) for name in names if name in wanted)
+
+
+def _keep(
+    folder: Path, trained: Sequence[RandomisedTraining], store: JobStore, screen: VerbOutput
+) -> None:
+    """Write what was trained, each in a folder of its own for ``--models``."""
+    from touchdown.backend.experiments import load_model
+    from touchdown.backend.learning import save_half_precision
+
+    for plan in trained:
+        source = plan.training().id
+        if store.has(source):
+            path = folder / plan.collected / f"{plan.piece}-{plan.inputs.lower()}.safetensors"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            save_half_precision(path, load_model(source, store))
+            screen.say(f"A model: {path}")
+
+
+def _models(args: argparse.Namespace, bench: SimulationSettings, store: JobStore) -> dict[str, str]:
+    """Return the models of the piece, FT+Tac first; raises ``InputError`` for unknown names."""
+    from touchdown.backend.experiments import (
+        EVALUATED_STRATEGIES,
+        PIECES,
+        TABLE_BOTTOMS,
+        adopt_models,
+        models_that_ship,
+    )
+
+    known = ((args.pieces, PIECES), *((b, TABLE_BOTTOMS) for b in args.bottoms.split(",")))
+    known += tuple((s, EVALUATED_STRATEGIES) for s in args.strategies.split(","))
+    for name, names in known:
+        if name not in names:
+            raise InputError(
+                f"'{name}' cannot be asked.",
+                "--pieces, --bottoms, --strategies",
+                f"Name one piece, or some of {','.join(names)}.",
+            )
+    folders = [args.models] if args.models else models_that_ship(bench.preset)
+    found = adopt_models(store, *folders)
+    return {n: found[args.pieces, n] for n in ("FT+Tac", "FT") if (args.pieces, n) in found}
+
+
+def _show(
+    screen: VerbOutput, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
+) -> None:
+    table = Table(title=title)
+    for column in columns:
+        table.add_column(column)
+    for row in rows:
+        table.add_row(*row)
+    screen.show(table)
+
+
+def _kept(
+    out: Path, name: str, answer: Json, ended: tuple[list[JobSpec], list[str]], store: JobStore
+) -> Json:
+    from touchdown.backend.core import write_atomically
+
+    jobs, failed = ended
+    path = out / f"{name}.json"
+    write_atomically(path, json.dumps(answer, indent=1, sort_keys=True).encode() + b"\n")
+    missing = sum(not store.has(spec.id) for spec in jobs)
+    return {
+        "file": str(path),
+        "jobs": len(jobs),
+        "missing": missing,
+        "failed": failed,
+        name: answer,
+    }

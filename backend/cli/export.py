@@ -1,0 +1,104 @@
+"""``touchdown export``: write episodes and labels in a format of other programs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core import InputError
+from touchdown.backend.exchange import EXPORTS, export_format
+from touchdown.backend.runs import dataset_folder
+
+if TYPE_CHECKING:
+    from touchdown.backend.exchange import ExportState
+
+
+NAME = "export"
+HELP = "hand episodes and labels on in a format that others read"
+JSON_VERSION = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("format", choices=EXPORTS, help="what to write")
+    parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
+    parser.add_argument("--out", metavar="DIR", required=True, help="new folder to write")
+    for name, text in (
+        ("piece", "only this grasped piece"),
+        ("bottom", "only this bottom"),
+        ("series", "only this series"),
+        ("campaign", "only this campaign"),
+    ):
+        parser.add_argument(f"--{name}", help=text)
+    parser.add_argument(
+        "--states", default="approved", metavar="S,S",
+        help="label states: approved, submitted, draft (default: approved)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--video", choices=("sample", "all", "none"),
+        help="pictures of 20 episodes, all or none (default: sample for lerobot, else none)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--held-out", type=float, default=0.2, metavar="SHARE",
+        help="share kept from training, in whole series or mountings (default: 0.2)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--tables", action="store_true",
+        help="csv: also ft.csv, markers.csv and poses.csv of every episode",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0, help="which series are held out")
+    parser.add_argument(
+        "--divide-series", action="store_true",
+        help="let a pair of one series be on both sides, by grips; the manifest says so",
+    )  # fmt: skip
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Export; 0 when the folder is complete."""
+    # Imported here so that `touchdown --help` starts without SQLite and OpenCV.
+    from touchdown.backend.annotations import Dataset
+    from touchdown.backend.exchange import ExportQuery, export_dataset
+
+    folder = Path(args.dataset) if args.dataset else dataset_folder()
+    query = ExportQuery(
+        args.piece, args.bottom, args.series, args.campaign, _states(args.states), args.held_out,
+        args.seed, args.divide_series,
+    )  # fmt: skip
+    with (
+        Dataset.open(folder, create=False, write=False) as dataset,
+        screen.progress(f"Exporting to {args.format}", None) as advance,
+    ):
+        done = export_dataset(
+            dataset,
+            export_format(args.format, tables=args.tables),
+            query,
+            Path(args.out),
+            args.video,
+            lambda count, total: advance(count, total=total),
+        )
+    screen.say(f"{done.episodes} episodes are in {done.folder}.")
+    for warning in done.warnings:
+        screen.say(f"  {warning}")
+    screen.result({
+        "version": JSON_VERSION,
+        "format": args.format,
+        "out": str(done.folder),
+        "episodes": done.episodes,
+        "manifest_sha256": done.manifest_sha256,
+        "warnings": list(done.warnings),
+    })  # fmt: skip
+    return 0
+
+
+def _states(text: str) -> tuple[ExportState, ...]:
+    from touchdown.backend.exchange import EXPORT_STATES
+
+    wanted = tuple(word.strip() for word in text.split(","))
+    chosen = tuple(state for state in EXPORT_STATES if state in wanted)
+    if len(chosen) != len(wanted):
+        raise InputError(
+            f"Labels cannot be chosen by '{text}'.", "--states", f"Use {', '.join(EXPORT_STATES)}."
+        )
+    return chosen

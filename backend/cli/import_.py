@@ -1,0 +1,145 @@
+"""``touchdown import``: read episodes or labels from a format of other programs."""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core import InputError
+from touchdown.backend.runs import dataset_folder
+
+if TYPE_CHECKING:
+    from touchdown.backend.annotations import Dataset
+
+
+NAME = "import"
+HELP = "bring episodes or labels in from a format that others write"
+JSON_VERSION = 1
+EPISODES = ("lerobot", "robomimic")
+LABELS = ("coco", "csv")
+LOG = "jsonl"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        "format", choices=(*EPISODES, *LABELS, LOG),
+        help="lerobot, robomimic: new episodes; coco, csv: labels of episodes that are here; "
+        "jsonl: the log of labels of a copy",
+    )  # fmt: skip
+    parser.add_argument("source", metavar="SRC", type=Path, help="file or folder")
+    parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
+    parser.add_argument(
+        "--person", metavar="NAME",
+        help="whose labels these are (without: 'measured', entered by the account's name)",
+    )  # fmt: skip
+    parser.add_argument("--piece", help="grasped piece, where the file does not say")
+    parser.add_argument("--bottom", help="bottom, where the file does not say")
+    parser.add_argument("--check", action="store_true", help="tell what would be done, and stop")
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Import; 0 if all that was found is here then, else 1."""
+    # Imported here so that `touchdown --help` starts without SQLite and OpenCV.
+    from touchdown.backend.annotations import Dataset
+
+    if not args.source.exists():
+        raise InputError("There is no such file or folder.", str(args.source), "Check the path.")
+    if args.format in (*LABELS, LOG) and not args.person:
+        raise InputError("Labels need a person.", "--person", "Name who made them.")
+    folder = Path(args.dataset) if args.dataset else dataset_folder()
+    actor = args.person or getpass.getuser()
+    with Dataset.open(folder, create=args.format in EPISODES, person=actor) as dataset:
+        for notice in dataset.notices:
+            screen.say(notice)
+        if args.format in EPISODES:
+            return _episodes(args, dataset, actor, screen)
+        return _log(args, dataset, screen) if args.format == LOG else _labels(args, dataset, screen)
+
+
+def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: VerbOutput) -> int:
+    from touchdown.backend.exchange import EpisodeImport, ImportOptions
+
+    wish = ImportOptions(actor, args.person, args.piece, args.bottom)
+    wanted = EpisodeImport(dataset, args.format, args.source, wish)
+    with screen.progress("Reading", wanted.total) as advance:
+        survey = wanted.survey(advance)
+    screen.say(f"{survey.found} episodes found, {survey.here} of them are here already.")
+    for why, count in survey.problems:
+        screen.say(f"  {count} cannot be mapped: {why}.")
+    for loss in survey.losses:
+        screen.say(f"  {loss}")
+    written: list[str] = []
+    backup = ""
+    if survey.fit and not args.check:
+        with screen.progress("Writing", survey.fit) as advance:
+            written = wanted.write(advance)
+        backup = _named(wanted.backup, screen)
+        screen.say(f"{len(written)} episodes are new in {dataset.folder}, their labels drafts.")
+    screen.result({
+        "version": JSON_VERSION,
+        "found": survey.found,
+        "here": survey.here,
+        "written": len(written),
+        "problems": [{"why": why, "episodes": count} for why, count in survey.problems],
+        "losses": list(survey.losses),
+        "backup": backup,
+    })  # fmt: skip
+    return 1 if survey.problems or not survey.found else 0
+
+
+def _labels(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> int:
+    from touchdown.backend.exchange import import_labels, read_coco, read_csv, read_manifest
+
+    if args.source.is_dir():
+        read_manifest(args.source)
+    read = read_coco if args.format == "coco" else read_csv
+    rows = read(args.source, dataset)
+    done = import_labels(dataset, rows, args.person, args.source.name, check=args.check)
+    would = "would change" if args.check else "changed"
+    screen.say(f"{done.changed} labels {would}, {done.unchanged} are the same.")
+    for uuid, why in done.refused:
+        screen.say(f"  {uuid}: {why}")
+    for warning in done.warnings:
+        screen.say(f"  {warning}")
+    backup = _named(done.backup, screen)
+    screen.result({
+        "version": JSON_VERSION,
+        "changed": done.changed,
+        "unchanged": done.unchanged,
+        "refused": [{"episode": uuid, "why": why} for uuid, why in done.refused],
+        "warnings": list(done.warnings),
+        "backup": backup,
+    })  # fmt: skip
+    return 1 if done.refused else 0
+
+
+def _log(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> int:
+    from touchdown.backend.exchange import import_log, read_jsonl
+
+    if args.check:
+        log = read_jsonl(args.source)
+        screen.say(f"{len(log)} operations can be read.")
+        screen.result({"version": JSON_VERSION, "operations": len(log), "conflicts": []})
+        return 0
+    done = import_log(dataset, args.source, args.person)
+    screen.say(f"{done.operations} operations are new, {len(done.conflicts)} episodes in conflict.")
+    backup = _named(done.backup, screen)
+    screen.result({
+        "version": JSON_VERSION,
+        "operations": done.operations,
+        "conflicts": list(done.conflicts),
+        "backup": backup,
+    })  # fmt: skip
+    return 0
+
+
+def _named(backup: Path | None, screen: VerbOutput) -> str:
+    """Say where the catalogue is as it was before the import, "" where nothing was to be kept."""
+    if backup is None:
+        return ""
+    screen.say(f"The catalogue as it was before is in {backup}.")
+    return str(backup)

@@ -1,0 +1,102 @@
+"""``touchdown models``: simulate, train and measure the shipped models."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import ModuleType
+
+from touchdown.backend.cli import evaluate, simulate, train
+from touchdown.backend.cli.output import VerbOutput
+
+NAME = "models"
+HELP = "simulate, train and measure the models that ship"
+JSON_VERSION = 1
+TRAINING_BOTTOMS = "circle15,circle25,square15"
+UNSEEN_BOTTOMS = "short,long,hex20,rect12x28"
+TEST_SEED_OFFSET = 1_000_000
+"""Test episodes come from other seeds than any training, so that no grip is shared."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--pieces", default="pot,mushroom,barrel", help="separated by commas")
+    parser.add_argument(
+        "--pieces-dir", type=Path, metavar="DIR", help="folder with further piece files"
+    )
+    parser.add_argument("--out", type=Path, default=Path("resources/models"), metavar="DIR")
+    parser.add_argument("--episodes", type=int, default=2000, help="per training bottom")
+    parser.add_argument("--test-episodes", type=int, default=400, help="per unseen bottom")
+    parser.add_argument("--epochs", type=int, help="default: that of 'touchdown train'")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--probes-per-grip", type=int, default=1)
+    parser.add_argument("--grips-per-mounting", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=2, help="processes that simulate")
+    parser.add_argument("--threads", type=int, default=1, help="processor threads that train")
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Make every model; 0 when all are written."""
+    began_s = time.monotonic()
+    answer: dict[str, object] = {}
+    for piece in [name for name in args.pieces.split(",") if name]:
+        with TemporaryDirectory(prefix="touchdown-models-") as folder:
+            answer[piece] = _make(args, piece, Path(folder), screen)
+    screen.result(
+        {
+            "version": JSON_VERSION,
+            "models": answer,
+            "seconds": round(time.monotonic() - began_s, 1),
+        }
+    )
+    return 0
+
+
+def _make(
+    args: argparse.Namespace, piece: str, folder: Path, screen: VerbOutput
+) -> dict[str, object]:
+    # Imported here so that `touchdown --help` starts without torch.
+    from touchdown.backend.config import StabilitySettings
+    from touchdown.backend.episodes import load_rows
+    from touchdown.backend.geometry import face_points, load_pieces
+    from touchdown.backend.learning import evaluate_model as measure
+    from touchdown.backend.learning import load_checkpoint, save_card
+
+    out = args.out / f"{piece}.safetensors"
+    draw = ["--probes-per-grip", args.probes_per_grip, "--workers", args.workers]
+    draw += ["--grips-per-mounting", args.grips_per_mounting, "--piece", piece]
+    draw += ["--pieces", args.pieces_dir] if args.pieces_dir else []
+    known = ["--bottoms", TRAINING_BOTTOMS, "--episodes", args.episodes, "--seed", args.seed]
+    _do(simulate, [*draw, *known, "--out", folder / "train"], screen)
+    words = [folder / "train", "--piece", piece, "--out", out, "--threads", args.threads]
+    _do(train, words + (["--epochs", args.epochs] if args.epochs else []), screen)
+    unseen = ["--bottoms", UNSEEN_BOTTOMS, "--episodes", args.test_episodes]
+    unseen += ["--seed", args.seed + TEST_SEED_OFFSET]
+    _do(simulate, [*draw, *unseen, "--out", folder / "test"], screen)
+
+    checkpoint = load_checkpoint(out)
+    points = face_points(load_pieces(args.pieces_dir).piece(piece).face)
+    delta = StabilitySettings().delta
+    scores = measure(checkpoint, load_rows(folder / "test", piece), points, delta)
+    screen.show(evaluate.score_table(f"{piece}, unseen bottoms (simulated)", scores, set()))
+    figures = {name: score.as_json() for name, score in scores.items()}
+    recipe = {key: value for key, value in vars(args).items() if type(value) is int}
+    card = checkpoint.card.model_copy(
+        update={
+            "metrics": {**checkpoint.card.metrics, "unseen_bottoms": figures},
+            "data": {**checkpoint.card.data, "recipe": {"verb": NAME, **recipe}},
+        }
+    )
+    save_card(out, card)
+    return {"out": str(out), "scores": figures}
+
+
+def _do(verb: ModuleType, words: list[object], screen: VerbOutput) -> None:
+    """Run another verb; its own JSON object is dropped, its words for people are shown."""
+    parser = argparse.ArgumentParser(prog=f"touchdown {verb.NAME}", allow_abbrev=False)
+    verb.add_arguments(parser)
+    inner = VerbOutput(json=True, stream=io.StringIO()) if screen.json else screen
+    verb.run(parser.parse_args([str(word) for word in words]), inner)

@@ -1,0 +1,152 @@
+"""Output of a verb: tables and progress bars for people, one JSON object for scripts.
+
+Also the two terminal courtesies that verbs share: Ctrl-C cancels a moving bench once before it
+interrupts, and a template never overwrites an existing file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import TextIO
+
+from rich.console import Console, RenderableType
+from rich.live import Live
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from touchdown.backend.core import InputError
+
+AdvanceFunction = Callable[..., None]
+
+
+class VerbOutput:
+    """The command line's output.
+
+    For people everything goes to standard output. With ``json`` on, standard output holds exactly
+    one JSON object (from ``result``) and nothing else; ``say``, ``show`` and bars are silent.
+    """
+
+    def __init__(self, *, json: bool = False, stream: TextIO | None = None) -> None:
+        self.json = json
+        self._stream = sys.stdout if stream is None else stream
+        # Without mark-up: "[CAMERA-STALE]" in a message or a table cell is text, never a tag.
+        self._console = Console(
+            file=self._stream, quiet=json, highlight=False, markup=False, soft_wrap=True
+        )
+        self._answered = False
+
+    def say(self, text: str) -> None:
+        """Print a plain sentence for people."""
+        self._console.print(text)
+
+    def show(self, renderable: RenderableType) -> None:
+        """Print a rich table or other renderable for people (colours by ``rich.text.Text``)."""
+        self._console.print(renderable, soft_wrap=False)
+
+    @contextmanager
+    def progress(self, title: str, total: int | None) -> Iterator[AdvanceFunction]:
+        """Show a bar with count, elapsed time and ETA; yields ``advance(done, text, total)``.
+
+        ``done`` is the absolute number of steps completed; ``total`` None means unknown, until a
+        later call tells it.
+        """
+        bar = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("ETA"),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[text]}", markup=False),
+            console=self._console,
+            disable=self.json or not self._console.is_terminal,
+        )
+        task = bar.add_task(title, total=total, text="")
+
+        def advance(done: int, text: str = "", total: int | None = None) -> None:
+            bar.update(task, completed=done, text=text, total=total)
+
+        if not self._console.is_terminal:
+            self.say(f"{title} ...")
+        with bar:
+            yield advance
+
+    @contextmanager
+    def status(self) -> Iterator[Callable[[RenderableType], None]]:
+        """Show something that changes; yields what sets it. Silent unless on a terminal."""
+        if self.json or not self._console.is_terminal:
+            yield lambda shown: None
+            return
+        with Live(console=self._console, refresh_per_second=4) as live:
+            yield live.update
+
+    def result(self, mapping: Mapping[str, object]) -> None:
+        """With ``json``: print ``mapping`` as the one JSON object; RuntimeError the second time.
+
+        Numbers that JSON does not know (NaN, infinities) become null.
+        """
+        if not self.json:
+            return
+        if self._answered:
+            raise RuntimeError("a verb gives exactly one result")
+        self._answered = True
+        self._stream.write(json.dumps(_plain(mapping), allow_nan=False) + "\n")
+        self._stream.flush()
+
+
+def _plain(value: object) -> object:
+    """Return ``value`` for JSON: non-finite floats None, tuples lists, numpy scalars numbers."""
+    if hasattr(value, "item"):
+        value = value.item()
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return [_plain(item) for item in value]
+    return value
+
+
+@contextmanager
+def ctrl_c_cancels(cancel: Callable[[], None]) -> Iterator[None]:
+    """Let the first Ctrl-C end the run in an orderly way; the second one interrupts."""
+
+    def once(_signal: int, _frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, before)
+        cancel()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, once)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write ``text``; ``InputError`` if ``path`` exists or cannot be written."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise InputError(
+            f"The file cannot be written: {error.strerror or error}.",
+            str(path),
+            "Name a new file in a folder that can be written.",
+        ) from error

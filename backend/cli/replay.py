@@ -1,0 +1,84 @@
+"""``touchdown replay``: replay a recorded run as text or in the window."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.stack import narrate, trial_table
+from touchdown.backend.core import InputError, RunFinished, RunStarted, TrialFinished
+from touchdown.backend.runs import EVENT_LOG_NAME as JOURNAL
+from touchdown.backend.runs import data_folder, read_events
+
+NAME = "replay"
+HELP = "play a recorded run again"
+JSON_VERSION = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments of this verb."""
+    parser.add_argument("run", metavar="RUN", help="folder of a run, its name, or 'latest'")
+    parser.add_argument("--runs", metavar="DIR", help="folder for runs (default: data folder)")
+    parser.add_argument("--app", action="store_true", help="replay in the window")
+
+
+def find_run(name: str, runs: Path) -> Path:
+    """Return the run folder for a path, a run name or ``latest``; raises ``InputError``."""
+    if Path(name).exists():
+        return Path(name)
+    if name == "latest":
+        found = sorted(folder for folder in runs.glob("*") if (folder / JOURNAL).is_file())
+        if found:
+            return found[-1]
+        raise InputError("There is no run yet.", str(runs), "Start one with `touchdown stack`.")
+    if (runs / name).is_dir():
+        return runs / name
+    raise InputError("There is no such run.", name, f"Name a folder, or one of those in {runs}.")
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Replay; 0 if the journal could be read to its end."""
+    runs = Path(args.runs) if args.runs else data_folder() / "runs"
+    folder = find_run(args.run, runs)
+    if args.app:
+        from touchdown.backend.cli.app import open_window
+
+        return open_window(["--replay", str(folder)])
+    trials: list[TrialFinished] = []
+    counts: dict[str, int] = {}
+    head: RunStarted | None = None
+    ending: RunFinished | None = None
+    for fact in read_events(folder):
+        counts[type(fact).__name__] = counts.get(type(fact).__name__, 0) + 1
+        head = fact if isinstance(fact, RunStarted) else head
+        ending = fact if isinstance(fact, RunFinished) else ending
+        if isinstance(fact, TrialFinished):
+            trials.append(fact)
+        narrate(fact, screen)
+    screen.show(trial_table(trials))
+    if ending is None:
+        screen.say("The journal ends before the run did: the program was interrupted.")
+    screen.result(_result(folder, head, ending, trials, counts))
+    return 0
+
+
+def _result(
+    folder: Path,
+    head: RunStarted | None,
+    ending: RunFinished | None,
+    trials: list[TrialFinished],
+    counts: dict[str, int],
+) -> dict[str, object]:
+    return {
+        "version": JSON_VERSION,
+        "run": str(folder),
+        "piece": None if head is None else head.piece,
+        "bottom": None if head is None else head.bottom,
+        "ending": "interrupted" if ending is None else ending.ending,
+        "facts": counts,
+        "trials": [
+            {"seed": t.seed, "outcome": t.outcome.value, "reason": t.reason, "probes": t.probes}
+            for t in trials
+        ],
+    }

@@ -1,0 +1,74 @@
+"""``touchdown settings``: print the settings of the method, or write them to a TOML file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from rich.table import Table
+
+from touchdown.backend.cli.output import VerbOutput, write_new
+from touchdown.backend.config import StackSettings, parse_settings, read_toml
+from touchdown.backend.core import InputError
+
+NAME = "settings"
+HELP = "show the settings of the method, or write them to a file"
+JSON_VERSION = 1
+OF_THE_RUN = {"strategy", "mode"}
+"""Chosen with each run, so not in the file."""
+HEAD = """\
+# Settings of the method for `touchdown stack --method`; what is left out keeps its default.
+# Reasons: docs/method-choices.md.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        "--method", type=Path, metavar="FILE", help="show these settings instead of the defaults"
+    )
+    parser.add_argument("--write", type=Path, metavar="FILE", help="write them (TOML), a new file")
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Show, and write where asked; returns 0."""
+    settings = load_method(args.method) if args.method else StackSettings()
+    groups = settings.model_dump(mode="json", exclude=OF_THE_RUN)
+    if args.write:
+        write_new(args.write, as_toml(settings))
+    table = Table(title="Settings of the method")
+    table.add_column("setting")
+    table.add_column("value", justify="right")
+    for group, values in groups.items():
+        for key, value in values.items():
+            table.add_row(f"{group}.{key}", json.dumps(value))
+    screen.show(table)
+    written = None if args.write is None else str(args.write)
+    screen.result({"version": JSON_VERSION, "method": groups, "written": written})
+    return 0
+
+
+def load_method(path: Path) -> StackSettings:
+    """Read the settings of ``path``; raises ``InputError`` naming file and key."""
+    content = read_toml(path)
+    for key in sorted(OF_THE_RUN & content.keys()):
+        raise InputError(
+            f"'{key}' is no setting of the method.",
+            str(path),
+            "Leave it out: it is chosen with each run.",
+        )
+    return parse_settings(StackSettings, content, str(path))
+
+
+def as_toml(settings: StackSettings) -> str:
+    """Return the text of a settings file."""
+    return HEAD + "".join(_lines(settings))
+
+
+def _lines(settings: StackSettings) -> Iterator[str]:
+    for group, values in settings.model_dump(mode="json", exclude=OF_THE_RUN).items():
+        yield f"\n[{group}]\n"
+        # JSON and TOML write numbers, texts, flags and lists of them alike.
+        yield from (f"{key} = {json.dumps(value)}\n" for key, value in values.items())

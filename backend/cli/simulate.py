@@ -1,0 +1,130 @@
+"""``touchdown simulate``: write labelled episodes of the simulated bench into pack files."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.config import load_simulation
+from touchdown.backend.core import InputError
+from touchdown.backend.experiments import run_jobs, split_jobs
+from touchdown.backend.geometry import Outline, Piece, Tower, face_points, load_pieces
+from touchdown.backend.simulation import BatchPlan
+
+NAME = "simulate"
+HELP = "write labelled episodes of the simulated bench"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments of this verb."""
+    parser.add_argument("--piece", default="pot", help="grasped piece (default: pot)")
+    parser.add_argument(
+        "--bottoms",
+        default="circle15,circle25,square15",
+        help="bottoms, separated by commas (default: the three of the training board)",
+    )
+    parser.add_argument(
+        "--episodes", type=int, default=2000, help="episodes per bottom (default: 2000)"
+    )
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder for the pack files")
+    parser.add_argument(
+        "--probes-per-grip", type=int, default=50, help="1: everything is drawn for every probe"
+    )
+    parser.add_argument("--grips-per-mounting", type=int, default=10)
+    parser.add_argument("--preset", help="mixed (default), quiet, hard, off or realistic")
+    parser.add_argument("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
+    parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
+    parser.add_argument("--workers", type=int, default=2, help="processes (default: 2)")
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Simulate all pairs and write them; the result does not depend on ``--workers``."""
+    for name in ("episodes", "probes_per_grip", "grips_per_mounting", "workers"):
+        if getattr(args, name) < 1:
+            option = "--" + name.replace("_", "-")
+            raise InputError(f"{option} must be at least 1.", option, "Give a positive number.")
+    if args.seed < 0:
+        raise InputError("--seed must not be negative.", "--seed", "Give 0, 1, 2 ...")
+    out = Path(args.out)
+    _check_folder(out)
+    jobs = [job for plan, label in _plans(args) for job in split_jobs(plan, label, out)]
+    _make_folder(out)
+    total = sum(job.episodes for job in jobs)
+    began_s = time.monotonic()
+    with screen.progress(f"Simulating {total} episodes", total) as advance:
+        rejected = run_jobs(jobs, args.workers, advance)
+    seconds = time.monotonic() - began_s
+    screen.say(
+        f"{total} simulated episodes in {seconds:.1f} s, {rejected} probes drawn again: {out}"
+    )
+    screen.result({"episodes": total, "seconds": round(seconds, 3), "out": str(out)})
+    return 0
+
+
+def _plans(args: argparse.Namespace) -> list[tuple[BatchPlan, dict[str, object]]]:
+    """Return for each pair the plan and the label entries that all its episodes share."""
+    catalogue = load_pieces(Path(args.pieces) if args.pieces else None)
+    settings = load_simulation(Path(args.bench) if args.bench else None, args.preset)
+    piece = catalogue.top(args.piece)
+    names = [name for name in args.bottoms.split(",") if name]
+    if not names or len(set(names)) != len(names):
+        raise InputError(
+            "Name each bottom once.", "--bottoms", "For example circle15,circle25,square15."
+        )
+    plans: list[tuple[BatchPlan, dict[str, object]]] = []
+    for name in names:
+        bottom = catalogue.bottom(name)
+        plan = BatchPlan(
+            piece=piece.name,
+            bottom=bottom.name,
+            face=piece.face,
+            bottom_outline=_upper(bottom),
+            face_points_mm=face_points(piece.face, settings.face.lattice_mm),
+            grip_height_mm=_grip_height(piece),
+            width_mm=piece.width_mm,
+            episodes=args.episodes,
+            seed=args.seed,
+            probes_per_grip=args.probes_per_grip,
+            grips_per_mounting=args.grips_per_mounting,
+            settings=settings,
+            bottoms=Tower((bottom.body(),)),
+        )
+        plans.append((plan, {"geometry": piece.sha256}))
+    return plans
+
+
+def _upper(bottom: Piece) -> Outline:
+    return bottom.face if bottom.upper is None else bottom.upper
+
+
+def _grip_height(piece: Piece) -> float:
+    if piece.grip_height_mm is None:
+        raise InputError(
+            f"'{piece.name}' cannot be grasped.", piece.source, "Set its grip_height_mm."
+        )
+    return piece.grip_height_mm
+
+
+def _check_folder(out: Path) -> None:
+    """Refuse a folder in which two data sets would be mixed."""
+    if out.exists() and not out.is_dir():
+        raise InputError("This is a file, not a folder.", str(out), "Name a new folder.")
+    if out.is_dir() and any(out.rglob("*.mcap")):
+        raise InputError(
+            "The folder already holds episodes.", str(out), "Name a new or an empty folder."
+        )
+
+
+def _make_folder(out: Path) -> None:
+    """Make the folder before anything is simulated for it."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"The folder cannot be made: {error.strerror or error}.",
+            str(out),
+            "Name another folder.",
+        ) from error

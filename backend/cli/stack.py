@@ -1,0 +1,313 @@
+"""``touchdown stack``: run the stacking loop on a bench and print its events."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from rich.table import Table
+
+from touchdown.backend.cli.connection import (
+    add_lab_arguments,
+    add_scene_arguments,
+    answer_prompt,
+    ask_yes_no_in_thread,
+    fill_in_scene,
+    lab_choice,
+    open_lab_bench,
+    refuse_lab_arguments,
+)
+from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels
+from touchdown.backend.cli.settings import load_method
+from touchdown.backend.config import is_lab_file
+from touchdown.backend.core import (
+    ApprovalAwaited,
+    Event,
+    FaultRaised,
+    InputError,
+    Noticed,
+    Outcome,
+    PhaseEntered,
+    Said,
+    TrialFinished,
+    TrialStarted,
+)
+from touchdown.backend.runs import (
+    DecisionMode,
+    StackRequest,
+    StrategyChoice,
+    calibrations_folder,
+    data_folder,
+    models_folder,
+)
+
+if TYPE_CHECKING:
+    from touchdown.backend.bench import LabChoice, Session, SimulatedBenchChoice
+    from touchdown.backend.config import StackSettings
+    from touchdown.backend.runs import RecordingOptions
+
+
+NAME = "stack"
+HELP = "stack a piece on the simulated bench or on a lab's devices, headless"
+JSON_VERSION = 1
+BOTTOM = "short"
+COLUMNS = ("outcome", "probes", "excess", "margin mm", "reason")
+INPUT_CODE = "INPUT"
+"""Bad input is told once, by the command line itself."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments of this verb."""
+    add_scene_arguments(
+        parser, BOTTOM, "support, bottom-up and joined by + for a tower, such as short+long"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="trial k uses seed + k")
+    parser.add_argument("--trials", type=int, default=1)
+    parser.add_argument("--strategy", choices=get_args(StrategyChoice), default="paper")
+    parser.add_argument("--model", metavar="FILE", help="checkpoint (default: the one in use)")
+    parser.add_argument(
+        "--method", type=Path, metavar="FILE", help="settings of the method (see 'settings')"
+    )
+    parser.add_argument(
+        "--bench", metavar="FILE", help="lab file, or settings of the simulated bench (TOML)"
+    )
+    parser.add_argument(
+        "--mode",
+        choices=("auto", "approve", "step"),
+        help="ask before a move (default: auto when simulated, approve on devices)",
+    )
+    parser.add_argument(
+        "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
+        help="on devices: centre of the bottom in the frame of the arm, mm (default: 0 0)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--below", type=float, nargs=3, metavar=("X", "Y", "SIGMA"),
+        help="of a tower: centre of the touched bottom from that of the one below it, as measured, "
+        "and its standard uncertainty, mm (default: centred, by eye)",
+    )  # fmt: skip
+    add_lab_arguments(parser)
+    parser.add_argument("--preset", help="noise preset: mixed, quiet, hard, off, realistic")
+    parser.add_argument(
+        "--inject",
+        action="append",
+        default=[],
+        metavar="FAULT",
+        help="scripted disturbance such as tactile_left:stop@3.0 (may be given several times)",
+    )
+    parser.add_argument(
+        "--emulated",
+        action="store_true",
+        help="through real drivers and wires to emulated devices, in real time",
+    )
+    parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
+    parser.add_argument("--runs", metavar="DIR", help="folder for runs (default: data folder)")
+    parser.add_argument("--no-episodes", action="store_true", help="keep the journal only")
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Run all trials; 0 if every piece was placed, else 1."""
+    if args.emulated and args.inject:
+        raise InputError(
+            "Emulated devices suffer by a fault plan.", "--inject", "See 'touchdown emulate'."
+        )
+    # Imported here so that `touchdown doctor` starts without torch.
+    from touchdown.backend.bench import SimulatedBenchChoice
+    from touchdown.backend.runs import RecordingOptions
+
+    if args.trials < 1:
+        raise InputError("--trials must be at least 1.", "--trials", "Give a positive number.")
+    lab = args.bench is not None and is_lab_file(Path(args.bench))
+    if not lab:
+        refuse_lab_arguments(args)
+        if any(args.origin):
+            raise InputError("Only devices need that.", "--origin", "Name a lab file with --bench.")
+    fill_in_scene(args, BOTTOM)
+    mode: DecisionMode = args.mode or ("approve" if lab else "auto")
+    if mode != "auto" and screen.json:
+        raise InputError("Nobody would see what to approve.", "--mode", "Leave out --json.")
+    if lab and screen.json:
+        raise InputError("Trials on devices ask their operator.", "--json", "Leave it out.")
+    request = _request(args, mode)
+    runs = Path(args.runs) if args.runs else data_folder() / "runs"
+    choice = (
+        lab_choice(args)
+        if lab
+        else SimulatedBenchChoice(
+            file=Path(args.bench) if args.bench else None,
+            preset=args.preset,
+            disturbances=tuple(args.inject),
+            pieces=Path(args.pieces) if args.pieces else None,
+        )
+    )
+    keep = RecordingOptions(runs, episodes=not args.no_episodes)
+    method = _method(args, request)
+    trials: list[TrialFinished] = []
+    faults: list[FaultRaised] = []
+    with _session(choice, keep, method, args, screen) as session:
+        bench = f"{session.name}" if lab else "simulated bench"
+        session.hub.subscribe(lambda fact: _follow(fact, trials, faults))
+        session.hub.subscribe(lambda fact: narrate(fact, screen, bench))
+        session.hub.subscribe(lambda fact: _ask(fact, session, screen))
+        session.hub.subscribe(lambda fact: answer_prompt(fact, session, screen))
+        with ctrl_c_cancels(session.engine.cancel):
+            session.run(request)
+    screen.show(trial_table(trials, bench="simulated" if session.simulated else bench))
+    if session.run_folder is not None:
+        screen.say(f"Kept in {session.run_folder}")
+    screen.result(_result(args, trials, faults, session))
+    placed = [t for t in trials if t.outcome is Outcome.PLACED]
+    return 0 if len(placed) == request.trials and not faults else 1
+
+
+def _request(args: argparse.Namespace, mode: DecisionMode) -> StackRequest:
+    return StackRequest(
+        piece=args.piece,
+        bottoms=tuple(args.bottom.split("+")),
+        seed=args.seed,
+        trials=args.trials,
+        strategy=args.strategy,
+        mode=mode,
+        model=args.model,
+        origin_mm=(args.origin[0], args.origin[1]),
+    )
+
+
+def _method(args: argparse.Namespace, request: StackRequest) -> StackSettings | None:
+    """Return the settings with what was entered of the tower; raises ``InputError``."""
+    from touchdown.backend.config import StackSettings, TowerSettings
+
+    method = load_method(args.method) if args.method else None
+    if args.below is None:
+        return method
+    x, y, sigma = args.below
+    if len(request.bottoms) != 2 or not sigma > 0.0:
+        raise InputError(
+            "This needs a tower of two bottoms and a positive uncertainty.",
+            "--below",
+            "Name both with --bottom LOWER+UPPER; for higher towers use --method.",
+        )
+    tower = TowerSettings(offset_mm=((x, y),), sigma_mm=sigma)
+    return (method or StackSettings()).model_copy(update={"tower": tower})
+
+
+@contextmanager
+def _session(
+    choice: SimulatedBenchChoice | LabChoice,
+    keep: RecordingOptions,
+    method: StackSettings | None,
+    args: argparse.Namespace,
+    screen: VerbOutput,
+) -> Iterator[Session]:
+    """Open a session on the simulated, emulated or real bench; close it in the end."""
+    from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
+    from touchdown.backend.calibration import CalibrationStore
+    from touchdown.backend.learning import ModelRegistry
+
+    if not isinstance(choice, SimulatedBenchChoice):
+        with open_lab_bench(
+            choice, keep, method, screen, home=args.home, override=args.override
+        ) as session:
+            yield session
+        return
+    registry = ModelRegistry(models_folder())
+    if args.emulated:
+        from touchdown.backend.bench import EmulatedBench
+
+        with EmulatedBench(choice, keep=keep, method=method, registry=registry) as bench:
+            store = CalibrationStore(calibrations_folder(), "emulated", "--emulated")
+            bench.session.calibrations = store
+            yield bench.session
+        return
+    session = simulated_session(choice, keep=keep, method=method, animate=True, registry=registry)
+    session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
+    try:
+        yield session
+    finally:
+        session.close()
+
+
+def _follow(fact: Event, trials: list[TrialFinished], faults: list[FaultRaised]) -> None:
+    if isinstance(fact, TrialFinished):
+        trials.append(fact)
+    elif isinstance(fact, FaultRaised):
+        faults.append(fact)
+
+
+def _ask(fact: Event, session: Session, screen: VerbOutput) -> None:
+    if isinstance(fact, ApprovalAwaited):
+        step = ", ".join(f"{value:+.1f} mm" for value in fact.action.step_mm)
+        screen.say(f"  {fact.action.kind} ({step})? Enter or y: yes; anything else: no.")
+        ask_yes_no_in_thread(session.answer)
+
+
+def narrate(fact: Event, screen: VerbOutput, bench: str = "simulated bench") -> None:
+    """Say one fact in words, if it is one for people."""
+    if isinstance(fact, TrialStarted):
+        screen.say(f"Trial {fact.trial}, seed {fact.seed} ({bench})")
+    elif isinstance(fact, Said | Noticed):
+        screen.say(f"  {fact.t_s:6.2f} s  {fact.text}")
+    elif isinstance(fact, PhaseEntered) and fact.phase in ("unload", "release"):
+        screen.say(f"  {fact.t_s:6.2f} s  {fact.phase}")
+    elif isinstance(fact, FaultRaised) and fact.fault.code != INPUT_CODE:
+        fault = fact.fault
+        screen.say(
+            f"  {fact.t_s:6.2f} s  FAULT {fault.code}: {fault.what} {fault.consequence} "
+            f"{fault.next_step}"
+        )
+    elif isinstance(fact, TrialFinished):
+        word = fact.outcome.value.replace("_", " ")
+        screen.say(f"  {fact.t_s:6.2f} s  {word}: {fact.reason}")
+
+
+def trial_table(
+    trials: list[TrialFinished], pieces: Sequence[str] = (), bench: str = "simulated"
+) -> Table:
+    """Return the closing table of a run; ``pieces``: a first column, one per trial."""
+    placed = sum(t.outcome is Outcome.PLACED for t in trials)
+    table = Table(title=f"{placed} of {len(trials)} placed ({bench})")
+    for column in (*(("piece",) if pieces else ()), "seed", *COLUMNS):
+        table.add_column(column)
+    for index, t in enumerate(trials):
+        margin = "" if t.margin_mm is None else f"{t.margin_mm:+.2f}"
+        excess = "" if t.excess_probes is None else str(t.excess_probes)
+        first = (*pieces[index : index + 1], str(t.seed))
+        table.add_row(*first, t.outcome.value, str(t.probes), excess, margin, t.reason)
+    return table
+
+
+def _result(
+    args: argparse.Namespace,
+    trials: list[TrialFinished],
+    faults: list[FaultRaised],
+    session: Session,
+) -> dict[str, object]:
+    return {
+        "version": JSON_VERSION,
+        "piece": args.piece,
+        "bottom": args.bottom,
+        "strategy": args.strategy,
+        "simulated": session.simulated,
+        "run": None if session.run_folder is None else str(session.run_folder),
+        "faults": [f.fault.code for f in faults],
+        "trials": [
+            {
+                "seed": t.seed,
+                "outcome": t.outcome.value,
+                "reason": t.reason,
+                "probes": t.probes,
+                "excess_probes": t.excess_probes,
+                "margin_mm": _finite(t.margin_mm),
+                "contradicted": t.contradicted,
+            }
+            for t in trials
+        ],
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    """Return None for "nothing supports it" (-inf): JSON has no infinity."""
+    return value if value is not None and math.isfinite(value) else None

@@ -1,0 +1,224 @@
+"""``touchdown track``: track the gel's markers in an image, a video or a folder of images."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core import (
+    GRID_COLS,
+    GRID_ROWS,
+    InputError,
+    MarkerField,
+    MarkerState,
+    RefusedError,
+    TactileFrame,
+)
+from touchdown.backend.sensing import (
+    DEFAULT_RATE_HZ,
+    FEWEST_REST_FRAMES,
+    REST_FRAMES,
+    MarkerTracker,
+    OverlayVideo,
+    TactileReference,
+    count_pictures,
+    read_pictures,
+    refuse_contact,
+    take_reference,
+)
+from touchdown.backend.simulation import load_gel_appearance, mirror_appearance
+
+NAME = "track"
+HELP = "follow the markers through an image, a video or a folder"
+_GRID = f"{GRID_ROWS}x{GRID_COLS}"
+_SEARCH_FRAMES = 25
+_REST_FIX = {
+    "contact": "Take pictures with nothing on the gel. If nothing touches it here, this sensor's "
+    "own shape differs from the shipped one: name its no-contact pictures with --template.",
+    "motion": "Take pictures of a gel at rest.",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedImage:
+    """One frame's markers and the time the tracker took, in ms."""
+
+    field: MarkerField
+    ms: float
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("file", type=Path, help="image, video or folder of images")
+    parser.add_argument("--grid", default=_GRID, help="rows x columns of the gel (only 7x9)")
+    parser.add_argument(
+        "--reference", type=Path, help="rest images that displacements count from (default: first)"
+    )
+    parser.add_argument(
+        "--template",
+        type=Path,
+        metavar="FILE",
+        help="no-contact pictures of the same sensor that the reference is checked against "
+        "(default: the large-dot gel that ships)",
+    )
+    parser.add_argument("--overlay", type=Path, help="write a video with the markers drawn in")
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Track and report; ``InputError`` for files or gels that cannot be tracked."""
+    if args.grid.lower() != _GRID:
+        raise InputError(
+            f"Grid {args.grid} is not supported.",
+            "--grid",
+            f"The model takes {_GRID} markers; use a {_GRID} large-dot gel.",
+        )
+    # What OpenCV writes by itself would stand beside the error that names file and fix.
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    if args.template and not args.reference:
+        raise InputError(
+            "There is no reference to check.", "--template", "Name the rest images: --reference."
+        )
+    reference = rest_reference(args.reference, args.template) if args.reference else None
+    tracked: list[TrackedImage] = []
+    with ExitStack() as stack:
+        overlay = (
+            stack.enter_context(OverlayVideo(args.overlay, DEFAULT_RATE_HZ))
+            if args.overlay
+            else None
+        )
+        advance = stack.enter_context(screen.progress("Tracking", count_pictures(args.file)))
+        for frame, item in track_images(args.file, reference):
+            tracked.append(item)
+            if overlay is not None:
+                overlay.add(frame, item.field)
+            advance(len(tracked))
+    _summarise(args.file, tracked, screen)
+    screen.result({"grid": _GRID, "frames": [_as_json(item) for item in tracked]})
+    return 0
+
+
+def track_images(
+    path: Path, reference: TactileReference | None = None
+) -> Iterator[tuple[TactileFrame, TrackedImage]]:
+    """Yield the frames of ``path`` with their markers, by the live tracker.
+
+    Without ``reference`` displacements count from the first frame that shows the grid. Raises
+    ``InputError`` if no 7x9 grid is recognised within the first second.
+    """
+    tracker = MarkerTracker("left", reference)
+    located = False
+    for count, frame in enumerate(read_pictures(path), start=1):
+        start = time.perf_counter()
+        field = tracker.track(frame)
+        ms = 1e3 * (time.perf_counter() - start)
+        if not located and field.quality > 0:
+            located = True
+            if reference is None:
+                tracker.set_reference(_as_reference([field]))
+        if not located and count >= _SEARCH_FRAMES:
+            break
+        yield frame, TrackedImage(field, ms)
+    if not located:
+        raise _unrecognised(tracker, path)
+
+
+def rest_reference(path: Path, template: Path | None = None) -> TactileReference:
+    """Return the mean marker places over the first ten pictures of ``path`` that show all 63.
+
+    ``template``: no-contact pictures of this very sensor, else the shape of the gel that ships.
+    Raises ``InputError`` if the gel moves or is in contact.
+    """
+    whole = _whole_fields(path)
+    if template is None:
+        shapes = [load_gel_appearance().rest_px, mirror_appearance(load_gel_appearance()).rest_px]
+    else:
+        shapes = [_as_reference(_whole_fields(template)).position_px]
+    try:
+        rest = _as_reference(whole) if len(whole) < FEWEST_REST_FRAMES else take_reference(whole)
+        refuse_contact(rest.position_px, shapes)
+    except RefusedError as refused:
+        raise InputError(refused.detail, str(path), _REST_FIX[refused.reason]) from refused
+    return rest
+
+
+def _whole_fields(path: Path) -> list[MarkerField]:
+    """Return the markers of the first ten pictures of ``path`` that show all 63."""
+    tracker = MarkerTracker("left")
+    fields = (tracker.track(frame) for frame in read_pictures(path))
+    whole = list(islice((f for f in fields if (f.state == MarkerState.SEEN).all()), REST_FRAMES))
+    if not whole:
+        raise _unrecognised(tracker, path)
+    return whole
+
+
+def _as_reference(fields: list[MarkerField]) -> TactileReference:
+    places = np.stack([field.position_px for field in fields])
+    noise = places.std(axis=0).mean(axis=1)
+    return TactileReference("left", fields[-1].t_s, places.mean(axis=0), noise, len(fields))
+
+
+def _unrecognised(tracker: MarkerTracker, path: Path) -> InputError:
+    return InputError(
+        f"No {_GRID} marker grid was recognised: {tracker.grid.message}.",
+        str(path),
+        f"Use pictures of a {_GRID} large-dot gel with all dots in view at the start.",
+    )
+
+
+def _as_json(item: TrackedImage) -> dict[str, object]:
+    field = item.field
+    markers = [
+        {
+            "row": index // GRID_COLS,
+            "col": index % GRID_COLS,
+            "x_px": round(float(place[0]), 4),
+            "y_px": round(float(place[1]), 4),
+            "dx_px": round(float(move[0]), 4),
+            "dy_px": round(float(move[1]), 4),
+            "state": MarkerState(int(state)).name.lower(),
+        }
+        for index, (place, move, state) in enumerate(
+            zip(field.position_px, field.displacement_px, field.state, strict=True)
+        )
+    ]
+    return {
+        "index": field.sequence,
+        "ms": round(item.ms, 4),
+        "quality": round(field.quality, 4),
+        "markers": markers,
+    }
+
+
+def _summarise(path: Path, tracked: list[TrackedImage], screen: VerbOutput) -> None:
+    fields = [item.field for item in tracked]
+    state = np.stack([field.state for field in fields])
+    moved = np.stack([np.linalg.norm(field.displacement_px, axis=1) for field in fields])
+    table = Table(title=f"{path.name}: {len(fields)} frames, grid {_GRID}")
+    table.add_column("measure")
+    table.add_column("value", justify="right")
+    rows = {
+        "markers seen": _share(state, MarkerState.SEEN),
+        "inferred from neighbours": _share(state, MarkerState.INFERRED),
+        "lost": _share(state, MarkerState.LOST),
+        "largest displacement": f"{moved.max():.2f} px",
+        "lowest frame quality": f"{min(field.quality for field in fields):.2f}",
+        "time per frame, median": f"{np.median([item.ms for item in tracked]):.2f} ms",
+    }
+    for name, value in rows.items():
+        table.add_row(name, value)
+    screen.show(table)
+
+
+def _share(state: NDArray[np.uint8], kind: MarkerState) -> str:
+    return f"{100 * (state == kind).mean():.2f} %"

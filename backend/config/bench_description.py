@@ -1,0 +1,74 @@
+"""Properties of a bench on which the numbers of an observation depend.
+
+A bench reports them and a model card records them, so that a model is used only where it fits.
+"""
+
+from __future__ import annotations
+
+import json
+from hashlib import sha256
+from typing import Any, Literal
+
+from touchdown.backend.config.method import Positive, Settings
+from touchdown.backend.config.simulation import SimulationSettings
+
+BenchMode = Literal["", "simulated", "emulated", "hardware"]
+"""Emulated: simulated physics behind the protocols and drivers of real devices."""
+
+
+class BenchDescription(Settings):
+    """One bench; "" and None mean that nobody told.
+
+    ``sha256`` names the sensors and the grasp: where they sit, how they scale, how stiff they are.
+    Noise, friction and spreads are no part of it: a model has to do with those as they come.
+    """
+
+    mode: BenchMode = ""
+    sha256: str = ""
+    mm_per_px: tuple[Positive, Positive] | None = None
+    """Image scale of the left and the right finger."""
+    ft_frame: str = ""
+    """In which frame the wrench is given."""
+    sensor_height_mm: Positive | None = None
+    """Wrist sensor above the grasp pivot."""
+
+
+def describe_simulation(settings: SimulationSettings) -> BenchDescription:
+    """Return the facts of a simulated bench."""
+    return BenchDescription(
+        mode="simulated",
+        sha256=sha256_of_json(_relevant_values(settings)),
+        mm_per_px=settings.tactile.mm_per_px,
+        ft_frame=wrist_frame(settings.wrist.height_mm, settings.wrist.yaw_rad),
+        sensor_height_mm=settings.wrist.height_mm,
+    )
+
+
+def bench_sha256(settings: SimulationSettings) -> str:
+    """Return the SHA-256 of all values, noise and spreads too: it names a bench in every result."""
+    return sha256_of_json(settings.model_dump(mode="json"))
+
+
+def wrist_frame(height_mm: float, yaw_rad: float) -> str:
+    """Name the frame of a wrench that is moved to the grasp pivot."""
+    turned = f", turned {yaw_rad:g} rad" if yaw_rad else ""
+    return f"environment on tool, sensor {height_mm:g} mm above the grasp pivot{turned}"
+
+
+def sha256_of_json(values: Any) -> str:
+    """Return the SHA-256 of JSON-ready values."""
+    return sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def _relevant_values(settings: SimulationSettings) -> dict[str, Any]:
+    tactile, wrist, grasp = settings.tactile, settings.wrist, settings.grasp
+    return {
+        "mm_per_px": tactile.mm_per_px,
+        "pitch_mm": tactile.pitch_mm,
+        "roll_off_mm": tactile.roll_off_mm,
+        "frames_hz": tactile.rate_hz,
+        "wrench_hz": wrist.rate_hz,
+        "wrist_mm": wrist.height_mm,
+        "wrist_rad": wrist.yaw_rad,
+        "gel": [grasp.shear_n_mm, grasp.normal_n_mm, grasp.torsion_nmm_rad],
+    }

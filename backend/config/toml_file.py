@@ -1,0 +1,85 @@
+"""Reading of TOML files into settings models.
+
+A bad file raises one error that names the file, the key and the reason.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Any, TypeGuard, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from touchdown.backend.core import InputError
+
+Model = TypeVar("Model", bound=BaseModel)
+MAX_BYTES = 1_000_000
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse ``path``; raises ``InputError`` if it is missing, too large or not TOML."""
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(
+                "The file is too large for a settings file.", str(path), "Use a file below 1 MB."
+            )
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        reason = error.strerror or "unreadable"
+        raise InputError(
+            f"Cannot read the file: {reason}.", str(path), "Check the path."
+        ) from error
+    except UnicodeDecodeError as error:
+        raise InputError(
+            "The file is not text, so it is no TOML.", str(path), "Name a text file in UTF-8."
+        ) from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(
+            f"The file is not valid TOML: {error}.", str(path), "Correct the named line."
+        ) from error
+
+
+def parse_settings(model: type[Model], content: dict[str, Any], where: str) -> Model:
+    """Validate ``content``; raises ``InputError`` naming the first bad key and the reason."""
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "(file)"
+        if first["type"] == "extra_forbidden":
+            near = _nearest(model, first["loc"])
+            raise InputError(
+                f"There is no setting '{key}'.",
+                where,
+                f"Write '{near}', if that is meant." if near else f"Take '{key}' out.",
+            ) from error
+        raise InputError(
+            f"Bad value for '{key}': {first_error_message(error)}.", where, f"Correct '{key}'."
+        ) from error
+
+
+def first_error_message(error: ValidationError) -> str:
+    """Return what is wrong first, in words."""
+    return error.errors()[0]["msg"].removeprefix("Value error, ")
+
+
+def _nearest(model: type[BaseModel], place: tuple[int | str, ...]) -> str:
+    """Return the setting whose name is nearest to the unknown one at ``place``, "" if none is."""
+    within: object = model
+    for part in place[:-1]:
+        known = within.model_fields if _is_model(within) else {}
+        within = known[part].annotation if part in known else None
+    names = list(within.model_fields) if _is_model(within) else []
+    found = difflib.get_close_matches(str(place[-1]), names, n=1)
+    return ".".join([*map(str, place[:-1]), *found]) if found else ""
+
+
+def _is_model(kind: object) -> TypeGuard[type[BaseModel]]:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)
+
+
+def read_settings(model: type[Model], path: Path) -> Model:
+    """Read and validate ``path``."""
+    return parse_settings(model, read_toml(path), str(path))

@@ -1,0 +1,90 @@
+"""Detection of processes and threads that have stalled.
+
+A process stalls when a signal stops it or when each of its threads waits. A process that is short
+of processor time, or that waits for a disk, is not stalled: the scheduler reports the difference
+for each thread. Without ``/proc`` only a stopped process is recognised.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+
+STALLED_AFTER_S = 0.3
+"""So long nothing in it may want to run before it is called still."""
+LONGEST_LOOK_GAP_S = 1.0
+"""Who has not looked for so long stood still as well: with the whole computer, say."""
+RUNNABLE_STATES = frozenset("RDW")
+LONGEST_STEP_S = 0.1
+"""So much of the time between two looks at a thread counts; they are 50 ms apart."""
+
+
+class ProcessStallDetector:
+    """Looks at the process ``number`` whenever ``look`` is called, a few times in ``STILL_S``."""
+
+    def __init__(self, number: int) -> None:
+        self._folder = Path("/proc") / str(number) / "task"
+        self._process = psutil.Process(number)
+        self._used_s, self._since_s, self._looked_s = -1.0, 0.0, 0.0
+
+    def look(self, now_s: float) -> bool:
+        """Return whether it stands still at ``now_s``, of a clock that goes on; False once gone."""
+        try:
+            used = self._process.cpu_times()
+            states = self._states()
+        except psutil.Error:
+            return False
+        used_s = used.user + used.system
+        away, self._looked_s = now_s - self._looked_s > LONGEST_LOOK_GAP_S, now_s
+        if away or used_s != self._used_s or not states or states & RUNNABLE_STATES:
+            self._used_s, self._since_s = used_s, now_s
+            return False
+        return now_s - self._since_s >= STALLED_AFTER_S
+
+    def _states(self) -> set[str]:
+        """Return the scheduler's letters of its threads; empty if they are not known."""
+        found = set[str]()
+        with suppress(FileNotFoundError):
+            for task in self._folder.iterdir():
+                with suppress(FileNotFoundError, ProcessLookupError):
+                    # The name before the letter may hold anything, brackets as well.
+                    found.add((task / "stat").read_bytes().rpartition(b")")[2].split()[0].decode())
+        if "Z" in found:
+            return set()
+        if not found and self._process.status() == psutil.STATUS_STOPPED:
+            return {"T"}
+        return found
+
+
+class ThreadStallDetector:
+    """Tells for how long a thread has rested: neither run nor wanted to.
+
+    One that polls, that waits for the interpreter, for a processor or for a disk does not rest.
+    Without ``/proc`` none is known to. What a look comes too late by counts for nothing, so that
+    a computer that slept, or a program that was stopped, lets no thread rest.
+    """
+
+    def __init__(self, process: int, thread: int) -> None:
+        self._status = Path("/proc") / str(process) / "task" / str(thread) / "status"
+        self._switches: tuple[bytes, ...] = ()
+        self._looked_s = 0.0
+        self.passed_s = 0.0
+        """From the look before the last to the last one, as far as it counts."""
+        self.rested_s = 0.0
+
+    def look(self, now_s: float) -> float:
+        """Return for how long it has rested at ``now_s``; 0 at first and once it is gone."""
+        self.passed_s, self._looked_s = min(now_s - self._looked_s, LONGEST_STEP_S), now_s
+        self.rested_s = self.rested_s + self.passed_s if self._rests() else 0.0
+        return self.rested_s
+
+    def _rests(self) -> bool:
+        """Return whether it rested since the last look."""
+        before, self._switches, state = self._switches, (), b"R"
+        with suppress(OSError):
+            lines = [line.split() for line in self._status.read_bytes().splitlines()]
+            state = next(words[1] for words in lines if words[0] == b"State:")
+            self._switches = tuple(words[1] for words in lines if words[0].endswith(b"_switches:"))
+        return bool(before) and before == self._switches and state.decode() not in RUNNABLE_STATES

@@ -1,1 +1,0 @@
-"""Episodes and run journals on disk."""

@@ -1,0 +1,82 @@
+"""Emulated Bota sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from touchdown.backend.devices.bota import protocol
+from touchdown.backend.devices.bota.protocol import SINC_STEP_S, Boot, Frame, Reply, Request, Status
+from touchdown.backend.emulation import Pace
+
+RATED = (500.0, 500.0, 1200.0, 15.0, 15.0, 12.0)
+TEMPERATURE_C = 27.5
+DEFAULT_SINC = 512
+TIMESTAMP_TURN = 1 << 32
+
+
+class EmulatedBota:
+    """``wrench(now_s)`` gives six values, N and N·m; ``quiet_in_config`` as in the settings."""
+
+    def __init__(
+        self,
+        wrench: Callable[[float], Sequence[float]],
+        *,
+        rated: Sequence[float] = RATED,
+        quiet_in_config: bool = True,
+    ) -> None:
+        self._wrench, self._rated = wrench, tuple(rated)
+        self._quiet_in_config = quiet_in_config
+        self._requests = protocol.requests()
+        self.pace = Pace()
+        self._sinc = DEFAULT_SINC
+        self._booted = self._configuring = False
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Take text commands; return the answers, behind the boot text of a new client."""
+        answers = (self._answer(now_s, request) for request in self._requests.feed(data))
+        return self._boot(now_s) + b"".join(answers)
+
+    def due(self, now_s: float) -> bytes:
+        """Return the boot text once, then the frames up to now."""
+        boot = self._boot(now_s)
+        _, times = self.pace.due(now_s)
+        return boot + b"".join(map(self._frame, times))
+
+    def closed(self, now_s: float) -> None:
+        """Start again with the next client, as a sensor powered by its plug does."""
+        self._booted = self._configuring = False
+        self._sinc = DEFAULT_SINC
+        self.pace.end()
+        self._requests.reset()
+
+    def _boot(self, now_s: float) -> bytes:
+        if self._booted:
+            return b""
+        self._booted = True
+        self.pace.begin(now_s, self._period_s)
+        return protocol.encode(Boot())
+
+    @property
+    def _period_s(self) -> float:
+        return self._sinc * SINC_STEP_S
+
+    def _answer(self, now_s: float, request: Request) -> bytes:
+        if request.command == "C":
+            self._configuring = True
+            if self._quiet_in_config:
+                self.pace.end()
+        elif not self._configuring:
+            return b""
+        elif request.command == "f":
+            self._sinc = request.arguments[0]
+        elif request.command == "R":
+            self._configuring = False
+            self.pace.begin(now_s + self._period_s, self._period_s)
+        return protocol.encode(Reply(request.command, 0))
+
+    def _frame(self, now_s: float) -> bytes:
+        values = tuple(self._wrench(now_s))
+        over = any(abs(v) > rated for v, rated in zip(values, self._rated, strict=True))
+        status = int(Status.OVER_RANGE) if over else 0
+        timestamp_us = round(now_s * 1e6) % TIMESTAMP_TURN
+        return protocol.encode(Frame(status, values, timestamp_us, TEMPERATURE_C))

@@ -1,0 +1,93 @@
+"""Emulated DynPick sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from touchdown.backend.devices.dynpick import protocol
+from touchdown.backend.devices.dynpick.protocol import TOP_COUNT, ZERO_COUNT, Command, Record
+from touchdown.backend.emulation import Pace
+
+RATE_HZ = 1000.0
+SENSITIVITY = (65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75)
+VERSION = b"Touchdown emulated Dynpick\r\n"
+_DIVIDERS = {Command.FILTER_1: 1, Command.FILTER_2: 2, Command.FILTER_4: 4, Command.FILTER_8: 8}
+
+
+class EmulatedDynpick:
+    """``wrench(now_s)`` gives six values, N and N·m, on the sensor in its own axes.
+
+    ``tells_sensitivity`` off: an older type that does not answer ``p``.
+    """
+
+    def __init__(
+        self,
+        wrench: Callable[[float], Sequence[float]],
+        *,
+        sensitivity: Sequence[float] = SENSITIVITY,
+        temperature_c: float = 27.5,
+        tells_sensitivity: bool = True,
+    ) -> None:
+        self._wrench, self._sensitivity = wrench, tuple(sensitivity)
+        self._temperature_c, self._tells_sensitivity = temperature_c, tells_sensitivity
+        self._commands = protocol.command_stream()
+        self._offset: tuple[int, ...] = (0,) * 6
+        self._divider, self._tick = 1, 0
+        self.pace = Pace()
+
+    @property
+    def streaming(self) -> bool:
+        """Whether records go out of themselves."""
+        return self.pace.running
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Take commands; return the answers."""
+        return b"".join(self._answer(now_s, command) for command in self._commands.feed(data))
+
+    def due(self, now_s: float) -> bytes:
+        """Return the records of the stream up to now."""
+        late, times = self.pace.due(now_s)
+        self._tick = (self._tick + late) % 10
+        return b"".join(map(self._record, times))
+
+    def closed(self, now_s: float) -> None:
+        """Nothing: a sensor on a serial line does not notice."""
+
+    def _answer(self, now_s: float, command: Command) -> bytes:
+        match command:
+            case Command.READ:
+                return self._record(now_s)
+            case Command.SENSITIVITY if self._tells_sensitivity:
+                return protocol.encode_sensitivity(self._sensitivity)
+            case Command.TEMPERATURE:
+                return protocol.encode_temperature(self._temperature_c)
+            case Command.VERSION:
+                return VERSION
+            case Command.FILTER_QUERY:
+                return protocol.encode_filter(self._divider)
+        self._change(now_s, command)
+        return b""
+
+    def _change(self, now_s: float, command: Command) -> None:
+        match command:
+            case Command.START:
+                self.pace.begin(now_s, self._divider / RATE_HZ)
+            case Command.STOP:
+                self.pace.end()
+            case Command.OFFSET_RESET:
+                self._offset = self._counts(now_s)
+            case _ if command in _DIVIDERS:
+                self._divider = _DIVIDERS[command]
+                if self.streaming:
+                    self.pace.begin(now_s, self._divider / RATE_HZ)
+
+    def _counts(self, now_s: float) -> tuple[int, ...]:
+        values = zip(self._wrench(now_s), self._sensitivity, strict=True)
+        return tuple(round(value * per_unit) for value, per_unit in values)
+
+    def _record(self, now_s: float) -> bytes:
+        pairs = zip(self._counts(now_s), self._offset, strict=True)
+        counts = tuple(min(max(ZERO_COUNT + c - o, 0), TOP_COUNT) for c, o in pairs)
+        record = Record(self._tick, counts)
+        self._tick = (self._tick + 1) % 10
+        return protocol.encode_record(record)

@@ -1,0 +1,251 @@
+"""Framing of byte streams: checksums, length prefixes, text lines, wrenches in counts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import reduce
+from operator import xor
+from typing import Generic, NamedTuple, TypeVar
+
+from touchdown.backend.core import TouchdownError
+
+Message = TypeVar("Message")
+
+
+class WireError(TouchdownError):
+    """Bytes, or a message, that the protocol does not allow.
+
+    ``what`` is one word such as "length" or "crc"; ``where`` names message and field; ``offset``
+    counts bytes from the start of the message.
+    """
+
+    def __init__(self, what: str, where: str, offset: int = 0) -> None:
+        super().__init__(f"{what} [{where}, byte {offset}]")
+        self.what, self.where, self.offset = what, where, offset
+
+
+class Step(NamedTuple, Generic[Message]):
+    """What was found at one place: ``length`` bytes are a message, refused, or noise."""
+
+    length: int
+    message: Message | None = None
+    refused: bool = False
+
+
+Take = Callable[[bytes, int], Step[Message] | None]
+"""(bytes, place) -> what is found there, or None while the bytes do not suffice to tell."""
+
+Overtake = Callable[[Take[Message], bytes, int], bool]
+"""(take, bytes, place of an unfinished message) -> whether to go on without it."""
+
+
+def two_in_a_row(take: Take[Message], data: bytes, at: int) -> bool:
+    """Return whether two whole messages lie end to end behind ``at``.
+
+    So a false header whose length field promises much does not hold up the stream.
+    """
+    place = at + 1
+    while place < len(data):
+        first = take(data, place)
+        if first is not None and first.message is not None:
+            behind = place + first.length
+            second = take(data, behind) if behind < len(data) else None
+            if second is not None and second.message is not None:
+                return True
+        place += first.length if first is not None and first.message is None else 1
+    return False
+
+
+class FrameStream(Generic[Message]):
+    """The stream decoder of a protocol, given how to ``take`` one message from a place."""
+
+    def __init__(self, take: Take[Message], overtake: Overtake[Message] = two_in_a_row) -> None:
+        self._take, self._overtake = take, overtake
+        self._rest = b""
+        self.bad_frames = self.bad_in_a_row = self.discarded = 0
+
+    @property
+    def pending(self) -> int:
+        """Bytes kept of an unfinished message."""
+        return len(self._rest)
+
+    def feed(self, data: bytes) -> list[Message]:
+        """Take the next bytes; return the messages they complete, oldest first."""
+        rest, at = self._rest + data, 0
+        messages: list[Message] = []
+        while at < len(rest):
+            step = self._take(rest, at)
+            if step is None:
+                if not self._overtake(self._take, rest, at):
+                    break
+                # As where all of it has come and is none: the same however the stream is cut.
+                step = Step(1, refused=True)
+            at += step.length
+            self._count(step)
+            if step.message is not None:
+                messages.append(step.message)
+        self._rest = rest[at:]
+        return messages
+
+    def reset(self) -> None:
+        """Forget the bytes of an unfinished message; the counts stay."""
+        self._rest = b""
+
+    def _count(self, step: Step[Message]) -> None:
+        if step.message is None:
+            self.discarded += step.length
+        elif not step.refused:
+            self.bad_in_a_row = 0
+        if step.refused:
+            self.bad_frames += 1
+            self.bad_in_a_row += 1
+
+
+def expect_length(data: bytes, length: int, where: str) -> None:
+    """Raise ``WireError`` unless ``data`` is exactly ``length`` bytes."""
+    if len(data) != length:
+        raise WireError("length", where, min(len(data), length))
+
+
+def noise_until(data: bytes, at: int, starts: bytes) -> Step[Message]:
+    """Return the step over all bytes up to the next that may start a message, at least one."""
+    end = at + 1
+    while end < len(data) and data[end] not in starts:
+        end += 1
+    return Step(end - at)
+
+
+def _table(polynomial: int, reflected: bool) -> tuple[int, ...]:
+    def entry(index: int) -> int:
+        crc = index if reflected else index << 8
+        for _ in range(8):
+            if reflected:
+                crc = crc >> 1 ^ (polynomial if crc & 1 else 0)
+            else:
+                crc = (crc << 1 ^ (polynomial if crc & 0x8000 else 0)) & 0xFFFF
+        return crc
+
+    return tuple(entry(index) for index in range(256))
+
+
+WSG_TABLE = _table(0x1021, reflected=False)
+_X25_TABLE = _table(0x8408, reflected=True)
+_MODBUS_TABLE = _table(0xA001, reflected=True)
+
+
+def _crc16(table: tuple[int, ...], data: bytes) -> int:
+    crc = 0xFFFF
+    for byte in data:
+        crc = table[(crc ^ byte) & 0xFF] ^ crc >> 8
+    return crc
+
+
+def crc_wsg(data: bytes) -> int:
+    """CRC of Weiss grippers, from the preamble on.
+
+    In no catalogue: the table is the one of the unreflected polynomial, the update the one of the
+    reflected form. Source: command set reference manual, firmware 2.2.0.
+    """
+    return _crc16(WSG_TABLE, data)
+
+
+def crc16_x25(data: bytes) -> int:
+    """CRC-16/X-25: polynomial 1021 reflected, start FFFF, final exclusive or FFFF."""
+    return _crc16(_X25_TABLE, data) ^ 0xFFFF
+
+
+def crc16_modbus(data: bytes) -> int:
+    """CRC-16/MODBUS: polynomial 8005 reflected, start FFFF; sent low byte first."""
+    return _crc16(_MODBUS_TABLE, data)
+
+
+def sum16(data: bytes) -> int:
+    """Sum of all bytes, 16 bits."""
+    return sum(data) & 0xFFFF
+
+
+def xor8(data: bytes) -> int:
+    """Exclusive or of all bytes."""
+    return reduce(xor, data, 0)
+
+
+ENDS = b"\r\n"
+
+
+class LineStream(Generic[Message]):
+    """Stream decoder of lines; ``parse`` gets one line without its end, ``longest`` bytes at most.
+
+    Where a device sends no line end, call ``flush`` once it has been silent long enough.
+    """
+
+    def __init__(self, parse: Callable[[bytes], Message], longest: int) -> None:
+        self._parse, self._longest = parse, longest
+        self._rest = b""
+        self._skipping = False
+        self.bad_frames = self.bad_in_a_row = self.discarded = 0
+
+    @property
+    def pending(self) -> int:
+        """Bytes kept of an unfinished line."""
+        return len(self._rest)
+
+    def feed(self, data: bytes) -> list[Message]:
+        """Take the next bytes; return the messages they complete, oldest first."""
+        *whole, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
+        messages: list[Message] = []
+        for line in whole:
+            self._finish(line, messages)
+        self._rest = rest
+        if len(rest) > self._longest:
+            self.discarded += len(rest)
+            self._rest, self._skipping = b"", True
+        return messages
+
+    def flush(self) -> list[Message]:
+        """Take what has come so far as a whole line."""
+        messages: list[Message] = []
+        line, self._rest = self._rest, b""
+        self._finish(line, messages)
+        return messages
+
+    def reset(self) -> None:
+        """Forget the unfinished line; the counts stay."""
+        self._rest, self._skipping = b"", False
+
+    def _finish(self, line: bytes, messages: list[Message]) -> None:
+        skipping, self._skipping = self._skipping, False
+        if not line and not skipping:
+            return
+        try:
+            if skipping or len(line) > self._longest:
+                raise WireError("length", "line", self._longest)
+            messages.append(self._parse(line))
+        except WireError:
+            self.discarded += len(line)
+            self.bad_frames += 1
+            self.bad_in_a_row += 1
+        else:
+            self.bad_in_a_row = 0
+
+
+Three = tuple[float, float, float]
+
+
+class Wrench(NamedTuple):
+    """Force (N) and torque (N·m) in the axes and with the sign of the sensor."""
+
+    force_n: Three
+    torque_nm: Three
+
+
+NO_WRENCH = Wrench((math.nan, math.nan, math.nan), (math.nan, math.nan, math.nan))
+"""What a sample holds that its sensor marks as invalid."""
+
+
+def wrench_of(values: Sequence[float]) -> Wrench:
+    """Return the wrench of six values, forces first; raises ``WireError`` for another number."""
+    if len(values) != 6:
+        raise WireError("length", "wrench", len(values))
+    fx, fy, fz, mx, my, mz = values
+    return Wrench((fx, fy, fz), (mx, my, mz))

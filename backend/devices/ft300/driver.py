@@ -1,0 +1,95 @@
+"""Driver of a Robotiq FT 300."""
+
+from __future__ import annotations
+
+import threading
+
+from touchdown.backend.config import HardwareSettings
+from touchdown.backend.devices.force_torque import Greeting, Link, Reading, Refusals, ask, pause
+from touchdown.backend.devices.ft300 import protocol
+from touchdown.backend.devices.ft300.protocol import (
+    FIRMWARE_REGISTER,
+    FRAME_BYTES,
+    SERIAL_REGISTER,
+    STREAM_ON,
+    STREAM_REGISTER,
+    Read,
+    Registers,
+    Sample,
+    Stop,
+    WriteMany,
+    Written,
+)
+from touchdown.backend.devices.protocols import Identity
+
+RATED = (300.0, 300.0, 300.0, 30.0, 30.0, 30.0)
+PERIOD_S = 0.01
+PAUSE_S = 0.5
+SERIAL_WORDS, FIRMWARE_WORDS = 4, 3
+
+
+class Ft300Language:
+    """The stream carries no number: a frame that was refused counts as one sample lost."""
+
+    baud = 19_200
+    chunk = FRAME_BYTES
+
+    def __init__(self, settings: HardwareSettings, address: str) -> None:
+        self._address = address
+        self._decoder = protocol.incoming()
+        self._seen_bad = 0
+
+    def start(self, link: Link, cancel: threading.Event) -> Greeting:
+        """End a stream that may still run, read number and firmware, start the stream."""
+        self.stop(link)
+        pause(cancel, PAUSE_S)
+        link.drain()
+        self._decoder.reset()
+        serial = self._text(link, cancel, SERIAL_REGISTER, SERIAL_WORDS)
+        firmware = self._text(link, cancel, FIRMWARE_REGISTER, FIRMWARE_WORDS)
+        request = protocol.encode(WriteMany(STREAM_REGISTER, (STREAM_ON,)))
+        ask(link, cancel, request, self._started, limit_s=0.5)
+        self._seen_bad = self._decoder.bad_frames
+        return Greeting(Identity("Robotiq", "FT300", serial, firmware), RATED, PERIOD_S)
+
+    def take(self, data: bytes) -> list[Reading]:
+        """Return the samples of the stream."""
+        readings = []
+        for message in self._decoder.feed(data):
+            if isinstance(message, Sample):
+                missed = self._decoder.bad_frames - self._seen_bad
+                self._seen_bad = self._decoder.bad_frames
+                overload = any(
+                    abs(value) >= rated for value, rated in zip(_flat(message), RATED, strict=True)
+                )
+                readings.append(Reading(message.wrench(), missed, overload))
+        return readings
+
+    @property
+    def refusals(self) -> Refusals:
+        """Frames that were none."""
+        decoder = self._decoder
+        return Refusals(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
+
+    def stop(self, link: Link) -> None:
+        """End the stream; the next start would find a streaming sensor else."""
+        link.write(protocol.encode(Stop()))
+
+    def _started(self, data: bytes) -> bool | None:
+        messages = self._decoder.feed(data)
+        return True if any(isinstance(m, Written | Sample) for m in messages) else None
+
+    def _text(self, link: Link, cancel: threading.Event, register: int, words: int) -> str:
+        def find(data: bytes) -> Registers | None:
+            messages = (m for m in self._decoder.feed(data) if isinstance(m, Registers))
+            return next((m for m in messages if len(m.values) == words), None)
+
+        found = ask(link, cancel, protocol.encode(Read(register, words)), find, limit_s=0.5)
+        content = b"".join(value.to_bytes(2, "big") for value in found.values)
+        text = content.decode("ascii", "replace").strip("\x00 ")
+        return text if text.isprintable() and text else content.hex()
+
+
+def _flat(sample: Sample) -> tuple[float, ...]:
+    wrench = sample.wrench()
+    return (*wrench.force_n, *wrench.torque_nm)

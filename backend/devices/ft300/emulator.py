@@ -1,0 +1,90 @@
+"""Emulated Robotiq FT 300."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from touchdown.backend.devices.ft300 import protocol
+from touchdown.backend.devices.ft300.protocol import (
+    FIRMWARE_REGISTER,
+    SERIAL_REGISTER,
+    STREAM_ON,
+    STREAM_REGISTER,
+    WRENCH_REGISTER,
+    YEAR_REGISTER,
+    Incoming,
+    Read,
+    Refused,
+    Registers,
+    Request,
+    Sample,
+    Stop,
+    WriteMany,
+    WriteOne,
+    Written,
+)
+from touchdown.backend.emulation import Pace
+
+PERIOD_S = 0.01
+SERIAL, FIRMWARE, YEAR = b"F-12345\x00", b"FTS-3\x00", 2021
+BAD_REGISTER = 2
+_READ = 3
+_LIMIT = 0x7FFF
+
+
+class EmulatedFt300:
+    """``wrench(now_s)`` gives six values, N and N·m, in the axes of the sensor."""
+
+    def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
+        self._wrench = wrench
+        self._requests = protocol.requests()
+        self.pace = Pace()
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Take requests; return the answers."""
+        answers = (self._answer(now_s, request) for request in self._requests.feed(data))
+        return b"".join(protocol.encode(answer) for answer in answers if answer is not None)
+
+    def due(self, now_s: float) -> bytes:
+        """Return the frames of the stream up to now."""
+        _, times = self.pace.due(now_s)
+        return b"".join(protocol.encode(self._sample(t_s)) for t_s in times)
+
+    def closed(self, now_s: float) -> None:
+        """Nothing: a sensor on a serial line does not notice."""
+
+    def _answer(self, now_s: float, request: Request) -> Incoming | None:
+        if isinstance(request, Stop):
+            self.pace.end()
+            return None
+        if self.pace.running:
+            return None
+        if isinstance(request, Read):
+            return self._registers(now_s, request)
+        wanted = request.value if isinstance(request, WriteOne) else request.values[0]
+        if request.register == STREAM_REGISTER and wanted == STREAM_ON:
+            self.pace.begin(now_s, PERIOD_S)
+        return Written(request.register, 1) if isinstance(request, WriteMany) else request
+
+    def _registers(self, now_s: float, request: Read) -> Registers | Refused:
+        counts = [count & 0xFFFF for count in self._sample(now_s).counts]
+        blocks = {
+            WRENCH_REGISTER: counts,
+            SERIAL_REGISTER: _words(SERIAL),
+            FIRMWARE_REGISTER: _words(FIRMWARE),
+            YEAR_REGISTER: [YEAR],
+        }
+        block = blocks.get(request.register, [])
+        if not 0 < request.count <= len(block):
+            return Refused(_READ, BAD_REGISTER)
+        return Registers(tuple(block[: request.count]))
+
+    def _sample(self, now_s: float) -> Sample:
+        per_unit = (100, 100, 100, 1000, 1000, 1000)
+        pairs = zip(self._wrench(now_s), per_unit, strict=True)
+        counts = (round(value * factor) for value, factor in pairs)
+        return Sample(tuple(min(max(count, -_LIMIT), _LIMIT) for count in counts))
+
+
+def _words(content: bytes) -> list[int]:
+    return [int.from_bytes(content[at : at + 2], "big") for at in range(0, len(content), 2)]

@@ -1,0 +1,247 @@
+"""Robotiq FT 300 stream and registers."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from touchdown.backend.devices.framing import (
+    FrameStream,
+    Step,
+    WireError,
+    Wrench,
+    crc16_modbus,
+    noise_until,
+    wrench_of,
+)
+
+SLAVE = 9
+STREAM_HEADER = b"\x20\x4e"
+FRAME_BYTES = 16
+STOP_BYTES = 50
+LARGEST_READ = 8
+"""Registers of the longest answer used here; a longer one is taken for noise."""
+
+STREAM_REGISTER, STREAM_ON = 410, 0x0200
+WRENCH_REGISTER, ACCELERATION_REGISTER = 180, 190
+FIRMWARE_REGISTER, SERIAL_REGISTER, YEAR_REGISTER = 500, 510, 514
+
+_READ, _WRITE_ONE, _WRITE_MANY = 3, 6, 16
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One sample of the stream: hundredths of N, thousandths of N·m."""
+
+    counts: tuple[int, ...]
+
+    def wrench(self) -> Wrench:
+        """Return N and N·m."""
+        return wrench_of(
+            [*(c / 100 for c in self.counts[:3]), *(c / 1000 for c in self.counts[3:])]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """Request for ``count`` registers."""
+
+    register: int
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Registers:
+    """Their values, unsigned."""
+
+    values: tuple[int, ...]
+
+    def wrench(self) -> Wrench:
+        """Return the wrench of the six registers from ``WRENCH_REGISTER``."""
+        signed = (value - 0x10000 if value & 0x8000 else value for value in self.values)
+        return Sample(tuple(signed)).wrench()
+
+
+@dataclass(frozen=True, slots=True)
+class WriteOne:
+    """Request to write one register; its answer is the same frame."""
+
+    register: int
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class WriteMany:
+    """Request to write several registers."""
+
+    register: int
+    values: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """Answer to ``WriteMany``."""
+
+    register: int
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """The sensor refuses ``function`` with a Modbus exception code."""
+
+    function: int
+    code: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """The run of FFh that ends the stream."""
+
+
+Request = Read | WriteOne | WriteMany | Stop
+Incoming = Sample | Registers | WriteOne | Written | Refused
+
+
+def encode(message: Request | Incoming) -> bytes:
+    """Return the bytes of any message of this protocol."""
+    if isinstance(message, Stop):
+        return b"\xff" * STOP_BYTES
+    try:
+        body = _body(message)
+    except struct.error as error:
+        raise WireError("range", "ft300 message") from error
+    return body + struct.pack("<H", crc16_modbus(body))
+
+
+def _body(message: Read | WriteOne | WriteMany | Incoming) -> bytes:
+    match message:
+        case Sample(counts):
+            return STREAM_HEADER + struct.pack("<6h", *counts)
+        case Read(register, count):
+            return struct.pack(">BBHH", SLAVE, _READ, register, count)
+        case WriteOne(register, value):
+            return struct.pack(">BBHH", SLAVE, _WRITE_ONE, register, value)
+        case WriteMany(register, values):
+            n = len(values)
+            return struct.pack(f">BBHHB{n}H", SLAVE, _WRITE_MANY, register, n, 2 * n, *values)
+        case Registers(values):
+            n = len(values)
+            return struct.pack(f">BBB{n}H", SLAVE, _READ, 2 * n, *values)
+        case Written(register, count):
+            return struct.pack(">BBHH", SLAVE, _WRITE_MANY, register, count)
+        case Refused(function, code):
+            return struct.pack(">BBB", SLAVE, function | 0x80, code)
+
+
+def decode(frame: bytes) -> Incoming:
+    """Return the message of one whole frame from the sensor; raises ``WireError``."""
+    length = _incoming_length(frame, 0)
+    if length == 0:
+        raise WireError("header", "ft300 frame")
+    if length is None or length != len(frame):
+        raise WireError("length", "ft300 frame", len(frame))
+    return _incoming(frame)
+
+
+def incoming() -> FrameStream[Incoming]:
+    """Return the decoder of what the sensor sends: answers and stream on one line."""
+    return FrameStream(_take)
+
+
+def requests() -> FrameStream[Request]:
+    """Return the decoder of what the sensor is sent."""
+    return FrameStream(_take_request)
+
+
+def _checked(frame: bytes) -> bytes:
+    if crc16_modbus(frame[:-2]) != int.from_bytes(frame[-2:], "little"):
+        raise WireError("crc", "ft300 frame", len(frame) - 2)
+    return frame[:-2]
+
+
+def _incoming_length(data: bytes, at: int) -> int | None:
+    """Return how long the frame at ``at`` is; 0 if none starts there, None if not known yet."""
+    head = data[at : at + 3]
+    if head[:2] == STREAM_HEADER:
+        return FRAME_BYTES
+    if len(head) < 2:
+        return None if head[0] in (STREAM_HEADER[0], SLAVE) else 0
+    if head[0] != SLAVE:
+        return 0
+    if head[1] in (_WRITE_ONE, _WRITE_MANY):
+        return 8
+    if head[1] in (_READ | 0x80, _WRITE_ONE | 0x80, _WRITE_MANY | 0x80):
+        return 5
+    if head[1] != _READ:
+        return 0
+    if len(head) < 3:
+        return None
+    return 5 + head[2] if head[2] in range(2, 2 * LARGEST_READ + 1, 2) else 0
+
+
+def _incoming(frame: bytes) -> Incoming:
+    body = _checked(frame)
+    if body[:2] == STREAM_HEADER:
+        return Sample(struct.unpack("<6h", body[2:]))
+    if body[1] == _READ:
+        return Registers(struct.unpack(f">{body[2] // 2}H", body[3:]))
+    if body[1] & 0x80:
+        return Refused(body[1] & 0x7F, body[2])
+    register, value = struct.unpack(">HH", body[2:])
+    return WriteOne(register, value) if body[1] == _WRITE_ONE else Written(register, value)
+
+
+def _take(data: bytes, at: int) -> Step[Incoming] | None:
+    length = _incoming_length(data, at)
+    if length == 0:
+        return noise_until(data, at, b"\x20\x09")
+    if length is None or at + length > len(data):
+        return None
+    try:
+        return Step(length, _incoming(data[at : at + length]))
+    except WireError:
+        return Step(1, refused=True)
+
+
+def _take_request(data: bytes, at: int) -> Step[Request] | None:
+    if data[at] == 0xFF:
+        return _take_stop(data, at)
+    if data[at] != SLAVE:
+        return noise_until(data, at, b"\x09\xff")
+    head = data[at : at + 7]
+    if len(head) < 2:
+        return None
+    if head[1] in (_READ, _WRITE_ONE):
+        length = 8
+    elif head[1] != _WRITE_MANY:
+        return Step(1)
+    elif len(head) < 7:
+        return None
+    elif head[6] not in range(2, 2 * LARGEST_READ + 1, 2) or head[4:6] != bytes((0, head[6] // 2)):
+        return Step(1, refused=True)
+    else:
+        length = 9 + head[6]
+    if at + length > len(data):
+        return None
+    try:
+        return Step(length, _request(_checked(data[at : at + length])))
+    except WireError:
+        return Step(1, refused=True)
+
+
+def _take_stop(data: bytes, at: int) -> Step[Request] | None:
+    window = data[at : at + STOP_BYTES]
+    run = len(window) - len(window.lstrip(b"\xff"))
+    if run == STOP_BYTES:
+        return Step(STOP_BYTES, Stop())
+    return None if run == len(window) else Step(run, refused=True)
+
+
+def _request(body: bytes) -> Request:
+    register, value = struct.unpack(">HH", body[2:6])
+    if body[1] == _READ:
+        return Read(register, value)
+    if body[1] == _WRITE_ONE:
+        return WriteOne(register, value)
+    return WriteMany(register, struct.unpack(f">{value}H", body[7:]))

@@ -1,0 +1,98 @@
+"""Emulated Leptrino sensor."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+
+from touchdown.backend.devices.framing import xor8
+from touchdown.backend.devices.leptrino import protocol
+from touchdown.backend.devices.leptrino.protocol import (
+    CLIP,
+    ETX,
+    FULL_SCALE,
+    Command,
+    Filter,
+    Info,
+    Nak,
+    Packet,
+    Plain,
+    Rated,
+    Sample,
+    Status,
+)
+from touchdown.backend.emulation import Pace
+
+RATED = (250.0, 250.0, 250.0, 6.0, 6.0, 6.0)
+INFO = Info("PFS080YA501A6", "00012345", "1.13")
+PERIOD_S = 0.001
+LENGTH, UNDEFINED, VALUE = 1, 2, 3
+"""Results of a command that is refused."""
+FILTERS = 4
+_FRAME = re.compile(rb"\x10\x02((?:[^\x10]|\x10\x10)*)\x10\x03(.)", re.DOTALL)
+
+
+class EmulatedLeptrino:
+    """``wrench(now_s)`` gives six values, N and N·m, in the axes of the sensor."""
+
+    def __init__(
+        self, wrench: Callable[[float], Sequence[float]], rated: Sequence[float] = RATED
+    ) -> None:
+        self._wrench, self._rated = wrench, tuple(rated)
+        self._commands = protocol.packets()
+        self._bad = 0
+        self.pace = Pace()
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Take commands; a frame with a wrong check is answered with NAK, a length by its code."""
+        out = b"".join(
+            protocol.encode(self._answer(now_s, packet)) for packet in self._commands.feed(data)
+        )
+        if self._commands.bad_frames > self._bad:
+            self._bad = self._commands.bad_frames
+            out = protocol.encode(_refusal(data)) + out
+        return out
+
+    def due(self, now_s: float) -> bytes:
+        """Return the samples of the stream up to now."""
+        _, times = self.pace.due(now_s)
+        return b"".join(protocol.encode(self._sample(t_s, Command.START)) for t_s in times)
+
+    def closed(self, now_s: float) -> None:
+        """Nothing: a sensor on a serial line does not notice."""
+
+    def _answer(self, now_s: float, packet: Packet) -> Packet:
+        command = getattr(packet, "command", None)
+        if command == Command.INFO:
+            return INFO
+        if command == Command.RATED:
+            return Rated(self._rated)
+        if command == Command.READ:
+            return self._sample(now_s, Command.READ)
+        if command == Command.GET_FILTER:
+            return Filter(Command.GET_FILTER, 0)
+        if command == Command.START:
+            self.pace.begin(now_s + PERIOD_S, PERIOD_S)
+        elif command == Command.STOP:
+            self.pace.end()
+        elif command != Command.SET_FILTER:
+            return Plain(command or 0, UNDEFINED)
+        elif not isinstance(packet, Filter):
+            return Plain(command, LENGTH)
+        elif packet.index >= FILTERS:
+            return Plain(command, VALUE)
+        return Plain(command)
+
+    def _sample(self, now_s: float, command: Command) -> Sample:
+        pairs = zip(self._wrench(now_s), self._rated, strict=True)
+        raw = [round(value / load * FULL_SCALE) for value, load in pairs]
+        over = Status.OVER_RATING if max(map(abs, raw)) > FULL_SCALE else 0
+        return Sample(command, tuple(min(max(c, -CLIP), CLIP) for c in raw), int(over))
+
+
+def _refusal(data: bytes) -> Packet:
+    """Return the answer to a frame that is none: its length, or its check, is wrong."""
+    found = _FRAME.search(data)
+    content = b"" if found is None else found[1].replace(b"\x10\x10", b"\x10")
+    whole = found is not None and len(content) >= 3 and xor8(content) ^ ETX == found[2][0]
+    return Plain(content[2], LENGTH) if whole else Nak()

@@ -1,0 +1,237 @@
+"""Leptrino frames."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+from touchdown.backend.devices.framing import (
+    FrameStream,
+    Step,
+    WireError,
+    Wrench,
+    noise_until,
+    wrench_of,
+    xor8,
+)
+
+DLE, STX, ETX, NAK_BYTE = 0x10, 0x02, 0x03, 0x15
+LONGEST_DATA = 128
+FULL_SCALE, CLIP = 10_000, 32_000
+"""Counts of the rated load, and where the sensor clips."""
+
+
+class Command(IntEnum):
+    """Command bytes."""
+
+    INFO = 0x2A
+    RATED = 0x2B
+    READ = 0x30
+    START = 0x32
+    STOP = 0x33
+    SET_FILTER = 0xA6
+    GET_FILTER = 0xB6
+
+
+class Status(IntFlag):
+    """Status of a sample."""
+
+    CALIBRATION = 1
+    SENSOR = 2
+    OVER_RATING = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Plain:
+    """A request without content, the acknowledge of one, or a refusal (``code`` not 0).
+
+    Codes: 1 length, 2 undefined command, 3 value, 4 state.
+    """
+
+    command: int
+    code: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """Who the sensor is; ``rate`` only from newer firmware."""
+
+    model: str
+    serial: str
+    firmware: str
+    rate: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Rated:
+    """Rated load per axis, N and N·m."""
+
+    loads: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """Filter to set, or as read: 0 off, 1 10 Hz, 2 100 Hz, 3 200 Hz."""
+
+    command: int
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One sample; ``command`` tells whether it was asked for (READ) or streamed (START)."""
+
+    command: int
+    counts: tuple[int, ...]
+    status: int
+    reserve: int = 0
+
+    def wrench(self, rated: Sequence[float]) -> Wrench:
+        """Scale by the rated loads of the sensor."""
+        pairs = zip(self.counts, rated, strict=True)
+        return wrench_of([count / FULL_SCALE * load for count, load in pairs])
+
+
+@dataclass(frozen=True, slots=True)
+class Nak:
+    """The last frame had a wrong check: send it again."""
+
+
+Packet = Plain | Info | Rated | Filter | Sample | Nak
+
+
+def encode(packet: Packet) -> bytes:
+    """Return the frame, stuffed and checked."""
+    if isinstance(packet, Nak):
+        return bytes((DLE, NAK_BYTE))
+    try:
+        command, code, body = _content(packet)
+        data = bytes((4 + len(body), 0xFF, command, code)) + body
+    except (struct.error, ValueError, OverflowError) as error:
+        raise WireError("range", "leptrino frame") from error
+    if len(data) > LONGEST_DATA:
+        raise WireError("length", "leptrino frame", LONGEST_DATA)
+    stuffed = data.replace(b"\x10", b"\x10\x10")
+    return b"\x10\x02" + stuffed + b"\x10\x03" + bytes((xor8(data) ^ ETX,))
+
+
+def _content(packet: Plain | Info | Rated | Filter | Sample) -> tuple[int, int, bytes]:
+    if isinstance(packet, Plain):
+        return packet.command, packet.code, b""
+    if isinstance(packet, Info):
+        parts = ((packet.model, 16), (packet.serial, 8), (packet.firmware, 4))
+        text = "".join(part.ljust(width) for part, width in parts) + packet.rate
+        if len(text) not in (28, 34) or not text.isascii():
+            raise WireError("text", "leptrino info", 4)
+        return Command.INFO, 0, text.encode("ascii")
+    if isinstance(packet, Rated):
+        return Command.RATED, 0, struct.pack("<6f", *packet.loads)
+    if isinstance(packet, Filter):
+        return packet.command, 0, struct.pack("<B3x", packet.index)
+    body = struct.pack("<6hHBx", *packet.counts, packet.reserve, packet.status)
+    return packet.command, 0, body
+
+
+def decode(frame: bytes) -> Packet:
+    """Return the message of one whole frame; raises ``WireError``."""
+    step = _take(frame, 0)
+    if step is None or step.length != len(frame):
+        if step is not None and step.refused:
+            _unpack(*_unstuff(frame))
+        raise WireError("length", "leptrino frame", len(frame))
+    if step.message is None:
+        raise WireError("start", "leptrino frame")
+    return step.message
+
+
+def packets() -> FrameStream[Packet]:
+    """Return a decoder of either direction."""
+    return FrameStream(_take, overtake=lambda take, data, at: False)
+
+
+def _take(data: bytes, at: int) -> Step[Packet] | None:
+    if data[at] != DLE:
+        return noise_until(data, at, b"\x10")
+    if at + 1 == len(data):
+        return None
+    if data[at + 1] == NAK_BYTE:
+        return Step(2, Nak())
+    if data[at + 1] != STX:
+        return Step(2)  # a pair of 10h is content of a lost frame, never its start
+    return _take_frame(data, at)
+
+
+def _take_frame(data: bytes, at: int) -> Step[Packet] | None:
+    end = at + 2
+    while end < len(data):
+        if end - at > 2 * LONGEST_DATA + 2:
+            return Step(2, refused=True)
+        if data[end] != DLE:
+            end += 1
+        elif end + 1 == len(data):
+            return None
+        elif data[end + 1] == DLE:
+            end += 2
+        elif data[end + 1] == ETX:
+            return _closed(data, at, end)
+        else:
+            return Step(end - at, refused=True)
+    return None
+
+
+def _closed(data: bytes, at: int, end: int) -> Step[Packet] | None:
+    if end + 2 == len(data):
+        return None
+    try:
+        return Step(end + 3 - at, _unpack(*_unstuff(data[at : end + 3])))
+    except WireError:
+        return Step(2, refused=True)
+
+
+def _unstuff(frame: bytes) -> tuple[bytes, int]:
+    return frame[2:-3].replace(b"\x10\x10", b"\x10"), frame[-1]
+
+
+def _unpack(data: bytes, check: int) -> Packet:
+    """Return the message of un-stuffed ``data``."""
+    if xor8(data) ^ ETX != check:
+        raise WireError("bcc", "leptrino frame", len(data))
+    if len(data) < 4 or data[0] != len(data) or data[1] != 0xFF:
+        raise WireError("length", "leptrino frame")
+    command, code, body = data[2], data[3], data[4:]
+    if not body:
+        return Plain(command, code)
+    try:
+        if code == 0:
+            return _body(command, body)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise WireError("body", "leptrino frame", 4) from error
+    raise WireError("body", "leptrino frame", 4)
+
+
+def _body(command: int, body: bytes) -> Packet:
+    if command == Command.INFO and len(body) in (28, 34):
+        text = body.decode("ascii")
+        model, serial, firmware = (
+            part.rstrip(" ") for part in (text[:16], text[16:24], text[24:28])
+        )
+        return Info(model, serial, firmware, text[28:])
+    if command == Command.RATED:
+        return Rated(_finite(struct.unpack("<6f", body)))
+    if command in (Command.GET_FILTER, Command.SET_FILTER):
+        index, *zeros = struct.unpack("<4B", body)
+        if not any(zeros):
+            return Filter(command, index)
+    if command in (Command.READ, Command.START):
+        *counts, reserve, status, zero = struct.unpack("<6hHBB", body)
+        if not zero:
+            return Sample(command, tuple(counts), status, reserve)
+    raise WireError("body", "leptrino frame", 4)
+
+
+def _finite(loads: tuple[float, ...]) -> tuple[float, ...]:
+    if not all(0 < load < 1e6 for load in loads):
+        raise WireError("range", "leptrino rated load", 4)
+    return loads

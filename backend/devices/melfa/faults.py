@@ -1,0 +1,209 @@
+"""Faults of the MELFA links."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+import threading
+from pathlib import Path
+
+from touchdown.backend.core import Fault, FaultError, lock_file
+from touchdown.backend.devices.melfa.protocol_r3 import (
+    EMERGENCY_ERRORS,
+    NOT_READY_ERRORS,
+    OUT_OF_RANGE_ERRORS,
+    REJECTED_ERRORS,
+)
+from touchdown.backend.devices.protocols import VOID_PRESS
+from touchdown.backend.devices.streamed import ARM, HELD, NOTHING_MOVED
+
+START = Fault(
+    "MXT-START",
+    "The controller's program runs, but no real-time reply comes.",
+    NOTHING_MOVED,
+    "Check the address of this computer in the program TDMXT, and the firewall.",
+    ARM,
+)
+
+VOID = Fault(
+    VOID_PRESS,
+    "Replies of the controller stayed away for 35 ms during a press.",
+    "The arm stood still meanwhile; the episode does not count.",
+    "Press again. If it happens often, look at the load of this computer and at the network.",
+    ARM,
+)
+
+
+def lost_fault(cycles: int) -> Fault:
+    """Return the fault of a stream whose replies stayed away."""
+    return Fault(
+        "MXT-LOST",
+        f"No real-time reply for {cycles} cycles.",
+        f"The stream was ended. {HELD}",
+        "Check the cable and the load of this computer, press Reset, then connect the arm again.",
+        ARM,
+    )
+
+
+def tilted_fault(degrees: float) -> Fault:
+    """Return the fault of a hand that leans too far to have been left so by this program."""
+    return Fault(
+        "TILTED",
+        f"The hand leans {degrees:.1f}° away from straight down.",
+        NOTHING_MOVED,
+        "Point it down with the teaching box, then connect again.",
+        ARM,
+    )
+
+
+def link_fault(what: str) -> Fault:
+    """Return the fault of a command channel that is not, or no longer, there."""
+    return Fault(
+        "ARM-LINK",
+        what,
+        "The arm is not commanded.",
+        "Check cable, address and the controller's port settings, then connect the arm again.",
+        ARM,
+    )
+
+
+def controller_fault(number: int, text: str = "") -> Fault:
+    """Return the fault of an error number of the controller."""
+    said = f"The controller reports error {number}" + (f": {text}." if text else ".")
+    if number in EMERGENCY_ERRORS:
+        step = "Release the emergency stop, press Reset, then connect the arm again."
+        return Fault("HW-STOP", said, "The hardware has stopped the arm.", step, ARM)
+    code, step = "CONTROLLER", "Look at the controller, press Reset, then connect the arm again."
+    if number in OUT_OF_RANGE_ERRORS:
+        code, step = "OUT-OF-RANGE", "Move the arm back with the teaching box, then press Reset."
+    elif number in NOT_READY_ERRORS:
+        code, step = "NOT-READY", "Automatic mode? Remote operation? Servo on? Then connect again."
+    elif number in REJECTED_ERRORS:
+        code, step = "REJECTED", "Load the programs of resources/melfa into the controller."
+    return Fault(code, said, HELD, step, ARM)
+
+
+def oversize_fault(cycles: int) -> Fault:
+    """Return the fault of a motion that asks for steps too large for so many cycles in a row."""
+    return Fault(
+        "STEPS-TOO-LARGE",
+        f"A motion asked for steps too large for its speed, {cycles} cycles in a row.",
+        HELD,
+        "This is an error of the program: keep its log, press Reset, then connect the arm again.",
+        ARM,
+    )
+
+
+def unlimited_fault() -> Fault:
+    """Return the fault of a controller that would go on waiting for packets for ever."""
+    return Fault(
+        "MXTTOUT",
+        "The controller does not end a real-time stream that falls silent (MXTTOUT is -1).",
+        NOTHING_MOVED,
+        "Set MXTTOUT to 57 in the controller, or allow it with melfa.mxt.allow_unlimited.",
+        ARM,
+    )
+
+
+def starved_fault(gap_s: float, watched_s: float) -> Fault:
+    """Return the fault of a computer that does not keep the time of a stream."""
+    return Fault(
+        "RIG-STARVED",
+        f"This computer left the arm without a cycle for {1e3 * gap_s:.0f} ms, watched for "
+        f"{watched_s:g} s before the stream was opened.",
+        NOTHING_MOVED,
+        "End what else keeps it busy, or allow real-time priority; then connect the arm again.",
+        ARM,
+    )
+
+
+def other_arm_fault(found: str, wanted: str) -> Fault:
+    """Return the fault of another robot type at this address."""
+    return Fault(
+        "OTHER-ARM",
+        f"The controller says its arm is {found}, not {wanted}.",
+        NOTHING_MOVED,
+        "Correct the address, or melfa.robot_type in the bench file.",
+        ARM,
+    )
+
+
+PREFIX, SUFFIX = "touchdown-arm-", ".lock"
+TRIES, AGAIN_S = 5, 0.02
+"""Who takes old files away holds each for an instant: that is no other program at the arm."""
+
+
+class Claim:
+    """Holds a controller until ``close``; raises ``FaultError`` if another program holds it."""
+
+    def __init__(self, host: str, port: int) -> None:
+        name = re.sub(r"[^A-Za-z0-9.-]", "_", host)
+        folder = Path(tempfile.gettempdir())
+        self._path = folder / f"{PREFIX}{name}-{port}{SUFFIX}"
+        _sweep(folder, self._path)
+        try:
+            self._descriptor = _lock_patiently(self._path)
+        except OSError as error:
+            raise FaultError(taken_fault(f"{host}:{port}")) from error
+
+    def close(self) -> None:
+        """Give the controller back."""
+        _take_away(self._descriptor, self._path)
+
+
+def _lock_patiently(path: Path) -> int:
+    for _ in range(TRIES - 1):
+        try:
+            return _lock(path)
+        except BlockingIOError:
+            threading.Event().wait(AGAIN_S)
+    return _lock(path)
+
+
+def _lock(path: Path) -> int:
+    """Lock ``path`` itself: not a file that was taken away while its lock was waited for."""
+    while True:
+        descriptor = lock_file(path)
+        if os.name != "posix" or _is_there(descriptor, path):
+            return descriptor
+        os.close(descriptor)
+
+
+def _is_there(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+def _take_away(descriptor: int, path: Path) -> None:
+    if os.name == "posix":
+        # Still locked: whoever waits for it finds that it is gone and makes a new one.
+        path.unlink(missing_ok=True)
+    os.close(descriptor)
+
+
+def _sweep(folder: Path, wanted: Path) -> None:
+    """Take away the files that nobody holds any more."""
+    if os.name != "posix":
+        return
+    for found in folder.glob(f"{PREFIX}*{SUFFIX}"):
+        if found == wanted:
+            continue
+        try:
+            descriptor = _lock(found)
+        except OSError:
+            continue
+        _take_away(descriptor, found)
+
+
+def taken_fault(address: str) -> Fault:
+    """Return the fault of a controller that another program of this computer drives."""
+    return Fault(
+        "ARM-TAKEN",
+        f"Another program on this computer drives the controller at {address}.",
+        NOTHING_MOVED,
+        "Close the arm there first.",
+        ARM,
+    )

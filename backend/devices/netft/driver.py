@@ -1,0 +1,126 @@
+"""Driver of a Net F/T sensor."""
+
+from __future__ import annotations
+
+import http.client
+import socket
+import threading
+
+from touchdown.backend.config import HardwareSettings
+from touchdown.backend.devices.force_torque import (
+    Greeting,
+    Link,
+    NotAnsweredError,
+    Reading,
+    Refusals,
+    UdpLink,
+    pause,
+)
+from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.netft import protocol
+from touchdown.backend.devices.netft.protocol import TCP_REQUEST, Command, Record, Request
+from touchdown.backend.devices.protocols import Identity
+
+ONROBOT_COUNTS = (10_000.0, 100_000.0)
+RATE_HZ = 1000.0
+SETTLE_S = 0.05
+ANSWER_S = 2.0
+PAGE, PAGE_BYTES = "/netftapi2.xml", 100_000
+CALIBRATION_BYTES = 24
+SEQUENCE_TURN = 1 << 32
+
+
+class NetFtLanguage:
+    """Old and doubled datagrams are dropped by their sequence; a gap counts as lost."""
+
+    baud = 0
+    chunk = protocol.RECORD_BYTES
+
+    def __init__(self, settings: HardwareSettings, address: str) -> None:
+        self._settings, self._address = settings.netft, address
+        self._period_s = 1.0 / (settings.ft.rate_hz or RATE_HZ)
+        self._counts: tuple[float, float] = (1.0, 1.0)
+        self._last: int | None = None
+        self._bad = self._bad_in_a_row = self._discarded = 0
+
+    def start(self, link: Link, cancel: threading.Event) -> Greeting:
+        """Learn the scale, stop an old stream, start."""
+        self._counts = self._scale(link)
+        for _ in range(2):
+            link.write(protocol.encode_request(Request(Command.STOP)))
+        pause(cancel, SETTLE_S)
+        link.drain()
+        self._last = None
+        link.write(protocol.encode_request(Request(Command.START)))
+        identity = Identity("ATI", "Net F/T", self._address, "")
+        return Greeting(identity, self._settings.rated, self._period_s, numbered=True)
+
+    def take(self, data: bytes) -> list[Reading]:
+        """Return the samples of one datagram that are newer than all before."""
+        if not data:
+            return []
+        try:
+            records = protocol.decode_records(data)
+        except WireError:
+            self._bad += 1
+            self._bad_in_a_row += 1
+            self._discarded += len(data)
+            return []
+        self._bad_in_a_row = 0
+        return [reading for record in records if (reading := self._reading(record))]
+
+    @property
+    def refusals(self) -> Refusals:
+        """Datagrams that were none."""
+        return Refusals(self._bad, self._bad_in_a_row, self._discarded)
+
+    def stop(self, link: Link) -> None:
+        """Three times: a datagram may be lost."""
+        for _ in range(3):
+            link.write(protocol.encode_request(Request(Command.STOP)))
+
+    def _reading(self, record: Record) -> Reading | None:
+        missed, last = 0, self._last
+        if last is not None:
+            step = (record.rdt_sequence - last) % SEQUENCE_TURN
+            if step == 0 or step > SEQUENCE_TURN // 2:
+                return None
+            missed = step - 1
+        self._last = record.rdt_sequence
+        trouble = f"The sensor reports status {record.status:08X}h" if record.status else ""
+        return Reading(record.wrench(*self._counts), missed, trouble=trouble)
+
+    def _scale(self, link: Link) -> tuple[float, float]:
+        """Return counts per N and per N·m: from the page, the TCP channel, else the settings."""
+        if self._settings.onrobot:
+            return ONROBOT_COUNTS
+        host = link.host if isinstance(link, UdpLink) else ""
+        for tell in (self._page, self._calibration):
+            try:
+                return tell(host)
+            except (OSError, http.client.HTTPException):
+                continue
+        if self._settings.counts is None:
+            raise NotAnsweredError("The box does not tell its scale, and netft.counts is unset")
+        return self._settings.counts
+
+    def _page(self, host: str) -> tuple[float, float]:
+        connection = http.client.HTTPConnection(host, self._settings.http_port, timeout=ANSWER_S)
+        try:
+            connection.request("GET", PAGE)
+            answer = connection.getresponse()
+            content = answer.read(PAGE_BYTES)
+        finally:
+            connection.close()
+        if answer.status != http.client.OK:
+            raise OSError(f"status {answer.status}")
+        return protocol.decode_page(content)
+
+    def _calibration(self, host: str) -> tuple[float, float]:
+        with socket.create_connection((host, self._settings.tcp_port), timeout=ANSWER_S) as line:
+            line.sendall(TCP_REQUEST)
+            heard = b""
+            while len(heard) < CALIBRATION_BYTES and (more := line.recv(CALIBRATION_BYTES)):
+                heard += more
+        told = protocol.decode_calibration(heard)
+        return float(told.counts_per_n), float(told.counts_per_nm)

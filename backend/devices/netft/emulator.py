@@ -1,0 +1,137 @@
+"""Emulated Net F/T sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.netft import protocol
+from touchdown.backend.devices.netft.protocol import (
+    TCP_REQUEST,
+    UNIT_NEWTON,
+    UNIT_NEWTON_METRE,
+    Calibration,
+    Command,
+    Record,
+)
+from touchdown.backend.emulation import Pace
+
+PER_UNIT = 1_000_000
+RATE_HZ = 1000.0
+SEQUENCE_TURN = 1 << 32
+SATURATED = 0x0002_0000
+"""Status bit of a gauge at its end."""
+_LIMIT = 0x7FFF_FFFF
+_STARTS = (Command.START, Command.START_AXIA, Command.START_BUFFERED)
+
+
+class EmulatedNetFt:
+    """``wrench(now_s)`` gives six values, N and N·m; one client, the last who asked."""
+
+    def __init__(
+        self, wrench: Callable[[float], Sequence[float]], *, rate_hz: float = RATE_HZ
+    ) -> None:
+        self._wrench, self._period_s = wrench, 1.0 / rate_hz
+        self.pace = Pace()
+        self._left: int | None = None
+        self._sequence = self._ft_sequence = 0
+        self._bias: tuple[int, ...] = (0,) * 6
+
+    def receive(self, now_s: float, data: bytes) -> list[bytes]:
+        """Take one request; nothing answers it but records."""
+        try:
+            request = protocol.decode_request(data)
+        except WireError:
+            return []
+        if request.command == Command.BIAS:
+            self._bias = self._raw(now_s)
+        elif request.command == Command.STOP:
+            self.pace.end()
+        elif request.command in _STARTS:
+            self._left = request.count or None
+            self._sequence = 0
+            self.pace.begin(now_s, self._period_s)
+        return []
+
+    def due(self, now_s: float) -> list[bytes]:
+        """Return the records up to now, one a datagram."""
+        late, times = self.pace.due(now_s)
+        self._sequence = (self._sequence + late) % SEQUENCE_TURN
+        if self._left is not None:
+            times = times[: self._left]
+            self._left -= len(times)
+            if not self._left:
+                self.pace.end()
+        return [protocol.encode_records((self._record(t_s),)) for t_s in times]
+
+    def _raw(self, now_s: float) -> tuple[int, ...]:
+        return tuple(round(value * PER_UNIT) for value in self._wrench(now_s))
+
+    def _record(self, now_s: float) -> Record:
+        self._sequence = (self._sequence + 1) % SEQUENCE_TURN
+        self._ft_sequence = round(now_s / self._period_s) % SEQUENCE_TURN
+        raw = [count - bias for count, bias in zip(self._raw(now_s), self._bias, strict=True)]
+        status = SATURATED if max(map(abs, raw)) > _LIMIT else 0
+        counts = tuple(min(max(count, -_LIMIT), _LIMIT) for count in raw)
+        return Record(self._sequence, self._ft_sequence, status, counts)
+
+
+class EmulatedCalibration:
+    """The TCP channel of an Ethernet Axia: 20 bytes in, the scale out."""
+
+    def __init__(self) -> None:
+        self._heard = b""
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Answer a whole request."""
+        self._heard += data
+        if len(self._heard) < len(TCP_REQUEST):
+            return b""
+        whole, self._heard = self._heard[: len(TCP_REQUEST)], b""
+        if whole != TCP_REQUEST:
+            return b""
+        scale = Calibration(UNIT_NEWTON, UNIT_NEWTON_METRE, PER_UNIT, PER_UNIT, (1,) * 6)
+        return protocol.encode_calibration(scale)
+
+    def due(self, now_s: float) -> bytes:
+        """Nothing."""
+        return b""
+
+    def closed(self, now_s: float) -> None:
+        """Forget half a request."""
+        self._heard = b""
+
+
+class EmulatedPage:
+    """The page of a Net F/T box: one request, one answer."""
+
+    def __init__(self, force_unit: str = "N", torque_unit: str = "N-m") -> None:
+        self._units = force_unit, torque_unit
+        self._heard = b""
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Answer a whole request."""
+        self._heard += data
+        if b"\r\n\r\n" not in self._heard:
+            return b""
+        found = self._heard.startswith(b"GET /netftapi2.xml ")
+        self._heard = b""
+        force_unit, torque_unit = self._units
+        body = (
+            '<?xml version="1.0"?><netft>'
+            f"<cfgcpf>{PER_UNIT}</cfgcpf><cfgcpt>{PER_UNIT}</cfgcpt>"
+            f"<scfgfu>{force_unit}</scfgfu><scfgtu>{torque_unit}</scfgtu></netft>"
+            if found
+            else ""
+        ).encode()
+        status = b"200 OK" if found else b"404 Not Found"
+        head = b"HTTP/1.1 %b\r\nContent-Type: text/xml\r\nContent-Length: %d\r\n\r\n"
+        return head % (status, len(body)) + body
+
+    def due(self, now_s: float) -> bytes:
+        """Nothing."""
+        return b""
+
+    def closed(self, now_s: float) -> None:
+        """Forget half a request."""
+        self._heard = b""

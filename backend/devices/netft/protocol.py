@@ -1,0 +1,148 @@
+"""Net F/T UDP records and TCP requests."""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+
+from touchdown.backend.devices.framing import WireError, Wrench, expect_length, wrench_of
+
+RDT_PORT, TCP_PORT = 49152, 49151
+HEADER = 0x1234
+RECORD_BYTES = 36
+TCP_REQUEST = b"\x01" + bytes(19)
+"""Asks for the calibration on the TCP channel."""
+UNIT_NEWTON, UNIT_NEWTON_METRE = 2, 3
+
+_REQUEST = struct.Struct(">HHI")
+_RECORD = struct.Struct(">3I6i")
+_CALIBRATION = struct.Struct(">HBB2I6H")
+
+
+class Command(IntEnum):
+    """Requests; the last two exist on OnRobot boxes only and are unconfirmed."""
+
+    STOP = 0x0000
+    START_AXIA = 0x0001
+    START = 0x0002
+    START_BUFFERED = 0x0003
+    BIAS = 0x0042
+    FILTER = 0x0082
+    SPEED = 0x0083
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """``count`` records are wanted, 0 means without end."""
+
+    command: int
+    count: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One sample; ``status`` other than 0 is a fault of the sensor."""
+
+    rdt_sequence: int
+    ft_sequence: int
+    status: int
+    counts: tuple[int, ...]
+
+    def wrench(self, counts_per_n: float, counts_per_nm: float) -> Wrench:
+        """Scale by the calibration of the sensor."""
+        forces, torques = self.counts[:3], self.counts[3:]
+        return wrench_of(
+            [*(c / counts_per_n for c in forces), *(c / counts_per_nm for c in torques)]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Answer on the TCP channel; ``scale`` as sent."""
+
+    force_unit: int
+    torque_unit: int
+    counts_per_n: int
+    counts_per_nm: int
+    scale: tuple[int, ...]
+
+
+def encode_request(request: Request) -> bytes:
+    """Return the 8 bytes."""
+    try:
+        return _REQUEST.pack(HEADER, request.command, request.count)
+    except struct.error as error:
+        raise WireError("range", "rdt request", 2) from error
+
+
+def decode_request(data: bytes) -> Request:
+    """Return the request of one datagram; raises ``WireError``."""
+    expect_length(data, _REQUEST.size, "rdt request")
+    header, command, count = _REQUEST.unpack(data)
+    if header != HEADER:
+        raise WireError("header", "rdt request")
+    return Request(command, count)
+
+
+def encode_records(records: tuple[Record, ...]) -> bytes:
+    """Return one datagram."""
+    try:
+        return b"".join(
+            _RECORD.pack(r.rdt_sequence, r.ft_sequence, r.status, *r.counts) for r in records
+        )
+    except struct.error as error:
+        raise WireError("range", "rdt record") from error
+
+
+def decode_records(data: bytes) -> tuple[Record, ...]:
+    """Return the records of one datagram, one or (buffered) several; raises ``WireError``."""
+    if not data or len(data) % RECORD_BYTES:
+        raise WireError("length", "rdt record", len(data))
+    rows = _RECORD.iter_unpack(data)
+    return tuple(Record(rdt, ft, status, tuple(counts)) for rdt, ft, status, *counts in rows)
+
+
+def encode_calibration(calibration: Calibration) -> bytes:
+    """Return the answer on the TCP channel."""
+    units = calibration.force_unit, calibration.torque_unit
+    counts = calibration.counts_per_n, calibration.counts_per_nm
+    try:
+        return _CALIBRATION.pack(HEADER, *units, *counts, *calibration.scale)
+    except struct.error as error:
+        raise WireError("range", "netft calibration") from error
+
+
+def decode_calibration(data: bytes) -> Calibration:
+    """Return the calibration; refuses units other than N and N·m."""
+    expect_length(data, _CALIBRATION.size, "netft calibration")
+    header, force_unit, torque_unit, per_n, per_nm, *scale = _CALIBRATION.unpack(data)
+    if header != HEADER:
+        raise WireError("header", "netft calibration")
+    if (force_unit, torque_unit) != (UNIT_NEWTON, UNIT_NEWTON_METRE):
+        raise WireError("unit", "netft calibration", 2)
+    if not per_n or not per_nm:
+        raise WireError("range", "netft calibration", 4)
+    return Calibration(force_unit, torque_unit, per_n, per_nm, tuple(scale))
+
+
+def decode_page(page: bytes) -> tuple[float, float]:
+    """Return counts per N and per N·m from ``netftapi2.xml``; refuses other units."""
+
+    def field(name: bytes) -> bytes:
+        found = re.search(b"<" + name + rb">\s*([^<>\s]{1,20})\s*</" + name + b">", page)
+        if found is None:
+            raise WireError("field", f"netft page, {name.decode()}")
+        return found[1]
+
+    if field(b"scfgfu") != b"N" or field(b"scfgtu") not in (b"N-m", b"Nm"):
+        raise WireError("unit", "netft page")
+    try:
+        counts = float(field(b"cfgcpf")), float(field(b"cfgcpt"))
+    except ValueError as error:
+        raise WireError("number", "netft page") from error
+    if not all(math.isfinite(count) and count > 0 for count in counts):
+        raise WireError("range", "netft page")
+    return counts

@@ -1,0 +1,88 @@
+"""Driver of an OptoForce sensor."""
+
+from __future__ import annotations
+
+import threading
+
+from touchdown.backend.config import HardwareSettings
+from touchdown.backend.core import InputError
+from touchdown.backend.devices.force_torque import (
+    Greeting,
+    Link,
+    NotAnsweredError,
+    Reading,
+    Refusals,
+    ask,
+)
+from touchdown.backend.devices.optoforce import protocol
+from touchdown.backend.devices.optoforce.protocol import SPEED_HZ, Ack, Config, Frame
+from touchdown.backend.devices.protocols import Identity
+
+COUNT_TURN = 1 << 16
+OLD = 1000
+"""A count so little before the newest is late; one farther back is a restart."""
+SPEED, NO_FILTER = 1, 0
+
+
+class OptoforceLanguage:
+    """Losses follow from the count of the sensor; raises ``InputError`` without a scale."""
+
+    baud = 1_000_000
+    chunk = 44
+
+    def __init__(self, settings: HardwareSettings, address: str) -> None:
+        counts, capacity = settings.optoforce.counts, settings.optoforce.capacity
+        if counts is None or capacity is None:
+            raise InputError(
+                "The scale of this sensor is not known.",
+                "optoforce.counts, optoforce.capacity",
+                "Copy both from the data sheet of the very sensor into the bench file.",
+            )
+        self._counts, self._capacity, self._address = counts, capacity, address
+        self._decoder = protocol.incoming()
+        self._last: int | None = None
+
+    def start(self, link: Link, cancel: threading.Event) -> Greeting:
+        """Ask for the full rate without filter; the acknowledge may come between frames."""
+        link.drain()
+
+        def find(data: bytes) -> Ack | None:
+            return next((m for m in self._decoder.feed(data) if isinstance(m, Ack)), None)
+
+        ack = ask(link, cancel, protocol.encode(Config(SPEED, NO_FILTER)), find)
+        if ack.status != 0:
+            raise NotAnsweredError(f"The sensor refuses its configuration ({ack.status})")
+        self._last = None
+        identity = Identity("OnRobot", "HEX", self._address, "")
+        return Greeting(identity, self._capacity, 1.0 / SPEED_HZ[SPEED], numbered=True)
+
+    def take(self, data: bytes) -> list[Reading]:
+        """Return the samples of six axes."""
+        frames = (m for m in self._decoder.feed(data) if isinstance(m, Frame))
+        whole = (frame for frame in frames if len(frame.counts) == 6)
+        return [self._reading(frame) for frame in whole if not self._is_old(frame)]
+
+    @property
+    def refusals(self) -> Refusals:
+        """Frames that were none."""
+        decoder = self._decoder
+        return Refusals(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
+
+    def stop(self, link: Link) -> None:
+        """Speed 0."""
+        link.write(protocol.encode(Config(0, NO_FILTER)))
+
+    def _is_old(self, frame: Frame) -> bool:
+        """Whether it comes after one that was taken later, or twice."""
+        return self._last is not None and (self._last - frame.count) % COUNT_TURN <= OLD
+
+    def _reading(self, frame: Frame) -> Reading:
+        missed, last = 0, self._last
+        self._last = frame.count
+        if last is not None:
+            missed = (frame.count - last - 1) % COUNT_TURN
+        trouble = ""
+        if frame.daq or frame.sensor:
+            trouble = f"The sensor reports a failure (unit {frame.daq}, sensor {frame.sensor})"
+        wrench = frame.wrench(self._counts, self._capacity)
+        return Reading(wrench, missed, bool(frame.overload), trouble)

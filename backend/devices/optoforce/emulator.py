@@ -1,0 +1,74 @@
+"""Emulated OptoForce sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from touchdown.backend.devices.optoforce import protocol
+from touchdown.backend.devices.optoforce.protocol import SPEED_HZ, ZERO_NOW, Ack, Config, Frame
+from touchdown.backend.emulation import Pace
+
+COUNTS = (10_000.0, 10_000.0, 10_000.0, 10_000.0, 10_000.0, 10_000.0)
+CAPACITY = (200.0, 200.0, 200.0, 6.5, 6.5, 6.5)
+COUNT_TURN = 1 << 16
+BAD_CONFIG = 1
+_LIMIT = 0x7FFF
+_OVERLOAD_BITS = (9, 8, 7, 6, 5, 4)
+
+
+class EmulatedOptoforce:
+    """``wrench(now_s)`` gives six values, N and N·m; scaled by ``counts`` at ``capacity``."""
+
+    def __init__(
+        self,
+        wrench: Callable[[float], Sequence[float]],
+        *,
+        counts: Sequence[float] = COUNTS,
+        capacity: Sequence[float] = CAPACITY,
+    ) -> None:
+        self._wrench, self._capacity = wrench, tuple(capacity)
+        self._per_unit = tuple(c / load for c, load in zip(counts, capacity, strict=True))
+        self._requests = protocol.requests()
+        self.pace = Pace()
+        self._count = 0
+        self._zero: tuple[int, ...] = (0,) * 6
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Take configurations; return their acknowledges."""
+        return b"".join(self._answer(now_s, request) for request in self._requests.feed(data))
+
+    def due(self, now_s: float) -> bytes:
+        """Return the frames of the stream up to now."""
+        late, times = self.pace.due(now_s)
+        self._count = (self._count + late) % COUNT_TURN
+        return b"".join(map(self._frame, times))
+
+    def closed(self, now_s: float) -> None:
+        """Nothing: a sensor on a serial line does not notice."""
+
+    def _answer(self, now_s: float, request: Config) -> bytes:
+        if request.speed not in SPEED_HZ or request.filter not in protocol.FILTER_HZ:
+            return protocol.encode(Ack(BAD_CONFIG))
+        self._zero = self._raw(now_s) if request.zero == ZERO_NOW else (0,) * 6
+        rate_hz = SPEED_HZ[request.speed]
+        if rate_hz:
+            self.pace.begin(now_s, 1.0 / rate_hz)
+        else:
+            self.pace.end()
+        return protocol.encode(Ack(0))
+
+    def _raw(self, now_s: float) -> tuple[int, ...]:
+        pairs = zip(self._wrench(now_s), self._per_unit, strict=True)
+        return tuple(round(value * factor) for value, factor in pairs)
+
+    def _frame(self, now_s: float) -> bytes:
+        raw = self._raw(now_s)
+        status = 0
+        for bit, count, factor, load in zip(
+            _OVERLOAD_BITS, raw, self._per_unit, self._capacity, strict=True
+        ):
+            status |= (abs(count) > factor * load) << bit
+        zeroed = (min(max(c - z, -_LIMIT), _LIMIT) for c, z in zip(raw, self._zero, strict=True))
+        frame = Frame(self._count, status, tuple(zeroed))
+        self._count = (self._count + 1) % COUNT_TURN
+        return protocol.encode(frame)

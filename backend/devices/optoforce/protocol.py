@@ -1,0 +1,192 @@
+"""OptoForce frames."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+from touchdown.backend.devices.framing import (
+    FrameStream,
+    Step,
+    WireError,
+    Wrench,
+    noise_until,
+    sum16,
+    wrench_of,
+)
+
+SPEED_HZ = {0: 0, 1: 1000, 3: 333, 10: 100, 33: 30, 100: 10}
+"""Rate of each ``speed`` code; 0 stops the stream."""
+FILTER_HZ = {0: None, 1: 500.0, 2: 150.0, 3: 50.0, 4: 15.0, 5: 5.0, 6: 1.5}
+"""Cut-off of each ``filter`` code."""
+ZERO_NOW = 255
+
+_CONFIG, _ACK, _FRAME = b"\xaa\x00\x32\x03", b"\xaa\x00\x50\x01", b"\xaa\x07\x08"
+_AXES = {0x0A: 3, 0x10: 6, 0x1C: 12}
+_OVERLOADS = ((9, "Fx"), (8, "Fy"), (7, "Fz"), (6, "Tx"), (5, "Ty"), (4, "Tz"))
+
+
+class Daq(IntEnum):
+    """Fault of the acquisition unit, bits 15 to 13 of the status."""
+
+    ERROR = 1
+    COMMUNICATION = 2
+
+
+class Sensor(IntEnum):
+    """Fault of the sensor, bits 12 to 10 of the status."""
+
+    NOT_DETECTED = 1
+    FAILURE = 2
+    TEMPERATURE = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """Codes of ``SPEED_HZ`` and ``FILTER_HZ``; ``zero`` 0, or 255 to set the sensor's own zero."""
+
+    speed: int
+    filter: int
+    zero: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """Answer to a configuration; ``status`` 0 is good."""
+
+    status: int
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One sample of 3, 6 or 12 axes; ``count`` wraps at 65536."""
+
+    count: int
+    status: int
+    counts: tuple[int, ...]
+
+    @property
+    def daq(self) -> int:
+        """0, or a ``Daq`` fault."""
+        return self.status >> 13
+
+    @property
+    def sensor(self) -> int:
+        """0, or a ``Sensor`` fault."""
+        return self.status >> 10 & 7
+
+    @property
+    def overload(self) -> tuple[str, ...]:
+        """Axes over their capacity."""
+        return tuple(name for bit, name in _OVERLOADS if self.status >> bit & 1)
+
+    @property
+    def several(self) -> bool:
+        """Whether several sensors report."""
+        return bool(self.status >> 3 & 1)
+
+    @property
+    def sensor_number(self) -> int:
+        """Which sensor reports."""
+        return self.status & 7
+
+    def scaled(self, counts_at_capacity: Sequence[float], capacity: Sequence[float]) -> list[float]:
+        """Return N (N·m) per axis, by the data sheet of the very sensor."""
+        triples = zip(self.counts, counts_at_capacity, capacity, strict=True)
+        return [count / full * load for count, full, load in triples]
+
+    def wrench(self, counts_at_capacity: Sequence[float], capacity: Sequence[float]) -> Wrench:
+        """Return the wrench of a sensor of six axes."""
+        return wrench_of(self.scaled(counts_at_capacity, capacity))
+
+
+Incoming = Frame | Ack
+
+
+def encode(message: Incoming | Config) -> bytes:
+    """Return the bytes of any message of this protocol."""
+    try:
+        body = _body(message)
+    except (struct.error, ValueError) as error:
+        raise WireError("range", "optoforce message", 4) from error
+    return body + struct.pack(">H", sum16(body))
+
+
+def _body(message: Incoming | Config) -> bytes:
+    if isinstance(message, Config):
+        return _CONFIG + bytes((message.speed, message.filter, message.zero))
+    if isinstance(message, Ack):
+        return _ACK + bytes((message.status,))
+    kind = {axes: code for code, axes in _AXES.items()}.get(len(message.counts))
+    if kind is None:
+        raise WireError("length", "optoforce frame", 8)
+    content = struct.pack(
+        f">HH{len(message.counts)}h", message.count, message.status, *message.counts
+    )
+    return _FRAME + bytes((kind,)) + content
+
+
+def decode(frame: bytes) -> Incoming:
+    """Return the message of one whole frame from the sensor; raises ``WireError``."""
+    length = _length(frame, 0)
+    if length == 0:
+        raise WireError("header", "optoforce frame")
+    if length is None or length != len(frame):
+        raise WireError("length", "optoforce frame", len(frame))
+    body = _summed(frame)
+    if body[:4] == _ACK:
+        return Ack(body[4])
+    count, status, *counts = struct.unpack(f">HH{_AXES[body[3]]}h", body[4:])
+    return Frame(count, status, tuple(counts))
+
+
+def incoming() -> FrameStream[Incoming]:
+    """Return the decoder of what the sensor sends."""
+    return FrameStream(_take)
+
+
+def requests() -> FrameStream[Config]:
+    """Return the decoder of what the sensor is sent."""
+    return FrameStream(_take_request)
+
+
+def _summed(frame: bytes) -> bytes:
+    if sum16(frame[:-2]) != int.from_bytes(frame[-2:], "big"):
+        raise WireError("sum", "optoforce frame", len(frame) - 2)
+    return frame[:-2]
+
+
+def _length(data: bytes, at: int) -> int | None:
+    """Return how long the frame at ``at`` is; 0 if none starts there, None if not known yet."""
+    head = data[at : at + 4]
+    if head == _ACK:
+        return 7
+    if len(head) == 4 and head[:3] == _FRAME:
+        return 10 + 2 * _AXES[head[3]] if head[3] in _AXES else 0
+    return None if len(head) < 4 and (_ACK.startswith(head) or _FRAME.startswith(head)) else 0
+
+
+def _take(data: bytes, at: int) -> Step[Incoming] | None:
+    length = _length(data, at)
+    if length == 0:
+        return noise_until(data, at, b"\xaa")
+    if length is None or at + length > len(data):
+        return None
+    try:
+        return Step(length, decode(data[at : at + length]))
+    except WireError:
+        return Step(1, refused=True)
+
+
+def _take_request(data: bytes, at: int) -> Step[Config] | None:
+    head = data[at : at + 4]
+    if not _CONFIG.startswith(head):
+        return noise_until(data, at, b"\xaa")
+    if len(data) - at < 9:
+        return None
+    try:
+        return Step(9, Config(*_summed(data[at : at + 9])[4:]))
+    except WireError:
+        return Step(1, refused=True)

@@ -1,0 +1,389 @@
+"""WSG binary protocol: frames, commands, layouts."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import TypeAlias
+
+from touchdown.backend.devices.framing import FrameStream, Step, WireError, crc_wsg, noise_until
+
+
+class Command(IntEnum):
+    """Command ids."""
+
+    LOOP = 0x06
+    DISCONNECT = 0x07
+    HOME = 0x20
+    PREPOSITION = 0x21
+    STOP = 0x22
+    FAST_STOP = 0x23
+    ACKNOWLEDGE = 0x24
+    GRASP = 0x25
+    RELEASE = 0x26
+    SET_ACCELERATION = 0x30
+    GET_ACCELERATION = 0x31
+    SET_FORCE_LIMIT = 0x32
+    GET_FORCE_LIMIT = 0x33
+    SET_SOFT_LIMITS = 0x34
+    GET_SOFT_LIMITS = 0x35
+    CLEAR_SOFT_LIMITS = 0x36
+    OVERDRIVE = 0x37
+    TARE = 0x38
+    SYSTEM_STATE = 0x40
+    GRASP_STATE = 0x41
+    STATISTICS = 0x42
+    WIDTH = 0x43
+    SPEED = 0x44
+    FORCE = 0x45
+    TEMPERATURE = 0x46
+    SYSTEM_INFO = 0x50
+    SET_TAG = 0x51
+    GET_TAG = 0x52
+    SYSTEM_LIMITS = 0x53
+
+
+class Status(IntEnum):
+    """Status of a reply; any other value is a fault of the device."""
+
+    SUCCESS = 0
+    NOT_AVAILABLE = 1
+    NO_SENSOR = 2
+    NOT_INITIALIZED = 3
+    ALREADY_RUNNING = 4
+    FEATURE_NOT_SUPPORTED = 5
+    INCONSISTENT_DATA = 6
+    TIMEOUT = 7
+    READ_ERROR = 8
+    WRITE_ERROR = 9
+    INSUFFICIENT_RESOURCES = 10
+    CHECKSUM_ERROR = 11
+    NO_PARAM_EXPECTED = 12
+    NOT_ENOUGH_PARAMS = 13
+    CMD_UNKNOWN = 14
+    CMD_FORMAT_ERROR = 15
+    ACCESS_DENIED = 16
+    ALREADY_OPEN = 17
+    CMD_FAILED = 18
+    CMD_ABORTED = 19
+    INVALID_HANDLE = 20
+    NOT_FOUND = 21
+    NOT_OPEN = 22
+    IO_ERROR = 23
+    INVALID_PARAMETER = 24
+    INDEX_OUT_OF_BOUNDS = 25
+    CMD_PENDING = 26
+    OVERRUN = 27
+    RANGE_ERROR = 28
+    AXIS_BLOCKED = 29
+    FILE_EXISTS = 30
+
+
+class SystemFlag(IntFlag):
+    """Bits of the system state."""
+
+    REFERENCED = 1 << 0
+    MOVING = 1 << 1
+    BLOCKED_MINUS = 1 << 2
+    BLOCKED_PLUS = 1 << 3
+    SOFT_LIMIT_MINUS = 1 << 4
+    SOFT_LIMIT_PLUS = 1 << 5
+    AXIS_STOPPED = 1 << 6
+    TARGET_POS_REACHED = 1 << 7
+    OVERDRIVE_MODE = 1 << 8
+    FORCECNTL_MODE = 1 << 9
+    FAST_STOP = 1 << 12
+    TEMP_WARNING = 1 << 13
+    TEMP_FAULT = 1 << 14
+    POWER_FAULT = 1 << 15
+    CURR_FAULT = 1 << 16
+    FINGER_FAULT = 1 << 17
+    CMD_FAILURE = 1 << 18
+    SCRIPT_RUNNING = 1 << 19
+    SCRIPT_FAILURE = 1 << 20
+
+
+class GraspState(IntEnum):
+    """Grasping states; ERROR only in newer firmware."""
+
+    IDLE = 0
+    GRASPING = 1
+    NO_PART_FOUND = 2
+    PART_LOST = 3
+    HOLDING = 4
+    RELEASING = 5
+    POSITIONING = 6
+    ERROR = 7
+
+
+LONGEST_UNKNOWN = 64
+"""Payload of a command not in the tables; longer ones are taken for noise."""
+TEXT: dict[int, int] = {Command.LOOP: 256, Command.SET_TAG: 64, Command.GET_TAG: 64}
+"""Commands whose content is bytes of any length up to this."""
+
+_UPDATE, NOTHING = "<BH", "<"
+REQUESTS: dict[int, str] = {
+    **dict.fromkeys(Command, NOTHING),
+    Command.HOME: "<B",
+    Command.PREPOSITION: "<Bff",
+    Command.ACKNOWLEDGE: "<3s",
+    Command.GRASP: "<ff",
+    Command.RELEASE: "<ff",
+    Command.SET_ACCELERATION: "<f",
+    Command.SET_FORCE_LIMIT: "<f",
+    Command.SET_SOFT_LIMITS: "<ff",
+    Command.OVERDRIVE: "<B",
+    Command.STATISTICS: "<B",
+    Command.SYSTEM_STATE: _UPDATE,
+    Command.GRASP_STATE: _UPDATE,
+    Command.WIDTH: _UPDATE,
+    Command.SPEED: _UPDATE,
+    Command.FORCE: _UPDATE,
+}
+"""Layout of the payload of each request."""
+
+REPLIES: dict[int, tuple[str, ...]] = {
+    **dict.fromkeys(Command, (NOTHING,)),
+    Command.SET_ACCELERATION: (NOTHING, "<f"),
+    Command.GET_ACCELERATION: ("<f",),
+    Command.GET_FORCE_LIMIT: ("<f",),
+    Command.GET_SOFT_LIMITS: ("<ff",),
+    Command.SYSTEM_STATE: ("<I",),
+    Command.GRASP_STATE: ("<B",),
+    Command.STATISTICS: ("<IHH",),
+    Command.WIDTH: ("<f",),
+    Command.SPEED: ("<f",),
+    Command.FORCE: ("<f",),
+    Command.TEMPERATURE: ("<h",),
+    Command.SYSTEM_INFO: ("<BBHI",),
+    Command.SYSTEM_LIMITS: ("<8f",),
+}
+"""Layouts of what follows status 0 in each reply; the manual prints 30h with a value."""
+
+
+PORT = 1000
+PREAMBLE = b"\xaa\xaa\xaa"
+ACKNOWLEDGE_KEY = b"ack"
+
+_HEAD, _CRC = 6, 2
+Number: TypeAlias = float | int | bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A command; ``values`` as in ``REQUESTS``, or the bytes of a text or of an unknown command."""
+
+    command: int
+    values: tuple[Number, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A request that cannot be carried out as sent, and the status to answer with."""
+
+    command: int
+    status: Status
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """Answer, result or update; ``values`` only with status 0, temperature in degrees Celsius."""
+
+    command: int
+    status: int
+    values: tuple[Number, ...] = ()
+
+
+Incoming = Request | Refused
+
+
+def home(direction: int = 0) -> Request:
+    """Move to the end stop that sets the origin: 0 as configured, 1 open, 2 closed."""
+    return Request(Command.HOME, (direction,))
+
+
+def preposition(
+    width_mm: float, speed_mm_s: float, *, relative: bool = False, stop_on_block: bool = False
+) -> Request:
+    """Move the fingers; a block ends it in either mode, without ``stop_on_block`` pressing on."""
+    return Request(Command.PREPOSITION, (relative | stop_on_block << 1, width_mm, speed_mm_s))
+
+
+def grasp(width_mm: float, speed_mm_s: float) -> Request:
+    """Close on a part of this width."""
+    return Request(Command.GRASP, (width_mm, speed_mm_s))
+
+
+def release(width_mm: float, speed_mm_s: float) -> Request:
+    """Open to this width."""
+    return Request(Command.RELEASE, (width_mm, speed_mm_s))
+
+
+def acknowledge() -> Request:
+    """Acknowledge a fast stop or fault."""
+    return Request(Command.ACKNOWLEDGE, (ACKNOWLEDGE_KEY,))
+
+
+def set_force_limit(force_sum_n: float) -> Request:
+    """Set the force limit, the sum over both fingers."""
+    return Request(Command.SET_FORCE_LIMIT, (force_sum_n,))
+
+
+def update(command: Command, period_ms: int = 0, *, on_change: bool = False) -> Request:
+    """Ask for a reading once (period 0), or again and again; ``on_change`` only when it differs."""
+    return Request(command, ((period_ms > 0) | on_change << 1, period_ms))
+
+
+def encode_request(request: Request) -> bytes:
+    """Return the frame; raises ``WireError`` if a value does not fit or is no number."""
+    layout = REQUESTS.get(request.command)
+    if layout is None or (request.command in TEXT and request.values):
+        return _frame(request.command, _only_bytes(request.values, request.command))
+    return _frame(request.command, _pack(layout, request.values))
+
+
+def encode_reply(reply: Reply) -> bytes:
+    """Return the frame."""
+    if not 0 <= reply.status <= 0xFFFF:
+        raise WireError("range", "wsg status", _HEAD)
+    values = reply.values
+    if reply.command == Command.TEMPERATURE and values:
+        values = (round(float(values[0]) * 10),)
+    if reply.command in TEXT and reply.command != Command.SET_TAG and values:
+        content = _only_bytes(values, reply.command)
+    elif reply.status != Status.SUCCESS or not values:
+        content = _pack(NOTHING, values)
+    else:
+        content = _pack(REPLIES.get(reply.command, (NOTHING,))[-1], values)
+    return _frame(reply.command, struct.pack("<H", reply.status) + content)
+
+
+def requests() -> FrameStream[Incoming]:
+    """Return the decoder of a gripper; what it cannot carry out comes out as ``Refused``."""
+    return FrameStream(_take_request)
+
+
+def replies() -> FrameStream[Reply]:
+    """Return the decoder of whoever drives a gripper."""
+    return FrameStream(_take_reply)
+
+
+def decode_reply(frame: bytes) -> Reply:
+    """Return the reply of one whole frame; raises ``WireError``."""
+    size = _size(frame, 0)
+    if size == 0 or size is None or len(frame) != size:
+        raise WireError("length", "wsg frame", len(frame))
+    return _reply(frame[3], _payload(frame))
+
+
+def _frame(command: int, payload: bytes) -> bytes:
+    if not 0 <= command <= 0xFF:
+        raise WireError("command", "wsg frame", 3)
+    body = PREAMBLE + struct.pack("<BH", command, len(payload)) + payload
+    return body + struct.pack("<H", crc_wsg(body))
+
+
+def _pack(layout: str, values: tuple[Number, ...]) -> bytes:
+    if not all(isinstance(value, bytes) or math.isfinite(value) for value in values):
+        raise WireError("number", "wsg payload", _HEAD)
+    try:
+        return struct.pack(layout, *values)
+    except (struct.error, OverflowError) as error:
+        raise WireError("range", "wsg payload", _HEAD) from error
+
+
+def _only_bytes(values: tuple[Number, ...], command: int) -> bytes:
+    content = values[0] if len(values) == 1 else b"" if not values else None
+    if not isinstance(content, bytes) or len(content) > TEXT.get(command, LONGEST_UNKNOWN):
+        raise WireError("range", "wsg payload", _HEAD)
+    return content
+
+
+def _size(data: bytes, at: int) -> int | None:
+    """Return how long the frame at ``at`` is; 0 if none starts there, None if not known yet."""
+    head = data[at : at + _HEAD]
+    if not (head.startswith(PREAMBLE) or PREAMBLE.startswith(head)):
+        return 0
+    if len(head) < _HEAD:
+        return None
+    longest = TEXT.get(head[3], LONGEST_UNKNOWN) + 2
+    size = int.from_bytes(head[4:6], "little")
+    return _HEAD + size + _CRC if size <= longest else 0
+
+
+def _payload(frame: bytes) -> bytes:
+    # Not "crc over the frame is 0": that also holds for some wrong values of its two bytes.
+    if crc_wsg(frame[:-_CRC]) != int.from_bytes(frame[-_CRC:], "little"):
+        raise WireError("crc", "wsg frame", len(frame) - _CRC)
+    return frame[_HEAD:-_CRC]
+
+
+def _values(layout: str, content: bytes) -> tuple[Number, ...]:
+    if struct.calcsize(layout) != len(content):
+        raise WireError("size", "wsg payload", _HEAD)
+    values = struct.unpack(layout, content)
+    if not all(isinstance(value, bytes) or math.isfinite(value) for value in values):
+        raise WireError("number", "wsg payload", _HEAD)
+    return values
+
+
+def _reply(command: int, payload: bytes) -> Reply:
+    if len(payload) < 2:
+        raise WireError("size", "wsg reply", 4)
+    status, content = int.from_bytes(payload[:2], "little"), payload[2:]
+    if status != Status.SUCCESS or not content:
+        layouts = REPLIES.get(command, (NOTHING,))
+        needed = status == Status.SUCCESS and command not in TEXT and NOTHING not in layouts
+        if content or needed:
+            raise WireError("size", "wsg reply", _HEAD + 2)
+        return Reply(command, status)
+    if command in (Command.LOOP, Command.GET_TAG):
+        return Reply(command, status, (content,))
+    values = _values(REPLIES.get(command, (NOTHING,))[-1], content)
+    if command == Command.TEMPERATURE:
+        values = (float(values[0]) / 10,)
+    return Reply(command, status, values)
+
+
+def _take_reply(data: bytes, at: int) -> Step[Reply] | None:
+    size = _size(data, at)
+    if size == 0:
+        return noise_until(data, at, PREAMBLE[:1])
+    if size is None or at + size > len(data):
+        return None
+    frame = data[at : at + size]
+    try:
+        return Step(size, _reply(frame[3], _payload(frame)))
+    except WireError:
+        return Step(1, refused=True)
+
+
+def _take_request(data: bytes, at: int) -> Step[Incoming] | None:
+    size = _size(data, at)
+    if size == 0:
+        return noise_until(data, at, PREAMBLE[:1])
+    if size is None or at + size > len(data):
+        return None
+    frame = data[at : at + size]
+    command = frame[3]
+    try:
+        payload = _payload(frame)
+    except WireError:
+        inner = data.find(PREAMBLE, at + 1, at + size)
+        length = size if inner < 0 else inner - at  # noise may have promised too much
+        return Step(length, Refused(command, Status.CHECKSUM_ERROR), refused=True)
+    return Step(size, _request(command, payload))
+
+
+def _request(command: int, payload: bytes) -> Incoming:
+    layout = REQUESTS.get(command)
+    if layout is None or command in (Command.LOOP, Command.SET_TAG):
+        return Request(command, (payload,) if payload else ())
+    if payload and layout == NOTHING:
+        return Refused(command, Status.NO_PARAM_EXPECTED)
+    try:
+        return Request(command, _values(layout, payload))
+    except WireError:
+        return Refused(command, Status.CMD_FORMAT_ERROR)

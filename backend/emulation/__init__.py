@@ -1,0 +1,16 @@
+"""Servers, pacing and fault plans that emulated devices share."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend.emulation import (
+        disturbances,
+        fault_plan,
+        loads,
+        pace,
+        servers,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,142 @@
+"""Scheduled disturbances of the devices of a bench, parsed from text.
+
+Written as ``device:kind@start`` or ``device:kind@start+length`` in seconds of the bench clock, for
+example ``tactile_right:stop@2.5+1.0``. A sensor that slows down needs the rate as well, in Hz:
+``force_torque:slow=300@30+5``; one that drifts its drift, in N/s: ``force_torque:drift=0.05@30``; a
+piece that turns in the grasp its angle, in degrees: ``gripper:turn=3@12``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from touchdown.backend.core import InputError
+
+DISTURBANCE_KINDS: dict[str, tuple[str, ...]] = {
+    "tactile_left": ("freeze", "stop", "slow", "dark", "flicker"),
+    "tactile_right": ("freeze", "stop", "slow", "dark", "flicker"),
+    "force_torque": ("nan", "stop", "slow", "drift", "jump"),
+    "arm": ("stall", "silent"),
+    "gripper": ("stall", "silent", "turn"),
+}
+"""freeze: the same picture for ever; stop: nothing arrives; slow: so many samples a second at most;
+dark: the light fails; flicker: the brightness swings by 25 %; nan: samples are not numbers; drift:
+Fz moves by so many N a second, and stays where it came to; jump: +50 N on Fz; stall: commanded but
+not moving; silent: no positions or widths arrive; turn: the held piece turns by so many degrees in
+the grasp, seen where it touches something."""
+
+AMOUNT_UNITS = {"slow": "samples a second", "drift": "N a second", "turn": "degrees"}
+"""Of the faults that need to be told how much."""
+
+_FORM = re.compile(
+    r"(?P<device>[a-z_]+):(?P<kind>[a-z]+)(=(?P<much>\d+(\.\d+)?))?@(?P<start>\d+(\.\d+)?)(\+(?P<length>\d+(\.\d+)?))?"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbance:
+    """One fault; ``length_s`` infinite if it does not end, ``much`` of one that has an amount."""
+
+    device: str
+    kind: str
+    start_s: float
+    length_s: float = float("inf")
+    much: float | None = None
+    """Samples a second of one that is slow, N a second of one that drifts, degrees of a turn."""
+
+    def holds(self, device: str, kind: str, t_s: float) -> bool:
+        """Return whether this is the fault ``kind`` of ``device``, and on at ``t_s``."""
+        meant = self.device == device and self.kind == kind
+        return meant and self.start_s <= t_s < self.start_s + self.length_s
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbanceScript:
+    """All faults of a scene."""
+
+    disturbances: tuple[Disturbance, ...] = ()
+
+    def active(self, device: str, kind: str, t_s: float) -> bool:
+        """Return whether ``device`` suffers from ``kind`` at ``t_s``."""
+        # Asked eight times a cycle, and almost always there is none.
+        return bool(self.disturbances) and any(
+            d.holds(device, kind, t_s) for d in self.disturbances
+        )
+
+    def rate_hz(self, device: str, t_s: float) -> float | None:
+        """Return how fast ``device`` delivers at most at ``t_s``, None if it is not slowed."""
+        return next((d.much for d in self.disturbances if d.holds(device, "slow", t_s)), None)
+
+    def turn_rad(self, start_s: float, end_s: float) -> float:
+        """Return by how much the held piece turns in the grasp in ``start_s <= t < end_s``."""
+        return math.radians(
+            sum(
+                d.much or 0.0
+                for d in self.disturbances
+                if d.kind == "turn" and start_s <= d.start_s < end_s
+            )
+        )
+
+    def drift_n(self, t_s: float) -> float:
+        """Return by how much the wrist sensor has drifted until ``t_s``, N."""
+        return sum(
+            (d.much or 0.0) * min(max(t_s - d.start_s, 0.0), d.length_s)
+            for d in self.disturbances
+            if d.kind == "drift"
+        )
+
+
+class RateLimiter:
+    """Takes so many samples a second of those that come: the first of each period."""
+
+    def __init__(self) -> None:
+        self._period: int | None = None
+
+    def takes(self, t_s: float, rate_hz: float) -> bool:
+        """Return whether the sample stamped ``t_s`` is one of ``rate_hz`` a second."""
+        # A stamp on the border of two periods belongs to the later one.
+        period = math.floor(t_s * rate_hz + 1e-6)
+        taken, self._period = period != self._period, period
+        return taken
+
+
+def parse_disturbance(text: str) -> Disturbance:
+    """Return the disturbance that ``text`` describes; raises ``InputError``."""
+    match = _FORM.fullmatch(text.strip())
+    if match is None:
+        raise InputError(
+            f"'{text}' is not a disturbance.",
+            text,
+            "Write device:kind@seconds or device:kind@seconds+seconds; device:slow=rate@seconds.",
+        )
+    device, kind = match["device"], match["kind"]
+    if device not in DISTURBANCE_KINDS:
+        raise InputError(
+            f"There is no device '{device}'.", text, f"Use one of {', '.join(DISTURBANCE_KINDS)}."
+        )
+    if kind not in DISTURBANCE_KINDS[device]:
+        raise InputError(
+            f"'{device}' has no fault '{kind}'.",
+            text,
+            f"Use one of {', '.join(DISTURBANCE_KINDS[device])}.",
+        )
+    much = None if match["much"] is None else float(match["much"])
+    unit = AMOUNT_UNITS.get(kind)
+    if bool(much) != (unit is not None):
+        raise InputError(
+            f"'{text}' needs an amount above 0, in {unit}." if unit else f"'{kind}' takes no rate.",
+            text,
+            f"Write {device}:slow=10@3 for ten samples a second, force_torque:drift=0.05@3 for so "
+            "many N a second; other faults without a number.",
+        )
+    length = match["length"]
+    length_s = float("inf") if length is None else float(length)
+    return Disturbance(device, kind, float(match["start"]), length_s, much)
+
+
+def parse_script(texts: Iterable[str]) -> DisturbanceScript:
+    """Return the script of several disturbances; raises ``InputError`` for the first bad one."""
+    return DisturbanceScript(tuple(parse_disturbance(text) for text in texts))

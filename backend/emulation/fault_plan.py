@@ -1,0 +1,181 @@
+"""Fault plans of emulated devices."""
+
+from __future__ import annotations
+
+import math
+import random
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from touchdown.backend.config import NonNegative, Positive, Settings, read_settings
+
+WIRE_KINDS = ("lost", "flip", "garbage", "cut", "duplicate", "late", "silent", "unplug")
+"""lost: a message is missing; flip: one bit of it is wrong; garbage: random bytes before it; cut:
+its end is missing; duplicate: sent twice; late: sent ``by_s`` later; silent: nothing goes out, the
+wire stays; unplug: the wire is gone and comes back at the end of the fault."""
+DATAGRAM_KINDS = ("reorder",)
+"""Two datagrams change places."""
+CAMERA_KINDS = ("freeze", "dark", "slow", "fade", "other_gel", "small_dots")
+"""fade: the lamps lose half of their light each second; other_gel, small_dots: another gel is
+fitted, of the same kind or of the kind with 8 x 10 dots."""
+DEVICE_KINDS: dict[str, tuple[str, ...]] = {
+    "force_torque": ("freeze", "saturate", "slow", "drift"),
+    "gripper": ("part_lost", "fast_stop", "power"),
+    "tactile_left": CAMERA_KINDS,
+    "tactile_right": CAMERA_KINDS,
+    "arm": ("alarm", "estop", "servo_off"),
+}
+"""What only one kind of device can suffer from. slow: takes ``hz`` samples a second at most; drift:
+Fz moves by ``n_per_s`` and stays where it came to."""
+AMOUNTS = {
+    "slow": ("hz", "how many samples a second"),
+    "drift": ("n_per_s", "by how many N a second"),
+}
+"""What must be told of a fault, and of no other."""
+
+Share = Annotated[float, Field(gt=0, le=1)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+LONGEST_GARBAGE = 64
+
+
+class PlannedFault(Settings):
+    """One fault; ``at_s`` counts from the start of the emulator."""
+
+    at_s: NonNegative
+    device: str
+    kind: str
+    for_s: Positive | None = None
+    share: Share = 1.0
+    by_s: Positive = 0.1
+    hz: Positive | None = None
+    n_per_s: Finite | None = None
+
+    @model_validator(mode="after")
+    def _known(self) -> PlannedFault:
+        if self.device not in DEVICE_KINDS:
+            raise ValueError(f"no device '{self.device}': use one of {', '.join(DEVICE_KINDS)}")
+        kinds = (*WIRE_KINDS, *DATAGRAM_KINDS, *DEVICE_KINDS[self.device])
+        if self.kind not in kinds:
+            raise ValueError(
+                f"'{self.device}' has no fault '{self.kind}': use one of {', '.join(kinds)}"
+            )
+        for kind, (amount, what) in AMOUNTS.items():
+            if (self.kind == kind) != (getattr(self, amount) is not None):
+                raise ValueError(f"'{amount}', {what}, belongs to '{kind}' and to no other")
+        return self
+
+    def holds(self, t_s: float) -> bool:
+        """Whether it is on, ``t_s`` after the start."""
+        return self.at_s <= t_s < self.at_s + (float("inf") if self.for_s is None else self.for_s)
+
+
+class FaultPlan(Settings):
+    """All of them; chance is drawn from ``seed``, so that a run can be repeated."""
+
+    seed: int = 0
+    fault: tuple[PlannedFault, ...] = ()
+
+
+def load_faults(path: Path) -> FaultPlan:
+    """Read a fault plan; raises ``InputError`` naming the first bad entry."""
+    return read_settings(FaultPlan, path)
+
+
+class Faults:
+    """The faults of one device while it runs; ``inject`` may come from any thread."""
+
+    def __init__(self, device: str, plan: FaultPlan | None = None) -> None:
+        plan = plan or FaultPlan()
+        self.device = device
+        self._planned = [fault for fault in plan.fault if fault.device == device]
+        self._rng = random.Random(plan.seed)  # noqa: S311
+        self._begun_s: float | None = None
+        self._lock = threading.Lock()
+        self._held: list[tuple[float, bytes]] = []
+
+    def begin(self, now_s: float) -> None:
+        """Count the times of the plan from here."""
+        self._begun_s = now_s
+
+    def inject(self, now_s: float, kind: str, for_s: float | None = None, **more: float) -> None:
+        """Let a fault begin now; ``ValueError`` for a kind that this device has not."""
+        at_s = max(0.0, self._since(now_s))
+        fault = PlannedFault.model_validate(
+            {"at_s": at_s, "device": self.device, "kind": kind, "for_s": for_s, **more}
+        )
+        with self._lock:
+            self._planned.append(fault)
+
+    def clear(self) -> None:
+        """End all faults, those to come as well."""
+        with self._lock:
+            self._planned.clear()
+
+    def find(self, kind: str, now_s: float) -> PlannedFault | None:
+        """Return the fault of this kind that is on."""
+        t_s = self._since(now_s)
+        with self._lock:
+            return next((f for f in self._planned if f.kind == kind and f.holds(t_s)), None)
+
+    def active(self, kind: str, now_s: float) -> bool:
+        """Return whether a fault of this kind is on."""
+        return bool(self._planned) and self.find(kind, now_s) is not None
+
+    def drift_n(self, now_s: float) -> float:
+        """Return by how much the sensor has drifted by now, N."""
+        if not self._planned:
+            return 0.0
+        t_s = self._since(now_s)
+        with self._lock:
+            drifts = [f for f in self._planned if f.n_per_s is not None]
+        return sum(
+            (f.n_per_s or 0.0) * min(max(t_s - f.at_s, 0.0), f.for_s or math.inf) for f in drifts
+        )
+
+    def names(self, now_s: float) -> tuple[str, ...]:
+        """Return the kinds that are on, for display."""
+        t_s = self._since(now_s)
+        with self._lock:
+            return tuple(dict.fromkeys(f.kind for f in self._planned if f.holds(t_s)))
+
+    def outgoing(self, now_s: float, messages: Sequence[bytes]) -> list[bytes]:
+        """Return what really goes out now in place of ``messages``."""
+        if not self._planned and not self._held:
+            return list(messages)
+        if self.active("silent", now_s) or self.active("unplug", now_s):
+            self._held.clear()
+            return []
+        sent = [piece for message in messages for piece in self._damaged(now_s, message)]
+        if len(sent) > 1 and self._strikes("reorder", now_s):
+            sent[-2:] = sent[:-3:-1]
+        due = [message for at_s, message in self._held if at_s <= now_s]
+        self._held = [item for item in self._held if item[0] > now_s]
+        return due + sent
+
+    def _damaged(self, now_s: float, message: bytes) -> list[bytes]:
+        if not message or self._strikes("lost", now_s):
+            return []
+        if self._strikes("flip", now_s):
+            at = self._rng.randrange(len(message))
+            spoilt = message[at] ^ (1 << self._rng.randrange(8))
+            message = message[:at] + bytes((spoilt,)) + message[at + 1 :]
+        if self._strikes("cut", now_s):
+            message = message[: self._rng.randrange(len(message))]
+        if self._strikes("garbage", now_s):
+            message = self._rng.randbytes(self._rng.randint(1, LONGEST_GARBAGE)) + message
+        late = self.find("late", now_s)
+        if late is not None and self._rng.random() < late.share:
+            self._held.append((now_s + late.by_s, message))
+            return []
+        return [message, message] if self._strikes("duplicate", now_s) else [message]
+
+    def _strikes(self, kind: str, now_s: float) -> bool:
+        fault = self.find(kind, now_s)
+        return fault is not None and self._rng.random() < fault.share
+
+    def _since(self, now_s: float) -> float:
+        return now_s - self._begun_s if self._begun_s is not None else -1.0

@@ -1,0 +1,17 @@
+"""Episode files and packs in MCAP."""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend.episodes import (
+        episode_file,
+        mcap,
+        messages,
+        packs,
+        quality,
+        training_rows,
+    )
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,551 @@
+"""Episode files: one episode in one MCAP file with its signals, images, label and metadata.
+
+`read_compressed_episode` reads all numbers and leaves the images compressed until they are shown.
+`salvage_file` saves what a torn file still holds: every complete chunk whose checksum is right.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S
+from touchdown.backend.core import (
+    CHANNELS,
+    FINGERS,
+    WRENCH_CHANNELS,
+    Episode,
+    EpisodeQuality,
+    Finger,
+    FloatArray,
+    ImageArray,
+    InputError,
+    MarkerField,
+    Recording,
+    ScenePicture,
+    TactileFrame,
+    program_stamp,
+    write_atomically,
+)
+from touchdown.backend.episodes.mcap import (
+    DAMAGE,
+    FIX,
+    MAGIC,
+    ChunkContents,
+    McapWriter,
+    MessageBlock,
+    Opcode,
+    check_counts,
+    input_errors,
+    iter_records,
+    message_list,
+    message_rows,
+    read_bytes,
+    read_chunk_records,
+    read_metadata,
+    read_text,
+    read_whole,
+)
+from touchdown.backend.episodes.messages import (
+    COMMAND,
+    EVENT,
+    IMAGE,
+    LABEL,
+    MARKER,
+    OBS,
+    POSE,
+    SCENE,
+    WRENCH,
+    MarkerRows,
+    Times,
+    Topic,
+    pack_image,
+    pack_json,
+    pack_markers,
+    pack_observation,
+    pack_pose,
+    pack_wrench,
+    schema_text,
+    stamps_ns,
+    unpack_image,
+    unpack_json,
+    unpack_markers,
+    unpack_observation,
+    unpack_pose_mm,
+    unpack_wrench,
+)
+
+KeepFrames = Literal["jpeg95_444", "png", "none"]
+ENCODING: dict[KeepFrames, str] = {"jpeg95_444": "jpeg", "png": "png"}
+MAX_PIXELS = 4096 * 4096
+_JPEG = [
+    cv2.IMWRITE_JPEG_QUALITY,
+    95,
+    cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+    cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+]
+_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+
+
+def encode_image(image: ImageArray, keep: KeepFrames) -> bytes:
+    """Compress a (h, w, 3) BGR image; raises ``ValueError`` if that fails."""
+    suffix, options = (".png", _PNG) if keep == "png" else (".jpg", _JPEG)
+    done, data = cv2.imencode(suffix, image, options)
+    if not done:
+        raise ValueError("the image could not be compressed")
+    return data.tobytes()
+
+
+def decode_image(data: bytes) -> ImageArray:
+    """Decompress to (h, w, 3) BGR; raises ``ValueError`` for anything that is not an image."""
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error as error:
+        raise ValueError("a stored image is damaged") from error
+    if image is None or image.shape[0] * image.shape[1] > MAX_PIXELS:
+        raise ValueError("a stored image is damaged")
+    return image.astype(np.uint8, copy=False)
+
+
+SCHEMA_VERSION = "1"
+TOPICS = (OBS, LABEL, EVENT, WRENCH, POSE, COMMAND, *MARKER.values(), *IMAGE.values())
+
+
+def to_ns(t_s: ArrayLike) -> Times:
+    """Return bench seconds as whole ns."""
+    ns: Times = np.rint(np.asarray(t_s, dtype=np.float64) * 1e9).astype(np.int64)
+    return ns
+
+
+def write_episode(
+    path: Path,
+    episode: Episode,
+    label: Mapping[str, object] | None,
+    metadata: Mapping[str, str],
+    keep_frames: KeepFrames = "jpeg95_444",
+) -> None:
+    """Write ``episode`` to ``path``: complete and durable, or not there.
+
+    Stamps are those of the bench clock, in ns. ``metadata`` becomes the record ``bench``. Markers
+    and wrench are kept bit for bit, images as ``keep_frames`` says. Raises ``OSError`` if the disk
+    refuses; the caller still holds the episode.
+    """
+    scene = () if episode.recording is None else episode.recording.scene
+    with McapWriter(path, (*TOPICS, SCENE) if scene else TOPICS) as writer:
+        for name, values in _metadata(episode, metadata, keep_frames).items():
+            writer.add_metadata(name, values)
+        blocks = [_observation(writer, episode), *_notes(writer, episode, label)]
+        if episode.recording is not None:
+            blocks += _signals(writer, episode.recording)
+        writer.add_chunk(blocks, compress=True)
+        if episode.recording is not None and keep_frames != "none":
+            images = _images(writer, episode.recording.frames, keep_frames)
+            images += _scene_blocks(writer, scene, keep_frames)
+            if images:
+                writer.add_chunk(images, compress=False)
+        counts = writer.finish()
+        check_counts(writer.part, counts)
+
+
+def _metadata(
+    episode: Episode, metadata: Mapping[str, str], keep: KeepFrames
+) -> dict[str, dict[str, str]]:
+    recording = episode.recording
+    tare = [] if recording is None else recording.tare.tolist()
+    return {
+        "episode": {
+            "uuid": episode.episode_id,
+            "grasped_piece": episode.piece,
+            "offset_mm": json.dumps(episode.offset_mm.tolist()),
+            "onset_s": json.dumps(episode.onset_s),
+            "quality": json.dumps(dataclasses.asdict(episode.quality)),
+            "keep_frames": keep,
+            "recording": "none" if recording is None else "native",
+        },
+        "bench": dict(metadata),
+        "calibration": {"tare": json.dumps(tare)},
+        "clock": {"utc_minus_monotonic_ns": "0", "method": "bench clock"},
+        "software": {"schema_version": SCHEMA_VERSION, "program": program_stamp()},
+        "pairs": {"items": json.dumps(episode.metadata)},
+    }
+
+
+def _observation(writer: McapWriter, episode: Episode) -> MessageBlock:
+    count = len(episode.observation)
+    stamps = to_ns(episode.onset_s + TICK_S * np.arange(1, count + 1))
+    rows = pack_observation(stamps, episode.observation)
+    return message_rows(writer.channel[OBS.name], stamps, np.arange(count), rows)
+
+
+def _notes(
+    writer: McapWriter, episode: Episode, label: Mapping[str, object] | None
+) -> list[MessageBlock]:
+    onset = int(to_ns([episode.onset_s])[0])
+    event = pack_json({"event": "contact", "t_s": episode.onset_s})
+    blocks = [message_list(writer.channel[EVENT.name], [onset], [0], [event])]
+    if label is not None:
+        channel = writer.channel[LABEL.name]
+        blocks.append(message_list(channel, [onset], [0], [pack_json(label)]))
+    return blocks
+
+
+def _signals(writer: McapWriter, recording: Recording) -> list[MessageBlock]:
+    blocks = []
+    if len(recording.wrench_t_s):
+        stamps = to_ns(recording.wrench_t_s)
+        rows = pack_wrench(stamps, recording.wrench)
+        channel = writer.channel[WRENCH.name]
+        blocks.append(message_rows(channel, stamps, np.arange(len(stamps)), rows))
+    for topic, t_s, position_mm in (
+        (POSE, recording.pose_t_s, recording.pose_mm),
+        (COMMAND, recording.command_t_s, recording.command_mm),
+    ):
+        if len(t_s):
+            stamps = to_ns(t_s)
+            rows = pack_pose(stamps, position_mm)
+            channel = writer.channel[topic.name]
+            blocks.append(message_rows(channel, stamps, np.arange(len(stamps)), rows))
+    for finger in FINGERS:
+        fields = [field for field in recording.fields if field.finger == finger]
+        if fields:
+            blocks.append(_markers(writer, finger, fields))
+    return blocks
+
+
+def _markers(writer: McapWriter, finger: Finger, fields: Sequence[MarkerField]) -> MessageBlock:
+    stamps = to_ns([field.t_s for field in fields])
+    markers = MarkerRows(
+        np.stack([field.position_px for field in fields]),
+        np.stack([field.displacement_px for field in fields]),
+        np.stack([field.state for field in fields]),
+        np.array([field.quality for field in fields], dtype=np.float64),
+        np.array([field.residual_px for field in fields], dtype=np.float64),
+    )
+    topic = MARKER[finger]
+    rows = pack_markers(stamps, markers, topic.frame_id)
+    sequence = np.array([field.sequence for field in fields], dtype=np.int64)
+    return message_rows(writer.channel[topic.name], stamps, sequence, rows)
+
+
+def _scene_blocks(
+    writer: McapWriter, pictures: Sequence[ScenePicture], keep: KeepFrames
+) -> list[MessageBlock]:
+    if not pictures:
+        return []
+    stamps = to_ns([picture.t_s for picture in pictures]).tolist()
+    messages = (
+        pack_image(stamp, SCENE.frame_id, ENCODING[keep], encode_image(picture.image, keep))
+        for stamp, picture in zip(stamps, pictures, strict=True)
+    )
+    channel = writer.channel[SCENE.name]
+    return [message_list(channel, stamps, range(len(stamps)), messages)]
+
+
+def _images(
+    writer: McapWriter, frames: Sequence[TactileFrame], keep: KeepFrames
+) -> list[MessageBlock]:
+    blocks = []
+    for finger in FINGERS:
+        mine = [frame for frame in frames if frame.finger == finger]
+        topic, stamps = IMAGE[finger], to_ns([frame.t_s for frame in mine]).tolist()
+        messages = (
+            pack_image(stamp, topic.frame_id, ENCODING[keep], encode_image(frame.image, keep))
+            for stamp, frame in zip(stamps, mine, strict=True)
+        )
+        sequence = [frame.sequence for frame in mine]
+        if mine:
+            channel = writer.channel[topic.name]
+            blocks.append(message_list(channel, stamps, sequence, messages))
+    return blocks
+
+
+def to_s(ns: Times) -> FloatArray:
+    """Return bench seconds; whole microseconds come back as the hand-wound clock gave them."""
+    whole_us = ns % 1000 == 0
+    return np.where(whole_us, (ns // 1000) * 1e-6, ns * 1e-9).astype(np.float64)
+
+
+def read_episode(path: Path) -> Episode:
+    """Read the episode ``path``, frames decoded; raises ``InputError`` naming a damaged file."""
+    return episode_of(read_whole(path), path)
+
+
+def episode_of(contents: ChunkContents, path: Path) -> Episode:
+    """Return the episode of a file that was read; raises ``InputError`` naming it if damaged."""
+    if "pack" in contents.metadata:
+        raise InputError(
+            "The file is a pack of simulated episodes: no pictures were kept of them.",
+            str(path),
+            "Open them by the dataset that holds the pack.",
+        )
+    if "episode" not in contents.metadata:
+        raise InputError("The file holds no single episode.", str(path), FIX)
+    with input_errors(path):
+        return _episode(contents)
+
+
+def read_label(path: Path) -> dict[str, object] | None:
+    """Return the label kept with an episode, or None."""
+    messages = read_whole(path).messages.get(LABEL.name, [])
+    with input_errors(path):
+        return unpack_json(messages[-1]) if messages else None
+
+
+def _episode(contents: ChunkContents) -> Episode:
+    facts = contents.metadata["episode"]
+    observation = unpack_observation(contents.messages[OBS.name])
+    if observation.shape != (SAMPLES_PER_PROBE, CHANNELS):
+        raise ValueError(f"the observation has shape {observation.shape}, not (20, 258)")
+    quality = json.loads(facts["quality"])
+    quality["reasons"] = tuple(quality["reasons"])
+    pairs = json.loads(contents.metadata["pairs"]["items"])
+    return Episode(
+        episode_id=facts["uuid"],
+        piece=facts["grasped_piece"],
+        observation=observation,
+        offset_mm=np.array(json.loads(facts["offset_mm"]), dtype=np.float64).reshape(2),
+        onset_s=float(json.loads(facts["onset_s"])),
+        quality=EpisodeQuality(**quality),
+        recording=_recording(contents) if facts["recording"] == "native" else None,
+        metadata=tuple((str(key), str(value)) for key, value in pairs),
+    )
+
+
+def _recording(contents: ChunkContents) -> Recording:
+    wrench = contents.messages.get(WRENCH.name, [])
+    pose = contents.messages.get(POSE.name, [])
+    command = contents.messages.get(COMMAND.name, [])
+    fields = [field for finger in FINGERS for field in _fields(contents, finger)]
+    frames = [frame for finger in FINGERS for frame in _frames(contents, finger)]
+    tare = json.loads(contents.metadata["calibration"]["tare"])
+    return Recording(
+        wrench_t_s=to_s(stamps_ns(wrench)),
+        wrench=unpack_wrench(wrench),
+        fields=tuple(sorted(fields, key=lambda field: field.t_s)),
+        frames=tuple(sorted(frames, key=lambda frame: frame.t_s)),
+        pose_t_s=to_s(stamps_ns(pose)),
+        pose_mm=unpack_pose_mm(pose),
+        scene=tuple(_scene_images(contents)),
+        tare=np.array(tare, dtype=np.float64).reshape(WRENCH_CHANNELS),
+        command_t_s=to_s(stamps_ns(command)),
+        command_mm=unpack_pose_mm(command),
+    )
+
+
+def _fields(contents: ChunkContents, finger: Finger) -> list[MarkerField]:
+    topic = MARKER[finger].name
+    messages = contents.messages.get(topic, [])
+    rows, t_s = unpack_markers(messages), to_s(stamps_ns(messages))
+    return [
+        MarkerField(
+            finger,
+            contents.sequence[topic][i],
+            float(t_s[i]),
+            rows.position_px[i].copy(),
+            rows.displacement_px[i].copy(),
+            rows.state[i].copy(),
+            float(rows.quality[i]),
+            float(rows.residual_px[i]),
+        )
+        for i in range(len(messages))
+    ]
+
+
+def _scene_images(contents: ChunkContents) -> list[ScenePicture]:
+    messages = contents.messages.get(SCENE.name, [])
+    t_s = to_s(stamps_ns(messages))
+    return [
+        ScenePicture(float(t_s[i]), decode_image(unpack_image(message)[1]))
+        for i, message in enumerate(messages)
+    ]
+
+
+def _frames(contents: ChunkContents, finger: Finger) -> list[TactileFrame]:
+    topic = IMAGE[finger].name
+    messages = contents.messages.get(topic, [])
+    t_s = to_s(stamps_ns(messages))
+    return [
+        TactileFrame(
+            finger,
+            contents.sequence[topic][i],
+            float(t_s[i]),
+            decode_image(unpack_image(message)[1]),
+        )
+        for i, message in enumerate(messages)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class CompressedImages:
+    """The compressed pictures of one finger, in order of time; ``t_s`` (n,) bench clock."""
+
+    t_s: FloatArray
+    packed: tuple[bytes, ...]
+
+    def picture(self, index: int) -> ImageArray:
+        """Decode picture ``index`` to (h, w, 3) BGR; raises ``ValueError`` if it is damaged."""
+        return decode_image(self.packed[index])
+
+
+@dataclass(frozen=True, slots=True)
+class CompressedEpisode:
+    """``episode`` without frames, and the pictures of each finger, still compressed."""
+
+    episode: Episode
+    pictures: Mapping[Finger, CompressedImages]
+
+    @property
+    def bytes(self) -> int:
+        """Size of the pictures in memory."""
+        return sum(len(data) for film in self.pictures.values() for data in film.packed)
+
+
+def without_images(episode: Episode) -> CompressedEpisode:
+    """Return an episode of which no pictures were recorded."""
+    none = CompressedImages(np.zeros(0), ())
+    return CompressedEpisode(episode, dict.fromkeys(FINGERS, none))
+
+
+def read_compressed_episode(path: Path) -> CompressedEpisode:
+    """Read the episode ``path``; raises ``InputError`` naming a damaged or foreign file."""
+    contents = read_whole(path)
+    with input_errors(path):
+        pictures = {}
+        for finger in FINGERS:
+            messages = contents.messages.pop(IMAGE[finger].name, [])
+            packed = tuple(bytes(unpack_image(message)[1]) for message in messages)
+            pictures[finger] = CompressedImages(to_s(stamps_ns(messages)), packed)
+    return CompressedEpisode(episode_of(contents, path), pictures)
+
+
+@dataclass(frozen=True, slots=True)
+class SalvageResult:
+    """What was saved: ``path`` is None if nothing was; ``reason`` says where reading ended."""
+
+    path: Path | None
+    chunks: int
+    messages: dict[str, int]
+    reason: str
+
+
+@dataclass(slots=True)
+class _ReadableHead:
+    """The readable head of a torn file: its channels, metadata and chunks (blocks, compressed)."""
+
+    topics: list[Topic] = field(default_factory=list)
+    metadata: list[tuple[str, dict[str, str]]] = field(default_factory=list)
+    chunks: list[tuple[list[MessageBlock], bool]] = field(default_factory=list)
+    reason: str = "the file is complete"
+
+
+def salvage_file(torn: Path, target: Path) -> SalvageResult:
+    """Copy the good chunks of ``torn`` into a new file ``target``, re-opened and counted.
+
+    A report lies beside it as ``<target>.json``. Raises ``OSError`` if the disk refuses, or if
+    what was written does not read back.
+    """
+    good = _read_good(torn)
+    counts: dict[str, int] = {}
+    path = None
+    if good.chunks:
+        counts = _write(good, target)
+        path = target
+    saved = SalvageResult(path, len(good.chunks), counts, good.reason)
+    report = {"from": torn.name, "bytes": torn.stat().st_size, **asdict(saved)}
+    report["path"] = path and path.name
+    text = json.dumps(report, indent=1, sort_keys=True)
+    write_atomically(target.with_name(f"{target.name}.json"), text.encode())
+    return saved
+
+
+def _read_good(torn: Path) -> _ReadableHead:
+    good = _ReadableHead()
+    try:
+        data = read_bytes(torn)
+        if not data.startswith(MAGIC):
+            raise ValueError("it is not an MCAP file")
+        for op, content in iter_records(memoryview(data)[len(MAGIC) :], "the file"):
+            if op == Opcode.METADATA:
+                good.metadata.append(read_metadata(content))
+            elif op == Opcode.CHUNK:
+                _take_chunk(content, good)
+            elif op == Opcode.DATA_END:
+                break
+    except DAMAGE as error:
+        good.reason = str(error)
+    return good
+
+
+def _take_chunk(content: memoryview, good: _ReadableHead) -> None:
+    (crc,) = struct.unpack_from("<I", content, 24)
+    if not crc:
+        raise ValueError("a chunk has no checksum")
+    plain = read_chunk_records(content)
+    topics = list(_topics(plain))
+    if len({topic.name for topic in topics}) != len(topics):
+        raise ValueError("two channels of a chunk have one name")
+    if good.topics and topics != good.topics:
+        raise ValueError("a chunk belongs to another file")
+    good.topics = topics
+    blocks = _blocks(plain, len(topics))
+    if blocks:
+        good.chunks.append((blocks, read_text(content, 28)[0] == "zstd"))
+
+
+def _topics(plain: bytes) -> Iterator[Topic]:
+    schemas: dict[int, str] = {}
+    expected = 1
+    for op, content in iter_records(plain, "a chunk"):
+        if op == Opcode.SCHEMA:
+            schemas[struct.unpack_from("<H", content)[0]] = read_text(content, 2)[0]
+        elif op == Opcode.CHANNEL:
+            channel, schema = struct.unpack_from("<HH", content)
+            if channel != expected:
+                raise ValueError("the channels of a chunk are not those of an episode")
+            expected += 1
+            yield _known_topic(Topic(read_text(content, 4)[0], schemas[schema]))
+
+
+def _known_topic(topic: Topic) -> Topic:
+    try:
+        schema_text(topic.schema)
+    except OSError as error:
+        raise ValueError(f"unknown message type '{topic.schema[:60]}'") from error
+    return topic
+
+
+def _blocks(plain: bytes, channels: int) -> list[MessageBlock]:
+    """Return the messages, one block per channel, in file order within each."""
+    messages: dict[int, list[tuple[int, int, bytes]]] = {}
+    for op, content in iter_records(plain, "a chunk"):
+        if op == Opcode.MESSAGE:
+            channel, sequence, log_ns = struct.unpack_from("<HIQ", content)
+            if not 0 < channel <= channels:
+                raise ValueError("a message belongs to no channel")
+            messages.setdefault(channel, []).append((log_ns, sequence, bytes(content[22:])))
+    return [message_list(channel, *zip(*rows, strict=True)) for channel, rows in messages.items()]
+
+
+def _write(good: _ReadableHead, target: Path) -> dict[str, int]:
+    with McapWriter(target, good.topics) as writer:
+        for name, values in good.metadata:
+            writer.add_metadata(name, values)
+        for blocks, compressed in good.chunks:
+            writer.add_chunk(blocks, compress=compressed)
+    counts = {topic: count for topic, count in writer.counts.items() if count}
+    try:
+        whole = read_whole(target)
+    except InputError as error:
+        raise OSError(f"what was salvaged cannot be read back: {error.what}") from error
+    if {topic: len(messages) for topic, messages in whole.messages.items()} != counts:
+        raise OSError("what was salvaged reads back with other messages")
+    return counts

@@ -1,0 +1,359 @@
+"""Messages of the episode files: topics, ROS 2 schemas, CDR encoding.
+
+Encoding: little-endian XCDR1; offsets count from the end of the 4 bytes of the encapsulation
+header. `pack_*` writes messages, `unpack_*` returns arrays. See data-and-labelling 2.4.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray
+
+ENCAPSULATION = b"\x00\x01\x00\x00"
+
+
+class CdrWriter:
+    """Appends fields in order; each primitive is aligned to its own size."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+
+    def align(self, size: int) -> None:
+        """Pad with zeros to a multiple of ``size``."""
+        self._bytes.extend(bytes(-len(self._bytes) % size))
+
+    def number(self, kind: str, value: float) -> None:
+        """Append one number; ``kind`` is its ``struct`` letter (B H i I f d)."""
+        self.align(struct.calcsize(kind))
+        self._bytes.extend(struct.pack("<" + kind, value))
+
+    def text(self, value: str) -> None:
+        """Append a string: length with the final NUL, bytes, NUL."""
+        content = value.encode("utf-8") + b"\x00"
+        self.number("I", len(content))
+        self._bytes.extend(content)
+
+    def sequence(self, values: NDArray[np.generic] | bytes) -> int:
+        """Append a count and the elements; returns the offset of the first element."""
+        array = np.frombuffer(values, np.uint8) if isinstance(values, bytes) else values
+        self.number("I", array.size)
+        if array.size:
+            self.align(array.dtype.itemsize)
+        start = len(self._bytes)
+        self._bytes.extend(np.ascontiguousarray(array).tobytes())
+        return start
+
+    def header(self, stamp_ns: int, frame_id: str) -> None:
+        """Append a ``std_msgs/Header``."""
+        self.number("i", stamp_ns // 1_000_000_000)
+        self.number("I", stamp_ns % 1_000_000_000)
+        self.text(frame_id)
+
+    def numbers(self, kind: str, values: Sequence[float]) -> None:
+        """Append several numbers of one kind."""
+        for value in values:
+            self.number(kind, value)
+
+    @property
+    def size(self) -> int:
+        """Bytes so far, without the encapsulation."""
+        return len(self._bytes)
+
+    def finish(self) -> bytes:
+        """Return the message with its encapsulation."""
+        return ENCAPSULATION + bytes(self._bytes)
+
+
+class CdrReader:
+    """Takes fields in order; raises ``ValueError`` where the message is too short or foreign."""
+
+    def __init__(self, message: bytes | memoryview) -> None:
+        if len(message) < 4 or bytes(message[:4]) != ENCAPSULATION:
+            raise ValueError("not a little-endian CDR message")
+        self._data = memoryview(message)[4:]
+        self._at = 0
+
+    def _take(self, count: int) -> memoryview:
+        if count < 0 or self._at + count > len(self._data):
+            raise ValueError("the message is shorter than its content")
+        part = self._data[self._at : self._at + count]
+        self._at += count
+        return part
+
+    def number(self, kind: str) -> float:
+        """Take one number."""
+        size = struct.calcsize(kind)
+        self._at += -self._at % size
+        value: float = struct.unpack("<" + kind, self._take(size))[0]
+        return value
+
+    def integer(self, kind: str) -> int:
+        """Take one whole number."""
+        return int(self.number(kind))
+
+    def text(self) -> str:
+        """Take a string."""
+        content = bytes(self._take(self.integer("I")))
+        return content[:-1].decode("utf-8")
+
+    def sequence(self, dtype: str) -> NDArray[np.generic]:
+        """Take a sequence as a new array of ``dtype`` such as ``<f4``."""
+        count = self.integer("I")
+        kind = np.dtype(dtype)
+        if count:
+            self._at += -self._at % kind.itemsize
+        return np.frombuffer(self._take(count * kind.itemsize), kind).copy()
+
+    def header(self) -> tuple[int, str]:
+        """Take a ``std_msgs/Header``: (stamp in ns, frame)."""
+        seconds = self.integer("i")
+        return seconds * 1_000_000_000 + self.integer("I"), self.text()
+
+
+ByteRows = NDArray[np.uint8]
+Times = NDArray[np.int64]
+Stamp = np.dtype([("sec", "<i4"), ("nsec", "<u4")])
+_HEAD = len(ENCAPSULATION)
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """A channel of the file: its name, message type and constant ``frame_id``."""
+
+    name: str
+    schema: str
+    frame_id: str = ""
+
+
+OBS = Topic("/obs", "lab_msgs/msg/Observation", "obs")
+LABEL = Topic("/episode/label", "std_msgs/msg/String")
+EVENT = Topic("/episode/event", "std_msgs/msg/String")
+WRENCH = Topic("/ft/tared", "geometry_msgs/msg/WrenchStamped", "ft")
+POSE = Topic("/robot/pose", "geometry_msgs/msg/PoseStamped", "base")
+COMMAND = Topic("/robot/command", "geometry_msgs/msg/PoseStamped", "base")
+IMAGE = {
+    "left": Topic("/tac/left/image", "sensor_msgs/msg/CompressedImage", "tac_left"),
+    "right": Topic("/tac/right/image", "sensor_msgs/msg/CompressedImage", "tac_right"),
+}
+SCENE = Topic("/scene/image", "sensor_msgs/msg/CompressedImage", "scene")
+MARKER = {
+    "left": Topic("/tac/left/markers", "lab_msgs/msg/MarkerField", "tac_left"),
+    "right": Topic("/tac/right/markers", "lab_msgs/msg/MarkerField", "tac_right"),
+}
+
+
+@lru_cache(maxsize=16)
+def schema_text(name: str) -> bytes:
+    """Return the ros2msg definition of ``name``, dependencies included."""
+    file = files("touchdown.resources").joinpath("schemas", name.replace("/", ".") + ".msg")
+    return file.read_bytes()
+
+
+def _repeat(template: bytes, stamps_ns: Times) -> ByteRows:
+    rows = np.tile(np.frombuffer(template, np.uint8), (len(stamps_ns), 1))
+    stamp = np.empty(len(stamps_ns), Stamp)
+    stamp["sec"], stamp["nsec"] = stamps_ns // 1_000_000_000, stamps_ns % 1_000_000_000
+    rows[:, _HEAD : _HEAD + 8] = stamp.view(np.uint8).reshape(-1, 8)
+    return rows
+
+
+def _fill(rows: ByteRows, offset: int, values: NDArray[np.generic]) -> None:
+    raw = np.ascontiguousarray(values).view(np.uint8).reshape(len(rows), -1)
+    rows[:, _HEAD + offset : _HEAD + offset + raw.shape[1]] = raw
+
+
+def pack_wrench(stamps_ns: Times, wrench: FloatArray, frame_id: str = "ft") -> ByteRows:
+    """Pack ``WrenchStamped``: ``wrench`` (n, 6) in N and N·m."""
+    writer = CdrWriter()
+    writer.header(0, frame_id)
+    writer.align(8)
+    offset = writer.size
+    writer.numbers("d", [0.0] * 6)
+    rows = _repeat(writer.finish(), stamps_ns)
+    _fill(rows, offset, wrench.astype("<f8"))
+    return rows
+
+
+def pack_pose(stamps_ns: Times, position_mm: FloatArray, frame_id: str = "base") -> ByteRows:
+    """Pack ``PoseStamped`` without rotation: ``position_mm`` (n, 3) becomes metres."""
+    writer = CdrWriter()
+    writer.header(0, frame_id)
+    writer.align(8)
+    offset = writer.size
+    writer.numbers("d", [0.0] * 6 + [1.0])
+    rows = _repeat(writer.finish(), stamps_ns)
+    _fill(rows, offset, (position_mm / 1e3).astype("<f8"))
+    return rows
+
+
+def pack_observation(stamps_ns: Times, values: NDArray[np.float32]) -> ByteRows:
+    """Pack ``Observation``: ``values`` (n, channels), step 0, 1, ... n - 1."""
+    writer = CdrWriter()
+    writer.header(0, OBS.frame_id)
+    writer.align(4)
+    step = writer.size
+    writer.number("I", 0)
+    offset = writer.sequence(np.zeros(values.shape[1], "<f4"))
+    rows = _repeat(writer.finish(), stamps_ns)
+    _fill(rows, step, np.arange(len(values), dtype="<u4"))
+    _fill(rows, offset, values.astype("<f4"))
+    return rows
+
+
+def _by_axis(points: FloatArray) -> FloatArray:
+    return np.moveaxis(points, -1, -2).reshape(len(points), -1).astype("<f8")
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerRows:
+    """Marker fields of one finger: positions and displacements (n, 63, 2) px, state (n, 63)."""
+
+    position_px: FloatArray
+    displacement_px: FloatArray
+    state: NDArray[np.uint8]
+    quality: FloatArray
+    residual_px: FloatArray
+
+
+def pack_markers(stamps_ns: Times, markers: MarkerRows, frame_id: str) -> ByteRows:
+    """Pack ``MarkerField``, axis before marker: all u, then all v."""
+    writer = CdrWriter()
+    writer.header(0, frame_id)
+    writer.number("H", GRID_ROWS)
+    writer.number("H", GRID_COLS)
+    displacement = writer.sequence(np.zeros(2 * MARKERS, "<f8"))
+    state = writer.sequence(np.zeros(MARKERS, np.uint8))
+    position = writer.sequence(np.zeros(2 * MARKERS, "<f8"))
+    writer.align(8)
+    quality = writer.size
+    writer.numbers("d", [0.0, 0.0])
+    rows = _repeat(writer.finish(), stamps_ns)
+    _fill(rows, displacement, _by_axis(markers.displacement_px))
+    _fill(rows, state, markers.state)
+    _fill(rows, position, _by_axis(markers.position_px))
+    _fill(rows, quality, np.stack([markers.quality, markers.residual_px], 1).astype("<f8"))
+    return rows
+
+
+def pack_image(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -> bytes:
+    """Pack one ``CompressedImage``; ``encoding`` is "jpeg" or "png"."""
+    writer = CdrWriter()
+    writer.header(stamp_ns, frame_id)
+    writer.text(encoding)
+    writer.sequence(data)
+    return writer.finish()
+
+
+def pack_json(content: Mapping[str, object]) -> bytes:
+    """Pack a JSON object as text in a ``std_msgs/String``."""
+    writer = CdrWriter()
+    writer.text(json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False))
+    return writer.finish()
+
+
+def unpack_json(message: bytes | memoryview) -> dict[str, object]:
+    """Unpack ``pack_json``; raises ``ValueError`` if it is anything else."""
+    content = json.loads(CdrReader(message).text())
+    if not isinstance(content, dict):
+        raise ValueError("a JSON object is expected")
+    return content
+
+
+Messages = Sequence[bytes | memoryview]
+
+
+def _stacked(messages: Messages) -> NDArray[np.uint8]:
+    sizes = {len(message) for message in messages}
+    if len(sizes) > 1:
+        raise ValueError("messages of one topic differ in size")
+    return np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
+
+
+def stamps_ns(messages: Messages) -> Times:
+    """Return (n,) header stamps of messages of any stamped type, in ns."""
+    if not messages:
+        return np.zeros(0, np.int64)
+    heads = np.frombuffer(b"".join(bytes(m[4:12]) for m in messages), np.dtype("<i4,<u4"))
+    stamps: Times = heads["f0"].astype(np.int64) * 1_000_000_000 + heads["f1"]
+    return stamps
+
+
+def _tail(messages: Messages, dtype: str, count: int) -> NDArray[np.generic]:
+    width = np.dtype(dtype).itemsize * count
+    if not messages:
+        return np.zeros((0, count), dtype)
+    rows = _stacked(messages)
+    if rows.shape[1] < 12 + width:
+        raise ValueError("a message is shorter than its type")
+    return np.ascontiguousarray(rows[:, -width:]).view(dtype)
+
+
+def unpack_wrench(messages: Messages) -> FloatArray:
+    """Return (n, 6) in N and N·m."""
+    return _tail(messages, "<f8", 6).astype(np.float64)
+
+
+def unpack_pose_mm(messages: Messages) -> FloatArray:
+    """Return (n, 3) positions in mm."""
+    return _tail(messages, "<f8", 7).astype(np.float64)[:, :3] * 1e3
+
+
+def unpack_observation(messages: Messages) -> NDArray[np.float32]:
+    """Return (n, channels); raises ``ValueError`` unless the steps count 0, 1, ... n - 1."""
+    if not messages:
+        raise ValueError("the observation has no rows")
+    reader = CdrReader(messages[0])
+    reader.header()
+    reader.integer("I")
+    values = 4 * reader.sequence("<f4").size
+    # All rows are packed alike: step, number of values and values end every one of them.
+    rows = _stacked(messages)
+    heads = np.ascontiguousarray(rows[:, -values - 8 : rows.shape[1] - values]).view("<u4")
+    if not (heads[:, 1] == values // 4).all():
+        raise ValueError("the observation has rows of different length")
+    if not np.array_equal(heads[:, 0], np.arange(len(rows))):
+        raise ValueError("the steps of the observation are not in order")
+    floats = np.ascontiguousarray(rows[:, rows.shape[1] - values :]).view("<f4")
+    return np.asarray(floats, dtype=np.float32)
+
+
+def _by_marker(values: NDArray[np.generic]) -> FloatArray:
+    return np.ascontiguousarray(values.reshape(2, MARKERS).T, dtype=np.float64)
+
+
+def unpack_markers(messages: Messages) -> MarkerRows:
+    """Return the marker fields; raises ``ValueError`` for another grid."""
+    position, displacement, state, figures = [], [], [], []
+    for message in messages:
+        reader = CdrReader(message)
+        reader.header()
+        if (reader.integer("H"), reader.integer("H")) != (GRID_ROWS, GRID_COLS):
+            raise ValueError("the marker grid is not 7 x 9")
+        displacement.append(_by_marker(reader.sequence("<f8")))
+        state.append(reader.sequence("u1").astype(np.uint8))
+        position.append(_by_marker(reader.sequence("<f8")))
+        figures.append((reader.number("d"), reader.number("d")))
+    quality = np.array(figures, dtype=np.float64).reshape(-1, 2)
+    return MarkerRows(
+        np.array(position).reshape(-1, MARKERS, 2),
+        np.array(displacement).reshape(-1, MARKERS, 2),
+        np.array(state, dtype=np.uint8).reshape(-1, MARKERS),
+        quality[:, 0],
+        quality[:, 1],
+    )
+
+
+def unpack_image(message: bytes | memoryview) -> tuple[str, bytes]:
+    """Return (encoding, bytes) of a ``CompressedImage``."""
+    reader = CdrReader(message)
+    reader.header()
+    return reader.text(), reader.sequence("u1").tobytes()

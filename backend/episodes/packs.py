@@ -1,0 +1,139 @@
+"""Pack files: up to 500 simulated episodes in one MCAP file, one self-contained chunk each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.config import SAMPLES_PER_PROBE
+from touchdown.backend.core import CHANNELS, InputError
+from touchdown.backend.episodes.mcap import (
+    FIX,
+    ChunkContents,
+    McapWriter,
+    input_errors,
+    message_list,
+    message_rows,
+    read_groups,
+)
+from touchdown.backend.episodes.messages import (
+    LABEL,
+    OBS,
+    pack_json,
+    pack_observation,
+    unpack_json,
+    unpack_observation,
+)
+
+MAX_EPISODES = 500
+SCHEMA_VERSION = "1"
+_TICKS_NS = 100_000_000 * np.arange(1, SAMPLES_PER_PROBE + 1, dtype=np.int64)
+_STEPS = np.arange(SAMPLES_PER_PROBE, dtype=np.int64)
+_SPACING_NS = 3_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class PackedEpisode:
+    """One compact episode: ``observation`` (20, 258) float32 and its label (JSON values).
+
+    Label keys: episode, x_um, y_um, sigma_um, source, piece, bottom, patch (hex of the packed bits
+    over the face points), points, geometry (hash), grip_id, mounting_id, person, seed.
+    """
+
+    observation: NDArray[np.float32]
+    label: Mapping[str, object]
+
+
+class PackWriter:
+    """Writes one pack; the file appears, complete and durable, when closed without error.
+
+    Stamps count from zero, 3 s per episode, so that equal seeds give equal files. ``metadata`` goes
+    into the record ``pack``. The 501st episode raises ``ValueError``.
+    """
+
+    def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
+        self._writer = McapWriter(path, (OBS, LABEL))
+        self._writer.add_metadata("pack", {"schema_version": SCHEMA_VERSION, **metadata})
+        self.episodes = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._writer.__exit__(kind, error, trace)
+
+    def write(self, row: PackedEpisode) -> None:
+        """Append one episode; a shape other than (20, 258) or a NaN raises ``ValueError``."""
+        if self.episodes >= MAX_EPISODES:
+            raise ValueError(f"a pack holds at most {MAX_EPISODES} episodes")
+        if row.observation.shape != (SAMPLES_PER_PROBE, CHANNELS):
+            raise ValueError(f"observation has shape {row.observation.shape}")
+        if not np.isfinite(row.observation).all():
+            raise ValueError("an observation holds a value that is not finite")
+        base = self.episodes * _SPACING_NS
+        stamps = base + _TICKS_NS
+        observation = pack_observation(stamps, row.observation)
+        obs = message_rows(self._writer.channel[OBS.name], stamps, _STEPS, observation)
+        channel = self._writer.channel[LABEL.name]
+        label = message_list(channel, [base], [self.episodes], [pack_json(row.label)])
+        self._writer.add_chunk([obs, label], compress=True)
+        self.episodes += 1
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.close()
+
+
+def write_packs(
+    folder: Path, stem: str, rows: Iterator[PackedEpisode], metadata: Mapping[str, str]
+) -> int:
+    """Write ``rows`` into ``<stem>-0000.mcap``, ``<stem>-0001.mcap`` ...; returns their number."""
+    total = 0
+    row = next(rows, None)
+    while row is not None:
+        number = total // MAX_EPISODES
+        with PackWriter(folder / f"{stem}-{number:04d}.mcap", metadata) as pack:
+            while row is not None and pack.episodes < MAX_EPISODES:
+                pack.write(row)
+                total += 1
+                row = next(rows, None)
+    return total
+
+
+def read_pack(path: Path) -> Iterator[PackedEpisode]:
+    """Yield the episodes of a pack in order; raises ``InputError`` naming a damaged file."""
+    for group in read_groups(path):
+        if group.messages:
+            with input_errors(path):
+                row = _row(group)
+            yield row
+
+
+def read_pack_metadata(path: Path) -> dict[str, str]:
+    """Return the record ``pack`` of a pack."""
+    for group in read_groups(path):
+        if "pack" in group.metadata:
+            return group.metadata["pack"]
+    raise InputError("The file is not a pack of episodes.", str(path), FIX)
+
+
+def _row(group: ChunkContents) -> PackedEpisode:
+    if OBS.name not in group.messages or LABEL.name not in group.messages:
+        raise ValueError("an episode lacks its observation or its label")
+    observation = unpack_observation(group.messages[OBS.name])
+    if observation.shape != (SAMPLES_PER_PROBE, CHANNELS):
+        raise ValueError(f"an observation has shape {observation.shape}, not (20, 258)")
+    if not np.isfinite(observation).all():
+        raise ValueError("an observation holds a value that is not finite")
+    return PackedEpisode(observation, unpack_json(group.messages[LABEL.name][0]))

@@ -1,0 +1,308 @@
+"""Quality of collected episodes: outliers, coverage of displacements, contradicting repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.config import TICK_S
+from touchdown.backend.core import (
+    FINGERS,
+    MARKERS,
+    TACTILE_CHANNELS,
+    EpisodeQuality,
+    FloatArray,
+    read_only,
+)
+from touchdown.backend.geometry import MIN_OVERLAP_MM2, Outline, overlap_area_mm2
+
+BIN_MM = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """Bins of ``bin_mm`` in frame ``O``, one of them centred on it.
+
+    ``counts`` (ny, nx) episodes; ``possible`` (ny, nx): at the centre of the bin the faces overlap
+    enough. Bin (i, j) is centred at ``bin_mm * (j - nx // 2, i - ny // 2)``.
+    """
+
+    counts: NDArray[np.intp]
+    possible: NDArray[np.bool_]
+    bin_mm: float = BIN_MM
+
+    def __post_init__(self) -> None:
+        read_only(self.counts)
+        read_only(self.possible)
+
+    def centre_mm(self, row: int, column: int) -> tuple[float, float]:
+        """Return the centre of a bin."""
+        rows, columns = self.counts.shape
+        return self.bin_mm * (column - columns // 2), self.bin_mm * (row - rows // 2)
+
+    @property
+    def holes(self) -> int:
+        """Number of possible bins without an episode."""
+        return int((self.possible & (self.counts == 0)).sum())
+
+    @property
+    def covered(self) -> float:
+        """Share of the possible bins that hold an episode."""
+        possible = int(self.possible.sum())
+        return 1.0 - self.holes / possible if possible else 0.0
+
+    def with_offset(self, offset_mm: tuple[float, float]) -> Coverage:
+        """Return the coverage with one more episode (one beyond the bins counts nowhere)."""
+        counts = self.counts + count_bins(np.array([offset_mm]), self.counts.shape, self.bin_mm)
+        return Coverage(counts, self.possible, self.bin_mm)
+
+
+def count_coverage(
+    offsets_mm: FloatArray,
+    face: Outline,
+    bottom: Outline,
+    bin_mm: float = BIN_MM,
+    min_overlap_mm2: float = MIN_OVERLAP_MM2,
+) -> Coverage:
+    """Count ``offsets_mm`` (n, 2) of ``face`` over ``bottom`` per bin."""
+    reach = np.add(face.half_extents_mm, bottom.half_extents_mm)
+    columns, rows = (2 * np.ceil(reach / bin_mm).astype(int) + 1).tolist()
+    x = bin_mm * (np.arange(columns) - columns // 2)
+    y = bin_mm * (np.arange(rows) - rows // 2)
+    centres = np.stack(np.meshgrid(x, y), axis=-1)
+    possible = overlap_area_mm2(face, centres, bottom) >= min_overlap_mm2
+    return Coverage(count_bins(offsets_mm, (rows, columns), bin_mm), possible, bin_mm)
+
+
+def count_bins(offsets_mm: FloatArray, shape: tuple[int, ...], bin_mm: float) -> NDArray[np.intp]:
+    """Return (ny, nx) how many of ``offsets_mm`` (n, 2) fall into each bin."""
+    counts = np.zeros(shape, dtype=np.intp)
+    offsets = np.asarray(offsets_mm, dtype=np.float64).reshape(-1, 2)
+    offsets = offsets[np.isfinite(offsets).all(axis=1)]
+    index = np.rint(offsets[:, ::-1] / bin_mm).astype(np.intp) + np.array(shape) // 2
+    inside = ((index >= 0) & (index < shape)).all(axis=1)
+    np.add.at(counts, tuple(index[inside].T), 1)
+    return counts
+
+
+Kind = Literal[
+    "asymmetry", "jerk", "no contact", "saturated markers", "lost markers", "dropped frames",
+    "clock skew", "slip", "twins", "divided series", "unreadable",
+]  # fmt: skip
+
+CONTACT_N = 1.0
+JERK_N = 0.6
+"""A force off the line between the ticks before and after (undisturbed: 0.35 N, at the knee)."""
+SATURATED_PX = 31.0
+"""One marker pitch: beyond it a marker may have been taken for its neighbour (undisturbed: 20)."""
+LOST_MARKERS = 3
+DROPPED_FRAMES = 3
+"""Frames of 100 (undisturbed: 0.5 % are lost)."""
+LAG_S = 0.03
+"""Of the gel behind the force (undisturbed: 0.011 s)."""
+SLIP_MM = 0.3
+TWIN_APART_MM = 5.0
+TWIN_SHARE = 0.25
+"""Twins are nearer than this share of the median distance to the nearest stranger."""
+FEWEST = 20
+"""Fewer episodes show nothing about a distribution."""
+RARE = 0.001
+"""A distribution so uneven by chance is not believed."""
+
+_RAMP = slice(8, 14)
+_HELD = slice(16, 20)
+_FX, _FZ = TACTILE_CHANNELS, TACTILE_CHANNELS + 2
+
+
+@dataclass(frozen=True, slots=True)
+class ExaminedEpisode:
+    """One episode to examine: ``observation`` (20, 258), labelled ``offset_mm`` (2,), quality."""
+
+    uuid: str
+    observation: NDArray[np.float32]
+    offset_mm: FloatArray
+    quality: EpisodeQuality
+
+
+@dataclass(frozen=True, slots=True)
+class QualityIssue:
+    """What is wrong with these episodes (none: with the whole), in words."""
+
+    kind: Kind
+    episodes: tuple[str, ...]
+    text: str
+
+
+def check_quality(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
+    """Return all findings: the whole first, then twins, then episode by episode."""
+    singles = [
+        QualityIssue(kind, (row.uuid,), text)
+        for row in rows
+        for kind, look in _LOOKS
+        if (text := look(row))
+    ]
+    return [*find_asymmetry(rows), *find_contradicting_repeats(rows), *singles]
+
+
+def find_asymmetry(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
+    """Test whether displacements lie evenly on both sides of the bottom (signed ranks, per axis).
+
+    An uneven distribution means a wrong origin, a wrong range, or a campaign cut short.
+    """
+    offsets = np.array([row.offset_mm for row in rows]).reshape(-1, 2)
+    offsets = offsets[np.isfinite(offsets).all(axis=1)]
+    if len(offsets) < FEWEST:
+        return []
+    found = []
+    for axis, name in enumerate("xy"):
+        values = offsets[:, axis]
+        if not np.any(values):
+            continue
+        p = _uneven_p(values)
+        if p < RARE:
+            median = float(np.median(values))
+            text = (
+                f"The displacements are uneven along {name}: median {median:+.1f} mm "
+                f"(p = {p:.1g}). Check the origin of the bottom."
+            )
+            found.append(QualityIssue("asymmetry", (), text))
+    return found
+
+
+def _uneven_p(values: FloatArray) -> float:
+    """Return how likely values even about zero would be as uneven as these (signed ranks)."""
+    # Here, since it takes longer to load than all the rest of a program that needs it rarely.
+    from scipy.stats import wilcoxon
+
+    return float(wilcoxon(values).pvalue)
+
+
+def find_contradicting_repeats(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
+    """Find signals that are nearly the same under labels more than 5 mm apart, nearest first.
+
+    Features are the mean of the last 0.5 s, standardised; "nearly" is against the distances that
+    episodes with different labels usually have.
+    """
+    known = [row for row in rows if np.isfinite(row.observation).all()]
+    known = [row for row in known if np.isfinite(row.offset_mm).all()]
+    if len(known) < FEWEST:
+        return []
+    features = np.stack([row.observation[-5:].mean(axis=0) for row in known]).astype(np.float64)
+    spread = features.std(axis=0)
+    features = (features - features.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
+    offsets = np.stack([row.offset_mm for row in known])
+    distance, nearest = _strangers(features, offsets)
+    usual = (
+        float(np.median(distance[np.isfinite(distance)])) if np.isfinite(distance).any() else 0.0
+    )
+    pairs = {
+        tuple(sorted((i, int(nearest[i]))))
+        for i in np.flatnonzero(distance < TWIN_SHARE * usual).tolist()
+    }
+    order = sorted(pairs, key=lambda pair: float(distance[list(pair)].min()))
+    return [_twin(known[i], known[j]) for i, j in order]
+
+
+def _strangers(features: FloatArray, offsets: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Return (n,) distance to, and (n,) index of, the nearest episode with another label."""
+    count = len(features)
+    distance, nearest = np.full(count, np.inf), np.zeros(count, dtype=np.intp)
+    squares = (features**2).sum(axis=1)
+    for start in range(0, count, 256):
+        part = slice(start, min(start + 256, count))
+        apart = squares[part, None] + squares - 2.0 * features[part] @ features.T
+        labels = np.hypot(*(offsets[part, None] - offsets).transpose(2, 0, 1))
+        apart[labels <= TWIN_APART_MM] = np.inf
+        nearest[part] = apart.argmin(axis=1)
+        distance[part] = np.sqrt(np.maximum(apart.min(axis=1), 0.0))
+    return distance, nearest
+
+
+def _twin(one: ExaminedEpisode, other: ExaminedEpisode) -> QualityIssue:
+    apart_mm = float(np.hypot(*(one.offset_mm - other.offset_mm)))
+    text = f"Nearly the same signals, but labels {apart_mm:.1f} mm apart."
+    return QualityIssue("twins", (one.uuid, other.uuid), text)
+
+
+def _jerk(row: ExaminedEpisode) -> str:
+    forces = row.observation[:, _FX : _FX + 3].astype(np.float64)
+    step = np.abs(forces[1:-1] - 0.5 * (forces[:-2] + forces[2:])).max(axis=1)
+    worst = int(np.nanargmax(step)) if np.isfinite(step).any() else 0
+    if step[worst] > JERK_N:
+        return f"The force jumps by {step[worst]:.1f} N at {(worst + 2) * TICK_S:.1f} s."
+    return ""
+
+
+def _no_contact(row: ExaminedEpisode) -> str:
+    press_n = float(row.observation[-1, _FZ])
+    if press_n >= CONTACT_N:
+        return ""
+    known = np.isfinite(press_n)
+    return f"The press ended with {press_n:.2f} N." if known else "The press force is unknown."
+
+
+def _saturated(row: ExaminedEpisode) -> str:
+    shift = float(np.nanmax(np.abs(row.observation[:, :TACTILE_CHANNELS]), initial=0.0))
+    return f"A marker moved by {shift:.0f} px." if shift > SATURATED_PX else ""
+
+
+def _lost(row: ExaminedEpisode) -> str:
+    lost = row.quality.lost_markers
+    return f"{lost} markers were lost." if lost > LOST_MARKERS else ""
+
+
+def _dropped(row: ExaminedEpisode) -> str:
+    dropped = row.quality.dropped_frames
+    return f"{dropped} frames were lost." if dropped > DROPPED_FRAMES else ""
+
+
+def _skew(row: ExaminedEpisode) -> str:
+    texts = []
+    for finger, lag_s in zip(FINGERS, lags_s(row.observation), strict=True):
+        if abs(lag_s) > LAG_S:
+            way = "behind" if lag_s > 0 else "ahead of"
+            texts.append(f"The {finger} gel is {1e3 * abs(lag_s):.0f} ms {way} the force.")
+    return " ".join(texts)
+
+
+def _slip(row: ExaminedEpisode) -> str:
+    slip_mm = row.quality.slip_mm
+    return f"The piece slipped by {slip_mm:.2f} mm." if slip_mm > SLIP_MM else ""
+
+
+_LOOKS: tuple[tuple[Kind, Callable[[ExaminedEpisode], str]], ...] = (
+    ("no contact", _no_contact),
+    ("jerk", _jerk),
+    ("saturated markers", _saturated),
+    ("lost markers", _lost),
+    ("dropped frames", _dropped),
+    ("clock skew", _skew),
+    ("slip", _slip),
+)
+
+
+def lags_s(observation: NDArray[np.float32]) -> Iterator[float]:
+    """Yield how far the vertical gel shear of each finger is behind the press force, in s.
+
+    Both rise along the ramp and then stand still; the knee between is at the same instant on both,
+    whatever their scale and offset. NaN where there is no knee.
+    """
+    # The wrench of a tick is the mean of the 0.1 s before it: its knee seems 0.05 s late.
+    force_s = _knee_s(observation[:, _FZ].astype(np.float64)) - 0.5 * TICK_S
+    shear = observation[:, :TACTILE_CHANNELS].astype(np.float64)
+    for finger in range(len(FINGERS)):
+        down = shear.reshape(-1, len(FINGERS), 2, MARKERS)[:, finger, 1].mean(axis=1)
+        yield _knee_s(down) - force_s
+
+
+def _knee_s(signal: FloatArray) -> float:
+    """Return when the line through the ramp reaches the level of the hold."""
+    t_s = TICK_S * np.arange(1, len(signal) + 1)
+    if not np.isfinite(signal).all():
+        return float("nan")
+    slope, start = np.polyfit(t_s[_RAMP], signal[_RAMP], 1)
+    return float((signal[_HELD].mean() - start) / slope) if slope else float("nan")

@@ -1,0 +1,309 @@
+"""Labelled episodes as arrays, split into training and test rows without leaks.
+
+A split keeps mountings, series or grips together, so that nothing in the test rows is known from
+the training rows.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.core import FloatArray, InputError
+from touchdown.backend.episodes.mcap import FIX
+from touchdown.backend.episodes.packs import PackedEpisode, read_pack
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingRows:
+    """n episodes of one grasped piece.
+
+    ``observation`` (n, 20, 258) float32, or float16 as a memory map of a training cache;
+    ``offset_mm`` (n, 2) labelled displacement; ``patch`` (n, N) bool, the true patch over the face
+    points; ``bottom``, ``grip_id`` and ``mounting_id`` per episode; ``labels`` as stored.
+    """
+
+    piece: str
+    geometry: str
+    observation: NDArray[np.float32]
+    offset_mm: FloatArray
+    patch: NDArray[np.bool_]
+    bottom: tuple[str, ...]
+    grip_id: tuple[str, ...]
+    mounting_id: tuple[str, ...]
+    labels: tuple[Mapping[str, object], ...]
+    fetch: Callable[[NDArray[np.int64]], NDArray[np.floating]] | None = None
+    """How ``observation[index]`` is read where it is on disk."""
+
+    def inputs(self, index: NDArray[np.int64]) -> NDArray[np.float32]:
+        """(len(index), 20, 258) float32: the observations at ``index``, in that order."""
+        found = self.observation[index] if self.fetch is None else self.fetch(index)
+        return found.astype(np.float32, copy=False)
+
+    def __len__(self) -> int:
+        return len(self.observation)
+
+    def take(self, index: NDArray[np.int64]) -> TrainingRows:
+        """Return the episodes at ``index``, in that order."""
+        chosen = index.tolist()
+        return TrainingRows(
+            self.piece,
+            self.geometry,
+            self.observation[index],
+            self.offset_mm[index],
+            self.patch[index],
+            tuple(self.bottom[i] for i in chosen),
+            tuple(self.grip_id[i] for i in chosen),
+            tuple(self.mounting_id[i] for i in chosen),
+            tuple(self.labels[i] for i in chosen),
+        )
+
+
+def patch_hex(patch: NDArray[np.bool_]) -> str:
+    """Return the label form of a true patch (N,): hex of its packed bits."""
+    return np.packbits(patch).tobytes().hex()
+
+
+def patch_bits(text: str, points: int) -> NDArray[np.bool_]:
+    """Return the (points,) patch of its label form; raises ``ValueError`` if the length differs."""
+    packed = np.frombuffer(bytes.fromhex(text), np.uint8)
+    if packed.size != (points + 7) // 8:
+        raise ValueError(f"the patch of a label has not {points} points")
+    return np.unpackbits(packed, count=points).astype(bool)
+
+
+def find_packs(folder: Path) -> list[Path]:
+    """Return the packs in and below ``folder`` (or the file itself), by name."""
+    if folder.is_file():
+        return [folder]
+    found = sorted(p for p in folder.rglob("*.mcap") if not p.name.startswith("."))
+    if not found:
+        raise InputError(
+            "There are no episode files here.",
+            str(folder),
+            "Give the folder that 'touchdown simulate --out' wrote.",
+        )
+    return found
+
+
+def load_rows(folder: Path, piece: str | None = None) -> TrainingRows:
+    """Load every episode of ``piece`` (None: the only piece there) in and below ``folder``.
+
+    Raises ``InputError`` naming the file for damaged or foreign files, mixed pieces or geometries.
+    """
+    rows: list[PackedEpisode] = []
+    patches: list[NDArray[np.bool_]] = []
+    geometry, wanted = "", piece
+    seen: set[str] = set()
+    for path in find_packs(folder):
+        for row in read_pack(path):
+            name = _text(row.label, "piece", path)
+            seen.add(name)
+            wanted = wanted or name
+            if name != wanted:
+                continue
+            geometry = geometry or _text(row.label, "geometry", path)
+            if _text(row.label, "geometry", path) != geometry:
+                raise _mixed(path, "geometries of the face")
+            patches.append(_patch(row.label, path))
+            rows.append(row)
+    if piece is None and len(seen) > 1:
+        raise _mixed(folder, f"grasped pieces ({', '.join(sorted(seen))})")
+    if not rows:
+        raise InputError(
+            f"There are no episodes of '{piece}' here, only of {', '.join(sorted(seen))}.",
+            str(folder),
+            "Choose one of these pieces, or simulate more episodes.",
+        )
+    return _stack(rows, patches, wanted or "", geometry)
+
+
+def join_rows(parts: Sequence[TrainingRows]) -> TrainingRows:
+    """Return all episodes in order; raises ``InputError`` for different pieces or geometries."""
+    first = parts[0]
+    for part in parts:
+        if (part.piece, part.geometry) != (first.piece, first.geometry):
+            raise InputError(
+                f"The episodes belong to different pieces: {first.piece}, {part.piece}.",
+                "episodes",
+                "Join episodes of one piece only.",
+            )
+    return TrainingRows(
+        first.piece,
+        first.geometry,
+        np.concatenate([part.observation for part in parts]),
+        np.concatenate([part.offset_mm for part in parts]),
+        np.concatenate([part.patch for part in parts]),
+        tuple(name for part in parts for name in part.bottom),
+        tuple(name for part in parts for name in part.grip_id),
+        tuple(name for part in parts for name in part.mounting_id),
+        tuple(label for part in parts for label in part.labels),
+    )
+
+
+def _stack(
+    rows: Sequence[PackedEpisode], patches: Sequence[NDArray[np.bool_]], piece: str, geometry: str
+) -> TrainingRows:
+    labels = tuple(row.label for row in rows)
+    offset = np.array([[_number(k["x_um"]), _number(k["y_um"])] for k in labels]) / 1e3
+    return TrainingRows(
+        piece,
+        geometry,
+        np.stack([row.observation for row in rows]),
+        offset,
+        np.stack(patches),
+        tuple(str(label["bottom"]) for label in labels),
+        tuple(str(label["grip_id"]) for label in labels),
+        tuple(str(label["mounting_id"]) for label in labels),
+        labels,
+    )
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else float("nan")
+
+
+def _text(label: Mapping[str, object], key: str, path: Path) -> str:
+    value = label.get(key)
+    if not isinstance(value, str) or not value:
+        raise InputError(f"A label has no '{key}'.", str(path), FIX)
+    return value
+
+
+def _patch(label: Mapping[str, object], path: Path) -> NDArray[np.bool_]:
+    missing = {"x_um", "y_um", "bottom", "grip_id", "mounting_id"} - set(label)
+    points = label.get("points")
+    if missing or not isinstance(points, int) or not 0 < points < 1_000_000:
+        lacking = ", ".join(sorted(missing)) or "points"
+        raise InputError(f"A label lacks: {lacking}.", str(path), FIX)
+    try:
+        return patch_bits(_text(label, "patch", path), points)
+    except ValueError as error:
+        raise InputError(f"A label is damaged: {error}.", str(path), FIX) from error
+
+
+def _mixed(where: Path, what: str) -> InputError:
+    return InputError(
+        f"The episodes belong to different {what}.",
+        str(where),
+        "Name one piece, or keep such episodes in separate folders.",
+    )
+
+
+MIN_MOUNTINGS = 30
+SIMULATED = "of simulated probes make more ('touchdown simulate --episodes 2000')"
+"""The cure where nothing was collected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """Indices of both sides, and what was kept together ("mounting", "series" or "grip")."""
+
+    train: NDArray[np.int64]
+    held_out: NDArray[np.int64]
+    kept_together: str
+
+
+def split_rows(
+    rows: TrainingRows, share: float, seed: int, *, divide_series: bool = False
+) -> Split:
+    """Hold out about ``share`` (0..1) of the episodes: whole mountings, series or grips.
+
+    Mountings where there are at least 30, else series of one pair; with ``divide_series`` grips
+    instead of series. Raises ``InputError`` if that leaves nothing to hold out.
+    """
+    if divide_series:
+        return split_grips(rows.mounting_id, rows.grip_id, share, seed)
+    pairs = [f"{rows.piece} on {bottom}" for bottom in rows.bottom]
+    return split_series(rows.mounting_id, pairs, share, seed)
+
+
+def split_grips(
+    mounting_id: Sequence[str], grip_id: Sequence[str], share: float, seed: int
+) -> Split:
+    """Split by mounting where there are at least 30, else by grip: validation knows the mountings.
+
+    Raises ``InputError`` if all episodes come from one grip.
+    """
+    if len(set(mounting_id)) >= MIN_MOUNTINGS:
+        return _hold_out(list(mounting_id), "mounting", share, seed)
+    pairs = zip(mounting_id, grip_id, strict=True)
+    keys = [f"{mounting}/{grip}" for mounting, grip in pairs]
+    if len(set(keys)) < 2:
+        raise InputError(
+            "All episodes come from one grip, so validation would see what training saw.",
+            "grip_id",
+            "Collect another campaign of this piece, or one with fewer probes per grip; "
+            f"{SIMULATED}.",
+        )
+    return _hold_out(keys, "grip", share, seed)
+
+
+def split_series(mounting_id: Sequence[str], pair: Sequence[str], share: float, seed: int) -> Split:
+    """Hold out whole mountings where there are at least 30, else whole series of one pair.
+
+    A series is what was recorded on one mounting; ``pair`` names face and bottom of each episode.
+    Every pair keeps a series to train on. Raises ``InputError`` if no pair has two of them.
+    """
+    if len(set(mounting_id)) >= MIN_MOUNTINGS:
+        return _hold_out(list(mounting_id), "mounting", share, seed)
+    keys = list(zip(pair, mounting_id, strict=True))
+    sizes = Counter(keys)
+    of_pair = Counter(name for name, _ in sizes)
+    if not of_pair or max(of_pair.values()) < 2:
+        name = next(iter(of_pair), "one pair")
+        raise InputError(
+            f"There is one series only of {name}, so validation would know its errors."
+            if len(of_pair) < 2
+            else "There is one series only of each pair, so validation would know its errors.",
+            "mounting_id",
+            "Collect another campaign of the same pair (each is a series of its own); "
+            f"{SIMULATED}. Or choose to divide series by grips (--divide-series).",
+        )
+    chosen = _chosen_series(sizes, of_pair, share * len(keys), seed)
+    held_out = np.array([key in chosen for key in keys])
+    return Split(np.flatnonzero(~held_out), np.flatnonzero(held_out), "series")
+
+
+def _chosen_series(
+    sizes: Counter[tuple[str, str]], of_pair: Counter[str], wanted: float, seed: int
+) -> set[tuple[str, str]]:
+    """Draw series up to ``wanted`` episodes, or the smallest one if none is so small."""
+    names = sorted(key for key in sizes if of_pair[key[0]] > 1)
+    order = np.random.default_rng([seed, 14]).permutation(len(names))
+    drawn, left, total = set[tuple[str, str]](), Counter(of_pair), 0
+    for key in (names[k] for k in order.tolist()):
+        if total + sizes[key] <= wanted and left[key[0]] > 1:
+            drawn.add(key)
+            left[key[0]] -= 1
+            total += sizes[key]
+    return drawn or {min((names[k] for k in order.tolist()), key=lambda key: sizes[key])}
+
+
+def group_noun(kept_together: str) -> str:
+    """Say in the plural what was never divided."""
+    return "whole series" if kept_together == "series" else f"whole {kept_together}s"
+
+
+def divided_indices(sides: Sequence[str], groups: Sequence[Hashable]) -> NDArray[np.int64]:
+    """Return the indices of all episodes of those ``groups`` that are on more than one side."""
+    seen: dict[Hashable, set[str]] = {}
+    for side, group in zip(sides, groups, strict=True):
+        seen.setdefault(group, set()).add(side)
+    return np.array([k for k, group in enumerate(groups) if len(seen[group]) > 1], dtype=np.int64)
+
+
+def _hold_out(keys: Sequence[str], kind: str, share: float, seed: int) -> Split:
+    """Draw whole groups of equal ``keys`` until ``share`` is reached; never all of them."""
+    names, group, sizes = np.unique(keys, return_inverse=True, return_counts=True)
+    order = np.random.default_rng([seed, 14]).permutation(len(names))
+    wanted = share * len(keys)
+    before = np.concatenate([[0], np.cumsum(sizes[order])[:-1]])
+    chosen = order[: max(1, min(len(names) - 1, int(np.sum(before < wanted))))]
+    held_out = np.isin(group, chosen)
+    return Split(np.flatnonzero(~held_out), np.flatnonzero(held_out), kind)

@@ -1,0 +1,197 @@
+"""CSV: one row per episode and optional tables of its recorded signals, units in the column names.
+
+Signal tables keep the native rates, for spreadsheets and R.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+
+from touchdown.backend.annotations import Dataset, EpisodeEntry, Label, Pair
+from touchdown.backend.core import MARKERS, FloatArray, InputError, MarkerState, Recording
+from touchdown.backend.episodes import episode_of, read_first
+from touchdown.backend.exchange.exports import ExportJob
+from touchdown.backend.exchange.features import FT_NAMES
+from touchdown.backend.exchange.label_import import ImportedLabel
+from touchdown.backend.exchange.query import SelectedEpisode
+from touchdown.backend.geometry import overlap_edges, rotated, signed_distances_mm
+
+SIGNALS = "signals"
+FT_FILE, MARKERS_FILE, POSES_FILE = "ft.csv", "markers.csv", "poses.csv"
+FT_COLUMNS = ("t_s", *FT_NAMES)
+MARKER_COLUMNS = ("t_s", "finger", "marker", "u_px", "v_px", "du_px", "dv_px", "state")
+POSE_COLUMNS = ("t_s", "kind", "x_mm", "y_mm", "z_mm")
+STATES = {state.value: state.name.lower() for state in MarkerState}
+Row = Iterable[object]
+
+
+def write_signals(dataset: Dataset, entry: EpisodeEntry, folder: Path) -> None:
+    """Write the tables of one episode to ``folder/<uuid>``; none where no signals were recorded."""
+    path = dataset.folder / entry.path
+    episode = episode_of(read_first(path), path)
+    recording, onset_s = episode.recording, episode.onset_s
+    if recording is None:
+        return
+    place = folder / entry.uuid
+    place.mkdir(parents=True)
+    _table(place / FT_FILE, FT_COLUMNS, _timed(recording.wrench_t_s - onset_s, recording.wrench))
+    _table(place / MARKERS_FILE, MARKER_COLUMNS, _markers(recording, onset_s))
+    _table(place / POSES_FILE, POSE_COLUMNS, _poses(recording, onset_s))
+
+
+def _table(path: Path, columns: Sequence[str], rows: Iterable[Row]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(columns)
+        table.writerows(rows)
+
+
+def _timed(t_s: FloatArray, values: FloatArray, *words: str) -> Iterator[Row]:
+    for at_s, row in zip(t_s.tolist(), values.tolist(), strict=True):
+        yield (at_s, *words, *row)
+
+
+def _markers(recording: Recording, onset_s: float) -> Iterator[Row]:
+    for field in recording.fields:
+        at_s = field.t_s - onset_s
+        places = zip(
+            range(MARKERS), field.position_px.tolist(), field.displacement_px.tolist(),
+            field.state.tolist(), strict=True,
+        )  # fmt: skip
+        for marker, position, displacement, state in places:
+            yield (at_s, field.finger, marker, *position, *displacement, STATES[state])
+
+
+def _poses(recording: Recording, onset_s: float) -> Iterator[Row]:
+    yield from _timed(recording.pose_t_s - onset_s, recording.pose_mm, "measured")
+    yield from _timed(recording.command_t_s - onset_s, recording.command_mm, "commanded")
+
+
+FILE = "episodes.csv"
+COLUMNS = (
+    "uuid", "recorded_utc", "grasped", "bottom", "x_mm", "y_mm", "theta_deg", "sigma_mm", "source",
+    "state", "stable", "margin_mm", "quality", "file", "file_sha256", "rev_uuid", "grip_id",
+    "mounting_id", "person", "split",
+)  # fmt: skip
+NEEDED = ("uuid", "x_mm", "y_mm")
+MAX_BYTES = 1_000_000_000
+
+
+def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
+    """Write ``episodes.csv``: UTF-8, comma, point, a header line; and the tables of signals."""
+    with (folder / FILE).open("w", newline="", encoding="utf-8") as file:
+        rows = csv.DictWriter(file, COLUMNS)
+        rows.writeheader()
+        for one in job.chosen:
+            pair = job.dataset.geometry.pair(one.revision.geometry)
+            rows.writerow(_row(one, margin_mm(pair, one.revision.label)))
+            if job.tables and one.entry.mode != "mass":
+                write_signals(job.dataset, one.entry, folder / SIGNALS)
+            job.advance(one.index + 1)
+    return {"data": "csv"}
+
+
+def margin_mm(pair: Pair, label: Label) -> float:
+    """Return the signed distance of the centre of mass to the edge of the true overlap.
+
+    Positive: it stands; minus infinity: no contact.
+    """
+    yaw_rad = math.radians((label.theta_mdeg or 0) / 1e3)
+    x_mm, y_mm = label.offset_mm.tolist()
+    cut = overlap_edges(pair.face.placed((x_mm, y_mm), yaw_rad), pair.bottom.polygon())
+    centre_mm = label.offset_mm + rotated(np.array(pair.centre_mm), yaw_rad)
+    return float(signed_distances_mm(centre_mm, cut))
+
+
+def _row(one: SelectedEpisode, margin: float) -> dict[str, object]:
+    entry, revision, label = one.entry, one.revision, one.revision.label
+    recorded = datetime.fromtimestamp(entry.recorded_ns / 1e9, UTC)
+    return {
+        "uuid": entry.uuid,
+        "recorded_utc": recorded.isoformat(timespec="milliseconds"),
+        "grasped": as_text(entry.piece),
+        "bottom": as_text(entry.bottom),
+        "x_mm": _thousandth(label.x_um),
+        "y_mm": _thousandth(label.y_um),
+        "theta_deg": _thousandth(label.theta_mdeg),
+        "sigma_mm": _thousandth(label.sigma_um),
+        "source": revision.source,
+        "state": revision.state,
+        "stable": "true" if margin >= 0.0 else "false",
+        "margin_mm": f"{margin:.3f}" if math.isfinite(margin) else "",
+        "quality": as_text("; ".join(entry.quality.reasons) or "accepted"),
+        "file": entry.path,
+        "file_sha256": entry.sha256,
+        "rev_uuid": revision.rev_uuid,
+        "grip_id": as_text(entry.grip_id),
+        "mounting_id": as_text(entry.mounting_id),
+        "person": as_text(entry.person),
+        "split": as_text(one.split),
+    }
+
+
+def as_text(content: str) -> str:
+    """Return what a spreadsheet shows as ``content`` and does not take for a formula."""
+    return f"'{content}" if content.startswith(("=", "+", "-", "@", "\t", "\r")) else content
+
+
+def _thousandth(value: int | None) -> str:
+    return "" if value is None else f"{Decimal(value) / 1000:.3f}"
+
+
+def read_csv(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
+    """Yield the labels of ``episodes.csv``; raises ``InputError`` naming a bad line."""
+    del dataset
+    path = source / FILE if source.is_dir() else source
+    if not path.is_file() or path.stat().st_size > MAX_BYTES:
+        raise InputError("There is no table of at most 1 GB.", str(path), "Name the CSV file.")
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = csv.DictReader(file)
+        try:
+            lacking = sorted(set(NEEDED) - set(rows.fieldnames or ()))
+            if lacking:
+                raise InputError(
+                    f"The table lacks: {', '.join(lacking)}.", str(path), "Add these columns."
+                )
+            for row in rows:
+                yield _label_row(row, path, rows.line_num)
+        except (csv.Error, UnicodeDecodeError) as error:
+            raise InputError(
+                f"This is no table: {error}.", str(path), "Save it as CSV in UTF-8."
+            ) from error
+
+
+def _label_row(row: Mapping[str, str | None], path: Path, line: int) -> ImportedLabel:
+    if None in row.values() or None in row:
+        # A file that was cut short: what is left of a number looks like a number.
+        raise _bad(path, line, "It has another number of fields than the first line.")
+    names = ("x_mm", "y_mm", "theta_deg", "sigma_mm")
+    values = [_whole(row.get(name), name, path, line) for name in names]
+    if values[0] is None or values[1] is None:
+        raise _bad(path, line, "It has no offset.")
+    return ImportedLabel(row["uuid"] or "", row.get("file_sha256") or "", Label(*values))
+
+
+def _whole(text: str | None, name: str, path: Path, line: int) -> int | None:
+    """Return thousandths; a finer or absent number is not guessed at."""
+    if not text:
+        return None
+    try:
+        value = Decimal(text) * 1000
+        whole = int(value)
+    except (InvalidOperation, ValueError, OverflowError) as error:
+        raise _bad(path, line, f"{name} is no number: {text[:40]!r}.") from error
+    if whole != value or abs(whole) > 10**9:
+        raise _bad(path, line, f"{name} is finer than 0.001 or too large: {text[:40]!r}.")
+    return whole
+
+
+def _bad(path: Path, line: int, what: str) -> InputError:
+    return InputError(what, f"{path}, line {line}", "Correct this line.")

@@ -1,0 +1,182 @@
+"""Neutral episode that every export format writes: signals at 10 Hz, label, patch, images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.annotations import CacheRow, Dataset, read_observation
+from touchdown.backend.config import SAMPLES_PER_PROBE
+from touchdown.backend.core import (
+    FINGERS,
+    TACTILE_CHANNELS,
+    WRENCH_CHANNELS,
+    FloatArray,
+    ImageArray,
+    InputError,
+    Recording,
+)
+from touchdown.backend.episodes import (
+    COMMAND,
+    CompressedEpisode,
+    CompressedImages,
+    episode_of,
+    read_compressed_episode,
+    read_first,
+    to_ns,
+)
+from touchdown.backend.exchange.features import (
+    ACTION,
+    FPS,
+    FT,
+    FT_WINDOW,
+    MARKERS,
+    OFFSET,
+    PATCH,
+    PICTURES,
+    STATE,
+    TICK_NS,
+    WINDOW,
+    Feature,
+    Values,
+)
+from touchdown.backend.exchange.query import SelectedEpisode
+
+
+@dataclass(frozen=True, slots=True)
+class ExportEpisode:
+    """``values`` by feature: (20, ...), or (...) where constant. ``pictures``: 20 RGB per key."""
+
+    chosen: SelectedEpisode
+    values: Mapping[str, Values]
+    pictures: Mapping[str, tuple[ImageArray, ...]]
+
+    def per_tick(self, feature: Feature) -> Values:
+        """(20, ...) of ``feature``, repeated where it is constant."""
+        values = self.values[feature.key]
+        return np.repeat(values[None], SAMPLES_PER_PROBE, axis=0) if feature.constant else values
+
+
+def face_points(dataset: Dataset, chosen: Iterable[SelectedEpisode]) -> int:
+    """Return the number of face points that all share; raises ``InputError`` for several faces."""
+    pairs = sorted({one.revision.geometry for one in chosen})
+    faces = {name: dataset.geometry.read(name)["face"] for name in pairs}
+    if len(set(faces.values())) != 1:
+        pieces = sorted({one.entry.piece for one in chosen})
+        raise InputError(
+            f"The episodes belong to different grasped faces ({', '.join(pieces)}).",
+            str(dataset.folder),
+            "Name one piece with --piece: this format has arrays of one size.",
+        )
+    return len(dataset.geometry.pair(pairs[0]).points_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class ExportSignals:
+    """What every episode of an export has. ``native``: its recorded signals, and not only what the
+    model is given; ``commanded``: also where the arm was told to be.
+    """
+
+    native: bool
+    commanded: bool
+
+
+def common_signals(dataset: Dataset, chosen: Iterable[SelectedEpisode]) -> ExportSignals:
+    """Return what all of the episodes have."""
+    commanded = True
+    for one in chosen:
+        if one.entry.mode == "mass":
+            return ExportSignals(native=False, commanded=False)
+        first = read_first(dataset.folder / one.entry.path)
+        if first.metadata["episode"]["recording"] != "native":
+            return ExportSignals(native=False, commanded=False)
+        commanded = commanded and COMMAND.name in first.messages
+    return ExportSignals(native=True, commanded=commanded)
+
+
+def read_export(
+    dataset: Dataset, one: SelectedEpisode, signals: ExportSignals, *, pictures: bool = False
+) -> ExportEpisode:
+    """Read one episode; ``pictures`` decodes those nearest to the ticks, where there are any."""
+    label = one.revision.label
+    patch = dataset.geometry.patch(one.revision.geometry, label)
+    values: dict[str, Values] = {
+        OFFSET: label.offset_mm.astype(np.float32),
+        PATCH: patch.touching.astype(np.uint8),
+    }
+    if one.entry.mode == "mass":
+        return ExportEpisode(one, values | _observed(_packed(dataset, one)), {})
+    path = dataset.folder / one.entry.path
+    film = read_compressed_episode(path) if pictures else None
+    # All but the pictures is in the first chunk: a twentieth of the file.
+    episode = episode_of(read_first(path), path) if film is None else film.episode
+    values |= _observed(episode.observation)
+    if signals.native:
+        assert episode.recording is not None
+        values |= _recorded(episode.recording, episode.onset_s, commanded=signals.commanded)
+    return ExportEpisode(one, values, {} if film is None else _pictures(film))
+
+
+def _packed(dataset: Dataset, one: SelectedEpisode) -> NDArray[np.float32]:
+    place = dataset.database.first(
+        "SELECT chunk_off, chunk_len FROM episode WHERE uuid = ?", (one.entry.uuid,)
+    )
+    assert place is not None
+    row = CacheRow(one.entry.uuid, one.entry.sha256, one.revision.rev_uuid, one.entry.path,
+                   (place[0], place[1]), 0, 0, one.revision.geometry)  # fmt: skip
+    return read_observation(dataset.folder, row)
+
+
+def _observed(observation: NDArray[np.float32]) -> dict[str, Values]:
+    split = np.split(observation, [TACTILE_CHANNELS], axis=1)
+    return {MARKERS: split[0].copy(), FT: split[1].copy()}
+
+
+def _recorded(recording: Recording, onset_s: float, *, commanded: bool) -> dict[str, Values]:
+    """Return wrench windows and poses at the ticks, all times in whole ns since the contact.
+
+    The action is where the arm is told to be at the next tick; where that is not known, where it
+    was.
+    """
+    onset_ns = int(to_ns([onset_s])[0])
+    ticks_ns = TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1)
+    fine_ns = (TICK_NS // WINDOW) * np.arange(1, WINDOW * SAMPLES_PER_PROBE + 1)
+    # Sample and hold: at 1 kHz these are the samples themselves, moved by less than 1 ms.
+    latest = np.searchsorted(to_ns(recording.wrench_t_s) - onset_ns, fine_ns, side="right") - 1
+    wrench = recording.wrench[np.maximum(latest, 0)].astype(np.float32)
+    at_ns = to_ns(recording.pose_t_s) - onset_ns
+    xyz_mm = [np.interp(ticks_ns, at_ns, recording.pose_mm[:, axis]) for axis in range(3)]
+    state = _poses(np.stack(xyz_mm, axis=1))
+    action = np.concatenate([state[1:], state[-1:]])
+    if commanded:
+        told_ns = to_ns(recording.command_t_s) - onset_ns
+        holds = np.searchsorted(told_ns, ticks_ns + TICK_NS, side="right") - 1
+        action = _poses(recording.command_mm[np.maximum(holds, 0)])
+    windows = wrench.reshape(SAMPLES_PER_PROBE, WINDOW, WRENCH_CHANNELS)
+    return {FT_WINDOW: windows, STATE: state, ACTION: action}
+
+
+def _poses(position_mm: FloatArray) -> NDArray[np.float32]:
+    """Return (n, 7): position in m and the quaternion of no rotation."""
+    poses = np.zeros((len(position_mm), 7), dtype=np.float32)
+    poses[:, :3] = position_mm / 1e3
+    poses[:, 6] = 1.0
+    return poses
+
+
+def _pictures(film: CompressedEpisode) -> dict[str, tuple[ImageArray, ...]]:
+    ticks_s = film.episode.onset_s + np.arange(1, SAMPLES_PER_PROBE + 1) / FPS
+    return {
+        PICTURES[finger]: _nearest(film.pictures[finger], ticks_s)
+        for finger in FINGERS
+        if film.pictures[finger].packed
+    }
+
+
+def _nearest(pictures: CompressedImages, ticks_s: FloatArray) -> tuple[ImageArray, ...]:
+    index = np.abs(pictures.t_s[None, :] - ticks_s[:, None]).argmin(axis=1).tolist()
+    decoded = {k: np.ascontiguousarray(pictures.picture(k)[:, :, ::-1]) for k in sorted(set(index))}
+    return tuple(decoded[k] for k in index)

@@ -1,0 +1,265 @@
+"""Export of a dataset in a named format.
+
+An export is complete with its manifest, or its folder is named ``.partial``. A format's module is
+imported when the format is used.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Literal, cast
+
+from touchdown.backend.annotations import NO_ROOM, Dataset
+from touchdown.backend.core import Fault, FaultError, InputError, sync_folder, write_atomically
+from touchdown.backend.exchange import export_episode, manifest
+from touchdown.backend.exchange.export_episode import ExportEpisode, ExportSignals
+from touchdown.backend.exchange.features import COMMANDED, MEASURED, Feature, make_features
+from touchdown.backend.exchange.query import (
+    ExportQuery,
+    SelectedEpisode,
+    Selection,
+    select_episodes,
+)
+
+PARTIAL = ".partial"
+MARK = ".touchdown-export"
+SAMPLE = "sample"
+SAMPLED = 20
+"""So many episodes, evenly spread, have pictures where ``video`` is ``sample``."""
+Video = Literal["sample", "all", "none"]
+ProgressCallback = Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ExportJob:
+    """What a format writes. ``pictures``: also the tactile pictures at the ticks; ``tables``: the
+    recorded signals at their own rates.
+    """
+
+    dataset: Dataset
+    chosen: tuple[SelectedEpisode, ...]
+    features: tuple[Feature, ...]
+    signals: ExportSignals
+    pictures: bool
+    advance: ProgressCallback
+    tables: bool = False
+
+    def episodes(self) -> Iterator[ExportEpisode]:
+        """Yield the episodes in order, one in memory at a time."""
+        for done, one in enumerate(self.chosen):
+            yield export_episode.read_export(
+                self.dataset, one, self.signals, pictures=self.pictures
+            )
+            self.advance(done + 1)
+
+
+FormatWriter = Callable[[ExportJob, Path], Mapping[str, object]]
+"""Writes a format into an empty folder; returns how the values are coded, for the manifest."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportFormat:
+    """One format of export. ``signals``: it holds arrays; else labels alone, beside them ``tables``
+    of the recorded signals where these are wanted.
+    """
+
+    name: str
+    write: FormatWriter
+    signals: bool
+    video: Video = "none"
+    tables: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ExportResult:
+    """What was written: its folder, number of episodes and the hash of the manifest."""
+
+    folder: Path
+    episodes: int
+    manifest_sha256: str
+    warnings: tuple[str, ...]
+
+
+def export_dataset(
+    dataset: Dataset,
+    chosen_format: ExportFormat,
+    query: ExportQuery,
+    out: Path,
+    video: Video | None = None,
+    advance: Callable[[int, int], None] = lambda done, total: None,
+) -> ExportResult:
+    """Write the episodes of ``query`` to the new folder ``out``; ``advance(done, total)``.
+
+    Raises ``InputError`` for bad wishes, ``FaultError`` if the disk refuses.
+    """
+    wanted = chosen_format.video if video is None else video
+    selection = select_episodes(dataset, query)
+    _check_video(chosen_format, selection.chosen, wanted)
+    job = replace(_job(dataset, chosen_format, selection), tables=chosen_format.tables)
+    part = _begin(out)
+    try:
+        described = manifest.make_manifest(
+            dataset, chosen_format.name, query, selection, job.features
+        )
+        _write(job, chosen_format, described, wanted, part, advance)
+        manifest_sha256 = manifest.write_manifest(part, described)
+        (part / MARK).unlink()
+        part.replace(out)
+        sync_folder(out.parent)
+    except OSError as error:
+        raise FaultError(_disk_fault(error, part)) from error
+    return ExportResult(out, len(job.chosen), manifest_sha256, tuple(described["warnings"]))
+
+
+def _job(dataset: Dataset, chosen_format: ExportFormat, selection: Selection) -> ExportJob:
+    chosen = selection.chosen
+    if not chosen_format.signals:
+        return ExportJob(dataset, chosen, (), ExportSignals(False, False), False, lambda done: None)
+    signals = export_episode.common_signals(dataset, chosen)
+    listed = make_features(export_episode.face_points(dataset, chosen), native=signals.native)
+    return ExportJob(dataset, chosen, listed, signals, False, lambda done: None)
+
+
+def _check_video(
+    chosen_format: ExportFormat, chosen: Sequence[SelectedEpisode], video: Video
+) -> None:
+    if video != "none" and not chosen_format.signals:
+        raise InputError(
+            f"The format '{chosen_format.name}' holds no pictures.", "--video", "Leave it out."
+        )
+    without = len(chosen) - len(_filmed(chosen))
+    if video == "all" and without:
+        raise InputError(
+            f"{without} episodes were kept without pictures.",
+            "--video all",
+            "Use --video sample, which takes those that have some.",
+        )
+
+
+def _filmed(chosen: Sequence[SelectedEpisode]) -> list[SelectedEpisode]:
+    return [one for one in chosen if one.entry.keep_frames != "none"]
+
+
+def _begin(out: Path) -> Path:
+    """Return the empty ``.partial`` folder, cleared of an interrupted export."""
+    if out.exists() or out.name.endswith(PARTIAL):
+        raise InputError("This folder is there already, or has a kept name.", str(out),
+                         "Name a new folder.")  # fmt: skip
+    part = out.with_name(out.name + PARTIAL)
+    if part.exists():
+        if not ((part / MARK).is_file() or (part / manifest.MANIFEST_NAME).is_file()):
+            raise InputError("This is no interrupted export.", str(part), "Move it away.")
+        shutil.rmtree(part)
+    try:
+        part.mkdir(parents=True)
+        (part / MARK).touch()
+    except OSError as error:
+        raise InputError(
+            f"Nothing can be written there: {error.strerror or error}.",
+            str(part),
+            "Name a folder on a disk with room that can be written.",
+        ) from error
+    return part
+
+
+def _write(
+    job: ExportJob,
+    chosen_format: ExportFormat,
+    described: manifest.Manifest,
+    video: Video,
+    part: Path,
+    advance: Callable[[int, int], None],
+) -> None:
+    """Write all files but the manifest, and what they are into ``described``."""
+    filmed = _filmed(job.chosen)
+    sample = _sample(filmed) if video == "sample" else ()
+    total = len(job.chosen) + len(sample)
+    for name in described["geometry"]:
+        record = job.dataset.geometry.folder / f"{name}.json"
+        write_atomically(part / manifest.GEOMETRY / record.name, record.read_bytes())
+    whole = replace(job, pictures=video == "all", advance=lambda done: advance(done, total))
+    codec = {"": dict(chosen_format.write(whole, part))}
+    if sample:
+        before = len(job.chosen)
+        sampled = replace(
+            job, chosen=sample, pictures=True, advance=lambda done: advance(before + done, total)
+        )
+        codec[SAMPLE] = dict(chosen_format.write(sampled, _made(part / SAMPLE)))
+    described["codec"] = codec
+    if job.signals.native:
+        described["feature_spec"]["action"] = COMMANDED if job.signals.commanded else MEASURED
+    described["video"] = {"kind": video, "sampled": [one.entry.uuid for one in sample]}
+    described["warnings"] += _warnings(job, chosen_format)
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir()
+    return folder
+
+
+def _sample(filmed: Sequence[SelectedEpisode]) -> tuple[SelectedEpisode, ...]:
+    """Return up to 20 episodes, evenly spread, numbered anew."""
+    count = min(SAMPLED, len(filmed))
+    picked = [filmed[k * len(filmed) // count] for k in range(count)]
+    return tuple(replace(one, index=index) for index, one in enumerate(picked))
+
+
+def _warnings(job: ExportJob, chosen_format: ExportFormat) -> list[str]:
+    if not chosen_format.signals:
+        return []
+    if not job.signals.native:
+        return ["Some episodes have no recorded signals: only what the model is given is here."]
+    action = "The action is the commanded pose of the next tick"
+    if not job.signals.commanded:
+        action = "Some episodes do not say the commanded pose: the action is the measured pose at "
+        action += "the next tick"
+    return [
+        f"{action}; the orientation of the tool is fixed.",
+        "Own rates and stamps are in the episode files only; here all is at 10 Hz.",
+    ]
+
+
+def _disk_fault(error: OSError, part: Path) -> Fault:
+    full = error.errno in NO_ROOM
+    return Fault(
+        code="DISK-FULL" if full else "EXPORT-WRITE",
+        what="The disk is full." if full else f"The export cannot be written: {error}.",
+        consequence=f"The export is not complete; what is in {part.name} is of no use.",
+        next_step="Make room, then export again.",
+    )
+
+
+TABLES = ("csv",)
+"""Formats that can hold the recorded signals as tables."""
+_MODULES: dict[str, tuple[str, bool, Video]] = {
+    "lerobot": ("lerobot_v3", True, "sample"),
+    "robomimic": ("robomimic", True, "none"),
+    "zarr": ("zarr_v3", True, "none"),
+    "coco": ("coco", False, "none"),
+    "csv": ("csv_tables", False, "none"),
+    "jsonl": ("jsonl", False, "none"),
+}
+EXPORTS = tuple(_MODULES)
+
+
+def export_format(name: str, *, tables: bool = False) -> ExportFormat:
+    """Return the format ``name``; raises ``InputError`` for an unknown one.
+
+    ``tables``: with the recorded signals of every episode, which only csv can hold.
+    """
+    if name not in _MODULES:
+        raise InputError(
+            f"There is no format '{name}'.", "format", f"Use one of: {', '.join(EXPORTS)}."
+        )
+    if tables and name not in TABLES:
+        raise InputError(
+            f"The format '{name}' holds no tables of signals.", "--tables",
+            f"Use {' or '.join(TABLES)}.",
+        )  # fmt: skip
+    module, signals, video = _MODULES[name]
+    write = cast("FormatWriter", import_module(f"touchdown.backend.exchange.{module}").write)
+    return ExportFormat(name, write, signals, video, tables)

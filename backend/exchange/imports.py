@@ -1,0 +1,515 @@
+"""Import of foreign episodes as a new series with draft labels.
+
+Imported episodes have the mode ``imported``. Foreign files are opened in a child process with a
+deadline: a bad file may hang or crash it.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import IO, Any
+from uuid import UUID
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.annotations import (
+    NO_LABEL,
+    SPLIT_TAG,
+    Dataset,
+    EpisodeContext,
+    Label,
+    OperationDraft,
+    check_person,
+    is_uuid7,
+    read_mark,
+    uuid7,
+    uuid7_from_parts,
+)
+from touchdown.backend.config import SAMPLES_PER_PROBE
+from touchdown.backend.core import (
+    CHANNELS,
+    FINGERS,
+    TACTILE_CHANNELS,
+    WRENCH_CHANNELS,
+    Episode,
+    EpisodeQuality,
+    FloatArray,
+    InputError,
+    ProcessStallDetector,
+    Recording,
+    TactileFrame,
+    write_atomically,
+)
+from touchdown.backend.exchange.exports import PARTIAL
+from touchdown.backend.exchange.features import (
+    ACTION,
+    COMMANDED,
+    FPS,
+    FT,
+    FT_WINDOW,
+    MARKERS,
+    OFFSET,
+    PICTURES,
+    STATE,
+    TICK_NS,
+    WINDOW,
+    ForeignEpisode,
+    load_foreign,
+)
+from touchdown.backend.exchange.label_import import note_import
+from touchdown.backend.exchange.manifest import GEOMETRY, Manifest, read_manifest
+from touchdown.backend.geometry import load_pieces
+
+DEADLINE_S = 60.0
+"""So long may one episode take; the first one includes opening the file."""
+LOOK_S = 0.05
+
+
+def read_foreign(
+    kind: str, source: Path, deadline_s: float = DEADLINE_S
+) -> Iterator[ForeignEpisode]:
+    """Yield the episodes of ``source`` as the reader ``kind`` finds them, one in memory at a time.
+
+    Raises ``InputError`` for a file that is damaged, foreign, or not read within the deadline.
+    """
+    command = [
+        sys.executable,
+        "-m",
+        "touchdown.backend.exchange.foreign_child",
+        kind,
+        str(source.resolve()),
+    ]
+    with (
+        tempfile.TemporaryDirectory(prefix="touchdown-import-") as folder,
+        tempfile.TemporaryFile() as said,
+    ):
+        child = subprocess.Popen(
+            [*command, folder], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            stderr=said,
+        )  # fmt: skip
+        assert child.stdout is not None
+        lines: queue.Queue[bytes] = queue.Queue()
+        listener = threading.Thread(target=_listen, args=(child.stdout, lines), daemon=True)
+        listener.start()
+        try:
+            if not (
+                yield from _episodes(lines, source, ReaderDeadline(child.pid, source, deadline_s))
+            ):
+                raise _crashed(source, said)
+        finally:
+            child.kill()
+            child.wait()
+            listener.join()
+            child.stdout.close()
+
+
+def _listen(stream: IO[bytes], lines: queue.Queue[bytes]) -> None:
+    for line in stream:
+        lines.put(line)
+    lines.put(b"")
+
+
+class ReaderDeadline:
+    """Waits for a line of the reader ``number``, as long as it does something."""
+
+    def __init__(self, number: int, source: Path, deadline_s: float) -> None:
+        self._watch, self._source, self._deadline_s = (
+            ProcessStallDetector(number),
+            source,
+            deadline_s,
+        )
+
+    def line(self, lines: queue.Queue[bytes]) -> bytes:
+        """Return the next one; raises ``InputError``."""
+        end_s = time.monotonic() + self._deadline_s
+        while True:
+            left_s = end_s - time.monotonic()
+            try:
+                return lines.get(timeout=max(min(LOOK_S, left_s), 0.0))
+            except queue.Empty:
+                if left_s <= 0.0:
+                    what = f"was not read within {self._deadline_s:g} s and was given up"
+                elif self._watch.look(time.monotonic()):
+                    what = "was given up: its reader stands still, nothing in it wants to run"
+                else:
+                    continue
+            raise InputError(
+                f"The file {what}.",
+                str(self._source),
+                "It is damaged or far too large; use another copy.",
+            )
+
+
+def _episodes(
+    lines: queue.Queue[bytes], source: Path, waiting: ReaderDeadline
+) -> Generator[ForeignEpisode, None, bool]:
+    """Yield the episodes; return whether the reader came to the end."""
+    while True:
+        line = waiting.line(lines)
+        answer: dict[str, str] = json.loads(line) if line.endswith(b"\n") else {}
+        if "episode" in answer:
+            path = Path(answer["episode"])
+            yield load_foreign(path)
+            path.unlink()
+        elif "error" in answer:
+            raise InputError(answer["error"], answer["where"] or str(source), answer["fix"])
+        else:
+            return "done" in answer
+
+
+def _crashed(source: Path, said: IO[bytes]) -> InputError:
+    said.seek(0)
+    lines = said.read()[-2000:].decode("utf-8", "replace").splitlines()
+    last = f" ({lines[-1]})" if lines else ""
+    return InputError(
+        f"The reader crashed on this file{last}.", str(source), "It is damaged; use another copy."
+    )
+
+
+FRAME_SHAPE = (240, 320, 3)
+MAX_OFFSET_MM = 1000.0
+MAX_NUMBER = 1 << 24
+
+
+@dataclass(frozen=True, slots=True)
+class MappedEpisode:
+    """A foreign episode as we keep it. ``recording``: its signals, None without a wrench."""
+
+    foreign: ForeignEpisode
+    observation: NDArray[np.float32]
+    recording: Recording | None
+    label: Label
+
+
+def mapping_problem(foreign: ForeignEpisode) -> str:
+    """Return why the episode cannot be mapped, or ""."""
+    values = foreign.values
+    if not 0 <= foreign.index < MAX_NUMBER:
+        return "its number is out of range"
+    needed = {MARKERS: TACTILE_CHANNELS, FT: WRENCH_CHANNELS}
+    lacking = sorted(set(needed) - set(values))
+    if lacking:
+        return f"it lacks {', '.join(lacking)}"
+    if foreign.fps is not None and foreign.fps != FPS:
+        return f"it has {foreign.fps:g} ticks per second, not {FPS}"
+    for key, width in needed.items():
+        if values[key].shape != (SAMPLES_PER_PROBE, width):
+            return f"{key} has shape {values[key].shape}, not ({SAMPLES_PER_PROBE}, {width})"
+        if not np.isfinite(values[key].astype(np.float64)).all():
+            return f"{key} holds a value that is not finite"
+    return ""
+
+
+def mapping_losses(foreign: ForeignEpisode) -> tuple[str, ...]:
+    """Return what the file does not say, and what is taken for it."""
+    said = []
+    if foreign.fps is None:
+        said.append(f"It names no rate: ticks are taken as {1000 // FPS} ms apart.")
+    if not _has_signals(foreign.values):
+        said.append("It has no wrench between the ticks and no poses: nothing is replayed there.")
+    said.append("It has no marker fields at their own rate, no bench clock and no tare.")
+    return tuple(said)
+
+
+def map_episode(foreign: ForeignEpisode, *, commanded: bool = False) -> MappedEpisode:
+    """Return what is kept of an episode without a ``problem``.
+
+    ``commanded``: its action is known to be the commanded pose of the next tick.
+    """
+    observation = np.concatenate([foreign.values[MARKERS], foreign.values[FT]], axis=1)
+    observation = np.ascontiguousarray(observation.astype(np.float32))
+    assert observation.shape == (SAMPLES_PER_PROBE, CHANNELS)
+    recording = _recording(foreign.values, commanded=commanded)
+    return MappedEpisode(foreign, observation, recording, _label(foreign.values))
+
+
+def _has_signals(values: Mapping[str, NDArray[Any]]) -> bool:
+    shapes = {
+        FT_WINDOW: (SAMPLES_PER_PROBE, WINDOW, WRENCH_CHANNELS),
+        STATE: (SAMPLES_PER_PROBE, 7),
+    }
+    return all(key in values and values[key].shape == shape for key, shape in shapes.items())
+
+
+def _recording(values: Mapping[str, NDArray[Any]], *, commanded: bool) -> Recording | None:
+    """Return the signals, times counted from the contact in whole ns."""
+    if not _has_signals(values):
+        return None
+    fine_ns = (TICK_NS // WINDOW) * np.arange(1, WINDOW * SAMPLES_PER_PROBE + 1)
+    ticks_s = np.asarray(1e-9 * TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1), dtype=np.float64)
+    wrench: FloatArray = values[FT_WINDOW].reshape(-1, WRENCH_CHANNELS).astype(np.float64)
+    pose_mm = _position_mm(values[STATE])
+    told = commanded and ACTION in values and values[ACTION].shape == values[STATE].shape
+    return Recording(
+        wrench_t_s=np.asarray(fine_ns * 1e-9, dtype=np.float64),
+        wrench=wrench,
+        fields=(),
+        frames=_frames(values, ticks_s),
+        pose_t_s=ticks_s,
+        pose_mm=pose_mm,
+        tare=np.zeros(WRENCH_CHANNELS),
+        command_t_s=np.asarray(ticks_s + 1e-9 * TICK_NS) if told else np.zeros(0),
+        command_mm=_position_mm(values[ACTION]) if told else np.zeros((0, 3)),
+    )
+
+
+def _position_mm(poses: NDArray[Any]) -> FloatArray:
+    """Return (n, 3) of poses (n, 7) in m."""
+    return np.asarray(poses[:, :3].astype(np.float64) * 1e3, dtype=np.float64)
+
+
+def _frames(values: Mapping[str, NDArray[Any]], ticks_s: FloatArray) -> tuple[TactileFrame, ...]:
+    shape = (SAMPLES_PER_PROBE, *FRAME_SHAPE)
+    fingers = [f for f in FINGERS if PICTURES[f] in values and values[PICTURES[f]].shape == shape]
+    return tuple(
+        TactileFrame(finger, k, float(t_s),
+                     np.ascontiguousarray(values[PICTURES[finger]][k, :, :, ::-1], dtype=np.uint8))
+        for k, t_s in enumerate(ticks_s)
+        for finger in fingers
+    )  # fmt: skip
+
+
+def _label(values: Mapping[str, NDArray[Any]]) -> Label:
+    """Return the offset that the file gives, in whole µm; without one, no label."""
+    if OFFSET not in values or values[OFFSET].reshape(-1).size < 2:
+        return NO_LABEL
+    x_mm, y_mm = values[OFFSET].reshape(-1)[:2].astype(np.float64).tolist()
+    if not (abs(x_mm) < MAX_OFFSET_MM and abs(y_mm) < MAX_OFFSET_MM):
+        return NO_LABEL
+    return Label(round(x_mm * 1e3), round(y_mm * 1e3))
+
+
+MODE = "imported"
+OWN_BITS, NUMBER_AT = 24, 48
+TRUSTED = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
+"""The checks need signals that a foreign file does not have."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImportOptions:
+    """What is not in a foreign file: the pair, and who labelled it (None: nobody we know)."""
+
+    actor: str
+    labelled_by: str | None = None
+    piece: str | None = None
+    bottom: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ImportSurvey:
+    """What an import would do: how many episodes map, how many are here already, and what not."""
+
+    found: int
+    fit: int
+    here: int
+    problems: tuple[tuple[str, int], ...]
+    losses: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _EpisodeOrigin:
+    """Where one episode belongs: pair, grip and mounting, label and side."""
+
+    uuid: str
+    piece: str
+    bottom: str
+    geometry: str
+    grip_id: str
+    mounting_id: str
+    label: Label
+    source: str
+    side: str
+
+
+class EpisodeImport:
+    """One import of episodes: ``survey`` first, then ``write``. Raises ``InputError`` at once for
+    a manifest that does not fit its files, or a pair that is not named.
+    """
+
+    def __init__(self, dataset: Dataset, kind: str, source: Path, wish: ImportOptions) -> None:
+        if source.name.endswith(PARTIAL):
+            raise InputError("This export was interrupted.", str(source), "Export it again.")
+        self._dataset, self._kind, self._source, self._wish = dataset, kind, source, wish
+        self._actor = check_person(wish.actor)
+        self._manifest = read_manifest(source) if source.is_dir() else None
+        self._named = _episodes_by_number(self._manifest, kind, source)
+        spec = (self._manifest or {}).get("feature_spec")
+        self.backup: Path | None = None
+        """The catalogue as it was before ``write``; None until then, or of an empty dataset."""
+        self._commanded = isinstance(spec, Mapping) and spec.get("action") == COMMANDED
+        known = dataset.database.rows("SELECT uuid FROM episode")
+        self._known = {uuid for (uuid,) in known}
+        self._geometry = "" if self._named else self._own_pair()
+        self.total = len(self._named) or None
+
+    def survey(self, advance: Callable[[int], None] = lambda done: None) -> ImportSurvey:
+        """Read everything and tell what could not be mapped; nothing is written."""
+        problems: Counter[str] = Counter()
+        lost: dict[str, None] = {}
+        found = fit = here = 0
+        for foreign in read_foreign(self._kind, self._source):
+            found += 1
+            reason = self._reason(foreign)
+            if reason:
+                problems[reason] += 1
+            elif self._is_here(foreign):
+                here += 1
+            else:
+                fit += 1
+                lost |= dict.fromkeys(mapping_losses(foreign))
+            advance(found)
+        return ImportSurvey(found, fit, here, tuple(sorted(problems.items())), tuple(lost))
+
+    def write(self, advance: Callable[[int], None] = lambda done: None) -> list[str]:
+        """Write the episodes that map and are not here yet; returns their ids.
+
+        Raises ``FaultError`` before anything is written if the catalogue cannot be backed up.
+        """
+        self.backup = self._dataset.back_up_for("import")
+        self._take_geometry()
+        series, written = uuid7(), list[tuple[str, str]]()
+        for foreign in read_foreign(self._kind, self._source):
+            if self._reason(foreign) or self._is_here(foreign):
+                continue
+            mapped = map_episode(foreign, commanded=self._commanded)
+            written.append(self._record(mapped, series))
+            advance(len(written))
+        self._note(series, written)
+        return [uuid for uuid, _ in written]
+
+    def _reason(self, foreign: ForeignEpisode) -> str:
+        if self._named and foreign.index not in self._named:
+            return "the manifest does not name it"
+        return mapping_problem(foreign)
+
+    def _is_here(self, foreign: ForeignEpisode) -> bool:
+        named = self._named.get(foreign.index)
+        own = str(named["uuid"]) if named else foreign.uuid
+        return own in self._known or self._uuid(map_episode(foreign)) in self._known
+
+    def _uuid(self, mapped: MappedEpisode) -> str:
+        """Return the id of an imported episode: the same whenever it is imported.
+
+        It sorts as the id it had, else by its number, so that a later export has the same order.
+        """
+        number = mapped.foreign.index
+        named = self._named.get(number)
+        digest = sha256(mapped.observation.tobytes())
+        digest.update(str(named["uuid"] if named else number).encode("utf-8"))
+        own = int.from_bytes(digest.digest()[:4], "big") >> (32 - OWN_BITS)
+        if named is None:
+            return uuid7_from_parts(
+                0, number << NUMBER_AT | int.from_bytes(digest.digest()[:6], "big")
+            )
+        former = UUID(named["uuid"]).int
+        return str(UUID(int=former >> OWN_BITS << OWN_BITS | own))
+
+    def _record(self, mapped: MappedEpisode, series: str) -> tuple[str, str]:
+        origin = self._origin(mapped, series)
+        context = EpisodeContext(
+            series=series, bottom=origin.bottom, geometry=origin.geometry, person=self._actor,
+            grip_id=origin.grip_id, mounting_id=origin.mounting_id, mode=MODE,
+            bench={"imported_from": self._kind},
+        )  # fmt: skip
+        uuid = self._uuid(mapped)
+        offset = origin.label.offset_mm if origin.label.is_set else np.zeros(2)
+        pairs = (("imported_as", origin.uuid),) if origin.uuid else ()
+        episode = Episode(uuid, origin.piece, mapped.observation, offset, 0.0, TRUSTED,
+                          mapped.recording, pairs)  # fmt: skip
+        has_frames = mapped.recording is not None and bool(mapped.recording.frames)
+        self._dataset.record(
+            episode, origin.label, source=origin.source, context=context,
+            keep_frames="jpeg95_444" if has_frames else "none",
+        )  # fmt: skip
+        return uuid, origin.side
+
+    def _origin(self, mapped: MappedEpisode, series: str) -> _EpisodeOrigin:
+        foreign, named = mapped.foreign, self._named.get(mapped.foreign.index)
+        if named is not None:
+            return _EpisodeOrigin(
+                named["uuid"], named["piece"], named["bottom"], named["geometry"],
+                named["grip_id"], named["mounting_id"], Label(**named["label"]), named["source"],
+                named["split"],
+            )  # fmt: skip
+        # Nothing says which episodes shared a grip: one for all, so that no split can leak.
+        source = "human" if self._wish.labelled_by else "measured"
+        piece, bottom = str(self._wish.piece), str(self._wish.bottom)
+        return _EpisodeOrigin(foreign.uuid, piece, bottom, self._geometry, f"{series}/unknown",
+                       f"{series}/unknown", mapped.label, source, foreign.side)  # fmt: skip
+
+    def _own_pair(self) -> str:
+        if self._wish.piece is None or self._wish.bottom is None:
+            raise InputError(
+                "The file does not say which pieces touched.",
+                str(self._source),
+                "Name them with --piece and --bottom.",
+            )
+        pieces = load_pieces()
+        top, bottom = pieces.piece(self._wish.piece), pieces.piece(self._wish.bottom)
+        return self._dataset.geometry.store_pair(top, bottom)
+
+    def _take_geometry(self) -> None:
+        """Bring the geometry records along; each is checked against its name when it is used."""
+        for name in self._manifest["geometry"] if self._manifest else ():
+            path = self._dataset.geometry.folder / f"{name}.json"
+            if not path.exists():
+                write_atomically(path, (self._source / GEOMETRY / f"{name}.json").read_bytes())
+        for named in self._named.values():
+            self._dataset.geometry.pair(named["geometry"])
+
+    def _note(self, series: str, written: Sequence[tuple[str, str]]) -> None:
+        """Keep the sides of the split as tags, in one operation, and the import in the audit."""
+        with self._dataset.database.reading() as connection:
+            marks = [
+                read_mark(connection, uuid, f"{SPLIT_TAG}{side}", present=True)
+                for uuid, side in written
+                if side
+            ]
+        body: dict[str, str | int] = {"format": self._kind, "episodes": len(written)}
+        note_import(self._dataset, self._actor, OperationDraft(marks=marks), series, body)
+        self._dataset.labels.take_stock()
+
+
+def _episodes_by_number(
+    manifest: Manifest | None, kind: str, source: Path
+) -> dict[int, Mapping[str, Any]]:
+    if manifest is None:
+        return {}
+    try:
+        if manifest["format"] != kind:
+            raise ValueError(f"it is an export to {manifest['format']}, not {kind}")
+        named = {int(e["export_index"]): e for e in manifest["episodes"]}
+        for episode in named.values():
+            label = Label(**episode["label"])
+            _check(episode, label)
+        names = [str(name) for name in manifest["geometry"]]
+        if not all(len(name) == 64 and name.isalnum() for name in names):
+            raise ValueError("a geometry record has a bad name")
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"The manifest cannot be used: {error}.", str(source), "Export it again."
+        ) from error
+    return named
+
+
+def _check(episode: Mapping[str, Any], label: Label) -> None:
+    texts = ("uuid", "piece", "bottom", "geometry", "grip_id", "mounting_id", "source", "split")
+    if any(not isinstance(episode[name], str) for name in texts):
+        raise ValueError("an episode lacks a name")
+    if not is_uuid7(episode["uuid"]):
+        raise ValueError("an episode has an id of another kind")
+    values = (label.x_um, label.y_um, label.theta_mdeg, label.sigma_um)
+    if any(value is not None and type(value) is not int for value in values):
+        raise ValueError("a label is not in whole µm and mdeg")

@@ -1,0 +1,131 @@
+"""Reader of LeRobot datasets v3.0 and v2.1, called in a child process only."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.core import InputError
+from touchdown.backend.exchange.features import PICTURES, ForeignEpisode, require_package
+
+VERSIONS = ("v3.0", "v2.1")
+PREFIXES = ("observation.", "action", "label.")
+MAX_JSON_BYTES = 100_000_000
+MAX_TICKS = 100_000
+
+
+def read(source: Path) -> Iterator[ForeignEpisode]:
+    """Yield the episodes by number."""
+    info = _info(source)
+    fps, sides = float(info["fps"]), info.get("splits", {})
+    films = _VideoReader(source, info)
+    for path in sorted((source / "data").rglob("*.parquet")):
+        for number, rows in _groups(path, info["features"]):
+            pictures = films.pictures(number)
+            yield ForeignEpisode(number, fps, {**rows, **pictures}, _side(sides, number))
+
+
+def _info(source: Path) -> dict[str, Any]:
+    path = source / "meta/info.json"
+    if not path.is_file() or path.stat().st_size > MAX_JSON_BYTES:
+        raise InputError(
+            "This is no LeRobot dataset.", str(path), "Name the folder that holds meta/info.json."
+        )
+    info: dict[str, Any] = json.loads(path.read_bytes())
+    version = info.get("codebase_version")
+    if version not in VERSIONS:
+        raise InputError(
+            f"This is version {version} of LeRobot datasets.",
+            str(path),
+            f"Convert it to one of: {', '.join(VERSIONS)}.",
+        )
+    return info
+
+
+def _side(sides: Mapping[str, str], number: int) -> str:
+    """Return the side of an episode; where all are on one, as recorded there, nothing was split."""
+    if len(sides) < 2:
+        return ""
+    for side, span in sides.items():
+        first, _, last = str(span).partition(":")
+        if first.isdigit() and last.isdigit() and int(first) <= number < int(last):
+            return str(side)
+    return ""
+
+
+def _groups(
+    path: Path, features: Mapping[str, Any]
+) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+    """Yield (episode, its rows); an episode lies within one file, in order."""
+    file = require_package("pyarrow.parquet").ParquetFile(path)
+    kept = [name for name in file.schema_arrow.names if name.startswith(PREFIXES)]
+    number, parts = -1, list[dict[str, NDArray[Any]]]()
+    for group in range(file.num_row_groups):
+        table = file.read_row_group(group, columns=[*kept, "episode_index"])
+        episodes = table.column("episode_index").to_numpy()
+        for one in np.unique(episodes).tolist():
+            if one != number and parts:
+                yield number, _joined(parts)
+                parts = []
+            rows = table.filter(episodes == one)
+            number = int(one)
+            parts.append({k: _array(rows.column(k), features[k]) for k in kept})
+    if parts:
+        yield number, _joined(parts)
+
+
+def _joined(parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    if len(next(iter(joined.values()))) > MAX_TICKS:
+        raise ValueError("an episode is longer than any probe")
+    return joined
+
+
+def _array(column: Any, feature: Mapping[str, Any]) -> NDArray[Any]:
+    flat = column.combine_chunks()
+    while hasattr(flat, "flatten") and hasattr(flat.type, "value_type"):
+        flat = flat.flatten()
+    shape = [] if feature["shape"] == [1] else list(feature["shape"])
+    return np.asarray(flat.to_numpy(zero_copy_only=False)).reshape(len(column), *shape)
+
+
+class _VideoReader:
+    """The videos of a dataset v3.0, opened at the places that ``meta/episodes`` names."""
+
+    def __init__(self, source: Path, info: Mapping[str, Any]) -> None:
+        self._source, self._info = source, info
+        is_filmed = info.get("codebase_version") == "v3.0" and info.get("video_path")
+        self._keys = [k for k in PICTURES.values() if is_filmed and k in info["features"]]
+        self._rows: dict[int, dict[str, Any]] = {}
+        if self._keys:
+            for path in sorted((source / "meta/episodes").rglob("*.parquet")):
+                for row in require_package("pyarrow.parquet").read_table(path).to_pylist():
+                    self._rows[row["episode_index"]] = row
+
+    def pictures(self, number: int) -> dict[str, NDArray[Any]]:
+        """Return (T, h, w, 3) RGB per camera."""
+        return {key: self._film(key, self._rows[number]) for key in self._keys}
+
+    def _film(self, key: str, row: Mapping[str, Any]) -> NDArray[Any]:
+        chunk, number = (row[f"videos/{key}/{name}_index"] for name in ("chunk", "file"))
+        path = self._source / self._info["video_path"].format(
+            video_key=key, chunk_index=chunk, file_index=number
+        )
+        if not path.resolve().is_relative_to(self._source.resolve()):
+            raise ValueError(f"{path} lies outside the dataset")
+        start_s, half_s = row[f"videos/{key}/from_timestamp"], 0.5 / float(self._info["fps"])
+        pictures: list[NDArray[Any]] = []
+        with require_package("av").open(str(path)) as container:
+            stream = container.streams.video[0]
+            container.seek(int(start_s / stream.time_base), stream=stream, backward=True)
+            for frame in container.decode(stream):
+                if frame.time >= start_s - half_s:
+                    pictures.append(frame.to_ndarray(format="rgb24"))
+                if len(pictures) == row["length"]:
+                    break
+        return np.stack(pictures)

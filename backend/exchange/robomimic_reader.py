@@ -1,0 +1,71 @@
+"""Reader of robomimic HDF5 files, called in a child process only."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.core import InputError
+from touchdown.backend.exchange.features import (
+    ACTION,
+    DEMOS,
+    OFFSET,
+    PATCH,
+    PICTURES,
+    ForeignEpisode,
+    require_package,
+)
+
+MAX_VALUES = 50_000_000
+"""Of one array: more than any probe has, so a damaged shape is not allocated."""
+
+
+def read(source: Path) -> Iterator[ForeignEpisode]:
+    """Yield the demos by number."""
+    path = source / DEMOS if source.is_dir() else source
+    if not path.is_file():
+        raise InputError("There is no such file.", str(path), "Name the HDF5 file.")
+    with require_package("h5py").File(path, "r") as file:
+        data = file["data"]
+        kwargs = json.loads(data.attrs.get("env_args", "{}")).get("env_kwargs", {})
+        sides = {
+            name.decode(): side
+            for side, names in file.get("mask", {}).items()
+            for name in names[()].tolist()
+        }
+        numbers = sorted(int(name.removeprefix("demo_")) for name in data)
+        for number in numbers:
+            name = f"demo_{number}"
+            yield ForeignEpisode(
+                number,
+                float(kwargs["fps"]) if "fps" in kwargs else None,
+                _values(data[name], float(kwargs.get("action_scale", 1.0))),
+                sides.get(name, ""),
+                str(data[name].attrs.get("product_episode", "")),
+            )
+
+
+def _values(demo: Any, scale: float) -> dict[str, NDArray[Any]]:
+    images = {key.removeprefix("observation.images."): key for key in PICTURES.values()}
+    values = {
+        images.get(name, f"observation.{name}"): _array(array)
+        for name, array in demo["obs"].items()
+    }
+    actions = _array(demo["actions"])
+    values[ACTION] = actions * np.asarray(scale, dtype=actions.dtype)
+    for key in (OFFSET, PATCH):
+        name = key.replace(".", "_")
+        if name in demo:
+            values[key] = _array(demo[name])
+    return values
+
+
+def _array(stored: Any) -> NDArray[Any]:
+    if stored.size > MAX_VALUES:
+        raise ValueError(f"{stored.name} has {stored.size} values")
+    return np.asarray(stored[()])

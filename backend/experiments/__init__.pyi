@@ -1,0 +1,123 @@
+from .collection import run_jobs as run_jobs
+from .collection import split_jobs as split_jobs
+from .comparison import StrategyComparison as StrategyComparison
+from .comparison import comparison_tables as comparison_tables
+from .comparison import merged_oracle_shares as merged_oracle_shares
+from .comparison import oracle_share_table as oracle_share_table
+from .comparison import to_markdown as to_markdown
+from .document import BLUE as BLUE
+from .document import FAINT as FAINT
+from .document import INK as INK
+from .document import ORANGE as ORANGE
+from .document import VIOLET as VIOLET
+from .document import PictureGallery as PictureGallery
+from .document import Report as Report
+from .document import ReportPicture as ReportPicture
+from .document import ReportTable as ReportTable
+from .document import TableEntry as TableEntry
+from .document import report_page as report_page
+from .domain_shift import CollectionKind as CollectionKind
+from .domain_shift import DomainShift as DomainShift
+from .domain_shift import RandomisedTraining as RandomisedTraining
+from .domain_shift import change_rows as change_rows
+from .domain_shift import press_rows as press_rows
+from .domain_shift import trial_rows as trial_rows
+from .evaluation import EVALUATED_STRATEGIES as EVALUATED_STRATEGIES
+from .evaluation import job_effort as job_effort
+from .fusion import PORTIONS as PORTIONS
+from .fusion import WEIGHTS as WEIGHTS
+from .fusion import FusionRecipe as FusionRecipe
+from .fusion import threshold_counts as threshold_counts
+from .fusion import threshold_jobs as threshold_jobs
+from .job_kinds import KINDS as KINDS
+from .models import adopt_models as adopt_models
+from .models import keep_models as keep_models
+from .models import load_model as load_model
+from .models import models_that_ship as models_that_ship
+from .results import CONTENT_ERRORS as CONTENT_ERRORS
+from .results import DATA as DATA
+from .results import program_version as program_version
+from .results import read_beyond as read_beyond
+from .results import read_report as read_report
+from .results import rewrite_tables as rewrite_tables
+from .results import write_comparison as write_comparison
+from .results import write_tables as write_tables
+from .run_report import write_run_report as write_run_report
+from .sensitivity import COLUMNS as COLUMNS
+from .sensitivity import NuisanceSensitivity as NuisanceSensitivity
+from .sensitivity import sensitivity_page as sensitivity_page
+from .sensitivity import sensitivity_rows as sensitivity_rows
+from .statistics import compare_intervals as compare_intervals
+from .strategies import BOTTOMS as BOTTOMS
+from .strategies import STRATEGIES as STRATEGIES
+from .strategies import ClosedLoopComparison as ClosedLoopComparison
+from .strategies import StaticComparison as StaticComparison
+from .tables import BEYOND_FORMAT as BEYOND_FORMAT
+from .tables import PIECES as PIECES
+from .tables import SCALES as SCALES
+from .tables import TABLE_BOTTOMS as TABLE_BOTTOMS
+from .tables import Recipe as Recipe
+from .tables import pieces_of as pieces_of
+
+__all__ = [
+    "BEYOND_FORMAT",
+    "BLUE",
+    "BOTTOMS",
+    "COLUMNS",
+    "CONTENT_ERRORS",
+    "DATA",
+    "EVALUATED_STRATEGIES",
+    "FAINT",
+    "INK",
+    "KINDS",
+    "ORANGE",
+    "PIECES",
+    "PORTIONS",
+    "SCALES",
+    "STRATEGIES",
+    "TABLE_BOTTOMS",
+    "VIOLET",
+    "WEIGHTS",
+    "ClosedLoopComparison",
+    "CollectionKind",
+    "DomainShift",
+    "FusionRecipe",
+    "NuisanceSensitivity",
+    "PictureGallery",
+    "RandomisedTraining",
+    "Recipe",
+    "Report",
+    "ReportPicture",
+    "ReportTable",
+    "StaticComparison",
+    "StrategyComparison",
+    "TableEntry",
+    "adopt_models",
+    "change_rows",
+    "compare_intervals",
+    "comparison_tables",
+    "job_effort",
+    "keep_models",
+    "load_model",
+    "merged_oracle_shares",
+    "models_that_ship",
+    "oracle_share_table",
+    "pieces_of",
+    "press_rows",
+    "program_version",
+    "read_beyond",
+    "read_report",
+    "report_page",
+    "rewrite_tables",
+    "run_jobs",
+    "sensitivity_page",
+    "sensitivity_rows",
+    "split_jobs",
+    "threshold_counts",
+    "threshold_jobs",
+    "to_markdown",
+    "trial_rows",
+    "write_comparison",
+    "write_run_report",
+    "write_tables",
+]

@@ -1,0 +1,401 @@
+"""Comparison of strategies as tables and a page, with the share of the way from the paper's method to
+the oracle.
+
+One oracle knows the outline of the bottom, the other only that it is round. A share counts only the
+trials and groups that paper, strategy and oracle have in common. Its interval is that of a
+bootstrap over seeds within each cell, the three always drawn together (Efron and Tibshirani, An
+Introduction to the Bootstrap, 1993, ch. 13).
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from touchdown.backend.core import FloatArray, InputError, Outcome
+from touchdown.backend.experiments.document import PAGE_STYLE, reliability_chart
+from touchdown.backend.experiments.statics import PROBE_COUNTS
+from touchdown.backend.experiments.strategies import (
+    IOU_AFTER,
+    ORACLES,
+    RELIABLE_AFTER,
+    Cell,
+    ClosedLoopComparison,
+    StaticComparison,
+    parse_trials,
+    parse_verdicts,
+)
+from touchdown.backend.experiments.tables import UNSAFE_OUTCOMES, score_verdicts
+from touchdown.backend.jobs import JobSpec, JobStore
+
+PAPER = "paper"
+BOOTSTRAP_DRAWS, INTERVAL_PERCENTILES = 4000, (2.5, 97.5)
+Json = dict[str, Any]
+CountFunction = Callable[[Json], Sequence[float]]
+"""What one trial or answer adds to some sums."""
+
+
+def oracle_shares(
+    trials: Mapping[Cell, Sequence[Json]], answers: Mapping[Cell, Mapping[int, Json]]
+) -> list[Json]:
+    """Return one row per strategy beside paper and ceiling, and per quantity; ``to`` which ceiling.
+
+    ``trials``: finished trials of each cell; ``answers``: finished groups, by the seed of the
+    first of them. ``share`` is None where the ceiling is no better than the paper, its interval
+    where that is so in more draws than lie beyond one end of it.
+    """
+    rows = []
+    by_seed = {cell: {t["seed"]: t for t in some} for cell, some in trials.items()}
+    for name, to in _compared_pairs(by_seed):
+        three = _shared(by_seed, name, to)
+        rows.append({**_row(name, "placed", _counted(three, _placed), _mean), "to": to})
+        rows.append({**_row(name, "unsafe", _counted(three, _unsafe), _mean), "to": to})
+    for name, to in _compared_pairs(answers):
+        three = _shared(answers, name, to)
+        for n in map(str, PROBE_COUNTS):
+            counts = _counted(three, lambda answer, n=n: _verdicts(answer, n))  # type: ignore[misc]
+            rows.append({**_row(name, f"balanced, n = {n}", counts, _balanced), "to": to})
+    return rows
+
+
+def quantity_label(row: Mapping[str, Any]) -> str:
+    """Return what a row is about, and which ceiling is meant if not the highest."""
+    to = row.get("to", ORACLES[0])
+    return str(row["what"]) if to == ORACLES[0] else f"{row['what']}, to {to}"
+
+
+def merged_oracle_shares(stored: Sequence[tuple[str, Mapping[str, Any]]]) -> list[Json]:
+    """Return the rows over several ``beyond.json``: what each is called, and its content.
+
+    Raises ``InputError`` where two of them hold the same cell of a strategy, or another bench.
+    """
+    trials: dict[Cell, list[Json]] = {}
+    answers: dict[Cell, dict[int, Json]] = {}
+    benches = {answer["bench_sha256"] for _, answer in stored}
+    if len(benches) > 1:
+        raise InputError("They were made on different benches.", "--beyond", "Name those of one.")
+    for name, answer in stored:
+        for mine, more in ((trials, parse_trials(answer)), (answers, parse_verdicts(answer))):
+            for cell in sorted(mine.keys() & more.keys()):
+                what = f"{' '.join(cell)} stands in another of the files too."
+                raise InputError(what, name, "Name one file for each strategy and cell.")
+            mine.update(more)  # type: ignore[arg-type]
+    return oracle_shares(trials, answers)
+
+
+def _compared_pairs(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
+    """Return who is asked on the way to which ceiling."""
+    names = dict.fromkeys(strategy for strategy, _, _ in found)
+    if PAPER not in names:
+        return []
+    asked = [name for name in names if name not in (PAPER, *ORACLES)]
+    return [(name, to) for to in ORACLES if to in names for name in asked]
+
+
+def _shared(
+    found: Mapping[Cell, Mapping[int, Json]], name: str, to: str
+) -> list[list[tuple[Json, ...]]]:
+    """Return by cell what paper, ``name`` and the ceiling have in common, in this order."""
+    cells = []
+    for piece, bottom in dict.fromkeys((p, b) for _, p, b in found):
+        three = [found.get((s, piece, bottom), {}) for s in (PAPER, name, to)]
+        seeds = sorted(set(three[0]) & set(three[1]) & set(three[2]))
+        if seeds:
+            cells.append([tuple(part[seed] for part in three) for seed in seeds])
+    return cells
+
+
+def _counted(cells: Sequence[Sequence[tuple[Json, ...]]], count: CountFunction) -> list[FloatArray]:
+    """Return for each cell (seeds, 3, sums)."""
+    return [
+        np.array([[count(one) for one in three] for three in cell], dtype=np.float64)
+        for cell in cells
+    ]
+
+
+def _placed(trial: Json) -> Sequence[float]:
+    return float(trial["outcome"] == Outcome.PLACED.value), 1.0
+
+
+def _unsafe(trial: Json) -> Sequence[float]:
+    return float(trial["outcome"] in UNSAFE_OUTCOMES), 1.0
+
+
+def _mean(sums: FloatArray) -> FloatArray:
+    return np.asarray(sums[..., 0] / sums[..., 1])
+
+
+def _verdicts(answer: Json, n: str) -> Sequence[float]:
+    counts = score_verdicts(answer["likely"][n], answer["margin_mm"], interface=1)[0]
+    return (
+        counts.both,
+        counts.both + counts.missed,
+        counts.neither,
+        counts.neither + counts.unsafe,
+        len(answer["margin_mm"]),
+    )
+
+
+def _balanced(sums: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore"):
+        return np.asarray(0.5 * (sums[..., 0] / sums[..., 1] + sums[..., 2] / sums[..., 3]))
+
+
+def _row(
+    name: str, what: str, counts: Sequence[FloatArray], value: Callable[[FloatArray], FloatArray]
+) -> Json:
+    row: Json = dict.fromkeys(("paper", "own", "ceiling", "share", "share_low", "share_high"))
+    row.update(strategy=name, what=what, n=0)
+    if not counts:
+        return row
+    total = np.sum([cell.sum(axis=0) for cell in counts], axis=0)
+    values = value(total)
+    row["n"] = int(total[0, -1])
+    for key, one in zip(("paper", "own", "ceiling"), values.tolist(), strict=True):
+        row[key] = None if np.isnan(one) else one
+    upwards = what != "unsafe"
+    share = _share_of_way(values, upwards=upwards)
+    if np.isnan(share):
+        return row
+    row["share"] = float(share)
+    drawn = _share_of_way(value(_bootstrap_sums(counts)), upwards=upwards)
+    known = drawn[~np.isnan(drawn)]
+    if len(known) > (1.0 - INTERVAL_PERCENTILES[0] / 100.0) * BOOTSTRAP_DRAWS:
+        row["share_low"], row["share_high"] = np.percentile(known, INTERVAL_PERCENTILES).tolist()
+    return row
+
+
+def _share_of_way(values: FloatArray, *, upwards: bool) -> FloatArray:
+    """Return the share (...) of values (..., 3); NaN where the ceiling is no better."""
+    paper, own, ceiling = np.moveaxis(values, -1, 0)
+    way = ceiling - paper
+    better = way > 0.0 if upwards else way < 0.0
+    return np.asarray(np.where(better, (own - paper) / np.where(better, way, 1.0), np.nan))
+
+
+def _bootstrap_sums(counts: Sequence[FloatArray]) -> FloatArray:
+    """Return (draws, 3, sums): seeds of every cell drawn again, with replacement."""
+    rng = np.random.Generator(np.random.PCG64(993))
+    total = np.zeros((BOOTSTRAP_DRAWS, *counts[0].shape[1:]))
+    for cell in counts:
+        often = rng.multinomial(len(cell), np.full(len(cell), 1.0 / len(cell)), BOOTSTRAP_DRAWS)
+        total += np.tensordot(often.astype(np.float64), cell, axes=1)
+    return total
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonTable:
+    """One table in words: ``rows`` as long as ``columns``."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StrategyComparison:
+    """Closed loops and, where ``said`` is given, what is said before a release."""
+
+    loops: ClosedLoopComparison
+    said: StaticComparison | None = None
+
+    def jobs(self) -> list[JobSpec]:
+        """Return the jobs of both."""
+        return [*self.loops.jobs(), *(self.said.jobs() if self.said else ())]
+
+    def effort(self, spec: JobSpec) -> int:
+        """Return how long a job takes compared with others."""
+        return (
+            ClosedLoopComparison.effort(spec)
+            if spec.kind == "beyond"
+            else StaticComparison.effort(spec)
+        )
+
+    def answer(self, store: JobStore) -> Json:
+        """Return all that is finished by now."""
+        found = self.loops.table(store)
+        answers = self.said.answers(store) if self.said else {}
+        found["gaps"] = oracle_shares(self.loops.trials_of(store), answers)
+        if self.said is not None:
+            found["statics"] = self.said.table(store)
+        return found
+
+
+def comparison_tables(answer: Mapping[str, Any]) -> list[ComparisonTable]:
+    """Return the tables of an answer; without groups or a ceiling there are fewer."""
+    found = [
+        ComparisonTable(
+            "Closed loop, simulated; 95 % intervals",
+            ("strategy", "trials", "placed %", "unsafe %", "outcomes", "probes", "spare"),
+            tuple(_closed_loop_row(cell) for cell in (*answer["cells"], *answer["pooled"])),
+        )
+    ]
+    if "statics" in answer:
+        statics = answer["statics"]
+        found.append(
+            ComparisonTable(
+                "Would it stand at the place of the first probe? Balanced, %",
+                (
+                    "strategy",
+                    "groups",
+                    *(f"n = {n}" for n in PROBE_COUNTS),
+                    *(f"released, n = {n}" for n in PROBE_COUNTS),
+                    "unsafe %, n = 3",
+                ),
+                tuple(_verdict_row(cell) for cell in (*statics["cells"], *statics["pooled"])),
+            )
+        )
+        found.append(
+            ComparisonTable(
+                "Do the maps keep their promise? Covered cells",
+                (
+                    "strategy",
+                    *(f"ECE, n = {n}" for n in RELIABLE_AFTER),
+                    f"IoU %, n = {IOU_AFTER}",
+                ),
+                tuple(_reliability_row(cell) for cell in (*statics["cells"], *statics["pooled"])),
+            )
+        )
+    if answer["gaps"]:
+        found.append(oracle_share_table(answer["gaps"]))
+    return found
+
+
+def to_markdown(found: Sequence[ComparisonTable]) -> str:
+    """Return tables as they stand in a document."""
+    parts = []
+    for sheet in found:
+        lines = [sheet.columns, ("---",) * len(sheet.columns), *sheet.rows]
+        parts.append(
+            "\n".join([f"{sheet.title}:", "", *(f"| {' | '.join(row)} |" for row in lines)])
+        )
+    return "\n\n".join(parts) + "\n"
+
+
+def oracle_share_table(rows: Sequence[Json]) -> ComparisonTable:
+    """Return the table of the shares of the way to the ceiling."""
+    return ComparisonTable(
+        "Share of the way from paper to ceiling, what all three did; 95 % intervals over seeds",
+        ("strategy", "of", "n", "paper %", "own %", "ceiling %", "share %"),
+        tuple(_oracle_share_row(row) for row in rows),
+    )
+
+
+def _closed_loop_row(cell: Json) -> tuple[str, ...]:
+    outcomes = ", ".join(f"{w.replace('_', ' ')} {n}" for w, n in cell["outcomes"].items())
+    left = cell.get("left_out", 0)
+    return (
+        _name(cell),
+        str(cell["placed"]["n"]),
+        _format_share(cell["placed"]),
+        _format_share(cell["unsafe"]),
+        outcomes + (f"; {left} left out" if left else ""),
+        _format_number(cell["probes"]),
+        _format_number(cell["excess_probes_median"]),
+    )
+
+
+def _verdict_row(cell: Json) -> tuple[str, ...]:
+    kinds = cell["likely"], cell["released"]
+    balanced = [_format_percent(by_n[str(n)]["balanced"]) for by_n in kinds for n in PROBE_COUNTS]
+    return _name(cell), str(cell["groups"]), *balanced, _format_share(kinds[1]["3"]["unsafe"])
+
+
+def _reliability_row(cell: Json) -> tuple[str, ...]:
+    charts = [cell["reliability"].get(str(n)) for n in RELIABLE_AFTER]
+    ece = ["" if chart is None else f"{chart['ece']:.3f}" for chart in charts]
+    return _name(cell), *ece, _format_share(cell["iou"])
+
+
+def _oracle_share_row(row: Json) -> tuple[str, ...]:
+    shares = [_format_percent(row[key]) for key in ("paper", "own", "ceiling")]
+    share = {
+        key: row[f"share{end}"] for key, end in (("value", ""), ("low", "_low"), ("high", "_high"))
+    }
+    shown = _format_share(share) if share["low"] is not None else _format_percent(share["value"])
+    return row["strategy"], quantity_label(row), str(row["n"]), *shares, shown
+
+
+def _name(cell: Json) -> str:
+    words: Sequence[str] = (cell["strategy"], cell.get("piece", "pooled"))
+    over = cell.get("bottom") or {"one": "one bottom", "two": "two bottoms"}.get(
+        cell.get("tower", ""), ""
+    )
+    return " ".join((*words, over)).strip()
+
+
+def _format_share(estimate: Json) -> str:
+    if estimate["value"] is None:
+        return ""
+    value, low, high = (100 * estimate[key] for key in ("value", "low", "high"))
+    return f"{value:.1f} ({low:.1f} to {high:.1f})"
+
+
+def _format_percent(value: float | None) -> str:
+    return "" if value is None else f"{100 * value:.1f}"
+
+
+def _format_number(value: float | None) -> str:
+    return "" if value is None else f"{value:.1f}"
+
+
+def comparison_section(answer: Mapping[str, Any]) -> str:
+    """Return the part of a page that shows an answer of ``touchdown experiment beyond``."""
+    tables = "".join(_table(sheet) for sheet in comparison_tables(answer))
+    return (
+        "<h2>Beyond the paper</h2><p>Closed loops count every trial, whatever its outcome; "
+        "<i>unsafe</i>: fell or knocked over; <i>spare</i>: probes beyond the least number, "
+        "median. Towers: the upper bottom stands off the lower one by 0 to 6 mm; those on which "
+        f"the piece has no stable place are left out.</p>{tables}{_charts(answer)}"
+    )
+
+
+def comparison_page(answer: Mapping[str, Any]) -> str:
+    """Return that part as a page of its own."""
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f"<title>Touchdown: beyond the paper</title><style>{PAGE_STYLE}</style></head><body>"
+        "<h1>Touchdown: strategies beyond the paper</h1>"
+        '<p class="banner">SIMULATED BENCH: no robot moved for these figures</p>'
+        f"<p>Bench <code>{answer['bench_sha256'][:16]}</code>, program "
+        f"{html.escape(answer['code'])}.</p>{comparison_section(answer)}</body></html>"
+    )
+
+
+def _table(sheet: ComparisonTable) -> str:
+    if not sheet.rows:
+        return ""
+    head = "".join(f"<th>{html.escape(word)}</th>" for word in sheet.columns)
+    rows = "".join(
+        f"<tr><th>{html.escape(row[0])}</th>"
+        + "".join(f"<td>{html.escape(value)}</td>" for value in row[1:])
+        + "</tr>"
+        for row in sheet.rows
+    )
+    return (
+        f"<h3>{html.escape(sheet.title)}</h3>"
+        f'<div class="wide"><table><tr>{head}</tr>{rows}</table></div>'
+    )
+
+
+def _charts(answer: Mapping[str, Any]) -> str:
+    drawn = [
+        reliability_chart(
+            chart["promised"],
+            chart["came"],
+            pooled["strategy"],
+            f"n = {n}, ECE {chart['ece']:.3f}",
+        )
+        for pooled in answer.get("statics", {}).get("pooled", ())
+        for n, chart in pooled["reliability"].items()
+    ]
+    if not drawn:
+        return ""
+    return (
+        "<h3>Promised and true</h3><p>Covered cells, 15 bins of equal mass. Along: promised. Up: "
+        f'came true.</p><div class="charts">{"".join(drawn)}</div>'
+    )

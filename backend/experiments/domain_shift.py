@@ -1,0 +1,372 @@
+"""The drop of models and strategies from the simulated bench to the second world, with and without
+domain randomisation.
+
+Domain randomisation trains on probes of which every mounting is a bench of its own: sizes of
+nuisances and laws of gel, grip, contact and friction are drawn for each mounting in wide ranges
+around the given bench. The ranges were chosen by hand and are not fitted to the second world.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, Literal
+
+import numpy as np
+
+from touchdown.backend.config import SimulationSettings, bench_sha256
+from touchdown.backend.experiments.evaluation import (
+    EVALUATED_STRATEGIES,
+    NUISANCES,
+    WORLDS,
+    EvaluationBench,
+    job_effort,
+    press_jobs,
+    scale_nuisance,
+    trial_jobs,
+)
+from touchdown.backend.experiments.statistics import (
+    VerdictCounts,
+    estimate_mean,
+    format_change,
+    iou_change,
+)
+from touchdown.backend.experiments.strategies import count_outcomes
+from touchdown.backend.experiments.tables import TRAINING_BOTTOMS, paper_training, score_verdicts
+from touchdown.backend.jobs import JobSpec, JobStore
+from touchdown.backend.learning import DeviceName
+
+CollectionKind = Literal["mountings", "randomised"]
+"""As many mountings of the bench as it draws them; the same, each with its own sizes and laws."""
+FIRST_SEED, OUTLINE_SEEDS = 7_000_000, 10_000
+"""Of the mountings, far from the seeds of all tables; each outline has so many."""
+PROBES, PROBES_PER_GRIP, GRIPS_PER_MOUNTING, EPOCHS = 2000, 5, 10, 30
+NUISANCE_FACTORS = (0.5, 2.0)
+"""Every nuisance is so many times as large as on the bench."""
+LAW_FACTORS: Mapping[str, tuple[float, float]] = {
+    "grasp.shear_n_mm": (0.5, 2.0),
+    "grasp.normal_n_mm": (0.5, 2.0),
+    "grasp.torsion_nmm_rad": (0.5, 2.0),
+    "grasp.limit_radius_mm": (0.6, 1.6),
+    "grasp.hysteresis_share": (0.3, 5.0),
+    "grasp.hysteresis_s": (0.1, 2.0),
+    "face.foundation_range_n_mm3": (0.3, 10.0),
+    "face.tangential_n_mm3": (0.5, 4.0),
+    ".mu": (0.6, 1.5),
+    ".mu_grip": (0.75, 2.0),
+    "tactile.mm_per_px": (0.9, 1.3),
+    "tactile.roll_off_mm": (0.6, 1.6),
+    "tactile.dilation": (0.3, 3.0),
+}
+"""Range of the factor by which a value of the bench (``section.name``) is multiplied; both numbers
+of a pair by the same. Chosen by hand, not fitted to anything. All factors are log-uniform."""
+_RNG_STREAM = 993
+"""Keeps these draws apart from those of the bench."""
+
+
+def randomise_bench(bench: SimulationSettings, seed: int) -> SimulationSettings:
+    """Return the bench of the mounting ``seed``: the same for the same ``bench`` and seed."""
+    rng = np.random.default_rng([seed, _RNG_STREAM])
+    for nuisance in NUISANCES:
+        bench = scale_nuisance(bench, nuisance, _factor(rng, NUISANCE_FACTORS))
+    content = bench.model_dump(mode="json")
+    for key, limits in LAW_FACTORS.items():
+        section, name = key.split(".")
+        values, factor = content[section] if section else content, _factor(rng, limits)
+        values[name] = _times(values[name], factor)
+    return SimulationSettings.model_validate(content)
+
+
+@dataclass(frozen=True, slots=True)
+class RandomisedTraining:
+    """Jobs of one model: ``probes`` over each training outline, then the paper's training.
+
+    Every job of the collection is one mounting with settings of its own in its spec, so that it
+    needs nothing else.
+    """
+
+    bench: SimulationSettings
+    code: str
+    piece: str
+    collected: CollectionKind
+    inputs: str = "FT+Tac"
+    probes: int = PROBES
+    epochs: int = EPOCHS
+    device: DeviceName = "auto"
+
+    @property
+    def name(self) -> str:
+        """Name of the model in tables."""
+        return f"{self.inputs} {self.collected}"
+
+    def data(self) -> list[JobSpec]:
+        """Return the collection, mounting by mounting."""
+        size = PROBES_PER_GRIP * GRIPS_PER_MOUNTING
+        return [
+            self._mounting(FIRST_SEED + OUTLINE_SEEDS * k + first // size, bottom,
+                           min(size, self.probes - first))
+            for k, bottom in enumerate(TRAINING_BOTTOMS)
+            for first in range(0, self.probes, size)
+        ]  # fmt: skip
+
+    def training(self) -> JobSpec:
+        """Return the training."""
+        settings = paper_training(self.inputs, self.epochs)
+        params = {
+            "piece": self.piece,
+            "head": "patch",
+            "training": settings.model_dump(mode="json"),
+            "device": self.device,
+        }
+        return JobSpec("train", params, settings.seed, tuple(s.id for s in self.data()), self.code)
+
+    def effort(self, spec: JobSpec) -> int:
+        """Return how long a job takes compared with others (unit: that of ``asking.effort``)."""
+        if spec.kind == "train":
+            return math.ceil(self.probes * self.epochs / 20)
+        return int(spec.params["episodes"]) // 2
+
+    def _mounting(self, seed: int, bottom: str, episodes: int) -> JobSpec:
+        bench = self.bench if self.collected == "mountings" else randomise_bench(self.bench, seed)
+        params = {
+            "piece": self.piece,
+            "bottom": bottom,
+            "episodes": episodes,
+            "probes_per_grip": PROBES_PER_GRIP,
+            "grips_per_mounting": GRIPS_PER_MOUNTING,
+            "bench": bench.model_dump(mode="json"),
+        }
+        return JobSpec("simulate", params, seed, (), self.code)
+
+
+def _factor(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+    low, high = np.log(limits)
+    return float(np.exp(rng.uniform(low, high)))
+
+
+def _times(value: Any, factor: float) -> Any:
+    if isinstance(value, (int, float)):
+        return factor * value
+    return None if value is None else [factor * part for part in value]
+
+
+FORMAT = "touchdown-elsewhere/1"
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class DomainShift:
+    """What to ask in both worlds. ``models``: name in the tables to the job or file it comes from.
+
+    ``trained``: models that are made first, on collections of their own, and asked with the others.
+    Strategies read the first of ``models`` and of each of ``trained``; some read none.
+    ``first``: number of the first group and trial of a cell (choices are made on later ones).
+    """
+
+    bench: SimulationSettings
+    code: str
+    piece: str
+    models: Mapping[str, str]
+    bottoms: tuple[str, ...] = ("short", "long")
+    strategies: tuple[str, ...] = ("paper", "fused")
+    groups: int = 40
+    trials: int = 20
+    trained: tuple[RandomisedTraining, ...] = ()
+    first: int = 0
+
+    def jobs(self) -> list[JobSpec]:
+        """Return all jobs: the two worlds take turns, so that what is finished can be compared."""
+        lists = [jobs for _, jobs in self._cells()]
+        longest = max(map(len, lists))
+        asked = [jobs[k] for k in range(longest) for jobs in lists if k < len(jobs)]
+        made = [spec for plan in self.trained for spec in (*plan.data(), plan.training())]
+        return made + asked
+
+    def effort(self, spec: JobSpec) -> int:
+        """Return how long a job takes compared with others, for the time that is left."""
+        if spec.kind.startswith("asked-"):
+            return job_effort(spec)
+        return self.trained[0].effort(spec)
+
+    def answer(self, store: JobStore) -> Json:
+        """Return what is finished in both worlds, by cell and pooled over bottoms."""
+        found: dict[_Cell, list[Json]] = {}
+        cells = dict(self._cells())
+        for (world, bottom, strategy), jobs in cells.items():
+            same = zip(*(cells[other, bottom, strategy] for other in WORLDS), strict=True)
+            both = [all(store.has(spec.id) for spec in specs) for specs in same]
+            done = [store.result(spec.id) for spec, ok in zip(jobs, both, strict=True) if ok]
+            found.setdefault((world, bottom, strategy), []).extend(done)
+            found.setdefault((world, "pooled", strategy), []).extend(done)
+        return {
+            "format": FORMAT,
+            "simulated": True,
+            "bench_sha256": bench_sha256(self.bench),
+            "code": self.code,
+            "piece": self.piece,
+            "first": self.first,
+            "models": self._asked(),
+            "presses": [
+                {"world": world, "bottom": bottom, "model": model, **press_scores(parts, model)}
+                for (world, bottom, strategy), parts in found.items()
+                if not strategy and parts
+                for model in _model_names(parts)
+            ],
+            "changes": [change for bottom in (*self.bottoms, "pooled")
+                        for change in _changes(found, bottom)],
+            "trials": [
+                {
+                    "world": world,
+                    "bottom": bottom,
+                    "strategy": strategy,
+                    **count_outcomes([trial for part in parts for trial in part["trials"]]),
+                }
+                for (world, bottom, strategy), parts in found.items()
+                if strategy and parts
+            ],
+        }  # fmt: skip
+
+    def _asked(self) -> dict[str, str]:
+        """Return all models by name, the given ones first."""
+        return {**self.models, **{plan.name: plan.training().id for plan in self.trained}}
+
+    def _cells(self) -> Iterator[tuple[_Cell, list[JobSpec]]]:
+        """Yield world, bottom and strategy ("" for presses) with their jobs."""
+        given, *_ = self.models.items()
+        for bottom in self.bottoms:
+            for world in WORLDS:
+                pair, place = (self.piece, bottom), EvaluationBench(world, self.bench, self.first)
+                jobs = press_jobs(place, pair, self._asked(), self.groups, self.code)
+                yield (world, bottom, ""), jobs
+                for strategy in self.strategies:
+                    trained = () if strategy in EVALUATED_STRATEGIES[-2:] else self.trained
+                    for name, source in (given, *((t.name, t.training().id) for t in trained)):
+                        word = strategy if name == given[0] else f"{strategy}, {name}"
+                        chosen = (strategy, source)
+                        jobs = trial_jobs(place, pair, chosen, self.trials, self.code)
+                        yield (world, bottom, word), jobs
+
+
+_Cell = tuple[str, str, str]
+"""World, bottom, and strategy with what it reads ("" for presses)."""
+
+
+def _model_names(parts: Sequence[Mapping[str, Any]]) -> list[str]:
+    return list(parts[0]["models"])
+
+
+def _changes(found: Mapping[_Cell, Sequence[Json]], bottom: str) -> Iterator[Json]:
+    """Yield by group what each model loses elsewhere, and what one has over another in a world."""
+    here, there = (found.get((world, bottom, ""), []) for world in WORLDS)
+    if not here:
+        return
+    names = _model_names(here)
+    across = list(zip(here, there, strict=True))
+    for name in names:
+        yield {"what": "drop", "bottom": bottom, "from": name, "to": name,
+               **iou_change(across, name, name)}  # fmt: skip
+    for world, parts in zip(WORLDS, (here, there), strict=True):
+        same = list(zip(parts, parts, strict=True))
+        for old, new in combinations(names, 2):
+            yield {"what": world, "bottom": bottom, "from": old, "to": new,
+                   **iou_change(same, old, new)}  # fmt: skip
+
+
+def press_scores(parts: Sequence[Mapping[str, Any]], model: str) -> Json:
+    """Return what one model says of pressed groups: IoU, points, stability after 1 to 3 probes."""
+    scores = [part["models"][model] for part in parts]
+    figures: Json = {
+        name: estimate_mean([value for s in scores for value in s[name]]).as_json()
+        for name in ("iou", "accuracy", "iou_true")
+    }
+    for n in ("1", "2", "3"):
+        binary, left_out = VerdictCounts(0, 0, 0, 0), 0
+        for part, score in zip(parts, scores, strict=True):
+            counts, close = score_verdicts(score["says"][n], part["margin_mm"], interface=1)
+            binary, left_out = binary + counts, left_out + close
+        figures[f"stable_{n}"] = {**binary.as_json(), "too_close": left_out}
+    figures["slipped"] = estimate_mean([part["slipped"] for part in parts]).value
+    for name in ("rejected", "left_out"):
+        figures[name] = sum(part[name] for part in parts)
+    return figures
+
+
+def press_rows(answer: Json) -> list[tuple[str, ...]]:
+    """Return model and bottom with IoU and stability: on the bench, elsewhere, and the drop."""
+    cells = {(c["model"], c["bottom"], c["world"]): c for c in answer["presses"]}
+    rows = []
+    for model, bottom in dict.fromkeys((m, b) for m, b, _ in cells):
+        here, there = (cells.get((model, bottom, world)) for world in WORLDS)
+        if here is None or there is None:
+            continue
+        row = [f"{model} {bottom}"]
+        for get in (_iou, _accuracy):
+            row += [
+                format_interval(get(here)),
+                format_interval(get(there)),
+                format_drop(get(here), get(there)),
+            ]
+        unsafe = [format_percent(c["stable_1"]["unsafe"]["value"]) for c in (here, there)]
+        rows.append((*row, " / ".join(unsafe)))
+    return rows
+
+
+def change_rows(answer: Json) -> list[tuple[str, ...]]:
+    """Return each paired change: what is compared, on which bottom, points, number of groups."""
+    rows: list[tuple[str, ...]] = []
+    for change in answer["changes"]:
+        old, new = change["from"], change["to"]
+        what = f"{old}: bench to elsewhere" if old == new else f"{change['what']}: {old} to {new}"
+        rows.append((what, change["bottom"], format_change(change), str(change["n"])))
+    return rows
+
+
+def trial_rows(answer: Json) -> list[tuple[str, ...]]:
+    """Return strategy and bottom with trials placed and unsafe: here, elsewhere, and the drop."""
+    cells = {(c["strategy"], c["bottom"], c["world"]): c for c in answer["trials"]}
+    rows = []
+    for strategy, bottom in dict.fromkeys((s, b) for s, b, _ in cells):
+        here, there = (cells.get((strategy, bottom, world)) for world in WORLDS)
+        if here is None or there is None:
+            continue
+        row = [f"{strategy} {bottom}", f"{here['placed']['n']} / {there['placed']['n']}"]
+        for name in ("placed", "unsafe"):
+            row += [
+                format_interval(here[name]),
+                format_interval(there[name]),
+                format_drop(here[name], there[name]),
+            ]
+        rows.append(tuple(row))
+    return rows
+
+
+def format_interval(estimate: Json) -> str:
+    """Write an estimate in per cent with its interval; "" without one."""
+    if estimate["value"] is None:
+        return ""
+    value, low, high = (100 * estimate[key] for key in ("value", "low", "high"))
+    return f"{value:.1f} ({low:.0f} to {high:.0f})"
+
+
+def format_drop(here: Json, there: Json) -> str:
+    """Write by how many points the second falls short of the first."""
+    if here["value"] is None or there["value"] is None:
+        return ""
+    return f"{100 * (there['value'] - here['value']):+.1f}"
+
+
+def format_percent(value: float | None) -> str:
+    """Write a share in per cent."""
+    return "" if value is None else f"{100 * value:.0f}"
+
+
+def _iou(cell: Json) -> Json:
+    found: Json = cell["iou"]
+    return found
+
+
+def _accuracy(cell: Json) -> Json:
+    found: Json = cell["stable_1"]["accuracy"]
+    return found

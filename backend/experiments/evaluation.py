@@ -1,0 +1,224 @@
+"""Evaluation of existing models and strategies on another bench or in the second world.
+
+There are two kinds of jobs: groups of presses, and whole trials. A bench is any settings of the
+simulated one, or the second world with these settings; seeds and draws are the same in both.
+``NUISANCES`` names what differs between mountings, grippings and probes, and ``scale_nuisance``
+makes one of them larger or smaller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from touchdown.backend.config import SimulationSettings, StackSettings, bench_sha256, parse_settings
+from touchdown.backend.experiments.models import batch_model, load_model
+from touchdown.backend.experiments.statics import probe_groups, score_fused_verdicts, score_patches
+from touchdown.backend.experiments.strategies import least_probes, network_params
+from touchdown.backend.experiments.tables import CELL_SEEDS, PIECES, TABLE_BOTTOMS
+from touchdown.backend.experiments.trials import SceneSetup, stack_in_lockstep, start_scene
+from touchdown.backend.geometry import load_pieces
+from touchdown.backend.jobs import JobContext, JobSpec
+from touchdown.backend.learning import use_one_thread
+from touchdown.backend.sensing import EpisodeLimits
+from touchdown.backend.simulation import BatchedTrials
+from touchdown.backend.simulation.second_world import SecondWorldTrials
+
+FACTORS = (0.0, 0.5, 1.0, 2.0, 3.0)
+FOUNDATION = "face.foundation_range_n_mm3"
+
+
+@dataclass(frozen=True, slots=True)
+class Nuisance:
+    """``keys`` of the settings that grow together; ``limit``: where all draws end."""
+
+    name: str
+    title: str
+    keys: tuple[str, ...]
+    limit: str = ""
+
+
+NUISANCES = (
+    Nuisance("tilt", "Tilt of the board", ("spread.tilt_rad",), "0.02 rad"),
+    Nuisance("grasp-offset", "Grasp offset", ("spread.grasp_offset_mm",), "2 mm"),
+    Nuisance("yaw", "Rotation in the hand", ("spread.yaw_rad",)),
+    Nuisance("foundation", "Range of the contact stiffness", (FOUNDATION,)),
+    Nuisance("gel", "Gel stiffness", ("spread.gel",), "0.7 to 1.3"),
+    Nuisance("hysteresis", "Gel hysteresis", ("grasp.hysteresis_share",)),
+    Nuisance("grip-friction", "Friction in the grip", ("spread.mu_grip",), "0.35 to 1.1"),
+    Nuisance("grip-force", "Grip force", ("spread.grip_force_n",), "4 to 15 N"),
+    Nuisance("face-friction", "Friction of the faces", ("spread.mu",), "0.2 to 0.6"),
+    Nuisance("label-error", "Error of the arm", ("spread.label_error_mm",), "0.3 mm"),
+    Nuisance("print-offset", "Place of the bottom", ("spread.print_offset_mm",), "0.5 mm"),
+    Nuisance("gain", "Tactile gain", ("spread.gain",), "0.8 to 1.2"),
+    Nuisance("tactile-bias", "Tactile reference error", ("tactile.bias_px",), "1 px"),
+    Nuisance("tactile-drift", "Tactile drift", ("tactile.drift_px_sqrt_s",)),
+    Nuisance("tactile-noise", "Tactile white noise", ("tactile.white_px",)),
+    Nuisance("lost", "Lost markers and frames", ("tactile.lost_share", "tactile.drop_share")),
+    Nuisance("wrist-offset", "Wrist offset after tare", ("wrist.offset_n", "wrist.offset_nm")),
+    Nuisance("wrist-noise", "Wrist white noise", ("wrist.white_n", "wrist.white_nm")),
+    Nuisance("wrist-drift", "Wrist drift", ("wrist.drift_n_sqrt_min", "wrist.drift_nm_sqrt_min")),
+)
+"""All that differs between mountings, grippings or probes. What is fixed (support friction, mean
+frictions and stiffnesses, rates) is no nuisance."""
+
+
+def scale_nuisance(
+    settings: SimulationSettings, nuisance: Nuisance, factor: float
+) -> SimulationSettings:
+    """Return the bench with one nuisance ``factor`` times as large.
+
+    A log-uniform range keeps its middle. A range that is not there stays so.
+    """
+    if factor == 1.0:
+        return settings
+    content = settings.model_dump(mode="json")
+    for key in nuisance.keys:
+        section, name = key.split(".")
+        content[section][name] = _times(content[section][name], factor)
+    return SimulationSettings.model_validate(content)
+
+
+def _times(value: Any, factor: float) -> Any:
+    if isinstance(value, (int, float)):
+        return factor * value
+    if value is None:
+        return None
+    low, high = np.log(value)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low) * factor
+    return [float(np.exp(middle - half)), float(np.exp(middle + half))]
+
+
+WORLDS: dict[str, type[BatchedTrials]] = {"bench": BatchedTrials, "elsewhere": SecondWorldTrials}
+PRESSES_SEED, TRIALS_SEED = 5_000_000, 6_000_000
+GROUPS_PER_JOB, PROBES, TRIALS_PER_JOB = 10, 3, 2
+EVALUATED_STRATEGIES = ("paper", "fused", "zero-wrench")
+"""What can be asked; the last two read no model of a piece."""
+SLIPPED_MM = 0.02
+"""A pad that moved by more than this in one press has slipped."""
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationBench:
+    """Where something is asked: a ``world`` (a name of ``WORLDS``) with the settings of a bench.
+
+    ``first``: number of the first group or trial in each cell.
+    """
+
+    world: str
+    bench: SimulationSettings
+    first: int = 0
+
+
+def press_jobs(
+    place: EvaluationBench, pair: tuple[str, str], models: Mapping[str, str], groups: int, code: str
+) -> list[JobSpec]:
+    """Return the jobs of ``groups`` groups of a (piece, bottom); ``models``: name to its job."""
+    return [
+        JobSpec(
+            "asked-presses",
+            {
+                **_bench_params(place, pair),
+                "models": dict(models),
+                "groups": min(GROUPS_PER_JOB, groups - k),
+            },
+            PRESSES_SEED + _cell(pair) + place.first + k,
+            tuple(sorted(set(models.values()))),
+            code,
+        )
+        for k in range(0, groups, GROUPS_PER_JOB)
+    ]
+
+
+def trial_jobs(
+    place: EvaluationBench, pair: tuple[str, str], strategy: tuple[str, str], trials: int, code: str
+) -> list[JobSpec]:
+    """Return the jobs of ``trials`` trials; ``strategy``: its name, and the job of its model."""
+    network = network_params(strategy[0], StackSettings())
+    return [
+        JobSpec(
+            "asked-trials",
+            {
+                **_bench_params(place, pair),
+                "strategy": strategy[0],
+                "trials": min(TRIALS_PER_JOB, trials - k),
+                **network,
+            },
+            TRIALS_SEED + _cell(pair) + place.first + k,
+            (strategy[1],),
+            code,
+        )
+        for k in range(0, trials, TRIALS_PER_JOB)
+    ]
+
+
+def job_effort(spec: JobSpec) -> int:
+    """Return how long a job takes compared with others, for the time that is left."""
+    p = spec.params
+    slow = 4 if p["world"] == "elsewhere" else 1
+    return slow * (int(p["groups"]) * PROBES if "groups" in p else 5 * int(p["trials"]))
+
+
+def evaluate_presses(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Press groups of probes over one bottom and score every model on the same probes."""
+    p, case = spec.params, _case(spec)
+    use_one_thread()
+    seeds = [spec.seed + g for g in range(p["groups"])]
+    groups = probe_groups(case, seeds, PROBES, WORLDS[p["world"]])
+    models: Json = {}
+    for name, source in sorted(p["models"].items()):
+        model = batch_model(load_model(source, place.store), case.piece)
+        g, n = groups.observation.shape[:2]
+        flat = groups.observation.reshape(g * n, *groups.observation.shape[2:])
+        probability = model.predict(flat).reshape(g, n, -1)
+        fused = score_fused_verdicts(probability, groups, model, case)
+        models[name] = {**score_patches(probability, groups), "says": fused["says"]}
+    return {
+        "bench_sha256": bench_sha256(case.settings),
+        "margin_mm": [[round(float(m), 4) for m in pair] for pair in groups.margin_mm],
+        "slipped": float((groups.slip_mm > SLIPPED_MM).mean()),
+        "rejected": groups.rejected,
+        "left_out": groups.left_out,
+        "models": models,
+    }
+
+
+def evaluate_trials(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Run some trials of one strategy; every trial counts, whatever its outcome."""
+    p, case = spec.params, _case(spec)
+    use_one_thread()
+    scenes = [scene for k in range(p["trials"]) if (scene := start_scene(case, spec.seed + k))]
+    model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
+    method = StackSettings.model_validate({"strategy": p["strategy"]})
+    world = WORLDS[p["world"]]
+    ends = stack_in_lockstep(scenes, model, method, EpisodeLimits(), world=world)
+    return {
+        "bench_sha256": bench_sha256(case.settings),
+        "trials": [
+            {**end.as_json(), "least_probes": least_probes(scene)}
+            for scene, end in zip(scenes, ends, strict=True)
+        ],
+    }
+
+
+def _bench_params(place: EvaluationBench, pair: tuple[str, str]) -> Json:
+    return {
+        "world": place.world,
+        "bench": place.bench.model_dump(mode="json"),
+        "piece": pair[0],
+        "bottom": pair[1],
+    }
+
+
+def _case(spec: JobSpec) -> SceneSetup:
+    p = spec.params
+    bench = parse_settings(SimulationSettings, p["bench"], "job")
+    return SceneSetup.of(load_pieces(), p["piece"], (p["bottom"],), bench)
+
+
+def _cell(pair: tuple[str, str]) -> int:
+    return CELL_SEEDS * (10 * PIECES.index(pair[0]) + TABLE_BOTTOMS.index(pair[1]))

@@ -1,0 +1,668 @@
+"""Learned fusion: simulated sequences of probes, training of the network, and trials that set its
+release threshold.
+
+A sequence is one gripping on one mounting, whose tilt and grasp stay the same from probe to probe.
+Most sequences step as a trial does, by at most 3 mm towards where the press acted; the others probe
+anywhere. Bottoms are circles, rectangles up to 1.5 to 1, rounded ones and random convex polygons,
+turned at random. An outline that covers a held-out one by more than ``SIMILAR_IOU`` (intersection
+over union, centroids on each other, best of many turns) is drawn again.
+
+Trials for the release threshold never release: after every press the strategy moves on, and its
+belief about the centre of mass is kept beside the truth, so that all thresholds are compared on the
+same trials. They use neither bottoms nor seeds of the tables. Imports torch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.config import (
+    FusedSettings,
+    SimulationSettings,
+    StackSettings,
+    bench_sha256,
+    parse_settings,
+)
+from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray, Outcome
+from touchdown.backend.experiments.results import program_version
+from touchdown.backend.experiments.strategies import uninformed_model
+from touchdown.backend.experiments.trials import (
+    BatchTrialResult,
+    SceneSetup,
+    grasped_piece_in,
+    stack_in_lockstep,
+    start_scene,
+)
+from touchdown.backend.geometry import (
+    Body,
+    Outline,
+    Piece,
+    PieceLibrary,
+    Tower,
+    circle,
+    convex_polygon,
+    draw_offset,
+    enclosed_area_mm2,
+    face_points,
+    inset_mm,
+    load_pieces,
+    overlap_edges,
+    rectangle,
+    rotated,
+    square,
+)
+from touchdown.backend.jobs import JobContext, JobFunctions, JobSpec
+from touchdown.backend.learning import DeviceName, device_name, select_device, use_one_thread
+from touchdown.backend.learning.fused import (
+    SENSOR_MM,
+    TICKS,
+    FusedCard,
+    FusedSizes,
+    FusedTrainer,
+    FusedTraining,
+    GraspedFace,
+    InputPart,
+    acting_point_mm,
+    data_sha256,
+    save_fused,
+)
+from touchdown.backend.placement import (
+    XY,
+    FusedStrategy,
+    GraspedPiece,
+    PlaceDecision,
+    ProbeObservation,
+    convex_hull,
+)
+from touchdown.backend.sensing import EpisodeLimits
+from touchdown.backend.simulation import BatchedTrials, Region, Scene
+
+UNSEEN_BOTTOMS = ("short", "long", "hex20", "rect12x28")
+UNSEEN_PIECES = ("pot", "barrel", "mushroom")
+SIMILAR_IOU = 0.90
+ROTATIONS = 36
+SIZES_MM = (8.0, 32.0)
+"""Mean diameter of a bottom."""
+FACES_MM = (10.0, 30.0)
+MAX_ASPECT_RATIO = 1.5
+WIDTH_MM, HEIGHT_MM = 30.0, 20.0
+HEIGHTS_MM, MASSES_G = (15.0, 45.0), (15.0, 60.0)
+"""Of bottoms that stand free."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeFamily:
+    """Draws outlines that resemble none of ``unseen_bottoms``, faces none of ``unseen_faces``."""
+
+    unseen_bottoms: tuple[Outline, ...]
+    unseen_faces: tuple[Outline, ...]
+
+    @classmethod
+    def of(
+        cls,
+        catalogue: PieceLibrary,
+        bottoms: tuple[str, ...] = UNSEEN_BOTTOMS,
+        pieces: tuple[str, ...] = UNSEEN_PIECES,
+    ) -> ShapeFamily:
+        """Return the family without the named bottoms and pieces; raises ``InputError``."""
+        return cls(
+            tuple(catalogue.bottom(name).face for name in bottoms),
+            tuple(catalogue.top(name).face for name in pieces),
+        )
+
+    def bottom(self, rng: np.random.Generator, *, free: bool = False) -> Body:
+        """Return a bottom that is fixed to the table; or a free one, which rocks and slides and
+        takes several times longer.
+        """
+        face = _draw_outline(rng, SIZES_MM, self.unseen_bottoms)
+        if not free:
+            return Body("bottom", face, face, HEIGHT_MM, 0.0, 0.5 * HEIGHT_MM, fixed=True)
+        height, mass = float(rng.uniform(*HEIGHTS_MM)), float(rng.uniform(*MASSES_G))
+        return Body("bottom", face, face, height, mass, 0.5 * height)
+
+    def piece(self, rng: np.random.Generator) -> Piece:
+        """Return a piece: face, grip height, and a centre of mass up to 2 mm off the middle."""
+        face = _draw_outline(rng, FACES_MM, self.unseen_faces, round_share=0.5)
+        reach = 2.0 * float(rng.random()) * bool(rng.random() < 0.5)
+        angle = float(rng.uniform(0.0, 2.0 * pi))
+        return Piece(
+            name="piece",
+            title="Piece",
+            roles=("top",),
+            face=face,
+            upper=None,
+            lower=face,
+            height_mm=45.0,
+            com_height_mm=22.0,
+            com_xy_mm=(reach * float(np.cos(angle)), reach * float(np.sin(angle))),
+            mass_g=20.0,
+            grip_height_mm=float(rng.uniform(27.0, 43.0)),
+            width_mm=WIDTH_MM,
+            fixed=False,
+            nominal=True,
+            sha256="",
+            source="family",
+        )
+
+
+def similarity(first: Outline, second: Outline) -> float:
+    """Return the intersection over union of two outlines, centroids aligned, best of many turns."""
+    a, b = _centred(first.polygon(48)), _centred(second.polygon(48))
+    angles = 2.0 * pi * np.arange(ROTATIONS) / ROTATIONS
+    turns = np.stack([rotated(b, float(angle)) for angle in angles])
+    common = float(enclosed_area_mm2(overlap_edges(a[None], turns)).max())
+    return common / (area_mm2(a) + area_mm2(b) - common)
+
+
+def is_similar(first: Outline, second: Outline) -> bool:
+    """Whether the likeness exceeds ``LIKE``; no more can be common than the smaller one covers."""
+    areas = sorted((first.area_mm2, second.area_mm2))
+    return areas[0] > SIMILAR_IOU * areas[1] and similarity(first, second) > SIMILAR_IOU
+
+
+def area_mm2(polygon_mm: FloatArray) -> float:
+    """Return the area of a polygon (k, 2) in order."""
+    x, y = polygon_mm.T
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
+def _draw_outline(
+    rng: np.random.Generator,
+    sizes_mm: tuple[float, float],
+    unseen: tuple[Outline, ...],
+    round_share: float = 0.3,
+) -> Outline:
+    while True:
+        size = float(rng.uniform(*sizes_mm))
+        outline = circle(size) if rng.random() < round_share else _polygon(rng, size)
+        if outline is not None and not any(is_similar(outline, other) for other in unseen):
+            return outline
+
+
+def _polygon(rng: np.random.Generator, size_mm: float) -> Outline | None:
+    """Return a rectangle, a rounded one or a random convex polygon of that mean diameter."""
+    kind = int(rng.integers(3))
+    ratio = float(rng.uniform(1.0, MAX_ASPECT_RATIO)) ** 0.5
+    if kind < 2:
+        half = 0.5 * 0.886 * size_mm * np.array([ratio, 1.0 / ratio])
+        radius = float(half.min() * rng.uniform(0.2, 0.8)) if kind else 0.0
+        corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (half - radius)
+        arcs = radius * _circle_points(32 if kind else 1)
+        points = (corners[:, None] + arcs).reshape(-1, 2)
+    else:
+        angle = np.sort(rng.uniform(0.0, 2.0 * pi, int(rng.integers(5, 12))))
+        points = 0.5 * size_mm * np.stack([ratio * np.cos(angle), np.sin(angle) / ratio], axis=1)
+    hull = _centred(convex_hull(rotated(points, float(rng.uniform(0.0, 2.0 * pi)))))
+    span = hull.max(axis=0) - hull.min(axis=0)
+    if len(hull) < 3 or span.min() < 0.5 * size_mm:
+        return None
+    try:
+        return convex_polygon(tuple((float(x), float(y)) for x, y in hull))
+    except ValueError:
+        return None  # nearly collinear corners
+
+
+@lru_cache(maxsize=4)
+def _circle_points(count: int) -> FloatArray:
+    angle = 2.0 * pi * np.arange(count) / count
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _centred(polygon_mm: FloatArray) -> FloatArray:
+    """Return a polygon with its centroid at (0, 0)."""
+    if len(polygon_mm) < 3:
+        return polygon_mm
+    x, y = polygon_mm.T
+    cross = x * np.roll(y, -1) - np.roll(x, -1) * y
+    sums = polygon_mm + np.roll(polygon_mm, -1, axis=0)
+    return np.asarray(polygon_mm - (sums * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
+
+
+PROBES = 5
+MAX_STEP_MM = 3.0
+RANDOM_SEQUENCE_SHARE, RANDOM_STEP_SHARE = 0.25, 0.2
+"""Share of sequences that probe anywhere; share of steps in any direction."""
+AIM_SD_MM = 2.0
+MAX_ATTEMPTS = 4
+CORNERS = 128
+DATA = "sequences.npz"
+OF_PROBES = ("wrench", "field", "offset_mm", "true_mm")
+_DRAWS = 79
+
+
+def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Press sequences of ``pieces`` random pieces, each over bottoms of its own; one file.
+
+    ``free``: the bottoms rock and slide, as in a trial; ``probes``: how many a sequence has.
+    """
+    p, catalogue = spec.params, load_pieces()
+    settings = parse_settings(SimulationSettings, p["bench"], "job")
+    use_one_thread()
+    family = ShapeFamily.of(catalogue)
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([spec.seed, _DRAWS])))
+    parts = []
+    for number in range(p["pieces"]):
+        first = spec.seed + number * p["sequences"]
+        seeds = list(range(first, first + p["sequences"]))
+        bottoms = [family.bottom(rng, free=p["free"]) for _ in seeds]
+        piece = family.piece(rng)
+        parts.append(simulate_sequences(piece, bottoms, settings, seeds, rng, p["probes"]))
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    np.savez(place.folder / DATA, **joined)  # type: ignore[arg-type]
+    return {
+        "bench_sha256": bench_sha256(settings),
+        "sequences": len(joined["count"]),
+        "probes": int(joined["count"].sum()),
+    }
+
+
+class MixedBottomLockstep(BatchedTrials):
+    """Trials over bottoms of their own, all fixed to the table or none of them."""
+
+    @staticmethod
+    def shared(scene: Scene) -> tuple[object, ...]:
+        """Return what must be the same in all scenes."""
+        return scene.piece, scene.settings, scene.bottoms.bodies[-1].fixed
+
+    def surfaces(self, rows: NDArray[np.intp]) -> Region:
+        """Return the outline of each trial's own bottom."""
+        return _OutlinePerTrial(tuple(self.scenes[row].surface for row in rows.tolist()))
+
+
+@dataclass(frozen=True, slots=True)
+class _OutlinePerTrial:
+    """An outline of its own under each face."""
+
+    each: tuple[Outline, ...]
+
+    def contains(self, points_mm: FloatArray, /) -> NDArray[np.bool_]:
+        pairs = zip(self.each, points_mm, strict=True)
+        return np.stack([outline.contains(points) for outline, points in pairs])
+
+
+def simulate_sequences(
+    piece: Piece,
+    bottoms: Sequence[Body],
+    settings: SimulationSettings,
+    seeds: Sequence[int],
+    rng: np.random.Generator,
+    probes: int = PROBES,
+) -> dict[str, NDArray[Any]]:
+    """Return s sequences of one piece as arrays, one row for each of ``bottoms``.
+
+    ``wrench`` (s, P, T, 6) in N and N·m, ``field`` (s, P, T, 252) in px at ``TICKS``,
+    ``offset_mm`` commanded and ``true_mm`` (s, P, 2), the latter from where the bottom has slid
+    to, ``count`` (s,): how many of P = ``probes`` a sequence has, the rest is zero.
+    ``support_mm`` (s, 128, 2): outline of the bottom, its last corner repeated; ``reach_mm``
+    (s, 16), ``com_mm`` (s, 2), ``grip_height_mm`` (s,): the face.
+    """
+    scenes = [
+        Scene(piece, Tower((bottom,)), (0.0, 0.0), seed, settings)
+        for bottom, seed in zip(bottoms, seeds, strict=True)
+    ]
+    bench, limits, n = MixedBottomLockstep(scenes), EpisodeLimits(), len(scenes)
+    anywhere, lever = (
+        rng.random(n) < RANDOM_SEQUENCE_SHARE,
+        np.asarray(scenes[0].grip_height_mm + SENSOR_MM),
+    )
+    offset, true = np.zeros((n, probes, 2)), np.zeros((n, probes, 2))
+    seen = np.zeros((n, probes, len(TICKS), CHANNELS), np.float32)
+    count = np.zeros(n, np.int64)
+    for probe in range(probes):
+        waiting = np.flatnonzero(count == probe)
+        for _ in range(MAX_ATTEMPTS):
+            if not len(waiting):
+                break
+            free = np.stack(
+                [draw_offset(rng, piece.face, bottoms[k].lower, 1)[0] for k in waiting.tolist()]
+            )
+            goes = ~anywhere[waiting] & (probe > 0)
+            wrench = seen[waiting, probe - 1, :, TACTILE_CHANNELS:]
+            acted = acting_point_mm((wrench[:, -1] - wrench[:, 0]).astype(np.float64), lever)
+            wanted = next_places(offset[waiting, probe - 1], acted, rng)
+            wanted = np.where(goes[:, None], wanted, free)
+            felt = bench.press(waiting.tolist(), wanted)
+            good = felt.valid & (felt.press_n >= limits.contact_n) & ~felt.toppled
+            good &= felt.slip_mm <= limits.slip_mm
+            rows = waiting[good]
+            offset[rows, probe], true[rows, probe] = wanted[good], felt.true_mm[good]
+            seen[rows, probe] = felt.observation[good][:, TICKS]
+            count[rows] += 1
+            waiting = waiting[~good & ~felt.toppled]
+    height = np.asarray(scenes[0].grip_height_mm)
+    face = GraspedFace.of(face_points(piece.face), np.asarray(piece.com_xy_mm), height)
+    return {
+        "wrench": seen[..., TACTILE_CHANNELS:],
+        "field": seen[..., :TACTILE_CHANNELS].astype(np.float16),
+        "offset_mm": offset.astype(np.float32),
+        "true_mm": true.astype(np.float32),
+        "count": count,
+        "support_mm": np.stack([corners_mm(bottom.lower) for bottom in bottoms]),
+        "reach_mm": np.tile(face.reach_mm.astype(np.float32), (n, 1)),
+        "com_mm": np.tile(face.com_mm.astype(np.float32), (n, 1)),
+        "grip_height_mm": np.full(n, face.grip_height_mm, np.float32),
+    }
+
+
+def next_places(last: FloatArray, acted: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return (n, 2) places after a step from ``last``: about to where the press acted, or astray.
+
+    Nothing but what was felt decides: a step that knew the truth would tell it to the network.
+    """
+    n = len(last)
+    aim = rng.uniform(0.5, 1.5, (n, 1)) * acted + AIM_SD_MM * rng.standard_normal((n, 2))
+    angle = rng.uniform(0.0, 2.0 * pi, n)
+    around = rng.uniform(0.5, MAX_STEP_MM, n)[:, None] * np.stack(
+        [np.cos(angle), np.sin(angle)], axis=1
+    )
+    aim = np.where(rng.random((n, 1)) < RANDOM_STEP_SHARE, around, aim)
+    length = np.hypot(aim[:, 0], aim[:, 1])[:, None]
+    return np.asarray(last + aim * np.minimum(1.0, MAX_STEP_MM / np.maximum(length, 1e-9)))
+
+
+def corners_mm(outline: Outline) -> NDArray[np.float32]:
+    """Return (128, 2) corners of an outline, the last one repeated where it has fewer."""
+    polygon = outline.polygon(CORNERS)
+    filled = np.repeat(polygon[-1:], CORNERS - len(polygon), axis=0)
+    return np.concatenate([polygon, filled]).astype(np.float32)
+
+
+def load_sequences(folders: Sequence[Path]) -> dict[str, NDArray[Any]]:
+    """Return the sequences of all folders, joined in order; shorter ones end in zeros."""
+    parts = [dict(np.load(folder / DATA)) for folder in folders]
+    longest = max(part["true_mm"].shape[1] for part in parts)
+    for part in parts:
+        for name in OF_PROBES:
+            missing = longest - part[name].shape[1]
+            wide = [(0, 0), (0, missing)] + (part[name].ndim - 2) * [(0, 0)]
+            part[name] = np.pad(part[name], wide)
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+THRESHOLD_BOTTOMS: Mapping[str, Outline] = {
+    "disc 22": circle(22.0),
+    "square 17": square(17.0),
+    "disc 16": circle(16.0),
+    "rectangle 13 x 19": rectangle(13.0, 19.0),
+}
+"""Free ones of 30 mm and 30 g, none of them of the tables."""
+WEIGHTS = "fused.safetensors"
+THRESHOLD_PIECES = ("mushroom", "barrel", "pot")
+THRESHOLD_SEED, CELL_SEEDS = 45_000_000, 10_000
+TRIALS_PER_JOB = 8
+INSETS_MM = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0)
+RISKS = (0.1, 0.07, 0.05, 0.03, 0.02, 0.01)
+NEVER_MM = 99.0
+Json = dict[str, Any]
+
+
+def threshold_jobs(
+    bench: SimulationSettings, code: str, network: str, trials: int
+) -> list[JobSpec]:
+    """Return the jobs of ``trials`` trials of every piece on every bottom, a few at a time."""
+    return [
+        JobSpec(
+            "fused-trials",
+            {
+                "bench": bench.model_dump(mode="json"),
+                "piece": piece,
+                "bottom": bottom,
+                "trials": min(TRIALS_PER_JOB, trials - first),
+            },
+            THRESHOLD_SEED + CELL_SEEDS * (len(THRESHOLD_BOTTOMS) * number + at) + first,
+            (network,),
+            code,
+        )
+        for first in range(0, trials, TRIALS_PER_JOB)
+        for number, piece in enumerate(THRESHOLD_PIECES)
+        for at, bottom in enumerate(THRESHOLD_BOTTOMS)
+    ]
+
+
+def fused_trials(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Run some trials of one piece on one bottom with the network of the input job."""
+    use_one_thread()
+    weights = place.store.folder(spec.inputs[0]) / WEIGHTS
+    bench = parse_settings(SimulationSettings, spec.params["bench"], "job")
+    case = held_out_setup(spec.params["piece"], spec.params["bottom"], bench)
+    seeds = [spec.seed + k for k in range(spec.params["trials"])]
+    return {"trials": record_trials(case, seeds, weights)}
+
+
+def held_out_setup(piece: str, bottom: str, bench: SimulationSettings) -> SceneSetup:
+    """Return a piece of the catalogue over one of ``BOTTOMS``."""
+    catalogue = load_pieces()
+    face = THRESHOLD_BOTTOMS[bottom]
+    below = replace(catalogue.bottom("short"), name="own", face=face, upper=face, lower=face)
+    return SceneSetup(catalogue.top(piece), (below,), bench)
+
+
+def record_trials(case: SceneSetup, seeds: Sequence[int], weights: Path) -> list[Json]:
+    """Run one trial for each of ``seeds``; each press with what was said and what was true.
+
+    ``exceeds``: how likely the centre of mass lies further in than each of ``INSETS_MM``.
+    """
+    scenes = [scene for seed in seeds if (scene := start_scene(case, seed)) is not None]
+    never = FusedSettings(weights=str(weights), inset_mm=NEVER_MM)
+    settings = StackSettings(strategy="fused", fused=never)
+    watching: list[RecordingFusedStrategy] = []
+
+    def begun(scene: Scene, at: XY) -> RecordingFusedStrategy:
+        watching.append(RecordingFusedStrategy(grasped_piece_in(scene, None), settings, at))
+        return watching[-1]
+
+    ends = stack_in_lockstep(scenes, uninformed_model(case), settings, EpisodeLimits(), begun)
+    return [_trial_record(case, end, one.said) for end, one in zip(ends, watching, strict=True)]
+
+
+class RecordingFusedStrategy(FusedStrategy):
+    """Notes after each press how likely the centre of mass lies how far in the support."""
+
+    def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:
+        super().__init__(held, settings, origin_mm)
+        self.said: list[list[float]] = []
+
+    def conclude(self, touched: ProbeObservation) -> PlaceDecision:
+        """Conclude as ever, and note."""
+        found = super().conclude(touched)
+        inset = self.inset_at(touched.offset_mm)
+        if inset is not None:
+            self.said.append([round(float(inset.exceeds(x)[0]), 5) for x in INSETS_MM])
+        return found
+
+
+def _trial_record(case: SceneSetup, end: BatchTrialResult, said: Sequence[Sequence[float]]) -> Json:
+    com = np.asarray(case.piece.com_xy_mm)
+    places = np.array([step.true_mm for step in end.steps]).reshape(-1, 2)
+    true = inset_mm(case.bottoms[0].face, places + com)
+    steps = [
+        {"inset_mm": round(float(inset), 4), "exceeds": exceeds}
+        for inset, exceeds in zip(true, said, strict=True)
+    ]
+    return {"seed": end.seed, "outcome": end.outcome.value, "steps": steps}
+
+
+def threshold_counts(trials: Sequence[Json]) -> list[Json]:
+    """Return the counts under every rule: ``risk`` and how far inside the centre must lie."""
+    return [
+        count_under_threshold(trials, risk, at) for at in range(len(INSETS_MM)) for risk in RISKS
+    ]
+
+
+def count_under_threshold(trials: Iterable[Json], risk: float, at: int) -> Json:
+    """Count what would have come of the trials under one rule, ``INSETS_MM[at]`` and ``risk``."""
+    placed, unsafe, other, probes = 0, 0, 0, 0
+    for trial in trials:
+        steps = enumerate(trial["steps"], start=1)
+        let_go = next(((n, s) for n, s in steps if s["exceeds"][at] >= 1.0 - risk), None)
+        if let_go is None:
+            fell = trial["outcome"] == Outcome.KNOCKED_OVER.value
+            unsafe, other = unsafe + fell, other + (not fell)
+        elif let_go[1]["inset_mm"] > 0.0:
+            placed, probes = placed + 1, probes + let_go[0]
+        else:
+            unsafe += 1
+    return {
+        "risk": risk,
+        "inset_mm": INSETS_MM[at],
+        "placed": placed,
+        "unsafe": unsafe,
+        "not_released": other,
+        "probes": round(probes / placed, 2) if placed else None,
+    }
+
+
+FIRST_SEED, SEEDS_PER_JOB = 40_000_000, 1000
+"""Far from the seeds of all tables."""
+HELD_OUT = 16
+"""One job in so many of each portion is held out: other pieces, bottoms, mountings."""
+REPORTED = 500
+FAMILY = (
+    "faces and bottoms: circles, rectangles up to 1.5 to 1, rounded ones, random convex polygons; "
+    "bottoms of 8 to 32 mm, {stands}, faces of 10 to 30 mm; "
+    "nothing that covers a shape left out by more than 90 % (intersection over union)"
+)
+STANDS = ("fixed to the table", "most fixed to the table, some free to rock and slide")
+
+
+@dataclass(frozen=True, slots=True)
+class DataPortion:
+    """What jobs of one kind press: ``pieces``, over ``bottoms`` of their own, ``probes`` each time.
+
+    ``first``, ``most``: where their stretch of seeds begins, and how many jobs fit in.
+    """
+
+    first: int
+    most: int
+    pieces: int
+    bottoms: int
+    probes: int
+    free: bool
+    """Whether the bottoms rock and slide, as in a trial; such a press takes five times longer."""
+
+
+PORTIONS = {
+    "short": DataPortion(0, 60, 3, 80, 5, free=False),
+    "more": DataPortion(60, 60, 3, 80, 5, free=False),
+    "free": DataPortion(500, 100, 8, 30, 8, free=True),
+    "long": DataPortion(600, 400, 8, 30, 8, free=False),
+}
+"""By name. The first two are alike: two machines can start at once."""
+COUNTS = {"short": 50, "more": 50}
+
+
+@dataclass(frozen=True, slots=True)
+class FusionRecipe:
+    """So many jobs of each of ``portions``, then a training of so many ``steps``."""
+
+    bench: SimulationSettings
+    code: str
+    counts: Mapping[str, int] = field(default_factory=lambda: COUNTS)
+    steps: int = 6000
+    seed: int = 0
+    without: InputPart | None = None
+    """What an ablation leaves out."""
+    device: DeviceName = "auto"
+    portions: Mapping[str, DataPortion] = field(default_factory=lambda: PORTIONS)
+
+    def jobs(self) -> list[JobSpec]:
+        """Return all jobs, the training last."""
+        parts = [
+            self._part(portion, portion.first + k)
+            for name, portion in self.portions.items()
+            for k in range(self.counts.get(name, 0))
+        ]
+        facts = {
+            "bench_sha256": bench_sha256(self.bench),
+            "steps": self.steps,
+            "free": self.counts.get("free", 0),
+            "counts": [n for name in self.portions if (n := self.counts.get(name, 0))],
+            "without": self.without,
+            "device": self.device,
+        }
+        inputs = tuple(part.id for part in parts)
+        return [*parts, JobSpec("fuse", facts, self.seed, inputs, self.code)]
+
+    def _part(self, portion: DataPortion, place: int) -> JobSpec:
+        params = {
+            "bench": self.bench.model_dump(mode="json"),
+            "pieces": portion.pieces,
+            "sequences": portion.bottoms,
+            "probes": portion.probes,
+            "free": portion.free,
+        }
+        first = FIRST_SEED + SEEDS_PER_JOB * (1000 * self.seed + place)
+        return JobSpec("sequences", params, first, (), self.code)
+
+    @staticmethod
+    def effort(spec: JobSpec) -> int:
+        """Return how long a job takes compared with others."""
+        if spec.kind == "sequences":
+            return 8 if spec.params["free"] else 1
+        if spec.kind == "fused-trials":
+            return int(spec.params["trials"])
+        return max(1, int(spec.params["steps"]) // 100)
+
+
+def split_folders(folders: Sequence[Path], counts: Sequence[int]) -> tuple[list[Path], list[Path]]:
+    """Return the folders to train on and those held out: the first of each portion."""
+    train: list[Path] = []
+    held_out: list[Path] = []
+    for end, count in zip(np.cumsum(counts), counts, strict=True):
+        kept = end - count + max(1, count // HELD_OUT)
+        held_out += folders[end - count : kept]
+        train += folders[kept:end]
+    return train, held_out
+
+
+def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Train the network on the sequences of the input jobs."""
+    use_one_thread()
+    folders = [place.store.folder(source) for source in spec.inputs]
+    train, held_out = map(load_sequences, split_folders(folders, spec.params["counts"]))
+    without = spec.params["without"]
+    settings = FusedTraining(steps=spec.params["steps"], seed=spec.seed, without=without)
+    device = select_device(spec.params["device"])
+    trainer = FusedTrainer(train, held_out, settings, device)
+    losses = list(trainer.steps())
+    metrics = {
+        "train_loss": round(float(np.mean(losses[-REPORTED:])), 4),
+        "held_out_loss": round(trainer.held_out_loss(), 4),
+    }
+    card = FusedCard(
+        hyper=FusedSizes(**settings.shape.as_json()),
+        family=FAMILY.format(stands=STANDS[bool(spec.params["free"])]),
+        left_out=(*UNSEEN_PIECES, *UNSEEN_BOTTOMS),
+        bench_sha256=spec.params["bench_sha256"],
+        data_sha256=data_sha256(train),
+        seed=spec.seed,
+        training={
+            "sequences": len(train["count"]),
+            "probes": int(train["count"].sum()),
+            "held_out_sequences": len(held_out["count"]),
+            "steps": settings.steps,
+            "batch": settings.batch,
+            "learning_rate": settings.learning_rate,
+            "without": without,
+            "device": device_name(device),
+        },
+        metrics=metrics,
+        program_version=program_version(),
+    )
+    card = save_fused(place.folder / WEIGHTS, trainer.arrays(), card)
+    return {"weights_sha256": card.weights_sha256, **metrics}
+
+
+FUSED_KINDS: JobFunctions = {
+    "sequences": probe_sequences,
+    "fuse": train_fusion,
+    "fused-trials": fused_trials,
+}

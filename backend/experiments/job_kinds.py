@@ -1,0 +1,328 @@
+"""Kinds of jobs of the experiments, each a pure function of its spec.
+
+Imports torch and the simulated bench with its devices.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
+from touchdown.backend.config import (
+    SimulationSettings,
+    StackSettings,
+    TrainingSettings,
+    bench_sha256,
+    parse_settings,
+)
+from touchdown.backend.core import Event, FloatArray, TrialFinished
+from touchdown.backend.episodes import TrainingRows, join_rows, load_rows, patch_hex, write_packs
+from touchdown.backend.experiments import evaluation
+from touchdown.backend.experiments.collection import (
+    episode_rows,
+    find_ambiguous_pairs,
+    hold_signals,
+    largest_marker_px,
+    pack_metadata,
+    split_jobs,
+)
+from touchdown.backend.experiments.fusion import FUSED_KINDS
+from touchdown.backend.experiments.models import WEIGHTS, batch_model, load_model
+from touchdown.backend.experiments.run_report import FILM_FILE, belief_film
+from touchdown.backend.experiments.statics import (
+    ProbeGroups,
+    join_groups,
+    probe_groups,
+    score_fused_verdicts,
+    score_patches,
+)
+from touchdown.backend.experiments.strategies import run_closed_loop, run_static_groups
+from touchdown.backend.experiments.trials import (
+    SceneSetup,
+    pick_and_place_in_lockstep,
+    stack_in_lockstep,
+    start_scene,
+)
+from touchdown.backend.geometry import Tower, face_points, load_pieces
+from touchdown.backend.jobs import JobContext, JobFunctions, JobSpec
+from touchdown.backend.learning import (
+    LEVEL,
+    Checkpoint,
+    Trainer,
+    device_name,
+    fingerprint,
+    make_card,
+    save_checkpoint,
+    select_device,
+    stable_flags,
+    use_one_thread,
+)
+from touchdown.backend.runs import RecordingOptions, StackRequest
+from touchdown.backend.sensing import EpisodeLimits
+from touchdown.backend.simulation import BatchPlan, Scene
+from touchdown.backend.simulation import simulate_episodes as simulated
+
+SLIPPED_MM = 0.02
+"""A pad that moved by more than this in one press has slipped."""
+GROUPS_AT_ONCE = 50
+PAIRS = 3
+FILMS = 2
+"""Courses of trials that a stacking cell leaves as pictures."""
+
+
+def simulate_collection(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Collect labelled probes of one piece over one outline, as packs in the job's folder."""
+    p, catalogue = spec.params, load_pieces()
+    piece, bottom = catalogue.top(p["piece"]), catalogue.bottom(p["bottom"])
+    settings = _bench(p)
+    assert piece.grip_height_mm is not None
+    plan = BatchPlan(
+        piece=piece.name,
+        bottom=bottom.name,
+        face=piece.face,
+        bottom_outline=bottom.upper or bottom.face,
+        face_points_mm=face_points(piece.face, settings.face.lattice_mm),
+        grip_height_mm=piece.grip_height_mm,
+        width_mm=piece.width_mm,
+        episodes=p["episodes"],
+        seed=spec.seed,
+        probes_per_grip=p["probes_per_grip"],
+        grips_per_mounting=p["grips_per_mounting"],
+        settings=settings,
+        bottoms=Tower((bottom.body(),)),
+    )
+    rejected, slipped, contact = 0, 0, 0.0
+    for job in split_jobs(plan, {"geometry": piece.sha256}, place.folder):
+        batches = list(simulated(plan, job.grips))
+        write_packs(job.folder, job.stem, episode_rows(job, batches), pack_metadata(job))
+        rejected += sum(batch.rejected for batch in batches)
+        slipped += sum(int((batch.slip_mm > SLIPPED_MM).sum()) for batch in batches)
+        contact += sum(float(batch.patch.mean(axis=1).sum()) for batch in batches)
+    n = plan.episodes
+    return {
+        "bench_sha256": bench_sha256(settings),
+        "episodes": n,
+        "rejected": rejected,
+        "slipped": slipped / n,
+        "base_rate": contact / n,
+    }
+
+
+def train_model(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Train one model on the probes of the input jobs."""
+    use_one_thread()
+    settings = parse_settings(TrainingSettings, spec.params["training"], "job")
+    rows = join_rows([load_rows(place.store.folder(i)) for i in sorted(spec.inputs)])
+    head = spec.params["head"]
+    if head == "stability":
+        rows = stability_rows(rows)
+    data = fingerprint(rows)
+    device = select_device(spec.params["device"])
+    trainer = Trainer(rows, settings, device)
+    losses = [(report.train_loss, report.validation_loss) for report in trainer.epochs()]
+    card = make_card(rows, trainer, data).model_copy(update={"answers": head})
+    card = save_checkpoint(place.folder / WEIGHTS, trainer.best_model().arrays(), card)
+    return {
+        "weights_sha256": card.weights_sha256,
+        "data_sha256": data,
+        "episodes": len(rows),
+        "device": device_name(device),
+        "losses": [[round(a, 5), round(b, 5)] for a, b in losses],
+    }
+
+
+def stability_rows(rows: TrainingRows) -> TrainingRows:
+    """Return the rows with one target each: whether the centre of mass is over the true patch.
+
+    Trained on them the same network is the paper's *Implicit* baseline.
+    """
+    piece = load_pieces().top(rows.piece)
+    points = face_points(piece.face) - np.asarray(piece.com_xy_mm)
+    return replace(rows, patch=stable_flags(rows.patch, points)[:, None])
+
+
+def evaluate_static(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Press groups of probes over one bottom and score every model on the same probes."""
+    p, catalogue = spec.params, load_pieces()
+    case = SceneSetup.of(catalogue, p["piece"], (p["bottom"],), _bench(p))
+    use_one_thread()
+    seeds = [spec.seed + g for g in range(p["groups"])]
+    chunks = [seeds[k : k + GROUPS_AT_ONCE] for k in range(0, len(seeds), GROUPS_AT_ONCE)]
+    groups = join_groups([probe_groups(case, chunk, p["probes"]) for chunk in chunks])
+    models = {
+        name: _scores(load_model(source, place.store), case, groups)
+        for name, source in sorted(p["models"].items())
+    }
+    return {
+        "bench_sha256": bench_sha256(case.settings),
+        "margin_mm": [[_finite(m) for m in pair] for pair in groups.margin_mm],
+        "slipped": float((groups.slip_mm > SLIPPED_MM).mean()),
+        "rejected": groups.rejected,
+        "left_out": groups.left_out,
+        "models": models,
+    }
+
+
+def _scores(checkpoint: Checkpoint, case: SceneSetup, groups: ProbeGroups) -> dict[str, Any]:
+    model = batch_model(checkpoint, case.piece)
+    g, p = groups.observation.shape[:2]
+    flat = groups.observation.reshape(g * p, *groups.observation.shape[2:])
+    probability = model.predict(flat).reshape(g, p, -1)
+    about = {"weights_sha256": checkpoint.card.weights_sha256}
+    if checkpoint.card.answers == "stability":
+        return {**about, "says": {"1": [bool(v) for v in probability[:, 0, 0] > LEVEL]}}
+    return {
+        **about,
+        "patch": score_patches(probability, groups),
+        **score_fused_verdicts(probability, groups, model, case),
+    }
+
+
+def run_stacking(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Run the trials of one cell; every trial counts, whatever its outcome."""
+    p = spec.params
+    case = _case(p)
+    use_one_thread()
+    scenes, left_out = _counted(case, spec)
+    settings, limits = StackSettings(), EpisodeLimits()
+    answer: dict[str, Any] = {
+        "bench_sha256": bench_sha256(case.settings),
+        "left_out": left_out,
+    }
+    if p["strategy"] == "pick-and-place":
+        ends = pick_and_place_in_lockstep(scenes, settings, limits)
+    else:
+        (source,) = spec.inputs
+        checkpoint = load_model(source, place.store)
+        answer["weights_sha256"] = checkpoint.card.weights_sha256
+        ends = stack_in_lockstep(scenes, batch_model(checkpoint, case.piece), settings, limits)
+        outline = case.bottoms[-1].face.polygon()
+        films = [belief_film(end, outline) for end in ends[:FILMS]]
+        (place.folder / FILM_FILE).write_text(json.dumps(films), encoding="utf-8")
+    return {**answer, "trials": [end.as_json() for end in ends]}
+
+
+def _counted(case: SceneSetup, spec: JobSpec) -> tuple[list[Scene], int]:
+    """Return the first scenes in which something can be placed, and how many before had none."""
+    scenes: list[Scene] = []
+    left_out = 0
+    while len(scenes) < spec.params["trials"]:
+        scene = start_scene(case, spec.seed + len(scenes) + left_out)
+        if scene is None:
+            left_out += 1
+        else:
+            scenes.append(scene)
+    return scenes, left_out
+
+
+def run_on_devices(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Run trials of a cell on the stepped bench: devices, rendered images, tracker, interlock.
+
+    The seeds are those that ``stack`` counts: towers that carry nothing are left out here, too.
+    """
+    p = spec.params
+    (source,) = spec.inputs
+    request = StackRequest(
+        piece=p["piece"],
+        bottoms=tuple(p["bottoms"]),
+        seed=spec.seed,
+        trials=p["trials"],
+        model=str(place.store.folder(source) / WEIGHTS),
+    )
+    ends: list[TrialFinished] = []
+
+    def note(fact: Event) -> None:
+        if isinstance(fact, TrialFinished):
+            ends.append(fact)
+
+    # A fault ends a run: each trial is a run of its own, so that all of them count.
+    for scene in _counted(_case(p), spec)[0]:
+        session = simulated_session(
+            SimulatedBenchChoice(given=_bench(p)), keep=RecordingOptions(None)
+        )
+        session.hub.subscribe(note)
+        try:
+            session.run(replace(request, seed=scene.seed, trials=1))
+        finally:
+            session.close()
+    return {
+        "bench_sha256": bench_sha256(_bench(p)),
+        "trials": [
+            {"seed": e.seed, "outcome": e.outcome.value, "reason": e.reason, "probes": e.probes}
+            for e in ends
+        ],
+    }
+
+
+def describe_signals(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Describe a small collection: signals over the displacement, and like-feeling presses."""
+    facts = simulate_collection(spec, place)
+    rows = load_rows(place.folder)
+    signals = hold_signals(rows)
+    points = face_points(load_pieces().top(rows.piece).face)
+    pairs = find_ambiguous_pairs(signals, rows.patch, PAIRS)
+    return {
+        "bench_sha256": facts["bench_sha256"],
+        "piece": rows.piece,
+        "bottom": spec.params["bottom"],
+        "offset_mm": _rounded(rows.offset_mm),
+        "marker_px": _rounded(largest_marker_px(signals)),
+        "moment_nm": _rounded(signals[:, -3:-1], 5),
+        "points_mm": _rounded(points),
+        "pairs": [
+            {
+                **asdict(pair),
+                "offset_mm": _rounded(rows.offset_mm[[pair.first, pair.second]]),
+                "patch": [patch_hex(rows.patch[i]) for i in (pair.first, pair.second)],
+                "force_n": _rounded(rows.observation[[pair.first, pair.second], :, -6:-3]),
+                "moment_nm": _rounded(rows.observation[[pair.first, pair.second], :, -3:], 5),
+                "marker_rms_px": _rms(signals[pair.first, :-6] - signals[pair.second, :-6]),
+                "force_rms_n": _rms(signals[pair.first, -6:-3] - signals[pair.second, -6:-3]),
+                "moment_rms_nm": _rms(signals[pair.first, -3:] - signals[pair.second, -3:]),
+            }
+            for pair in pairs
+        ],
+    }
+
+
+def _rounded(values: FloatArray | NDArray[np.float32], digits: int = 3) -> list[Any]:
+    rounded: list[Any] = np.round(np.asarray(values, dtype=np.float64), digits).tolist()
+    return rounded
+
+
+def _rms(values: FloatArray) -> float:
+    return round(float(np.sqrt(np.mean(values**2))), 5)
+
+
+def _case(params: Mapping[str, Any]) -> SceneSetup:
+    return SceneSetup.of(load_pieces(), params["piece"], tuple(params["bottoms"]), _bench(params))
+
+
+def _bench(params: Mapping[str, Any]) -> SimulationSettings:
+    return parse_settings(SimulationSettings, params["bench"], "job")
+
+
+def _finite(value: float) -> float | None:
+    """Return a margin for JSON: None where nothing is beneath."""
+    return round(float(value), 4) if np.isfinite(value) else None
+
+
+KINDS: JobFunctions = {
+    **FUSED_KINDS,
+    "simulate": simulate_collection,
+    "train": train_model,
+    "static": evaluate_static,
+    "stack": run_stacking,
+    "devices": run_on_devices,
+    "twins": describe_signals,
+    "beyond": run_closed_loop,
+    "asked-presses": evaluation.evaluate_presses,
+    "asked-trials": evaluation.evaluate_trials,
+    "promises": run_static_groups,
+}

@@ -1,0 +1,479 @@
+"""Upper bound for strategies: an oracle that knows the physics of the simulated bench.
+
+It estimates the place of the piece with an ensemble smoother with multiple data assimilation
+(Emerick and Reynolds, Comput. Geosci. 55 (2013) 3). A hypothesis is a place of the piece over its
+bottom with every nuisance of bench-v1 that changes the signals, in the units in which the bench
+draws it from a standard normal distribution. Sensor errors are those of the bench. The offset that
+the tare leaves on the wrench is unknown in every probe, and a uniform shift of a marker field
+carries no information. For comparison only: it reads the simulation, which no real bench allows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import erf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.config import ProbeSettings, SimulationSettings
+from touchdown.backend.core import (
+    TACTILE_CHANNELS,
+    BeliefMap,
+    FloatArray,
+    PlaceAction,
+    Stability,
+    SupportKind,
+)
+from touchdown.backend.geometry import Piece, Tower, circle, draw_offset, face_points, inset_mm
+from touchdown.backend.placement import (
+    XY,
+    PlaceDecision,
+    ProbeObservation,
+    ShiftTarget,
+    describe_situation,
+    give_up,
+    shift_towards,
+)
+from touchdown.backend.simulation import (
+    RESIDUAL_LIMIT,
+    Conditions,
+    GraspHistory,
+    GripDraw,
+    MarkerModel,
+    MountingDraw,
+    ProbeDraw,
+    Region,
+    SensorNoise,
+    SupportStack,
+    begin_probes,
+    conditions_from_draws,
+    draw_noise,
+    gel_from_settings,
+    join_support_stacks,
+    observe_presses,
+    onset_rule,
+    press_batch,
+    support_stack,
+)
+
+_Point = tuple[float, float]
+DIAMETERS_MM = (10.0, 30.0)
+"""Of a round bottom whose diameter is not known."""
+SHIFT_X, SHIFT_Y, TILT_X, TILT_Y, STIFFNESS, GEL, MU_GRIP, GRIP, GRASP_X, GRASP_Z = range(10)
+YAW, GAIN_LEFT, GAIN_RIGHT, MU, DIAMETER = range(10, 15)
+NORMAL = slice(TILT_X, DIAMETER + 1)
+"""Columns that are standard normal before any probe."""
+COLUMNS = 15
+
+
+@dataclass(frozen=True, slots=True)
+class OracleSetting:
+    """What is known of a trial: bench, piece, and the bottom, whose outline may not be.
+
+    ``diameter_known``: else the bottom is round with a diameter within ``DIAMETERS_MM``.
+    """
+
+    piece: Piece
+    bottom: Piece
+    settings: SimulationSettings
+    diameter_known: bool = True
+    probe: ProbeSettings = field(default_factory=ProbeSettings)
+
+
+@dataclass(frozen=True, slots=True)
+class HypothesisEnsemble:
+    """``value`` (n, 15): columns as named above, the first two in mm: true minus commanded place.
+
+    ``carried``: slip and gel of each gripping so far.
+    """
+
+    value: FloatArray
+    carried: GraspHistory
+
+    @property
+    def count(self) -> int:
+        """Number n of worlds."""
+        return len(self.value)
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedPress:
+    """``observation`` (n, 20, 258) without sensor errors; ``worlds`` after the press.
+
+    ``usable`` (n,): contact was found and the press converged, as in every press that is observed.
+    """
+
+    observation: NDArray[np.float32]
+    worlds: HypothesisEnsemble
+    usable: NDArray[np.bool_]
+
+
+def draw_hypotheses(
+    setting: OracleSetting, at_mm: _Point, count: int, rng: np.random.Generator
+) -> HypothesisEnsemble:
+    """Return worlds before any probe: every place with enough overlap is as likely as any other."""
+    value = np.zeros((count, COLUMNS))
+    value[:, NORMAL] = rng.standard_normal((count, COLUMNS - TILT_X))
+    if setting.diameter_known:
+        places = draw_offset(rng, setting.piece.face, setting.bottom.face, count)
+    else:
+        sizes = diameters_mm(setting, value)
+        places = np.concatenate(
+            [draw_offset(rng, setting.piece.face, circle(float(d)), 1) for d in sizes]
+        )
+    value[:, :TILT_X] = places - np.asarray(at_mm)
+    return HypothesisEnsemble(value, GraspHistory.fresh(count))
+
+
+def diameters_mm(setting: OracleSetting, value: FloatArray) -> FloatArray:
+    """Return (n,) the diameter of a bottom that is round but not known."""
+    low, high = DIAMETERS_MM
+    return np.asarray(low + (high - low) * _share(value[:, DIAMETER]), dtype=np.float64)
+
+
+def predict_press(
+    setting: OracleSetting, worlds: HypothesisEnsemble, at_mm: _Point, rng: np.random.Generator
+) -> PredictedPress:
+    """Press at the commanded place in every world; when contact is noticed is left to chance.
+
+    A world that finds no balance at once is not searched further: it will be left out.
+    """
+    settings, value = setting.settings, worlds.value
+    conditions = _conditions(setting, value)
+    true = value[:, :TILT_X] + np.asarray(at_mm)
+    outline: Region = setting.bottom.face
+    if not setting.diameter_known:
+        outline = _Discs(0.5 * diameters_mm(setting, value)[:, None])
+    points = face_points(setting.piece.face, settings.face.lattice_mm)
+    lattice = settings.face.lattice_mm
+    state = begin_probes(points, outline, true, conditions, worlds.carried, lattice)
+    rule = onset_rule(settings, setting.probe)
+    still = _errorless(settings)
+    noise = [_noise(settings, still, setting.probe, rng) for _ in range(worlds.count)]
+    pressed = press_batch(
+        state.on(_stand(setting, value), splits=0),
+        np.array([n.phase_s for n in noise]),
+        np.stack([n.force_n for n in noise]),
+        setting.probe,
+        rule,
+        1e-6 * settings.cycle_us,
+    )
+    moved = value.copy()
+    slip = (pressed.state.slip - worlds.carried.slip)[:, :, 0].mean(axis=1)
+    moved[:, SHIFT_X] += slip
+    moved[:, :TILT_X] -= pressed.state.pose.slide_mm.sum(axis=1)
+    # The next probe draws its own friction and error of the arm.
+    moved[:, MU] = rng.standard_normal(worlds.count)
+    moved[:, :TILT_X] += settings.spread.label_error_mm * rng.standard_normal((worlds.count, 2))
+    after = HypothesisEnsemble(moved, GraspHistory(pressed.state.slip, pressed.state.relaxed))
+    seen = observe_presses(
+        pressed, conditions, still, noise, MarkerModel(gel_from_settings(settings))
+    )
+    return PredictedPress(
+        seen, after, pressed.detected & (pressed.state.residual <= RESIDUAL_LIMIT)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Discs:
+    """A disc of its own radius (n, 1) under each face."""
+
+    radius_mm: FloatArray
+
+    def contains(self, points_mm: FloatArray, /) -> NDArray[np.bool_]:
+        return np.asarray(np.hypot(points_mm[..., 0], points_mm[..., 1]) <= self.radius_mm)
+
+
+def _stand(setting: OracleSetting, value: FloatArray) -> SupportStack | None:
+    support = setting.settings.support
+    if setting.diameter_known:
+        stand = support_stack(Tower((setting.bottom.body(),)), support)
+        return None if stand is None else join_support_stacks([stand] * len(value))
+    stands = []
+    for diameter in diameters_mm(setting, value):
+        face = circle(float(diameter))
+        body = replace(setting.bottom.body(), lower=face, upper=face)
+        stands.append(support_stack(Tower((body,)), support))
+    found = [stand for stand in stands if stand is not None]
+    return join_support_stacks(found) if found else None
+
+
+def _conditions(setting: OracleSetting, value: FloatArray) -> Conditions:
+    settings, spread = setting.settings, setting.settings.spread
+    draws = []
+    for v in value:
+        tilt = np.clip(spread.tilt_rad * v[[TILT_X, TILT_Y]], -0.02, 0.02)
+        mounting = MountingDraw(
+            (float(tilt[0]), float(tilt[1])), (0.0, 0.0), _foundation(settings, v[STIFFNESS])
+        )
+        grasp = np.clip(spread.grasp_offset_mm * v[[GRASP_X, GRASP_Z]], -2.0, 2.0)
+        gain = np.clip(1.0 + spread.gain * v[[GAIN_LEFT, GAIN_RIGHT]], 0.8, 1.2)
+        grip_n = setting.probe.grip_force_n + spread.grip_force_n * v[GRIP]
+        gripping = GripDraw(
+            gel_factor=float(np.clip(1.0 + spread.gel * v[GEL], 0.7, 1.3)),
+            mu_grip=float(np.clip(settings.mu_grip * (1 + spread.mu_grip * v[MU_GRIP]), 0.35, 1.1)),
+            grip_force_n=float(np.clip(grip_n, 4.0, 15.0)),
+            grasp_offset_mm=(float(grasp[0]), float(grasp[1])),
+            yaw_rad=spread.yaw_rad * float(v[YAW]),
+            gain=(float(gain[0]), float(gain[1])),
+        )
+        mu = float(np.clip(settings.mu * (1.0 + spread.mu * v[MU]), 0.2, 0.6))
+        probe = ProbeDraw(mu, (0.0, 0.0), np.zeros((2, 2)), np.zeros(6))
+        draws.append((mounting, gripping, probe))
+    height = setting.piece.grip_height_mm
+    assert height is not None
+    return conditions_from_draws(settings, setting.probe, height, setting.piece.width_mm, draws)
+
+
+def _foundation(settings: SimulationSettings, score: float) -> float:
+    between = settings.face.foundation_range_n_mm3
+    if between is None:
+        return settings.face.foundation_n_mm3
+    low, high = np.log(between)
+    return float(np.exp(low + (high - low) * _share(np.array([score]))[0]))
+
+
+def _share(score: FloatArray) -> FloatArray:
+    """Return the share of a uniform range that stands for standard normal scores."""
+    return np.array([0.5 * (1.0 + erf(s / 2**0.5)) for s in score])
+
+
+def _errorless(settings: SimulationSettings) -> SimulationSettings:
+    """Return the bench with sensors that make no errors; frames come in time."""
+    tactile = settings.tactile.model_copy(
+        update={"white_px": 0.0, "drift_px_sqrt_s": 0.0, "lost_share": 0.0, "drop_share": 0.0}
+    )
+    wrist = settings.wrist.model_copy(
+        update={
+            "white_n": 0.0, "white_nm": 0.0, "drift_n_sqrt_min": 0.0, "drift_nm_sqrt_min": 0.0,
+        }
+    )  # fmt: skip
+    return settings.model_copy(update={"tactile": tactile, "wrist": wrist})
+
+
+def _noise(
+    settings: SimulationSettings,
+    still: SimulationSettings,
+    probe: ProbeSettings,
+    rng: np.random.Generator,
+) -> SensorNoise:
+    """Return errors that only change when the contact is noticed."""
+    quiet = draw_noise(still, onset_rule(settings, probe), rng)
+    force_n = settings.wrist.white_n * rng.standard_normal(len(quiet.force_n))
+    return replace(quiet, force_n=force_n)
+
+
+TICKS = (0, 1, 2, 4, 7, 10, 14, 19)
+FIRST_STEPS, NEXT_STEPS = (156.0, 31.2, 6.24, 1.248), (5.0, 1.25)
+"""Factors on the variance of the errors, step by step; their inverses sum to 1."""
+ENSEMBLE_SIZE = 112
+KEPT_SHARE = 0.8
+DIRECTIONS = 48
+"""Signals are compared along so many directions in which the worlds differ most."""
+FLOOR_N, FLOOR_NM, FLOOR_STRAIN = 0.03, 0.003, (0.004, 0.004, 0.0005, 0.02)
+"""Errors beyond those of the sensors: time steps, lost markers, worlds between which none lies."""
+RISK_SD = 2.33
+"""Released where the mean margin is so many standard deviations inside: a risk of 1 %."""
+MAX_PROBES, LONGEST_MM, NEAREST_MM = 8, 3.0, 0.2
+MAP_CELLS, PITCH_MM = 65, 1.0
+
+
+class OracleStrategy:
+    """Knows the forward model of the bench, its nuisances' distributions and, if so set, the
+    outline of the bottom; not where the bottom is, nor any nuisance.
+    """
+
+    def __init__(self, setting: OracleSetting, origin_mm: XY, seed: int) -> None:
+        self._setting, self._origin = setting, origin_mm
+        self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 991])))
+        self._signals = SignalFeatures(setting)
+        self.worlds = draw_hypotheses(setting, origin_mm, ENSEMBLE_SIZE, self._rng)
+        self._probes = 0
+
+    def conclude(self, touched: ProbeObservation) -> PlaceDecision:
+        """Assimilate the probe, judge by the risk, step towards the middle of the support."""
+        here = touched.offset_mm
+        self._assimilate(touched)
+        self._probes += 1
+        at_risk = self._at_risk_mm(here)
+        shift = self.worlds.value[:, :TILT_X].mean(axis=0)
+        stability = Stability(
+            at_risk >= 0.0,
+            at_risk,
+            SupportKind.AREA,
+            self._setting.bottom.face.placed((-float(shift[0]), -float(shift[1])), segments=48),
+            here,
+            "belief",
+        )
+        return PlaceDecision(self._map(), stability, self._choose(stability, here, shift))
+
+    def stable_at(self, offset_mm: XY) -> bool:
+        """Whether the risk of letting go there is small."""
+        return self._at_risk_mm(offset_mm) >= 0.0
+
+    def likely_at(self, offset_mm: XY) -> bool:
+        """Whether it would stand in most worlds."""
+        return bool(np.median(self.margins_mm(offset_mm)) > 0.0)
+
+    def _at_risk_mm(self, here: XY) -> float:
+        margin = self.margins_mm(here)
+        return float(margin.mean() - RISK_SD * margin.std())
+
+    def margins_mm(self, here: XY) -> FloatArray:
+        """Return (n,): by how much the piece would stand at the commanded place in each world."""
+        setting, value = self._setting, self.worlds.value
+        true = value[:, :TILT_X] + np.asarray(here) + np.asarray(setting.piece.com_xy_mm)
+        share = setting.piece.mass_g / (setting.piece.mass_g + setting.bottom.mass_g)
+        if setting.diameter_known:
+            face = setting.bottom.face
+            return np.minimum(inset_mm(face, true), inset_mm(face, share * true))
+        return np.asarray(0.5 * diameters_mm(setting, value) - np.hypot(true[:, 0], true[:, 1]))
+
+    def _assimilate(self, touched: ProbeObservation) -> None:
+        seen = self._signals.of(touched.observation[None])[0]
+        prior = self.worlds
+        for factor in NEXT_STEPS if self._probes else FIRST_STEPS:
+            felt = predict_press(self._setting, prior, touched.offset_mm, self._rng)
+            signals = self._signals.of(felt.observation)
+            kept = select_likely(signals, felt.usable, seen, self._signals.spread, self._rng)
+            value = prior.value[kept]
+            drift, after = felt.worlds.value[kept] - value, felt.worlds.carried.take(kept)
+            value = assimilate(value, signals[kept], seen, self._signals.spread, factor, self._rng)
+            prior = HypothesisEnsemble(value, prior.carried.take(kept))
+        # The press itself moved the piece; that is kept for the worlds as they are now.
+        self.worlds = HypothesisEnsemble(prior.value + drift, after)
+
+    def _choose(self, stability: Stability, here: XY, shift: FloatArray) -> PlaceAction:
+        words = describe_situation(stability)
+        if stability.stable:
+            return PlaceAction("release", (0.0, 0.0), None, False, f"{words}: release.")
+        if self._probes >= MAX_PROBES:
+            return give_up(f"{words} after {self._probes} probes, the most allowed: giving up.")
+        target = -float(shift[0]), -float(shift[1])
+        if np.hypot(target[0] - here[0], target[1] - here[1]) < NEAREST_MM:
+            return PlaceAction("shift", (0.0, 0.0), target, False, f"{words}: probing again.")
+        return shift_towards(stability, ShiftTarget(target, ""), here, LONGEST_MM, 0.0)
+
+    def _map(self) -> BeliefMap:
+        """Return in how many worlds each cell supports, in commanded places."""
+        reach = PITCH_MM * (MAP_CELLS // 2)
+        corner = self._origin[0] - reach, self._origin[1] - reach
+        covered = np.ones((MAP_CELLS, MAP_CELLS), dtype=np.bool_)
+        empty = BeliefMap(np.zeros(covered.shape), covered, corner, PITCH_MM, self._probes)
+        cells = empty.cell_centres_mm()
+        held = np.zeros(covered.shape)
+        radius = 0.5 * diameters_mm(self._setting, self.worlds.value)
+        for shift, r in zip(self.worlds.value[:, :TILT_X], radius, strict=True):
+            if self._setting.diameter_known:
+                held += self._setting.bottom.face.contains(cells + shift)
+            else:
+                held += np.hypot(*np.moveaxis(cells + shift, -1, 0)) <= r
+        p = (held + 0.5) / (self.worlds.count + 1.0)
+        return BeliefMap(np.log(p / (1.0 - p)), covered, corner, PITCH_MM, self._probes)
+
+
+class SignalFeatures:
+    """What of an observation is compared, and how its errors spread.
+
+    At each of ``TICKS`` the six of the wrench and, for each finger, the four pad motions that fit
+    its marker field best beside a uniform shift. ``spread`` (F, F): covariance of the errors.
+    """
+
+    def __init__(self, setting: OracleSetting) -> None:
+        gel = gel_from_settings(setting.settings)
+        self._fits = [_fit(gel.map[finger]) for finger in range(2)]
+        tactile, wrist = setting.settings.tactile, setting.settings.wrist
+        ticks = len(TICKS)
+        slow = np.repeat([wrist.offset_n, wrist.offset_nm], 3)
+        quick = np.repeat([wrist.white_n, wrist.white_nm], 3) / np.sqrt(0.1 * wrist.rate_hz)
+        floor = np.repeat([FLOOR_N, FLOOR_NM], 3)
+        blocks = [
+            s**2 * np.ones((ticks, ticks)) + (q**2 + f**2) * np.eye(ticks)
+            for s, q, f in zip(slow, quick, floor, strict=True)
+        ]
+        for fit in self._fits:
+            error = tactile.white_px * np.sqrt((fit**2).sum(axis=1))
+            blocks += [
+                (e**2 + f**2) * np.eye(ticks) for e, f in zip(error, FLOOR_STRAIN, strict=True)
+            ]
+        size = ticks * len(blocks)
+        self.spread = np.zeros((size, size))
+        for k, block in enumerate(blocks):
+            at = slice(k * ticks, (k + 1) * ticks)
+            self.spread[at, at] = block
+
+    def of(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Return (n, F) of observations (n, 20, 258)."""
+        chosen = observation[:, TICKS].astype(np.float64)
+        parts = [chosen[..., TACTILE_CHANNELS:]]
+        fields = chosen[..., :TACTILE_CHANNELS].reshape(*chosen.shape[:2], 2, 2, -1)
+        flat = fields.swapaxes(-1, -2).reshape(*chosen.shape[:2], 2, -1)
+        parts += [flat[:, :, finger] @ fit.T for finger, fit in enumerate(self._fits)]
+        joined = np.concatenate(parts, axis=-1)
+        return np.asarray(joined.swapaxes(1, 2).reshape(len(joined), -1), dtype=np.float64)
+
+
+def select_likely(
+    felt: FloatArray,
+    usable: NDArray[np.bool_],
+    seen: FloatArray,
+    spread: FloatArray,
+    rng: np.random.Generator,
+) -> NDArray[np.intp]:
+    """Return which of n worlds go on, n of them, likelier ones more than once.
+
+    The likelihood of what was ``seen`` (F,) given ``felt`` (n, F) is flattened until the worlds
+    that go on count as many as ``KEPT`` of all: strays are dropped, no single world takes over.
+    """
+    misfit = np.where(usable | ~usable.any(), _misfit(felt, seen, spread), np.inf)
+    misfit -= misfit.min()
+    low, high = 1e-9, 1.0
+    for _ in range(60):
+        share = (low * high) ** 0.5
+        weight = np.exp(-0.5 * share * misfit)
+        if weight.sum() ** 2 / (weight**2).sum() < KEPT_SHARE * len(felt):
+            high = share
+        else:
+            low = share
+    ends = np.cumsum(weight) / weight.sum()
+    places = (np.arange(len(felt)) + rng.random()) / len(felt)
+    return np.asarray(np.minimum(np.searchsorted(ends, places), len(felt) - 1), dtype=np.intp)
+
+
+def _misfit(felt: FloatArray, seen: FloatArray, spread: FloatArray) -> FloatArray:
+    root = np.linalg.cholesky(spread)
+    return np.asarray((np.linalg.solve(root, (felt - seen).T) ** 2).sum(axis=0))
+
+
+def assimilate(
+    value: FloatArray,
+    felt: FloatArray,
+    seen: FloatArray,
+    spread: FloatArray,
+    factor: float,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return the worlds (n, P) after a step towards those that feel ``seen`` (F,).
+
+    ``felt`` (n, F): what each feels; errors of covariance ``factor * spread``.
+    """
+    root = np.linalg.cholesky(spread)
+    centre = felt.mean(axis=0)
+    y = np.linalg.solve(root, (felt - centre).T).T
+    target = np.linalg.solve(root, seen - centre)
+    _, _, along = np.linalg.svd(y, full_matrices=False)
+    along = along[:DIRECTIONS]
+    y, target = y @ along.T, along @ target
+    n = len(value) - 1
+    inner = y.T @ y / n + factor * np.eye(len(target))
+    gain = np.linalg.solve(inner, y.T @ (value - value.mean(axis=0)) / n)
+    scatter = np.sqrt(factor) * rng.standard_normal(y.shape)
+    return np.asarray(value + (target - y + scatter) @ gain, dtype=np.float64)
+
+
+def _fit(gel_map: FloatArray) -> FloatArray:
+    """Return (4, 126): pad motions of a marker field, a uniform shift taken out."""
+    shifts = np.zeros((2, gel_map.shape[1]))
+    shifts[0, 0::2] = shifts[1, 1::2] = 1.0
+    return np.asarray(np.linalg.pinv(np.concatenate([gel_map, shifts]).T)[:4], dtype=np.float64)

@@ -1,0 +1,279 @@
+"""One self-contained HTML page for a set of runs, with belief maps, wrench traces and decisions probe
+by probe.
+
+``belief_film`` keeps the course of a simulated trial as a strip of belief maps.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from touchdown.backend.core import (
+    ActionChosen,
+    BeliefMap,
+    BeliefUpdated,
+    Episode,
+    EpisodeRecorded,
+    Event,
+    FaultRaised,
+    FloatArray,
+    Outcome,
+    RunStarted,
+    StabilityJudged,
+    TrialFinished,
+    TrialStarted,
+    write_atomically,
+)
+from touchdown.backend.experiments.trials import BatchTrialResult
+
+WIDTH_PX = 230
+AXIS_COLOURS = ("#005FCC", "#C04A00", "#3A0D3F")
+
+
+def _map_png(belief: BeliefMap) -> str:
+    grey = np.round(255 * belief.probability[::-1]).astype(np.uint8)
+    ok, png = cv2.imencode(".png", cv2.applyColorMap(grey, cv2.COLORMAP_CIVIDIS))
+    assert ok
+    return base64.b64encode(png.tobytes()).decode("ascii")
+
+
+def belief_svg(
+    updated: BeliefUpdated,
+    judged: StabilityJudged,
+    chosen: ActionChosen,
+    true_outline_mm: FloatArray | None,
+    view_mm: float = 20.0,
+) -> str:
+    """Return one panel: map, hull, centre of mass, planned step, and the true support if known.
+
+    The view is ``2 view_mm`` wide around the centre of the map; y points up.
+    """
+    belief = updated.belief
+    ny, nx = belief.log_odds.shape
+    half = 0.5 * belief.pitch_mm
+    left, bottom = belief.origin_mm[0] - half, belief.origin_mm[1] - half
+    cx = left + 0.5 * nx * belief.pitch_mm
+    cy = bottom + 0.5 * ny * belief.pitch_mm
+    parts = [
+        f'<svg viewBox="{cx - view_mm} {-cy - view_mm} {2 * view_mm} {2 * view_mm}" '
+        f'width="{WIDTH_PX}" height="{WIDTH_PX}" role="img" '
+        f'aria-label="Belief map after probe {updated.probe}">',
+        f'<image x="{left}" y="{-(bottom + ny * belief.pitch_mm)}" '
+        f'width="{nx * belief.pitch_mm}" height="{ny * belief.pitch_mm}" '
+        'preserveAspectRatio="none" style="image-rendering:pixelated" '
+        f'href="data:image/png;base64,{_map_png(belief)}"/>',
+    ]
+    if true_outline_mm is not None:
+        parts.append(_polygon(true_outline_mm, "#ffffff", 0.25, dash="0.8 0.8"))
+    hull = judged.stability.hull_mm
+    if len(hull) >= 2:
+        parts += [_polygon(hull, "#000000", 0.6), _polygon(hull, "#ffffff", 0.3)]
+    x, y = judged.stability.centre_mm
+    step = chosen.action.step_mm
+    for colour, width in (("#000000", 0.9), ("#ffffff", 0.4)):
+        style = f'stroke="{colour}" stroke-width="{width}"'
+        parts.append(f'<path d="M{x - 1.4} {-y}h2.8M{x} {-y - 1.4}v2.8" {style}/>')
+        parts.append(f'<path d="M{x} {-y}l{step[0]} {-step[1]}" {style}/>')
+    parts.append("</svg>")
+    return "".join(parts)
+
+
+def _polygon(points_mm: FloatArray, colour: str, width: float, dash: str = "") -> str:
+    text = " ".join(f"{x:.2f},{-y:.2f}" for x, y in points_mm)
+    dashes = f' stroke-dasharray="{dash}"' if dash else ""
+    return (
+        f'<polygon points="{text}" fill="none" stroke="{colour}" stroke-width="{width}"{dashes}/>'
+    )
+
+
+def wrench_svg(episode: Episode) -> str:
+    """Return the 10 Hz forces of one probe, N over the 2 s after contact."""
+    force = episode.observation[:, 252:255].astype(np.float64)
+    top = max(1.0, float(np.nanmax(np.abs(force))))
+    lines = []
+    for axis, colour in enumerate(AXIS_COLOURS):
+        points = " ".join(
+            f"{10 * (k + 1):.1f},{30 - 26 * v / top:.1f}" for k, v in enumerate(force[:, axis])
+        )
+        lines.append(f'<polyline points="{points}" fill="none" stroke="{colour}"/>')
+    return (
+        f'<svg viewBox="0 0 210 64" width="{WIDTH_PX}" height="70" role="img" '
+        f'aria-label="Forces of the probe">'
+        '<path d="M10 30h195" stroke="#76818C" stroke-width="0.5"/>'
+        + "".join(lines)
+        + '<text x="10" y="62" font-size="9" fill="#55606B">'
+        + f"Fx Fy Fz, ±{top:.1f} N, 2 s</text></svg>"
+    )
+
+
+def tactile_png(episode: Episode) -> str:
+    """Return both fingers' last images of a probe side by side as an ``img`` tag, or ""."""
+    if episode.recording is None:
+        return ""
+    last = {frame.finger: frame.image for frame in episode.recording.frames}
+    if set(last) != {"left", "right"}:
+        return ""
+    both = cv2.hconcat([last["left"], last["right"]])
+    small = cv2.resize(both, (WIDTH_PX * 2, WIDTH_PX * 3 // 4), interpolation=cv2.INTER_AREA)
+    ok, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    assert ok
+    data = base64.b64encode(jpeg.tobytes()).decode("ascii")
+    return (
+        f'<img alt="Tactile images, left and right finger" width="{WIDTH_PX}" '
+        f'src="data:image/jpeg;base64,{data}"/>'
+    )
+
+
+FILM_FILE = "film.json"
+"""File of a job with courses of its trials."""
+
+
+def belief_film(end: BatchTrialResult, outline_mm: FloatArray) -> Mapping[str, Any]:
+    """Return the strip, JSON-ready; ``outline_mm`` (k, 2) is the true support, in true places.
+
+    The map is kept in commanded places, which differ from the true ones by the errors of grasp and
+    print; the outline is drawn where the last probe shows it to be.
+    """
+    probes = []
+    last = end.steps[-1].offset_mm if end.steps else (0.0, 0.0)
+    true = end.true_mm or last
+    shift = (last[0] - true[0], last[1] - true[1])
+    for number, step in enumerate(end.steps, start=1):
+        picture = belief_svg(
+            BeliefUpdated(0.0, step.map, number),
+            StabilityJudged(0.0, step.stability, number),
+            ActionChosen(0.0, step.action, number, 0.0),
+            outline_mm + shift,
+        )
+        probes.append({"svg": picture, "why": step.action.reason})
+    word = end.outcome.value.replace("_", " ")
+    return {"end": f"Seed {end.seed}: {word}. {end.reason}", "probes": probes}
+
+
+_STYLE = """
+body{font:15px/1.45 'DejaVu Sans',system-ui,sans-serif;color:#1B2127;background:#F2F4F6;margin:2em}
+h1{font-size:1.5em}h2{font-size:1.15em;margin:1.6em 0 .3em}
+.banner{background:#F9C800;color:#14181C;padding:.35em .8em;display:inline-block;font-weight:600}
+.strip{display:flex;gap:14px;flex-wrap:wrap}
+.probe{background:#fff;border:1px solid #C9D0D7;padding:10px;width:232px}
+.probe p{margin:.4em 0;font-size:.85em}.end{font-weight:600}
+.placed{color:#1b6b3a}.other{color:#B3261E}
+table{border-collapse:collapse}td,th{text-align:left}
+td,th{padding:.2em .9em;border-bottom:1px solid #C9D0D7}
+"""
+
+_LEGEND = (
+    "Belief maps, 40 mm wide: yellow is support, blue is none, grey is unknown. Double line: hull "
+    "of support above 90 %. Cross: centre of mass and planned step. Dashed: the true support, "
+    "drawn after the fact. Below: forces of the press, and both tactile images at its end."
+)
+
+
+@dataclass
+class _TrialRecord:
+    started: TrialStarted
+    beliefs: list[BeliefUpdated] = field(default_factory=list)
+    judged: list[StabilityJudged] = field(default_factory=list)
+    chosen: list[ActionChosen] = field(default_factory=list)
+    episodes: dict[int, EpisodeRecorded] = field(default_factory=dict)
+    faults: list[FaultRaised] = field(default_factory=list)
+    finished: TrialFinished | None = None
+
+
+def write_run_report(
+    path: Path, runs: Sequence[Iterable[Event]], outlines_mm: Mapping[str, FloatArray]
+) -> None:
+    """Write the page atomically.
+
+    ``runs``: the facts of each run in order. ``outlines_mm``: true outline (k, 2) per bottom name,
+    drawn dashed after the fact; leave it out where the truth is unknown.
+    """
+    sections, rows = [], []
+    for facts in runs:
+        head, trials = _split_trials(facts)
+        if head is None:
+            continue
+        outline = outlines_mm.get(head.bottom.split("+")[-1])
+        for trial in trials:
+            sections.append(_section(head, trial, outline if head.simulated else None))
+            rows.append(_row(head, trial))
+    placed = sum('class="placed"' in row for row in rows)
+    body = (
+        f"<h1>Touchdown: {placed} of {len(rows)} placed</h1>"
+        '<p class="banner">SIMULATED BENCH: no robot moved for these figures</p>'
+        f"<p>{_LEGEND}</p>"
+        "<table><tr><th>piece</th><th>on</th><th>seed</th><th>outcome</th><th>probes</th>"
+        f"<th>true margin</th></tr>{''.join(rows)}</table>{''.join(sections)}"
+    )
+    page = (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f"<title>Touchdown report</title><style>{_STYLE}</style></head><body>{body}</body></html>"
+    )
+    write_atomically(path, page.encode())
+
+
+def _split_trials(facts: Iterable[Event]) -> tuple[RunStarted | None, list[_TrialRecord]]:
+    head: RunStarted | None = None
+    trials: list[_TrialRecord] = []
+    for fact in facts:
+        if isinstance(fact, RunStarted):
+            head = fact
+        elif isinstance(fact, TrialStarted):
+            trials.append(_TrialRecord(fact))
+        elif trials:
+            _add_event(trials[-1], fact)
+    return head, trials
+
+
+def _add_event(trial: _TrialRecord, fact: Event) -> None:
+    if isinstance(fact, BeliefUpdated):
+        trial.beliefs.append(fact)
+    elif isinstance(fact, StabilityJudged):
+        trial.judged.append(fact)
+    elif isinstance(fact, ActionChosen):
+        trial.chosen.append(fact)
+    elif isinstance(fact, EpisodeRecorded):
+        trial.episodes[fact.probe] = fact
+    elif isinstance(fact, FaultRaised):
+        trial.faults.append(fact)
+    elif isinstance(fact, TrialFinished):
+        trial.finished = fact
+
+
+def _row(head: RunStarted, trial: _TrialRecord) -> str:
+    end = trial.finished
+    word = "interrupted" if end is None else end.outcome.value.replace("_", " ")
+    css = "placed" if end is not None and end.outcome is Outcome.PLACED else "other"
+    margin = "" if end is None or end.margin_mm is None else f"{end.margin_mm:+.2f} mm"
+    probes = "" if end is None else str(end.probes)
+    cells = (head.piece, head.bottom, str(trial.started.seed))
+    plain = "".join(f"<td>{html.escape(cell)}</td>" for cell in cells)
+    return f'<tr>{plain}<td class="{css}">{word}</td><td>{probes}</td><td>{margin}</td></tr>'
+
+
+def _section(head: RunStarted, trial: _TrialRecord, outline_mm: FloatArray | None) -> str:
+    title = f"{head.piece} on {head.bottom}, seed {trial.started.seed}"
+    panels = []
+    for updated, judged, chosen in zip(trial.beliefs, trial.judged, trial.chosen, strict=False):
+        recorded = trial.episodes.get(updated.probe)
+        signals = "" if recorded is None else tactile_png(recorded.episode)
+        traces = "" if recorded is None else wrench_svg(recorded.episode)
+        panels.append(
+            f'<div class="probe"><b>Probe {updated.probe}</b>'
+            f"{belief_svg(updated, judged, chosen, outline_mm)}{traces}{signals}"
+            f"<p>{html.escape(chosen.action.reason)}</p></div>"
+        )
+    faults = "".join(f"<p>{html.escape(f.fault.what)}</p>" for f in trial.faults)
+    reason = "Interrupted." if trial.finished is None else trial.finished.reason
+    return (
+        f'<h2>{html.escape(title)}</h2><div class="strip">{"".join(panels)}</div>{faults}'
+        f'<p class="end">{html.escape(reason)}</p>'
+    )

@@ -1,0 +1,644 @@
+"""Strategies beyond the paper as jobs: closed-loop trials of Table 3 and verdicts on the probe groups
+of Table 2.
+
+A cell is one piece over one bottom under one strategy. It is cut into jobs of a few trials or
+groups, so that an interrupted experiment resumes and a table can be read at any time. Every
+strategy, the oracle included, gets the same presses. After n probes of a group it answers whether
+it would release at the first place, and whether the piece would rather stand there than fall.
+
+``beyond.json`` keeps trials and groups as one line each beside the counts. A trial: ``seed outcome
+probes least`` (``least`` as in ``least_probes``). A job of groups: the seed of its first group,
+then for each group ``margin:likely:released``: the true margin of all interfaces in mm (``-``
+without support) and the two verdicts after each number of probes in ``PROBE_COUNTS``, 1 for yes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.config import (
+    SimulationSettings,
+    StackSettings,
+    StrategyName,
+    TowerSettings,
+    bench_sha256,
+    parse_settings,
+)
+from touchdown.backend.core import BeliefMap, ContactPatch, FloatArray, Outcome
+from touchdown.backend.experiments.models import batch_model, load_model
+from touchdown.backend.experiments.oracle import OracleSetting, OracleStrategy
+from touchdown.backend.experiments.statics import PROBE_COUNTS, ProbeGroups, probe_groups
+from touchdown.backend.experiments.statistics import (
+    VerdictCounts,
+    estimate_mean,
+    estimate_rate,
+    reliability_curve,
+)
+from touchdown.backend.experiments.tables import (
+    BEYOND_FORMAT,
+    CELL_SEEDS,
+    PIECES,
+    STACKING_SEED,
+    STATIC_SEED,
+    UNSAFE_OUTCOMES,
+    score_verdicts,
+)
+from touchdown.backend.experiments.trials import (
+    BatchModel,
+    BatchTrialResult,
+    SceneSetup,
+    grasped_piece_in,
+    pick_and_place_in_lockstep,
+    probing_scene,
+    stack_in_lockstep,
+    start_scene,
+)
+from touchdown.backend.geometry import Tower, face_points, inset_mm, judge_tower, load_pieces
+from touchdown.backend.jobs import JobContext, JobSpec, JobStore
+from touchdown.backend.learning import LEVEL, use_one_thread
+from touchdown.backend.placement import (
+    XY,
+    GraspedPiece,
+    ProbeObservation,
+    Strategy,
+    SupportTower,
+    load_network_of,
+    make_strategy,
+)
+from touchdown.backend.sensing import EpisodeLimits
+from touchdown.backend.simulation import Scene
+
+Json = dict[str, Any]
+Cell = tuple[str, str, str]
+"""Strategy, piece, bottom."""
+NO_SUPPORT = "-"
+VERDICT_KINDS = ("likely", "says")
+
+
+def trial_lines(trials: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Return a line for each trial."""
+    return [
+        " ".join(str(t[k]) for k in ("seed", "outcome", "probes", "least_probes")) for t in trials
+    ]
+
+
+def group_lines(answers: Mapping[int, Mapping[str, Any]]) -> list[str]:
+    """Return a line for each answer, by the seed of its first group."""
+    return [
+        " ".join([str(seed), *(_group(answer, g) for g in range(len(answer["margin_mm"])))])
+        for seed, answer in sorted(answers.items())
+    ]
+
+
+def parse_trials(answer: Mapping[str, Any]) -> dict[Cell, list[Json]]:
+    """Return the trials of each cell of a ``beyond.json``; cells without lines have none."""
+    found: dict[Cell, list[Json]] = {}
+    for cell in answer["cells"]:
+        for line in cell.get("trials", ()):
+            seed, outcome, probes, least = line.split()
+            trial = {"seed": int(seed), "outcome": outcome, "probes": int(probes)}
+            found.setdefault(_cell(cell), []).append({**trial, "least_probes": int(least)})
+    return found
+
+
+def parse_verdicts(answer: Mapping[str, Any]) -> dict[Cell, dict[int, Json]]:
+    """Return margins and verdicts of each cell of a ``beyond.json``, by the first seed."""
+    found: dict[Cell, dict[int, Json]] = {}
+    for cell in answer.get("statics", {}).get("cells", ()):
+        for line in cell.get("asked", ()):
+            seed, *groups = line.split()
+            found.setdefault(_cell(cell), {})[int(seed)] = _answer(groups)
+    return found
+
+
+def _cell(cell: Mapping[str, Any]) -> Cell:
+    return cell["strategy"], cell["piece"], cell["bottom"]
+
+
+def _group(answer: Mapping[str, Any], g: int) -> str:
+    margin = answer["margin_mm"][g][1]
+    bits = [
+        "".join(str(int(answer[kind][str(n)][g])) for n in PROBE_COUNTS) for kind in VERDICT_KINDS
+    ]
+    return ":".join([NO_SUPPORT if margin is None else f"{margin:g}", *bits])
+
+
+def _answer(groups: Sequence[str]) -> Json:
+    parts = [group.split(":") for group in groups]
+    margins = [None if part[0] == NO_SUPPORT else float(part[0]) for part in parts]
+    said = {
+        kind: {
+            str(n): [part[1 + v][k] == "1" for part in parts] for k, n in enumerate(PROBE_COUNTS)
+        }
+        for v, kind in enumerate(VERDICT_KINDS)
+    }
+    return {"margin_mm": [[m, m] for m in margins], **said}
+
+
+FORMAT = BEYOND_FORMAT
+SINGLE = ("short", "long", "hex20", "rect12x28")
+"""The first two are those of the tables, with the same seeds."""
+TOWERS = ("short+long", "short+hex20", "short+rect12x28")
+"""Bottom-up; the first is that of the tables."""
+BOTTOMS = (*SINGLE, *TOWERS)
+TOWER_CELLS = 5
+"""Cells of towers come so many after those of the bottom that is touched."""
+ORACLES = ("ceiling", "ceiling-diameter")
+"""Knowing the bench and the outline; knowing the bench and that the bottom is round."""
+STRATEGIES: tuple[str, ...] = (*get_args(StrategyName), *ORACLES)
+TRIALS_PER_JOB, TOWER_TRIALS_PER_JOB = 2, 10
+"""Trials of a job; ten that press side by side on towers take half the time of five times two."""
+ENTRY_STREAM = 992
+"""Draws the errors of entries, apart from those of the bench."""
+EXACT_MM, GRID_MM = 1e-6, 0.25
+STEP_MM, SAFE_INSET_MM = 3.0, 0.2
+"""For the least number of probes: longest step, and how far inside the stable region to be."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedLoopComparison:
+    """What to compare. ``models``: by piece the job or file that the model FT+Tac comes from."""
+
+    bench: SimulationSettings
+    code: str
+    models: Mapping[str, str]
+    pieces: tuple[str, ...] = ("pot",)
+    bottoms: tuple[str, ...] = ("short", "long")
+    strategies: tuple[str, ...] = ("paper", "fused", "ceiling")
+    trials: int = 50
+    entry_sigma_mm: float | None = 1.0
+    """How well the simulated operator measures where the upper bottom stands; None: no entry, and
+    nobody thinks of the tower."""
+    method: StackSettings = field(default_factory=StackSettings)
+
+    def jobs(self) -> list[JobSpec]:
+        """Return all jobs: the first trials of every cell come first."""
+        return [
+            self._job(piece, bottom, strategy, first)
+            for first in range(0, self.trials, TRIALS_PER_JOB)
+            for piece in self.pieces
+            for bottom in self.bottoms
+            for strategy in self.strategies
+            if not (strategy in ORACLES and bottom in TOWERS)
+            if first % _chunk(bottom) == 0
+        ]
+
+    def trials_of(self, store: JobStore) -> dict[tuple[str, str, str], list[Json]]:
+        """Return all finished trials by strategy, piece and bottom."""
+        cells: dict[tuple[str, str, str], list[Json]] = {}
+        for spec in self.jobs():
+            p = spec.params
+            trials = store.result(spec.id)["trials"] if store.has(spec.id) else []
+            cells.setdefault((p["strategy"], p["piece"], p["bottom"]), []).extend(trials)
+        return cells
+
+    def left_out(self, store: JobStore) -> dict[tuple[str, str, str], int]:
+        """Return on how many towers no trial could be made, likewise."""
+        found: dict[tuple[str, str, str], int] = {}
+        for spec in self.jobs():
+            p = spec.params
+            cell = p["strategy"], p["piece"], p["bottom"]
+            none = store.result(spec.id)["left_out"] if store.has(spec.id) else 0
+            found[cell] = found.get(cell, 0) + none
+        return found
+
+    def table(self, store: JobStore) -> Json:
+        """Return the counts of all finished trials, by cell and pooled by strategy."""
+        cells, left_out = self.trials_of(store), self.left_out(store)
+        traces = job_traces(self.jobs(), store)
+        return {
+            "format": FORMAT,
+            "bench_sha256": bench_sha256(self.bench),
+            "code": self.code,
+            "models": dict(self.models),
+            "cells": [
+                {
+                    "strategy": s,
+                    "piece": piece,
+                    "bottom": bottom,
+                    **count_outcomes(trials),
+                    "left_out": left_out[s, piece, bottom],
+                    **traces[s, piece, bottom],
+                    "trials": trial_lines(trials),
+                }
+                for (s, piece, bottom), trials in cells.items()
+            ],
+            "pooled": [
+                {"strategy": s, "tower": tower, **count_outcomes(trials)}
+                for s in self.strategies
+                for tower, bottoms in (("one", SINGLE), ("two", TOWERS))
+                if (trials := _trials_of(cells, s, bottoms))
+            ],
+        }
+
+    @staticmethod
+    def effort(spec: JobSpec) -> int:
+        """Return how long a job takes compared with others, for the time that is left."""
+        return int(spec.params["trials"]) * (100 if spec.params["strategy"] in ORACLES else 3)
+
+    def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
+        source = "" if strategy in (*ORACLES, "pick-and-place") else self.models[piece]
+        touched = SINGLE.index(bottom.split("+")[-1])
+        cell = 10 * PIECES.index(piece) + touched + (TOWER_CELLS if bottom in TOWERS else 0)
+        params: Json = {
+            "bench": self.bench.model_dump(mode="json"),
+            "method": self.method.model_dump(mode="json"),
+            "piece": piece,
+            "bottom": bottom,
+            "strategy": strategy,
+            "trials": min(_chunk(bottom), self.trials - first),
+        }
+        params |= network_params(strategy, self.method)
+        if bottom in TOWERS:
+            params["entry_sigma_mm"] = self.entry_sigma_mm
+        seed = STACKING_SEED + CELL_SEEDS * cell + first
+        return JobSpec("beyond", params, seed, (source,) if source else (), self.code)
+
+
+def network_params(strategy: str, method: StackSettings) -> Json:
+    """Return what a job of ``strategy`` says of its network: another one makes another job."""
+    if strategy != "fused":
+        return {}
+    return {"fused_sha256": load_network_of(method.fused).card.weights_sha256}
+
+
+def _chunk(bottom: str) -> int:
+    """Return how many trials a job has at most."""
+    return TOWER_TRIALS_PER_JOB if bottom in TOWERS else TRIALS_PER_JOB
+
+
+def job_traces(jobs: Iterable[JobSpec], store: JobStore) -> dict[tuple[str, str, str], Json]:
+    """Return the first seed and the finished jobs of each cell: strategy, piece, bottom."""
+    found: dict[tuple[str, str, str], Json] = {}
+    for spec in jobs:
+        p = spec.params
+        cell = p["strategy"], p["piece"], p["bottom"]
+        trace = found.setdefault(cell, {"seed": spec.seed, "jobs": []})
+        if store.has(spec.id):
+            trace["jobs"].append(spec.id)
+    return found
+
+
+def _trials_of(
+    cells: Mapping[tuple[str, str, str], Sequence[Json]], strategy: str, bottoms: tuple[str, ...]
+) -> list[Json]:
+    """Return all trials of a strategy over some bottoms."""
+    return [
+        t for (s, _, b), trials in cells.items() if s == strategy and b in bottoms for t in trials
+    ]
+
+
+def count_outcomes(trials: Sequence[Mapping[str, Any]]) -> Json:
+    """Count outcomes: placed, unsafe releases, probes of the placed, and how many were spare."""
+    outcomes = [trial["outcome"] for trial in trials]
+    placed = [trial for trial in trials if trial["outcome"] == Outcome.PLACED.value]
+    spare = [t["probes"] - t["least_probes"] for t in placed]
+    return {
+        "outcomes": {word: outcomes.count(word) for word in sorted(set(outcomes))},
+        "placed": estimate_rate(len(placed), len(trials)).as_json(),
+        "unsafe": estimate_rate(
+            sum(word in UNSAFE_OUTCOMES for word in outcomes), len(trials)
+        ).as_json(),
+        "probes": float(np.mean([t["probes"] for t in placed])) if placed else None,
+        "excess_probes_median": float(np.median(spare)) if spare else None,
+    }
+
+
+def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Run some trials of one cell; every trial counts, whatever its outcome."""
+    p, catalogue = spec.params, load_pieces()
+    bench = parse_settings(SimulationSettings, p["bench"], "job")
+    case = SceneSetup.of(catalogue, p["piece"], tuple(p["bottom"].split("+")), bench)
+    use_one_thread()
+    scenes = [scene for k in range(p["trials"]) if (scene := start_scene(case, spec.seed + k))]
+    method, limits = parse_settings(StackSettings, p["method"], "job"), EpisodeLimits()
+    strategy = p["strategy"]
+    ends: list[BatchTrialResult] = []
+    if not scenes:
+        pass
+    elif strategy == "pick-and-place":
+        ends = pick_and_place_in_lockstep(scenes, method, limits)
+    elif strategy in ORACLES:
+        begun = oracle_factory(case, diameter_known=strategy == ORACLES[0])
+        ends = stack_in_lockstep(scenes, uninformed_model(case), method, limits, begun)
+    else:
+        model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
+        chosen = StackSettings.model_validate({**p["method"], "strategy": strategy})
+        sigma_mm = p.get("entry_sigma_mm")
+        told = None if sigma_mm is None else _entered_tower_strategy(case, sigma_mm, chosen, model)
+        ends = stack_in_lockstep(scenes, model, chosen, limits, told)
+    return {
+        "bench_sha256": bench_sha256(bench),
+        "left_out": p["trials"] - len(scenes),
+        "trials": [
+            {**end.as_json(), "least_probes": least_probes(scene)}
+            for scene, end in zip(scenes, ends, strict=True)
+        ],
+    }
+
+
+def least_probes(scene: Scene) -> int:
+    """Return how many probes one would need who knew everything: at the start, then every 3 mm.
+
+    The way is that to the centre of the bottom: nearest for round ones, near it for the others. On
+    a tower it is that to the nearest place of a grid at which every interface holds.
+    """
+    start = np.asarray(scene.start_mm)
+    if len(scene.bottoms.bodies) > 1:
+        return 1 + ceil(_way_on_tower_mm(scene) / STEP_MM)
+    length = float(np.hypot(*start))
+    towards = start / max(length, 1e-9)
+    for way in np.arange(0.0, length, 0.05):
+        x, y = start - way * towards
+        body = scene.piece.body((float(x), float(y)))
+        if judge_tower(Tower((*scene.bottoms.bodies, body))).margin_mm >= SAFE_INSET_MM:
+            return 1 + ceil(way / STEP_MM)
+    return 1 + ceil(length / STEP_MM)
+
+
+def _way_on_tower_mm(scene: Scene) -> float:
+    """Return the distance from the start to where the whole tower holds; 0 if there is none."""
+    bodies = scene.bottoms.bodies
+    steps = np.diff([body.at_mm for body in bodies], axis=0)
+    offset_mm = tuple((float(x), float(y)) for x, y in steps)
+    below = SupportTower(bodies, offset_mm, EXACT_MM, scene.piece.mass_g)
+    touched = bodies[-1].upper
+    assert touched is not None
+    reach = max(touched.half_extents_mm)
+    line = np.arange(-reach, reach + GRID_MM, GRID_MM)
+    com = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    least = np.minimum(inset_mm(touched, com), below.insets_mm(com).min(axis=0))
+    places = com[least >= SAFE_INSET_MM] - np.asarray(scene.piece.com_xy_mm)
+    if not len(places):
+        return 0.0
+    return float(np.hypot(*(places - np.asarray(scene.start_mm)).T).min())
+
+
+def _entered_tower_strategy(
+    case: SceneSetup, sigma_mm: float, settings: StackSettings, model: BatchModel
+) -> Callable[[Scene, XY], Strategy]:
+    """Begin trials on towers with what a simulated operator measured: truth and an error."""
+
+    def begun(scene: Scene, at: XY) -> Strategy:
+        rng = np.random.Generator(
+            np.random.PCG64(np.random.SeedSequence([scene.seed, ENTRY_STREAM]))
+        )
+        steps = np.diff([body.at_mm for body in scene.bottoms.bodies], axis=0)
+        entered = steps + sigma_mm * rng.standard_normal(steps.shape)
+        offset_mm = tuple((float(x), float(y)) for x, y in entered)
+        entry = TowerSettings(offset_mm=offset_mm, sigma_mm=sigma_mm)
+        below = SupportTower.entered(case.piece, case.bottoms, entry)
+        return make_strategy(grasped_piece_in(scene, model.base_rate, below), settings, at)
+
+    return begun
+
+
+def oracle_factory(case: SceneSetup, *, diameter_known: bool) -> Callable[[Scene, XY], Strategy]:
+    """Return how the ceiling begins a trial."""
+    setting = OracleSetting(case.piece, case.bottoms[0], case.settings, diameter_known)
+    return lambda scene, at: OracleStrategy(setting, at, scene.seed)
+
+
+def uninformed_model(case: SceneSetup) -> BatchModel:
+    """Return a model that answers nothing: the ceiling reads the signals themselves."""
+    points = face_points(case.piece.face)
+    return BatchModel(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)
+
+
+GROUPS_PER_JOB = 2
+"""Groups of a job: even, so that stable and unstable first places alternate as in Table 2."""
+PROBES_PER_GROUP = max(PROBE_COUNTS)
+RELIABLE_AFTER = (1, 3)
+IOU_AFTER = 3
+PROBABILITY_STEPS = 400
+"""Probabilities are counted in so many steps."""
+STRATEGIES_WITHOUT_BELIEF = ("zero-wrench",)
+"""Strategies without a belief in cells."""
+
+
+@dataclass(frozen=True, slots=True)
+class StaticComparison:
+    """Which strategies to ask, over ``groups`` groups of each piece and bottom."""
+
+    bench: SimulationSettings
+    code: str
+    models: Mapping[str, str]
+    pieces: tuple[str, ...]
+    bottoms: tuple[str, ...]
+    strategies: tuple[str, ...]
+    groups: int
+    method: StackSettings = field(default_factory=StackSettings)
+
+    def jobs(self) -> list[JobSpec]:
+        """Return all jobs: the first groups of every cell come first."""
+        return [
+            self._job(piece, bottom, strategy, first)
+            for first in range(0, self.groups, GROUPS_PER_JOB)
+            for piece in self.pieces
+            for bottom in self.bottoms
+            if bottom in SINGLE
+            for strategy in self.strategies
+            if strategy != "pick-and-place"
+        ]
+
+    def answers(self, store: JobStore) -> dict[tuple[str, str, str], dict[int, Json]]:
+        """Return what is finished: by strategy, piece and bottom, then by the first seed."""
+        found: dict[tuple[str, str, str], dict[int, Json]] = {}
+        for spec in self.jobs():
+            p = spec.params
+            cell = found.setdefault((p["strategy"], p["piece"], p["bottom"]), {})
+            if store.has(spec.id):
+                cell[spec.seed] = dict(store.result(spec.id))
+        return found
+
+    def table(self, store: JobStore) -> Json:
+        """Return the scores of every cell, and pooled by strategy."""
+        cells, traces = self.answers(store), job_traces(self.jobs(), store)
+        pooled = {
+            s: [a for k, v in cells.items() if k[0] == s for a in v.values()] for s, *_ in cells
+        }
+        return {
+            "cells": [
+                {
+                    "strategy": s,
+                    "piece": p,
+                    "bottom": b,
+                    **static_scores(list(answers.values())),
+                    **traces[s, p, b],
+                    "asked": group_lines(answers),
+                }
+                for (s, p, b), answers in cells.items()
+            ],
+            "pooled": [{"strategy": s, **static_scores(answers)} for s, answers in pooled.items()],
+        }
+
+    @staticmethod
+    def effort(spec: JobSpec) -> int:
+        """Return how long a job takes compared with those of ``Beyond``."""
+        return GROUPS_PER_JOB * (200 if spec.params["strategy"] in ORACLES else 3)
+
+    def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
+        source = "" if strategy in ORACLES else self.models[piece]
+        params = {
+            "bench": self.bench.model_dump(mode="json"),
+            "method": self.method.model_dump(mode="json"),
+            "piece": piece,
+            "bottom": bottom,
+            "strategy": strategy,
+            "groups": min(GROUPS_PER_JOB, self.groups - first),
+            **network_params(strategy, self.method),
+        }
+        cell = 10 * PIECES.index(piece) + SINGLE.index(bottom)
+        seed = STATIC_SEED + CELL_SEEDS * cell + first
+        return JobSpec("promises", params, seed, (source,) if source else (), self.code)
+
+
+def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Press some groups of one cell and ask one strategy after each probe."""
+    p, catalogue = spec.params, load_pieces()
+    bench = parse_settings(SimulationSettings, p["bench"], "job")
+    case = SceneSetup.of(catalogue, p["piece"], (p["bottom"],), bench)
+    use_one_thread()
+    seeds = [spec.seed + g for g in range(p["groups"])]
+    groups = probe_groups(case, seeds, PROBES_PER_GROUP)
+    strategy = p["strategy"]
+    settings = StackSettings.model_validate({**p["method"], "strategy": _as_setting(strategy)})
+    if strategy in ORACLES:
+        model, start = (
+            uninformed_model(case),
+            oracle_factory(case, diameter_known=strategy == ORACLES[0]),
+        )
+    else:
+        model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
+        start = None
+    begun = _strategy_factory(case, settings, model, start)
+    asked = VerdictCollector(case, believes=strategy not in STRATEGIES_WITHOUT_BELIEF)
+    for g in range(len(groups.observation)):
+        asked.group(groups, g, begun(seeds[g], _pair(groups.offset_mm[g, 0])), model)
+    margins = [[_finite(m) for m in pair] for pair in groups.margin_mm]
+    return {"margin_mm": margins, "left_out": groups.left_out, **asked.as_json()}
+
+
+class VerdictCollector:
+    """Collects the answers of one strategy, group by group."""
+
+    def __init__(self, case: SceneSetup, *, believes: bool) -> None:
+        self._case, self._believes = case, believes
+        self._says: dict[str, list[bool]] = {str(n): [] for n in PROBE_COUNTS}
+        self._likely: dict[str, list[bool]] = {str(n): [] for n in PROBE_COUNTS}
+        self._iou: list[float] = []
+        self._counts = {str(n): np.zeros((3, PROBABILITY_STEPS)) for n in RELIABLE_AFTER}
+
+    def group(self, groups: ProbeGroups, g: int, reasoner: Strategy, model: BatchModel) -> None:
+        """Let ``reasoner`` conclude from the probes of group ``g`` and note what it says."""
+        first = _pair(groups.offset_mm[g, 0])
+        probability = model.predict(groups.observation[g])
+        for k in range(PROBES_PER_GROUP):
+            patch = ContactPatch(model.points_mm.copy(), probability[k])
+            here = _pair(groups.offset_mm[g, k])
+            concluded = reasoner.conclude(ProbeObservation(groups.observation[g, k], patch, here))
+            n = str(k + 1)
+            if n in self._says:
+                self._says[n].append(reasoner.stable_at(first))
+                self._likely[n].append(reasoner.likely_at(first))
+            if self._believes and k + 1 in RELIABLE_AFTER:
+                self._note(concluded.map, groups, g, k + 1)
+
+    def _note(self, belief: BeliefMap, groups: ProbeGroups, g: int, probes: int) -> None:
+        cells = belief.cell_centres_mm()
+        offsets = groups.offset_mm[g, :probes]
+        under = np.any([self._case.piece.face.contains(cells - o) for o in offsets], axis=0)
+        covered = belief.covered & under
+        shift = groups.true_mm[g, 0] - groups.offset_mm[g, 0]
+        real = self._case.bottoms[0].face.contains(cells[covered] + shift)
+        promised = belief.probability[covered]
+        step = np.minimum((promised * PROBABILITY_STEPS).astype(int), PROBABILITY_STEPS - 1)
+        for row, weight in enumerate((np.ones(len(step)), real, promised)):
+            self._counts[str(probes)][row] += np.bincount(step, weight, PROBABILITY_STEPS)
+        if probes == IOU_AFTER:
+            said = promised > LEVEL
+            either = int((said | real).sum())
+            self._iou.append(round(int((said & real).sum()) / either, 4) if either else 1.0)
+
+    def as_json(self) -> Json:
+        """Return all answers; ``cells`` per n: count, how many supported, sum of promises."""
+        verdicts = {"says": self._says, "likely": self._likely}
+        if not self._believes:
+            return verdicts
+        cells = {n: np.round(rows, 4).tolist() for n, rows in self._counts.items()}
+        return {**verdicts, "iou": self._iou, "cells": cells}
+
+
+def static_scores(answers: Sequence[Json]) -> Json:
+    """Return balanced accuracy by n, reliability by n and IoU of some answers."""
+    charts = {}
+    for n in map(str, RELIABLE_AFTER):
+        rows = [np.array(answer["cells"][n]) for answer in answers if "cells" in answer]
+        if rows:
+            charts[n] = reliability_of_counts(np.sum(rows, axis=0))
+    iou = [value for answer in answers for value in answer.get("iou", ())]
+    return {
+        "groups": sum(len(answer["margin_mm"]) for answer in answers),
+        "left_out": sum(answer["left_out"] for answer in answers),
+        "released": {n: _verdicts(answers, "says", n).as_json() for n in map(str, PROBE_COUNTS)},
+        "likely": {n: _verdicts(answers, "likely", n).as_json() for n in map(str, PROBE_COUNTS)},
+        "reliability": charts,
+        "iou": estimate_mean(iou).as_json(),
+    }
+
+
+def _verdicts(answers: Sequence[Json], kind: str, n: str) -> VerdictCounts:
+    """Count the verdicts after ``n`` probes against every interface."""
+    counts = VerdictCounts(0, 0, 0, 0)
+    for answer in answers:
+        counts += score_verdicts(answer[kind][n], answer["margin_mm"], interface=1)[0]
+    return counts
+
+
+def reliability_of_counts(counts: FloatArray) -> Json:
+    """Return the reliability of counted probabilities (3, STEPS); cells of a step count alike."""
+    count = counts[0].astype(int)
+    some = count > 0
+    promised = np.repeat(counts[2][some] / counts[0][some], count[some])
+    came = np.repeat(counts[1][some] / counts[0][some], count[some])
+    chart = reliability_curve(promised, came)
+    return {
+        "promised": [round(v, 4) for v in chart.promised],
+        "came": [round(v, 4) for v in chart.came],
+        "count": list(chart.count),
+        "ece": round(chart.ece, 4),
+    }
+
+
+def _strategy_factory(
+    case: SceneSetup,
+    settings: StackSettings,
+    model: BatchModel,
+    start: Callable[..., Strategy] | None,
+) -> Callable[[int, XY], Strategy]:
+    if start is not None:
+        return lambda seed, at: start(probing_scene(case, seed), at)
+    height_mm = case.piece.grip_height_mm
+    assert height_mm is not None
+    sensor_mm = case.settings.wrist.height_mm
+    held = GraspedPiece(case.piece.com_xy_mm, height_mm, model.base_rate, sensor_mm)
+    return lambda seed, at: make_strategy(held, settings, at)
+
+
+def _as_setting(strategy: str) -> str:
+    return "paper" if strategy in ORACLES else strategy
+
+
+def _finite(value: float) -> float | None:
+    """Return a margin for JSON: None where nothing is beneath."""
+    return round(float(value), 4) if np.isfinite(value) else None
+
+
+def _pair(values: FloatArray | NDArray[np.float64]) -> XY:
+    return float(values[0]), float(values[1])

@@ -1,0 +1,356 @@
+"""Simulated stacking trials that run side by side, from a seeded scene to the outcome.
+
+Each trial concludes by the same strategies as ``touchdown.backend.runs.stack``. Tare, reference,
+tracker and interlock of that plan do not happen here. Episodes are accepted by the same limits on
+press force and slip. ``start_scene`` makes the scene that the device loop makes of the same seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.config import SimulationSettings, StackSettings
+from touchdown.backend.core import (
+    BeliefMap,
+    ContactPatch,
+    FloatArray,
+    InputError,
+    Outcome,
+    PlaceAction,
+    Stability,
+)
+from touchdown.backend.geometry import (
+    Piece,
+    PieceLibrary,
+    Tower,
+    TowerVerdict,
+    can_be_placed,
+    draw_offset,
+    draw_start,
+    draw_tower,
+    judge_tower,
+)
+from touchdown.backend.placement import (
+    GraspedPiece,
+    ProbeObservation,
+    SearchingStrategy,
+    Strategy,
+    SupportTower,
+    make_strategy,
+)
+from touchdown.backend.sensing import EpisodeLimits
+from touchdown.backend.simulation import (
+    BatchedTrials,
+    Scene,
+    TrialPresses,
+    release_kick_mm,
+    tower_with_piece,
+)
+
+_START, _DISPLACEMENT = 77, 78
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSetup:
+    """A piece over one bottom, or over a tower of them (bottom-up), on a bench."""
+
+    piece: Piece
+    bottoms: tuple[Piece, ...]
+    settings: SimulationSettings
+
+    @classmethod
+    def of(
+        cls,
+        catalogue: PieceLibrary,
+        piece: str,
+        bottoms: tuple[str, ...],
+        settings: SimulationSettings,
+    ) -> SceneSetup:
+        """Look the names up; raises ``InputError``."""
+        return cls(catalogue.top(piece), tuple(map(catalogue.bottom, bottoms)), settings)
+
+
+def start_scene(case: SceneSetup, seed: int) -> Scene | None:
+    """Return the scene of one trial, started unstable; None if nothing can be placed there.
+
+    The device loop makes the same scene of the same seed.
+    """
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, _START])))
+    tower = draw_tower(rng, case.bottoms)
+    if len(case.bottoms) > 1 and not can_be_placed(case.piece, tower):
+        return None
+    start = draw_start(rng, case.piece.body(), tower)
+    return Scene(case.piece, tower, start, seed, case.settings)
+
+
+def probing_scene(case: SceneSetup, seed: int) -> Scene:
+    """Return a scene for single presses: one mounting and one gripping of their own."""
+    return Scene(case.piece, Tower((case.bottoms[0].body(),)), (0.0, 0.0), seed, case.settings)
+
+
+def balanced_offset(case: SceneSetup, seed: int, attempt: int, *, stable: bool) -> FloatArray:
+    """Return (2,) a displacement at which the piece would (not) stand, uniform over all such.
+
+    Overlaps below the least of the data collection do not occur. Raises ``InputError`` if there is
+    none of the wanted kind.
+    """
+    rng = displacement_rng(seed, 0, attempt)
+    bottom = case.bottoms[0].body()
+    for _ in range(100):
+        for offset in draw_offset(rng, case.piece.face, case.bottoms[0].face, 16):
+            at = (float(offset[0]), float(offset[1]))
+            if judge_tower(Tower((bottom, case.piece.body(at)))).stands is stable:
+                return np.asarray(offset, dtype=np.float64)
+    raise InputError(
+        f"'{case.piece.name}' never {'stands' if stable else 'falls'} there.",
+        case.bottoms[0].name,
+        "Choose another bottom.",
+    )
+
+
+def uniform_offset(case: SceneSetup, seed: int, probe: int, attempt: int) -> FloatArray:
+    """Return (2,) a displacement, uniform over all with enough overlap."""
+    rng = displacement_rng(seed, probe, attempt)
+    return np.asarray(draw_offset(rng, case.piece.face, case.bottoms[0].face, 1)[0])
+
+
+def displacement_rng(seed: int, probe: int, attempt: int) -> np.random.Generator:
+    """Return the generator of the displacement of one probe of a trial."""
+    place = np.random.SeedSequence([seed, _DISPLACEMENT, probe + 1, attempt + 1])
+    return np.random.Generator(np.random.PCG64(place))
+
+
+BatchPredict = Callable[[NDArray[np.float32]], FloatArray]
+"""Contact probabilities (k, N) of observations (k, 20, 258)."""
+MAX_ATTEMPTS = 2
+"""A press that is no observation is repeated once, as on the bench."""
+TOPPLED_REASON = "The press tipped the bottom over its edge."
+XY = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class BatchModel:
+    """What the loop needs of a trained model: ``points_mm`` (N, 2) of the face."""
+
+    predict: BatchPredict
+    points_mm: FloatArray
+    base_rate: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeStep:
+    """One probe of a trial: where the command was, where the piece really stood on the bottom
+    (``true_mm``), what was believed and chosen.
+    """
+
+    offset_mm: XY
+    true_mm: XY
+    map: BeliefMap
+    stability: Stability
+    action: PlaceAction
+
+
+@dataclass(frozen=True, slots=True)
+class BatchTrialResult:
+    """How a trial ended. ``verdict``: the exact judge at the release, None without one.
+
+    ``true_mm``: displacement of the piece at the end, where it was ever pressed.
+    """
+
+    seed: int
+    outcome: Outcome
+    reason: str
+    probes: int
+    verdict: TowerVerdict | None
+    true_mm: XY | None
+    steps: tuple[ProbeStep, ...] = field(default=(), repr=False)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what a result keeps of it; a margin without any support is None."""
+        verdict = self.verdict
+        finite = (
+            None
+            if verdict is None
+            else [round(float(m), 4) if np.isfinite(m) else None for m in verdict.margins_mm]
+        )
+        return {
+            "seed": self.seed,
+            "outcome": self.outcome.value,
+            "reason": self.reason,
+            "probes": self.probes,
+            "margins_mm": finite,
+        }
+
+
+@dataclass
+class _RunningTrial:
+    """A trial under way."""
+
+    number: int
+    scene: Scene
+    here: XY
+    reasoner: Strategy | None = None
+    steps: list[ProbeStep] = field(default_factory=list)
+    tries: int = 0
+    true_mm: XY | None = None
+    end: BatchTrialResult | None = None
+
+    def close(self, outcome: Outcome, reason: str, verdict: TowerVerdict | None = None) -> None:
+        """End the trial."""
+        self.end = BatchTrialResult(
+            self.scene.seed,
+            outcome,
+            reason,
+            len(self.steps),
+            verdict,
+            self.true_mm,
+            tuple(self.steps),
+        )
+
+
+def stack_in_lockstep(
+    scenes: Sequence[Scene],
+    model: BatchModel,
+    settings: StackSettings,
+    limits: EpisodeLimits,
+    reasoner: Callable[[Scene, XY], Strategy] | None = None,
+    world: type[BatchedTrials] = BatchedTrials,
+) -> list[BatchTrialResult]:
+    """Run one trial per scene to its end; the scenes share piece, touched surface and bench.
+
+    ``reasoner`` begins a trial of a scene at a commanded place; None: the strategy of the settings.
+    ``world``: in which to press.
+    """
+    bench = world(scenes, settings.probe)
+    trials = []
+    for number, (scene, at) in enumerate(zip(scenes, bench.start_commands_mm(), strict=True)):
+        here = _pair(at)
+        if reasoner is None:
+            held = grasped_piece_in(scene, model.base_rate)
+            trials.append(_RunningTrial(number, scene, here, make_strategy(held, settings, here)))
+        else:
+            trials.append(_RunningTrial(number, scene, here, reasoner(scene, here)))
+    while active := [trial for trial in trials if trial.end is None]:
+        felt = bench.press([t.number for t in active], np.array([t.here for t in active]))
+        kept = _accepted_presses(active, felt, limits)
+        if not kept:
+            continue
+        probability = model.predict(felt.observation[kept])
+        for k, p in zip(kept, probability, strict=True):
+            patch = ContactPatch(model.points_mm.copy(), p)
+            _decide(active[k], ProbeObservation(felt.observation[k], patch, active[k].here), bench)
+    return [trial.end for trial in trials if trial.end is not None]
+
+
+def grasped_piece_in(
+    scene: Scene, base_rate: float | None, below: SupportTower | None = None
+) -> GraspedPiece:
+    """Return what a strategy may know of the piece in the hand."""
+    height_mm, com = scene.settings.wrist.height_mm, scene.piece.com_xy_mm
+    return GraspedPiece(com, scene.grip_height_mm, base_rate, height_mm, below)
+
+
+def pick_and_place_in_lockstep(
+    scenes: Sequence[Scene], settings: StackSettings, limits: EpisodeLimits
+) -> list[BatchTrialResult]:
+    """Press once and let go, whatever was felt: what the paper compares with."""
+    bench = BatchedTrials(scenes, settings.probe)
+    commands = bench.start_commands_mm()
+    felt = bench.press(range(len(scenes)), commands)
+    ends = []
+    for k, scene in enumerate(scenes):
+        at = (float(commands[k, 0]), float(commands[k, 1]))
+        trial = _RunningTrial(k, scene, at)
+        trial.true_mm = _pair(felt.true_mm[k])
+        if felt.toppled[k]:
+            trial.close(Outcome.KNOCKED_OVER, TOPPLED_REASON)
+        elif felt.valid[k] and felt.press_n[k] >= limits.contact_n:
+            _release(trial, bench)
+        else:
+            trial.close(Outcome.ABORTED, "The press ended without a contact.")
+        assert trial.end is not None
+        ends.append(trial.end)
+    return ends
+
+
+def _accepted_presses(
+    active: list[_RunningTrial], felt: TrialPresses, limits: EpisodeLimits
+) -> list[int]:
+    """Return which presses are observations; a trial whose press is none twice is aborted, unless
+    its strategy can go on without a contact.
+    """
+    kept = []
+    for k, trial in enumerate(active):
+        trial.true_mm = _pair(felt.true_mm[k])
+        if felt.toppled[k]:
+            trial.close(Outcome.KNOCKED_OVER, TOPPLED_REASON)
+            continue
+        reasons = []
+        if not felt.valid[k]:
+            reasons.append("no contact was found")
+        if not felt.press_n[k] >= limits.contact_n:
+            reasons.append(f"press force {felt.press_n[k]:.1f} N")
+        touchless = bool(reasons)
+        if not felt.slip_mm[k] <= limits.slip_mm:
+            reasons.append(f"slip {felt.slip_mm[k]:.2f} mm")
+        if not reasons:
+            trial.tries = 0
+            kept.append(k)
+            continue
+        trial.tries += 1
+        if trial.tries < MAX_ATTEMPTS:
+            continue
+        why = (
+            f"Probe {len(trial.steps) + 1} was rejected {MAX_ATTEMPTS} times: {'; '.join(reasons)}."
+        )
+        if isinstance(trial.reasoner, SearchingStrategy) and touchless:
+            _recover_missed_contact(trial, trial.reasoner)
+        else:
+            trial.close(Outcome.ABORTED, why)
+    return kept
+
+
+def _recover_missed_contact(trial: _RunningTrial, reasoner: SearchingStrategy) -> None:
+    """Let a strategy that asks for it go on elsewhere."""
+    action = reasoner.missed(trial.here)
+    if action.kind == "give_up":
+        trial.close(Outcome.GAVE_UP, action.reason)
+    else:
+        trial.here = (trial.here[0] + action.step_mm[0], trial.here[1] + action.step_mm[1])
+        trial.tries = 0
+
+
+def _decide(trial: _RunningTrial, touched: ProbeObservation, bench: BatchedTrials) -> None:
+    here = trial.here
+    assert trial.reasoner is not None
+    assert trial.true_mm is not None
+    concluded = trial.reasoner.conclude(touched)
+    action = concluded.action
+    step = ProbeStep(here, trial.true_mm, concluded.map, concluded.stability, action)
+    trial.steps.append(step)
+    if action.kind == "release":
+        _release(trial, bench)
+    elif action.kind == "give_up":
+        trial.close(Outcome.GAVE_UP, action.reason)
+    else:
+        trial.here = (here[0] + action.step_mm[0], here[1] + action.step_mm[1])
+
+
+def _release(trial: _RunningTrial, bench: BatchedTrials) -> None:
+    """Let the exact judge of the whole tower decide, as the simulated bench does."""
+    assert trial.true_mm is not None
+    kick = release_kick_mm(trial.scene, 1)
+    yaw = bench.grippings[trial.number].yaw_rad
+    scene = replace(trial.scene, bottoms=bench.bottoms[trial.number])
+    verdict = judge_tower(tower_with_piece(scene, trial.true_mm, yaw), kick)
+    outcome = Outcome.PLACED if verdict.stands else Outcome.FELL
+    trial.close(outcome, f"Margin {verdict.margin_mm:+.2f} mm.", verdict)
+
+
+def _pair(values: FloatArray) -> XY:
+    return float(values[0]), float(values[1])

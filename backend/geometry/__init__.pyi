@@ -1,0 +1,73 @@
+from .outlines import BOARD_DOT_RADIUS_MM as BOARD_DOT_RADIUS_MM
+from .outlines import BOARD_DOTS_MM as BOARD_DOTS_MM
+from .outlines import Outline as Outline
+from .outlines import Point as Point
+from .outlines import circle as circle
+from .outlines import convex_polygon as convex_polygon
+from .outlines import edge_normals as edge_normals
+from .outlines import edges_to_polygon as edges_to_polygon
+from .outlines import enclosed_area_mm2 as enclosed_area_mm2
+from .outlines import face_points as face_points
+from .outlines import inset_mm as inset_mm
+from .outlines import overlap_area_mm2 as overlap_area_mm2
+from .outlines import overlap_edges as overlap_edges
+from .outlines import overlap_polygon as overlap_polygon
+from .outlines import polygon_edges as polygon_edges
+from .outlines import rectangle as rectangle
+from .outlines import rotated as rotated
+from .outlines import signed_distances_mm as signed_distances_mm
+from .outlines import square as square
+from .outlines import true_patch as true_patch
+from .pieces import Piece as Piece
+from .pieces import PieceLibrary as PieceLibrary
+from .pieces import load_pieces as load_pieces
+from .sampling import COARSE_SEGMENTS as COARSE_SEGMENTS
+from .sampling import MIN_OVERLAP_MM2 as MIN_OVERLAP_MM2
+from .sampling import can_be_placed as can_be_placed
+from .sampling import draw_offset as draw_offset
+from .sampling import draw_start as draw_start
+from .sampling import draw_tower as draw_tower
+from .tower import TOO_CLOSE_MM as TOO_CLOSE_MM
+from .tower import Body as Body
+from .tower import Tower as Tower
+from .tower import TowerVerdict as TowerVerdict
+from .tower import interface_overlap as interface_overlap
+from .tower import judge_tower as judge_tower
+
+__all__ = [
+    "BOARD_DOTS_MM",
+    "BOARD_DOT_RADIUS_MM",
+    "COARSE_SEGMENTS",
+    "MIN_OVERLAP_MM2",
+    "TOO_CLOSE_MM",
+    "Body",
+    "Outline",
+    "Piece",
+    "PieceLibrary",
+    "Point",
+    "Tower",
+    "TowerVerdict",
+    "can_be_placed",
+    "circle",
+    "convex_polygon",
+    "draw_offset",
+    "draw_start",
+    "draw_tower",
+    "edge_normals",
+    "edges_to_polygon",
+    "enclosed_area_mm2",
+    "face_points",
+    "inset_mm",
+    "interface_overlap",
+    "judge_tower",
+    "load_pieces",
+    "overlap_area_mm2",
+    "overlap_edges",
+    "overlap_polygon",
+    "polygon_edges",
+    "rectangle",
+    "rotated",
+    "signed_distances_mm",
+    "square",
+    "true_patch",
+]

@@ -1,0 +1,313 @@
+"""Library of pieces and bottoms, one TOML file each, identified by content.
+
+The name of a piece is the name of its file. A folder of the operator's own files extends the
+shipped pieces; a file of the same name replaces the shipped one. Every bad value is reported with
+its key.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from hashlib import sha256
+from importlib.resources import files
+from math import radians
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from touchdown.backend.config import NonNegative, Positive, Settings, read_settings
+from touchdown.backend.core import InputError
+from touchdown.backend.geometry import outlines
+from touchdown.backend.geometry.outlines import Outline, Point
+from touchdown.backend.geometry.tower import Body
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class CircleFace(Settings):
+    """A round face."""
+
+    shape: Literal["circle"]
+    diameter_mm: Positive
+
+    def outline(self) -> Outline:
+        """Return the outline."""
+        return outlines.circle(self.diameter_mm)
+
+
+class RectangleFace(Settings):
+    """A rectangle with sides along x and y."""
+
+    shape: Literal["rectangle"]
+    x_mm: Positive
+    y_mm: Positive
+
+    def outline(self) -> Outline:
+        """Return the outline."""
+        return outlines.rectangle(self.x_mm, self.y_mm)
+
+
+class SquareFace(Settings):
+    """A square with sides along x and y."""
+
+    shape: Literal["square"]
+    side_mm: Positive
+
+    def outline(self) -> Outline:
+        """Return the outline."""
+        return outlines.square(self.side_mm)
+
+
+class RegularFace(Settings):
+    """A regular polygon, first corner on +x unless rotated."""
+
+    shape: Literal["regular"]
+    sides: Annotated[int, Field(ge=3, le=64)]
+    across_corners_mm: Positive
+    rotation_deg: Number = 0.0
+
+    def outline(self) -> Outline:
+        """Return the outline."""
+        return outlines.regular_polygon(
+            self.sides, self.across_corners_mm, radians(self.rotation_deg)
+        )
+
+
+class PolygonFace(Settings):
+    """A convex polygon round the face centre, corners counter-clockwise."""
+
+    shape: Literal["polygon"]
+    vertices_mm: tuple[tuple[Number, Number], ...]
+
+    @model_validator(mode="after")
+    def _is_convex(self) -> Self:
+        self.outline()
+        return self
+
+    def outline(self) -> Outline:
+        """Return the outline."""
+        return outlines.convex_polygon(self.vertices_mm)
+
+
+Face = Annotated[
+    CircleFace | RectangleFace | SquareFace | RegularFace | PolygonFace,
+    Field(discriminator="shape"),
+]
+
+
+class PieceFile(Settings):
+    """One piece: a top that can be grasped (``grip_height_mm``), a bottom, or both.
+
+    ``face`` is the contact face: the underside of a grasped piece, the upper surface of a bottom.
+    ``opposite`` is the other end; a bottom without it has equal ends, a top without it carries
+    nothing.
+    """
+
+    title: Annotated[str, Field(min_length=1, max_length=60)]
+    roles: Annotated[tuple[Literal["top", "bottom"], ...], Field(min_length=1)]
+    face: Face
+    opposite: Face | None = None
+    height_mm: Positive
+    com_height_mm: Positive
+    com_xy_mm: tuple[Number, Number] = (0.0, 0.0)
+    mass_g: NonNegative
+    fixed: Annotated[bool, Field(validate_default=True)] = False
+    grip_height_mm: Annotated[Positive | None, Field(validate_default=True)] = None
+    width_mm: Positive = 30.0
+    nominal: bool = True
+
+    @field_validator("com_height_mm")
+    @classmethod
+    def _com_is_within(cls, value: float, info: ValidationInfo) -> float:
+        if value > info.data.get("height_mm", value):
+            raise ValueError("the centre of mass lies above the piece (height_mm)")
+        return value
+
+    @field_validator("fixed")
+    @classmethod
+    def _has_weight(cls, value: bool, info: ValidationInfo) -> bool:
+        if not value and info.data.get("mass_g") == 0.0:
+            raise ValueError("a piece that is not fixed needs a mass_g above 0")
+        if value and "top" in info.data.get("roles", ()):
+            raise ValueError("a fixed piece cannot have the role top")
+        return value
+
+    @field_validator("grip_height_mm")
+    @classmethod
+    def _can_be_gripped(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is None and "top" in info.data.get("roles", ()):
+            raise ValueError("a piece with the role top needs grip_height_mm")
+        if value is not None and value > info.data.get("height_mm", value):
+            raise ValueError("the grip lies above the piece (height_mm)")
+        return value
+
+
+PIECE_NAME = re.compile(r"[a-z][a-z0-9_-]{0,39}")
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """One known piece.
+
+    ``face``: contact face (underside of a grasped piece, upper surface of a bottom). ``upper`` and
+    ``lower``: the ends when it stands; ``upper`` is None if nothing can stand on it. Heights are
+    above the underside as it stands. ``grip_height_mm`` (face to grasp pivot) is None if it is
+    never grasped; ``width_mm`` between the pads. ``fixed``: cannot topple. ``nominal``: sizes are
+    not measured. ``sha256`` of the content, so that data and models know what they belong to.
+    """
+
+    name: str
+    title: str
+    roles: tuple[str, ...]
+    face: Outline
+    upper: Outline | None
+    lower: Outline
+    height_mm: float
+    com_height_mm: float
+    com_xy_mm: Point
+    mass_g: float
+    grip_height_mm: float | None
+    width_mm: float
+    fixed: bool
+    nominal: bool
+    sha256: str
+    source: str
+
+    def body(self, at_mm: Point = (0.0, 0.0), yaw_rad: float = 0.0) -> Body:
+        """Return the piece as a body standing with its face centre at ``at_mm``."""
+        return Body(
+            name=self.name,
+            lower=self.lower,
+            upper=self.upper,
+            height_mm=self.height_mm,
+            mass_g=self.mass_g,
+            com_height_mm=self.com_height_mm,
+            com_xy_mm=self.com_xy_mm,
+            at_mm=at_mm,
+            yaw_rad=yaw_rad,
+            fixed=self.fixed,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PieceLibrary:
+    """All known pieces by name."""
+
+    pieces: Mapping[str, Piece]
+    where: str
+
+    def piece(self, name: str) -> Piece:
+        """Return the piece; raises ``InputError`` naming the known ones."""
+        if name not in self.pieces:
+            raise InputError(
+                f"There is no piece '{name}'.",
+                f"{self.where}: {name}.toml",
+                f"Known pieces: {', '.join(sorted(self.pieces))}.",
+            )
+        return self.pieces[name]
+
+    def top(self, name: str) -> Piece:
+        """Return a piece that can be grasped; raises ``InputError``."""
+        return self._with_role(name, "top", "cannot be grasped", self.tops)
+
+    def bottom(self, name: str) -> Piece:
+        """Return a piece that can carry another; raises ``InputError``."""
+        return self._with_role(name, "bottom", "cannot carry another piece", self.bottoms)
+
+    def _with_role(self, name: str, role: str, lack: str, others: tuple[str, ...]) -> Piece:
+        if name not in self.pieces:
+            noun = "bottom piece" if role == "bottom" else "piece"
+            raise InputError(
+                f"There is no {noun} '{name}'.",
+                f"{self.where}: {name}.toml",
+                f"Use one of: {', '.join(others)}.",
+            )
+        piece = self.pieces[name]
+        if role not in piece.roles:
+            raise InputError(f"'{name}' {lack}.", piece.source, f"Use one of: {', '.join(others)}.")
+        return piece
+
+    @property
+    def tops(self) -> tuple[str, ...]:
+        """Names of the pieces that can be grasped."""
+        return tuple(sorted(n for n, p in self.pieces.items() if "top" in p.roles))
+
+    @property
+    def bottoms(self) -> tuple[str, ...]:
+        """Names of the pieces that can carry another."""
+        return tuple(sorted(n for n, p in self.pieces.items() if "bottom" in p.roles))
+
+
+def load_pieces(folder: Path | None = None) -> PieceLibrary:
+    """Read the shipped pieces and those of ``folder``.
+
+    Raises one ``InputError`` with file, key and reason for the first bad file.
+    """
+    pieces = dict(_shipped())
+    if folder is not None:
+        if not folder.is_dir():
+            raise InputError("There is no such folder of pieces.", str(folder), "Check the path.")
+        pieces |= _read_folder(folder)
+    return PieceLibrary(pieces, str(folder or "resources/objects"))
+
+
+@cache
+def _shipped() -> Mapping[str, Piece]:
+    """Read the shipped files, once: they stay as they are while the program runs."""
+    return _read_folder(Path(str(files("touchdown.resources"))) / "objects")
+
+
+def _read_folder(folder: Path) -> dict[str, Piece]:
+    return {path.stem: read_piece(path) for path in sorted(folder.glob("*.toml"))}
+
+
+def read_piece(path: Path) -> Piece:
+    """Read one piece file; raises ``InputError``."""
+    if PIECE_NAME.fullmatch(path.stem) is None:
+        raise InputError(
+            "A piece is named by its file: small letters, digits, '-' and '_'.",
+            str(path),
+            "Rename the file.",
+        )
+    content = read_settings(PieceFile, path)
+    face = content.face.outline()
+    opposite = content.opposite.outline() if content.opposite else None
+    grasped = content.grip_height_mm is not None
+    carries = "bottom" in content.roles
+    upper, lower = (
+        (opposite or (face if carries else None), face)
+        if grasped
+        else (
+            face,
+            opposite or face,
+        )
+    )
+    return Piece(
+        name=path.stem,
+        title=content.title,
+        roles=content.roles,
+        face=face,
+        upper=upper,
+        lower=lower,
+        height_mm=content.height_mm,
+        com_height_mm=content.com_height_mm,
+        com_xy_mm=content.com_xy_mm,
+        mass_g=content.mass_g,
+        grip_height_mm=content.grip_height_mm,
+        width_mm=content.width_mm,
+        fixed=content.fixed,
+        nominal=content.nominal,
+        sha256=_digest(content),
+        source=str(path),
+    )
+
+
+def _digest(content: PieceFile) -> str:
+    """Hash what the piece is, whatever the order, comments and title of its file."""
+    facts = content.model_dump(mode="json", exclude={"title", "nominal"})
+    return sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,121 @@
+"""Random sampling of start offsets and of leaning towers.
+
+The same seed gives the same start and the same tower in the tables, in the live simulated bench and
+in every test. Offsets are drawn uniformly and then accepted or rejected.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from touchdown.backend.core import FloatArray, InputError
+from touchdown.backend.geometry.outlines import Outline, overlap_area_mm2
+from touchdown.backend.geometry.pieces import Piece
+from touchdown.backend.geometry.tower import Body, Tower, judge_tower
+
+MIN_OVERLAP_MM2 = 6.0
+"""Smallest overlap of a start or a training probe (the issue and bench-physics, section 10)."""
+
+START_MARGIN_MM = -0.2
+"""A trial starts clearly unstable: beyond the band that is too close to call."""
+
+COARSE_SEGMENTS = 48
+"""Corners of a circle while sampling: area error below 0.3 %, on the small side."""
+
+MAX_ROUNDS = 500
+"""Draws before giving up; a start is found within a few."""
+
+
+def draw_offset(
+    rng: np.random.Generator,
+    face: Outline,
+    bottom: Outline,
+    count: int,
+    min_overlap_mm2: float = MIN_OVERLAP_MM2,
+) -> FloatArray:
+    """Return (count, 2) offsets in mm, uniform over all with enough overlap.
+
+    Raises ``InputError`` if the two faces can hardly overlap that much.
+    """
+    reach = np.add(face.half_extents_mm, bottom.half_extents_mm)
+    found = np.empty((0, 2))
+    for _ in range(MAX_ROUNDS):
+        if len(found) >= count:
+            return found[:count]
+        tried = rng.uniform(-reach, reach, size=(max(8, min(count, 256)), 2))
+        area = overlap_area_mm2(face, tried, bottom, segments=COARSE_SEGMENTS)
+        found = np.concatenate([found, tried[area >= min_overlap_mm2]])
+    raise InputError(
+        f"The two faces hardly overlap by {min_overlap_mm2:g} mm².",
+        "piece and bottom",
+        "Choose larger faces.",
+    )
+
+
+def draw_start(
+    rng: np.random.Generator,
+    piece: Body,
+    bottoms: Tower,
+    min_overlap_mm2: float = MIN_OVERLAP_MM2,
+    margin_mm: float = START_MARGIN_MM,
+) -> tuple[float, float]:
+    """Return an offset of ``piece`` from the topmost bottom at which the whole stack would fall.
+
+    Uniform over offsets in mm (frame ``O``) with overlap of at least ``min_overlap_mm2`` and a
+    margin of the stack of at most ``margin_mm``. Raises ``InputError`` if the bottoms carry
+    nothing, do not stand by themselves, or no such offset is found.
+    """
+    carrier = bottoms.bodies[-1]
+    where = f"{piece.name} on {carrier.name}"
+    if carrier.upper is None:
+        raise InputError(f"'{carrier.name}' carries nothing.", where, "Choose another bottom.")
+    if not judge_tower(bottoms).stands:
+        raise InputError("The bottoms do not stand by themselves.", where, "Move them.")
+    for _ in range(MAX_ROUNDS):
+        x, y = draw_offset(rng, piece.lower, carrier.upper, 1, min_overlap_mm2)[0].tolist()
+        at = (carrier.at_mm[0] + x, carrier.at_mm[1] + y)
+        if judge_tower(bottoms.with_top(replace(piece, at_mm=at))).margin_mm <= margin_mm:
+            return x, y
+    raise InputError("No unstable start was found.", where, "Choose another bottom.")
+
+
+LEAN_MM = 6.0
+"""An upper bottom stands off the lower one by 0 to this, uniformly, in any direction."""
+PLACEMENT_PITCH_MM = 2.0
+"""Pitch of the places at which a stable position of the piece is looked for."""
+
+
+def draw_tower(rng: np.random.Generator, bottoms: Sequence[Piece]) -> Tower:
+    """Stand ``bottoms`` (bottom-up) on each other, the upper ones leaning; raises ``InputError``.
+
+    One bottom draws nothing. The tower need not stand.
+    """
+    tower = Tower((bottoms[0].body(),))
+    for piece in bottoms[1:]:
+        x, y = tower.bodies[-1].at_mm
+        reach, angle = rng.uniform(0.0, LEAN_MM), rng.uniform(0.0, 2.0 * math.pi)
+        at = (x + reach * math.cos(angle), y + reach * math.sin(angle))
+        tower = tower.with_top(piece.body(at))
+    return tower
+
+
+def can_be_placed(piece: Piece, tower: Tower) -> bool:
+    """Whether the tower stands, and would with ``piece`` at some place of a coarse grid."""
+    if not judge_tower(tower).stands:
+        return False
+    carrier = tower.bodies[-1]
+    if carrier.upper is None:
+        return False
+    reach = max(carrier.upper.half_extents_mm)
+    steps = PLACEMENT_PITCH_MM * np.arange(
+        -(reach // PLACEMENT_PITCH_MM), reach // PLACEMENT_PITCH_MM + 1
+    )
+    places = sorted(((x, y) for x in steps for y in steps), key=lambda p: math.hypot(*p))
+    return any(
+        judge_tower(tower.with_top(piece.body((carrier.at_mm[0] + x, carrier.at_mm[1] + y)))).stands
+        for x, y in places
+    )

@@ -1,0 +1,27 @@
+from .cluster import DaskCluster as DaskCluster
+from .execution import Executor as Executor
+from .execution import ProcessPool as ProcessPool
+from .execution import SerialExecutor as SerialExecutor
+from .execution import independent_jobs as independent_jobs
+from .execution import parse_shard as parse_shard
+from .execution import run_campaign as run_campaign
+from .execution import shard_of as shard_of
+from .job import JobContext as JobContext
+from .job import JobFunctions as JobFunctions
+from .job import JobSpec as JobSpec
+from .job import JobStore as JobStore
+
+__all__ = [
+    "DaskCluster",
+    "Executor",
+    "JobContext",
+    "JobFunctions",
+    "JobSpec",
+    "JobStore",
+    "ProcessPool",
+    "SerialExecutor",
+    "independent_jobs",
+    "parse_shard",
+    "run_campaign",
+    "shard_of",
+]

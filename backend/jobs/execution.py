@@ -1,0 +1,368 @@
+"""Execution of dependent jobs, in this process or in a pool of spawned processes.
+
+A campaign runs each job once, after the jobs whose results it reads.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from multiprocessing.queues import SimpleQueue
+from typing import Protocol
+
+import psutil
+
+from touchdown.backend.core import InputError, ProcessStallDetector, lower_priority
+from touchdown.backend.jobs.job import JobFunctions, JobResult, JobSpec, JobStore, run_job
+
+LOOK_S = 0.05
+END_S = 1.0
+"""A worker without a job ends at once; one that is stopped never does."""
+JobStart = tuple[int, str]
+"""Number of a process, and the job that it begins ("" before its first)."""
+
+
+class PoolWorkers:
+    """``pool`` makes a pool whose workers say here what they begin."""
+
+    def __init__(self) -> None:
+        self._context = multiprocessing.get_context("spawn")
+        self._begun: SimpleQueue[JobStart] = self._context.SimpleQueue()
+        self._jobs: dict[int, tuple[str, ProcessStallDetector]] = {}
+        self._still: set[int] = set()
+
+    def pool(self, count: int) -> ProcessPoolExecutor:
+        """Return a pool of ``count`` spawned processes."""
+        return ProcessPoolExecutor(count, self._context, _register_worker, (self._begun,))
+
+    @contextmanager
+    def starting(self) -> Iterator[None]:
+        """Take those that are spawned meanwhile for workers of this pool."""
+        before = set(multiprocessing.active_children())
+        yield
+        for process in set(multiprocessing.active_children()) - before:
+            if process.pid is not None:
+                self._note(process.pid, "")
+
+    def has_begun(self, job: str) -> bool:
+        """Whether a worker has begun the job."""
+        self._take()
+        return any(job == one for one, _ in self._jobs.values())
+
+    def look(self, under_way: Collection[str]) -> tuple[dict[int, str], set[int]]:
+        """Return who stands still amid which of those jobs, and who of them does so since now.
+
+        One that stands still before its first job, which waits for it, is amid "".
+        """
+        self._take()
+        begun = {job for job, _ in self._jobs.values()}
+        wanted = {*under_way} if begun.issuperset(under_way) else {*under_way, ""}
+        still = {}
+        for number, (job, watch) in self._jobs.items():
+            if watch.look(time.monotonic()) and job in wanted:
+                still[number] = job
+        news, self._still = set(still) - self._still, set(still)
+        return still, news
+
+    def kill(self, numbers: Iterable[int]) -> None:
+        """End those processes now."""
+        for number in numbers:
+            with suppress(psutil.NoSuchProcess):
+                psutil.Process(number).kill()
+
+    def end(self) -> None:
+        """Wait for all to end, for a while; afterwards none is there."""
+        there = []
+        for number in self._jobs:
+            with suppress(psutil.NoSuchProcess):
+                there.append(psutil.Process(number))
+        _, left = psutil.wait_procs(there, END_S)
+        self.kill(process.pid for process in left)
+        psutil.wait_procs(left, END_S)
+
+    def _take(self) -> None:
+        while not self._begun.empty():
+            self._note(*self._begun.get())
+
+    def _note(self, number: int, job: str) -> None:
+        with suppress(psutil.NoSuchProcess):
+            self._jobs[number] = job, ProcessStallDetector(number)
+
+
+_job_starts: list[SimpleQueue[JobStart]] = []
+"""Of a worker: where it says what it begins."""
+
+
+def _register_worker(begun: SimpleQueue[JobStart]) -> None:
+    lower_priority()
+    _job_starts.append(begun)
+
+
+def run_in_worker(
+    run: Callable[[JobSpec, JobFunctions, JobStore], JobResult],
+    spec: JobSpec,
+    kinds: JobFunctions,
+    store: JobStore,
+) -> JobResult:
+    """Say that this worker begins the job, and do it."""
+    _job_starts[0].put((os.getpid(), spec.id))
+    return run(spec, kinds, store)
+
+
+MAX_WORKER_DEATHS = 2
+"""A job that was under way when a worker died is tried again this often."""
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Executor(Protocol):
+    """Takes jobs as long as it has room, and hands back finished ones."""
+
+    def room(self) -> int:
+        """Return how many more jobs it would start at once."""
+
+    def submit(self, spec: JobSpec) -> None:
+        """Begin a job."""
+
+    def finished(self) -> list[JobResult]:
+        """Wait for at least one of the begun jobs; at least one was begun."""
+
+    def close(self) -> None:
+        """Drop what was not begun, and let go of all workers."""
+
+
+class SerialExecutor:
+    """One job after the other in this process."""
+
+    def __init__(self, kinds: JobFunctions, store: JobStore) -> None:
+        self._kinds, self._store = kinds, store
+        self._next: list[JobSpec] = []
+
+    def room(self) -> int:
+        """One at a time."""
+        return 1 - len(self._next)
+
+    def submit(self, spec: JobSpec) -> None:
+        """Keep the job for ``finished``."""
+        self._next.append(spec)
+
+    def finished(self) -> list[JobResult]:
+        """Run the job now."""
+        return [run_job(self._next.pop(), self._kinds, self._store)]
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+        self._next.clear()
+
+
+class ProcessPool:
+    """Spawned processes of one thread each, at low priority.
+
+    When a worker is killed, the jobs that were under way are tried again in a new pool, at most
+    ``DEATHS`` times each; what was finished stays finished. ``tell`` hears of a worker that died or
+    stands still, within half a second; one that stands still is left to itself until ``close``.
+    """
+
+    def __init__(
+        self,
+        kinds: JobFunctions,
+        store: JobStore,
+        workers: int,
+        tell: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._kinds, self._store, self._count, self._tell = kinds, store, workers, tell
+        self._running: dict[Future[JobResult], JobSpec] = {}
+        self._deaths: Counter[str] = Counter()
+        self._workers = PoolWorkers()
+        self._pool = self._new_pool()
+
+    def room(self) -> int:
+        """No more than there are workers: then a death concerns few jobs."""
+        return self._count - len(self._running)
+
+    def submit(self, spec: JobSpec) -> None:
+        """Hand the job to a worker."""
+        try:
+            future = self._submitted(spec)
+        except BrokenProcessPool:
+            self._pool = self._new_pool()
+            future = self._submitted(spec)
+        self._running[future] = spec
+
+    def finished(self) -> list[JobResult]:
+        """Return the jobs that ended; those of a dead worker begin again."""
+        while True:
+            ended, _ = wait(self._running, LOOK_S, return_when=FIRST_COMPLETED)
+            results: list[JobResult] = []
+            orphans: list[JobSpec] = []
+            for future in ended:
+                spec = self._running.pop(future)
+                try:
+                    results.append(future.result())
+                except BrokenProcessPool:
+                    orphans.append(spec)
+            self._look()
+            results += self._again(orphans)
+            if results:
+                return results
+
+    def close(self) -> None:
+        """Finish the jobs under way, start none, end the workers; those that stand still at once.
+
+        Afterwards no process is left.
+        """
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        while any(
+            self._workers.has_begun(self._running[future].id)
+            for future in wait(self._running, LOOK_S).not_done
+        ):
+            still, _ = self._workers.look({spec.id for spec in self._running.values()})
+            self._workers.kill(still)
+        self._workers.end()
+        self._pool.shutdown(wait=True)
+        self._running.clear()
+
+    def _submitted(self, spec: JobSpec) -> Future[JobResult]:
+        with _one_thread_each(), self._workers.starting():
+            return self._pool.submit(run_in_worker, run_job, spec, self._kinds, self._store)
+
+    def _look(self) -> None:
+        """Tell of workers that stand still amid a job."""
+        under_way = {spec.id: spec.kind for spec in self._running.values()}
+        still, news = self._workers.look(under_way)
+        for number in news:
+            kind = under_way.get(still[number])
+            amid = f"amid the job '{kind}'" if kind else "before its first job"
+            self._tell(
+                f"A worker stands still {amid} (process {number}): nothing in it "
+                "wants to run. Let it go on, or end it: its job begins again then."
+            )
+
+    def _again(self, orphans: list[JobSpec]) -> list[JobResult]:
+        lost: list[JobResult] = []
+        if orphans:
+            kinds = ", ".join(f"'{spec.kind}'" for spec in orphans)
+            self._tell(f"A worker died; under way were the jobs {kinds}.")
+        for spec in orphans:
+            self._deaths[spec.id] += 1
+            if self._deaths[spec.id] > MAX_WORKER_DEATHS:
+                why = f"Its worker died {self._deaths[spec.id]} times: {spec.canonical()}"
+                lost.append(JobResult(spec.id, spec.kind, "failed", error=why))
+            else:
+                self.submit(spec)
+        return lost
+
+    def _new_pool(self) -> ProcessPoolExecutor:
+        self._workers = PoolWorkers()
+        return self._workers.pool(self._count)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Let workers that are spawned meanwhile use one thread for linear algebra.
+
+    The libraries read these variables once, as they load, and two threads beside another worker
+    cost more than they bring.
+    """
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def run_campaign(
+    specs: Iterable[JobSpec], executor: Executor, store: JobStore
+) -> Iterator[JobResult]:
+    """Yield each job as it ends: at once what is finished already, the rest in completion order.
+
+    A job begins when those of its inputs that are jobs of the campaign are done. What depends on a
+    failed job fails with it. The executor is closed at the end, also when the reader stops early.
+    """
+    waiting = {spec.id: spec for spec in specs}
+    ahead = set(waiting)
+    failed: set[str] = set()
+    running = 0
+    try:
+        for spec in [spec for spec in waiting.values() if store.has(spec.id)]:
+            del waiting[spec.id]
+            ahead.discard(spec.id)
+            yield JobResult(spec.id, spec.kind, "done")
+        while waiting or running:
+            for result in _failed_inputs(waiting, failed):
+                failed.add(result.id)
+                ahead.discard(result.id)
+                yield result
+            for spec in _ready(waiting, ahead, executor.room()):
+                del waiting[spec.id]
+                executor.submit(spec)
+                running += 1
+            if not running:
+                continue
+            for result in executor.finished():
+                running -= 1
+                ahead.discard(result.id)
+                if result.state == "failed":
+                    failed.add(result.id)
+                yield result
+    finally:
+        executor.close()
+
+
+def shard_of(specs: Sequence[JobSpec], index: int, count: int) -> list[JobSpec]:
+    """Return part ``index`` (from 0) of ``count``, for array schedulers.
+
+    All ids are sorted and every ``count``-th is taken: each process finds its own part without
+    talking to the others. A job whose inputs belong to another part waits for a later call.
+    """
+    return [spec for k, spec in enumerate(sorted(specs, key=_id)) if k % count == index]
+
+
+def parse_shard(text: str) -> tuple[int, int]:
+    """Return (i, n) of a text "i/n" with 0 <= i < n; raises ``InputError``."""
+    index, slash, count = text.partition("/")
+    if slash and index.isdecimal() and count.isdecimal() and int(index) < int(count):
+        return int(index), int(count)
+    raise InputError(f"'{text}' names no part.", "--shard", "Give i/n with i from 0 to n - 1.")
+
+
+def independent_jobs(
+    specs: Iterable[JobSpec], part: Iterable[JobSpec], store: JobStore
+) -> list[JobSpec]:
+    """Return those of ``part`` that need no unfinished job outside ``part``."""
+    chosen = {spec.id: spec for spec in part}
+    outside = {spec.id for spec in specs if not store.has(spec.id)} - set(chosen)
+    while True:
+        blocked = {k for k, spec in chosen.items() if outside & set(spec.inputs)}
+        if not blocked:
+            return list(chosen.values())
+        outside |= blocked
+        chosen = {k: spec for k, spec in chosen.items() if k not in blocked}
+
+
+def _id(spec: JobSpec) -> str:
+    return spec.id
+
+
+def _ready(waiting: dict[str, JobSpec], ahead: set[str], room: int) -> list[JobSpec]:
+    ready = [spec for spec in waiting.values() if not ahead & set(spec.inputs)]
+    return ready[: max(room, 0)]
+
+
+def _failed_inputs(waiting: dict[str, JobSpec], failed: set[str]) -> Iterator[JobResult]:
+    for spec in list(waiting.values()):
+        cause = failed & set(spec.inputs)
+        if cause:
+            del waiting[spec.id]
+            why = f"It needs the failed job {min(cause)}."
+            yield JobResult(spec.id, spec.kind, "failed", error=why)

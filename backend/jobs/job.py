@@ -1,0 +1,181 @@
+"""A hashed job: its specification, its result on disk, and its execution.
+
+A job is a pure function of its specification and of the results that it names as inputs. Equal
+specifications have equal results and the same id. A job has one folder, complete or absent.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from touchdown.backend.core import InputError, TouchdownError, sync_folder, write_atomically
+
+ID_DIGITS = 32
+
+
+@dataclass(frozen=True)
+class JobSpec:
+    """What to do (``kind``), with which ``params`` (JSON values) and ``seed``, on which ``inputs``.
+
+    ``inputs``: ids of the jobs, or hashes of the files, that the job reads. ``code``: version of
+    the program. None of it may be changed afterwards.
+    """
+
+    kind: str
+    params: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+    inputs: tuple[str, ...] = ()
+    code: str = ""
+
+    def canonical(self) -> str:
+        """Return the one JSON text of this spec: keys sorted, no spaces, no NaN (ValueError)."""
+        facts = {
+            "kind": self.kind,
+            "params": self.params,
+            "seed": self.seed,
+            "inputs": list(self.inputs),
+            "code": self.code,
+        }
+        return json.dumps(facts, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+    @cached_property
+    def id(self) -> str:
+        """First 32 hex digits of the SHA-256 of the canonical text."""
+        return sha256(self.canonical().encode()).hexdigest()[:ID_DIGITS]
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return the spec of a canonical text; raises ValueError or KeyError for anything else."""
+        facts = json.loads(text)
+        return cls(
+            kind=str(facts["kind"]),
+            params=dict(facts["params"]),
+            seed=int(facts["seed"]),
+            inputs=tuple(facts["inputs"]),
+            code=str(facts["code"]),
+        )
+
+
+RESULT_FILE = "result.json"
+SPEC_FILE = "spec.json"
+_PART_SUFFIX = ".part"
+
+
+@dataclass(frozen=True, slots=True)
+class JobStore:
+    """Finished jobs below ``root``; any number of processes may write different jobs to it."""
+
+    root: Path
+
+    def folder(self, job_id: str) -> Path:
+        """Return the folder of a finished job."""
+        return self.root / job_id
+
+    def has(self, job_id: str) -> bool:
+        """Whether the job is finished."""
+        return (self.folder(job_id) / RESULT_FILE).is_file()
+
+    def result(self, job_id: str) -> dict[str, Any]:
+        """Return what a finished job answered; raises ``InputError`` naming the damaged file."""
+        path = self.folder(job_id) / RESULT_FILE
+        try:
+            answer = json.loads(path.read_bytes())
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"There is no readable result: {error}.", str(path), "Delete the folder; run again."
+            ) from error
+        return dict(answer)
+
+    @contextmanager
+    def writing(self, spec: JobSpec) -> Iterator[Path]:
+        """Yield a folder for the job's files; ``finish`` it inside, else it is thrown away.
+
+        The folder carries the process in its name, so that two processes that do the same job by
+        accident do not disturb each other.
+        """
+        part = self.root / f".{spec.id}.{os.getpid()}{_PART_SUFFIX}"
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
+        try:
+            yield part
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+
+    def finish(self, spec: JobSpec, part: Path, answer: Mapping[str, Any]) -> None:
+        """Give the folder ``part`` its spec and answer, and its final name."""
+        write_atomically(part / SPEC_FILE, spec.canonical().encode())
+        text = json.dumps(answer, sort_keys=True, allow_nan=False)
+        write_atomically(part / RESULT_FILE, text.encode())
+        try:
+            part.rename(self.folder(spec.id))
+        except OSError:
+            # Another process finished the same job first: its result is the same.
+            if not self.has(spec.id):
+                raise
+        sync_folder(self.root)
+
+    def sweep(self) -> int:
+        """Delete what killed processes left half done; returns how much there was.
+
+        Only while nobody writes to the store.
+        """
+        left = list(self.root.glob(f".*{_PART_SUFFIX}"))
+        for part in left:
+            shutil.rmtree(part, ignore_errors=True)
+        return len(left)
+
+
+@dataclass(frozen=True, slots=True)
+class JobContext:
+    """Where a job works: ``folder`` for files it leaves, ``store`` to read its inputs from."""
+
+    folder: Path
+    store: JobStore
+
+
+JobFunction = Callable[[JobSpec, JobContext], Mapping[str, Any]]
+"""Does one kind of job and returns its answer (JSON values). A top-level function, so that other
+processes find it by its name."""
+JobFunctions = Mapping[str, JobFunction]
+
+
+@dataclass(frozen=True, slots=True)
+class JobResult:
+    """How a job ended; ``error`` says why it failed. Answers are read from the store."""
+
+    id: str
+    kind: str
+    state: Literal["done", "failed"]
+    seconds: float = 0.0
+    error: str = ""
+
+
+def run_job(spec: JobSpec, kinds: JobFunctions, store: JobStore) -> JobResult:
+    """Do the job unless it is done already; an error of its function is a failed result."""
+    if store.has(spec.id):
+        return JobResult(spec.id, spec.kind, "done")
+    began_s = time.monotonic()
+    try:
+        if spec.kind not in kinds:
+            known = ", ".join(sorted(kinds))
+            raise InputError(f"There is no job '{spec.kind}'.", spec.id, f"Use one of: {known}.")
+        with store.writing(spec) as folder:
+            answer = kinds[spec.kind](spec, JobContext(folder, store))
+            store.finish(spec, folder, answer)
+    except TouchdownError as error:
+        return JobResult(spec.id, spec.kind, "failed", time.monotonic() - began_s, str(error))
+    except Exception:  # noqa: BLE001 - one bad job must not end a campaign of thousands
+        why = traceback.format_exc(limit=-3)
+        return JobResult(spec.id, spec.kind, "failed", time.monotonic() - began_s, why)
+    return JobResult(spec.id, spec.kind, "done", time.monotonic() - began_s)

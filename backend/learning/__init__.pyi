@@ -1,0 +1,121 @@
+from .checkpoint import Checkpoint as Checkpoint
+from .checkpoint import ModelCard as ModelCard
+from .checkpoint import card_path as card_path
+from .checkpoint import load_card as load_card
+from .checkpoint import load_checkpoint as load_checkpoint
+from .checkpoint import save_card as save_card
+from .checkpoint import save_checkpoint as save_checkpoint
+from .checkpoint import save_half_precision as save_half_precision
+from .fitting import evaluate_model as evaluate_model
+from .fitting import hardware_rows as hardware_rows
+from .fitting import load_episodes as load_episodes
+from .fitting import make_card as make_card
+from .inference import LstmState as LstmState
+from .inference import NetworkShape as NetworkShape
+from .inference import PatchForward as PatchForward
+from .inference import channel_groups as channel_groups
+from .inference import modality_columns as modality_columns
+from .job import DeviceName as DeviceName
+from .job import TrainingCancelled as TrainingCancelled
+from .job import TrainingEpoch as TrainingEpoch
+from .job import TrainingFinished as TrainingFinished
+from .job import TrainingJob as TrainingJob
+from .job import TrainingLoaded as TrainingLoaded
+from .job import default_threads as default_threads
+from .metrics import LEVEL as LEVEL
+from .metrics import Z_95 as Z_95
+from .metrics import EvaluationScores as EvaluationScores
+from .metrics import SamplePrediction as SamplePrediction
+from .metrics import load_samples as load_samples
+from .metrics import stable_flags as stable_flags
+from .metrics import wilson_interval as wilson_interval
+from .registry import HARDWARE_PROBES as HARDWARE_PROBES
+from .registry import SHIPPED as SHIPPED
+from .registry import ModelRegistry as ModelRegistry
+from .registry import card_mismatches as card_mismatches
+from .registry import check_autonomous as check_autonomous
+from .registry import models_below as models_below
+from .training import Trainer as Trainer
+from .training import device_name as device_name
+from .training import fingerprint as fingerprint
+from .training import load_network as load_network
+from .training import predict as predict
+from .training import select_device as select_device
+from .training import use_one_thread as use_one_thread
+from .training_data import TrainingCandidate as TrainingCandidate
+from .training_data import TrainingSetOverview as TrainingSetOverview
+from .training_data import training_candidates as training_candidates
+from .training_data import training_set_overview as training_set_overview
+from .training_runs import Curve as Curve
+from .training_runs import RecordedTraining as RecordedTraining
+from .training_runs import TrainingProcess as TrainingProcess
+from .training_runs import TrainingRequest as TrainingRequest
+from .training_runs import TrainingRun as TrainingRun
+from .training_runs import job_in_run as job_in_run
+from .training_runs import list_training_runs as list_training_runs
+from .training_runs import read_training_run as read_training_run
+from .training_runs import record_report as record_report
+from .training_runs import record_training as record_training
+from .training_runs import resume_request as resume_request
+
+__all__ = [
+    "HARDWARE_PROBES",
+    "LEVEL",
+    "SHIPPED",
+    "Z_95",
+    "Checkpoint",
+    "Curve",
+    "DeviceName",
+    "EvaluationScores",
+    "LstmState",
+    "ModelCard",
+    "ModelRegistry",
+    "NetworkShape",
+    "PatchForward",
+    "RecordedTraining",
+    "SamplePrediction",
+    "Trainer",
+    "TrainingCancelled",
+    "TrainingCandidate",
+    "TrainingEpoch",
+    "TrainingFinished",
+    "TrainingJob",
+    "TrainingLoaded",
+    "TrainingProcess",
+    "TrainingRequest",
+    "TrainingRun",
+    "TrainingSetOverview",
+    "card_mismatches",
+    "card_path",
+    "channel_groups",
+    "check_autonomous",
+    "default_threads",
+    "device_name",
+    "evaluate_model",
+    "fingerprint",
+    "hardware_rows",
+    "job_in_run",
+    "list_training_runs",
+    "load_card",
+    "load_checkpoint",
+    "load_episodes",
+    "load_network",
+    "load_samples",
+    "make_card",
+    "modality_columns",
+    "models_below",
+    "predict",
+    "read_training_run",
+    "record_report",
+    "record_training",
+    "resume_request",
+    "save_card",
+    "save_checkpoint",
+    "save_half_precision",
+    "select_device",
+    "stable_flags",
+    "training_candidates",
+    "training_set_overview",
+    "use_one_thread",
+    "wilson_interval",
+]

@@ -1,0 +1,37 @@
+from .checkpoint import FusedCard as FusedCard
+from .checkpoint import FusedCheckpoint as FusedCheckpoint
+from .checkpoint import FusedSizes as FusedSizes
+from .checkpoint import load_fused as load_fused
+from .checkpoint import save_fused as save_fused
+from .checkpoint import shipped_fused as shipped_fused
+from .features import SENSOR_MM as SENSOR_MM
+from .features import TICKS as TICKS
+from .features import GraspedFace as GraspedFace
+from .features import InputPart as InputPart
+from .features import acting_point_mm as acting_point_mm
+from .features import wrench_at_sensor as wrench_at_sensor
+from .inference import FusedForward as FusedForward
+from .inference import InsetDistribution as InsetDistribution
+from .training import FusedTrainer as FusedTrainer
+from .training import FusedTraining as FusedTraining
+from .training import data_sha256 as data_sha256
+
+__all__ = [
+    "SENSOR_MM",
+    "TICKS",
+    "FusedCard",
+    "FusedCheckpoint",
+    "FusedForward",
+    "FusedSizes",
+    "FusedTrainer",
+    "FusedTraining",
+    "GraspedFace",
+    "InputPart",
+    "InsetDistribution",
+    "acting_point_mm",
+    "data_sha256",
+    "load_fused",
+    "save_fused",
+    "shipped_fused",
+    "wrench_at_sensor",
+]

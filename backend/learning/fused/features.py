@@ -1,0 +1,225 @@
+"""Inputs and array shapes of the fusion network.
+
+Each probe is summarised in about 200 numbers in place of 20 x 258. Ablations leave inputs out;
+their checkpoint files have the same form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.core import GRID_COLS, GRID_ROWS, FloatArray
+
+Array = NDArray[np.float32]
+TICKS = (0, 1, 2, 4, 7, 10, 14, 19)
+"""Of the 20; the force grows over the first 15."""
+MODES = 4
+"""Typical marker fields of a finger."""
+SENSOR_MM = 120.0
+"""Force sensor above the grasp pivot."""
+GROWN = (3, 4, 5, 6, 7)
+"""Of the eight: where the growth since the first one acts."""
+LEAST_N, FARTHEST_MM = 1.0, 30.0
+DIRECTIONS = 16
+LENGTH_MM = 10.0
+"""Unit of lengths in the network."""
+PIECE_INPUTS = DIRECTIONS + 3
+PROBE_INPUTS = len(TICKS) * (6 + 2 * MODES) + 2 * len(GROWN) + 4
+
+
+@dataclass(frozen=True, slots=True)
+class GraspedFace:
+    """The grasped piece. ``reach_mm`` (..., 16): how far the face reaches from its centre of mass,
+    from +x on counter-clockwise; ``com_mm`` (..., 2) in ``F``; ``grip_height_mm`` (...).
+    """
+
+    reach_mm: FloatArray
+    com_mm: FloatArray
+    grip_height_mm: FloatArray
+
+    @classmethod
+    def of(
+        cls, points_mm: FloatArray, com_mm: FloatArray, grip_height_mm: FloatArray
+    ) -> GraspedFace:
+        """Return the face that its lattice ``points_mm`` (..., k, 2) spans."""
+        from_com = points_mm - com_mm[..., None, :]
+        reach = (from_com @ directions().T).max(axis=-2)
+        return cls(reach, com_mm, np.asarray(grip_height_mm))
+
+    def mirrored(self, *, across_x: bool, across_y: bool) -> GraspedFace:
+        """Return the face with x, y or both of the other sign."""
+        at = np.arange(DIRECTIONS)
+        at = DIRECTIONS // 2 - at if across_x else at
+        at = -at if across_y else at
+        signs = np.array([-1.0 if across_x else 1.0, -1.0 if across_y else 1.0])
+        reach = self.reach_mm[..., at % DIRECTIONS]
+        return GraspedFace(reach, self.com_mm * signs, self.grip_height_mm)
+
+    def inputs(self) -> FloatArray:
+        """Return (..., 19), lengths in ``LENGTH_MM``."""
+        height = (self.grip_height_mm - 35.0)[..., None]
+        joined = np.concatenate([self.reach_mm - LENGTH_MM, self.com_mm, height], axis=-1)
+        return np.asarray(joined / LENGTH_MM, dtype=np.float64)
+
+
+def directions() -> FloatArray:
+    """Return (16, 2) unit vectors."""
+    angle = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def probe_inputs(
+    wrench: Array, field: Array, offset_mm: FloatArray, face: GraspedFace, modes: Array
+) -> FloatArray:
+    """Return (..., P, inputs) of P probes of one gripping in order.
+
+    ``wrench`` (..., P, 8, 6) in N and N·m and ``field`` (..., P, 8, 252) in px at ``TICKS``,
+    ``offset_mm`` (..., P, 2), ``modes`` (2, MODES, 126).
+    """
+    shapes = wrench.shape[:-2]
+    seen = centre_fields(field) @ modes.swapaxes(-1, -2).astype(np.float64)
+    lever = (face.grip_height_mm + SENSOR_MM)[..., None, None]
+    growth = np.asarray(wrench[..., GROWN, :] - wrench[..., :1, :], dtype=np.float64)
+    acts = acting_point_mm(growth, lever) / LENGTH_MM
+    from_first = (offset_mm - offset_mm[..., :1, :]) / LENGTH_MM
+    before = np.concatenate([offset_mm[..., :1, :], offset_mm[..., :-1, :]], axis=-2)
+    parts = [
+        wrench.reshape(*shapes, -1),
+        seen.reshape(*shapes, -1),
+        acts.reshape(*shapes, -1),
+        from_first,
+        (offset_mm - before) / LENGTH_MM,
+    ]
+    return np.asarray(np.concatenate(parts, axis=-1), dtype=np.float64)
+
+
+def acting_point_mm(growth: FloatArray, lever_mm: FloatArray) -> FloatArray:
+    """Return (..., 2) where the growth (..., 6) of a wrench acts, in ``F``; 0 if there is none."""
+    fx, fy, fz, tx, ty = np.moveaxis(growth[..., :5], -1, 0)
+    press = np.maximum(fz, LEAST_N)
+    at = np.stack([-(1e3 * ty + lever_mm * fx), 1e3 * tx - lever_mm * fy], axis=-1)
+    at = np.where((fz >= LEAST_N)[..., None], at / press[..., None], 0.0)
+    return np.asarray(np.clip(at, -FARTHEST_MM, FARTHEST_MM))
+
+
+def wrench_at_sensor(wrench: Array, sensor_mm: float) -> Array:
+    """Return the wrench (..., 6) as a sensor ``SENSOR_MM`` above the pivot feels it, from one that
+    is ``sensor_mm`` above: the lateral force turns about another lever.
+    """
+    moved = wrench.copy()
+    lever_m = np.float32(1e-3 * (SENSOR_MM - sensor_mm))
+    moved[..., 3] += lever_m * wrench[..., 1]
+    moved[..., 4] -= lever_m * wrench[..., 0]
+    return moved
+
+
+def centre_fields(field: Array) -> FloatArray:
+    """Return marker fields (..., 8, 252) as (..., 2, 8, 126), their uniform shift taken out."""
+    shapes = field.shape[:-2]
+    split = field.astype(np.float64).reshape(*shapes, len(TICKS), 2, 2, GRID_ROWS * GRID_COLS)
+    split = split - split.mean(axis=-1, keepdims=True)
+    flat = split.reshape(*shapes, len(TICKS), 2, 2 * GRID_ROWS * GRID_COLS)
+    return np.asarray(np.moveaxis(flat, -2, -3))
+
+
+def field_components(field: Array) -> Array:
+    """Return (2, MODES, 126): principal components of the marker fields (..., 8, 252) by finger."""
+    fingers = np.moveaxis(centre_fields(field), -3, 0).reshape(2, -1, 2 * GRID_ROWS * GRID_COLS)
+    found = [np.linalg.eigh(finger.T @ finger)[1][:, ::-1][:, :MODES].T for finger in fingers]
+    return np.stack(found).astype(np.float32)
+
+
+def mirror_signals(
+    wrench: Array, field: Array, *, across_x: bool, across_y: bool
+) -> tuple[Array, Array]:
+    """Return what would be felt if x, y or both changed sign; the fingers close along y."""
+    sx, sy = (-1.0 if across else 1.0 for across in (across_x, across_y))
+    signs = np.array([sx, sy, 1.0, sy, sx, sx * sy], np.float32)
+    split = field.reshape(*field.shape[:-1], 2, 2, GRID_ROWS, GRID_COLS)
+    if across_y:
+        split = split[..., ::-1, :, :, :]
+    if across_x != across_y:
+        split = split[..., ::-1] * np.array([-1.0, 1.0], field.dtype)[:, None, None]
+    return wrench * signs, np.ascontiguousarray(split).reshape(field.shape)
+
+
+ARCH: Final = "causal-attention-inset/1"
+POINT_INPUTS = 5
+"""A point from the last probe and from the first one, and its distance from the last."""
+OF_MIXTURE = 3
+"""Weight, mean and spread of each part."""
+
+
+@dataclass(frozen=True, slots=True)
+class FusedShape:
+    """Sizes of the network: ``layers`` of attention of ``width`` and ``heads`` over the probes,
+    each followed by ``inner`` units; ``parts`` normal distributions make the answer for a point.
+    """
+
+    width: int = 96
+    heads: int = 4
+    layers: int = 2
+    inner: int = 192
+    parts: int = 3
+
+    def as_json(self) -> dict[str, int]:
+        """Return the sizes by name."""
+        return asdict(self)
+
+
+def expected_fused_arrays(shape: FusedShape) -> Mapping[str, tuple[int, ...]]:
+    """Return name and shape of every array of a checkpoint: the weights and three of the data."""
+    return {
+        "mean": (PROBE_INPUTS + PIECE_INPUTS,),
+        "scale": (PROBE_INPUTS + PIECE_INPUTS,),
+        "modes": (2, MODES, 126),
+        **weight_shapes(shape),
+    }
+
+
+def weight_shapes(shape: FusedShape) -> Mapping[str, tuple[int, ...]]:
+    """Return name and shape of what is trained."""
+    width, inner = shape.width, shape.inner
+    arrays: dict[str, tuple[int, ...]] = {}
+
+    def linear(name: str, outputs: int, inputs: int) -> None:
+        arrays[f"{name}.weight"], arrays[f"{name}.bias"] = (outputs, inputs), (outputs,)
+
+    linear("probe", inner, PROBE_INPUTS + PIECE_INPUTS)
+    linear("probe2", width, inner)
+    for layer in range(shape.layers):
+        linear(f"{layer}.asks", 3 * width, width)
+        linear(f"{layer}.joins", width, width)
+        linear(f"{layer}.up", inner, width)
+        linear(f"{layer}.down", width, inner)
+    linear("about", inner, width)
+    linear("point", inner, POINT_INPUTS)
+    linear("both", width, inner)
+    linear("answer", OF_MIXTURE * shape.parts, width)
+    return arrays
+
+
+InputPart = Literal["wrench", "fields", "others", "mirrors"]
+"""Wrench and where it acts; marker fields; the probes before; mirror images of the training data.
+"""
+INPUT_PARTS: tuple[InputPart, ...] = get_args(InputPart)
+UNREAD = 1e30
+_WRENCH, _FIELDS, _ACTS = 6 * len(TICKS), 2 * MODES * len(TICKS), 2 * len(GROWN)
+
+
+def unread_inputs(part: InputPart | None) -> NDArray[np.bool_]:
+    """Return (inputs,): which inputs of a probe and its piece are not read without ``part``."""
+    none = np.zeros(PROBE_INPUTS + PIECE_INPUTS, dtype=np.bool_)
+    acts = _WRENCH + _FIELDS
+    if part == "wrench":
+        none[:_WRENCH] = none[acts : acts + _ACTS] = True
+    if part == "fields":
+        none[_WRENCH:acts] = True
+    if part == "others":
+        none[acts + _ACTS : PROBE_INPUTS] = True
+    return none

@@ -1,1 +1,0 @@
-"""Known geometry: pieces, faces, towers and the exact static judge."""

@@ -1,0 +1,305 @@
+"""Doubt scores of labels, from models, similar signals and other episodes of the pair.
+
+The scores order four of the review queues.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from touchdown.backend.annotations import (
+    MODEL,
+    Dataset,
+    EpisodeEntry,
+    EpisodeFilter,
+    Label,
+    Source,
+    Suggestion,
+    disagreement,
+)
+from touchdown.backend.core import TACTILE_CHANNELS, FloatArray, InputError
+from touchdown.backend.placement.estimator import Ensemble, OffsetGrid
+
+ALIKE_FEWEST = 30
+"""Fewer episodes of a pair have nothing alike among them."""
+ALIKE = 40
+"""So many of the most alike signals say where the face should be."""
+ALIKE_RIDGE = 3.0
+"""Of the fit: signals are scaled alike, and labels should not follow their noise."""
+ROUNDS = 3
+HELD = 2.0
+"""Labels so many deviations off count less in the fit: wrong ones are among them."""
+FLOOR_MM = 0.5
+"""What is not strange, however well the others agree."""
+PART = 500
+
+
+def neighbour_residual(signals: FloatArray, offsets_mm: FloatArray) -> FloatArray:
+    """Return how far (n,) each label lies off where the most alike signals put it.
+
+    ``signals`` (n, d) scaled alike and ``offsets_mm`` (n, 2) as labelled, of one pair. The distance
+    is counted in the median distance of those others, plus ``FLOOR_MM``. NaN below ``FEWEST``.
+    """
+    count = len(signals)
+    if count < ALIKE_FEWEST:
+        return np.full(count, np.nan)
+    near = cKDTree(signals).query(signals, k=min(ALIKE, count - 1) + 1)[1]
+    near = _without_own(np.asarray(near, dtype=np.intp))
+    parts = [slice(at, at + PART) for at in range(0, count, PART)]
+    return np.concatenate([_off(signals, offsets_mm, near, part) for part in parts])
+
+
+def _without_own(near: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the neighbours (n, k) but each episode itself, which equal signals may hide."""
+    own = near == np.arange(len(near))[:, None]
+    own[~own.any(axis=1), -1] = True
+    return np.asarray(near[~own].reshape(len(near), -1), dtype=np.intp)
+
+
+def _off(
+    signals: FloatArray, offsets_mm: FloatArray, near: NDArray[np.intp], part: slice
+) -> FloatArray:
+    """Fit the labels of the others linearly to their signals, and compare the own one."""
+    others = offsets_mm[near[part]]
+    apart = signals[near[part]] - signals[part, None]
+    terms = np.concatenate([np.ones((*apart.shape[:2], 1)), apart], axis=2)
+    ridge = ALIKE_RIDGE * np.eye(terms.shape[2])
+    ridge[0, 0] = 0.0
+    weight = np.ones(apart.shape[:2])
+    for _ in range(ROUNDS):
+        weighted = terms * weight[:, :, None]
+        square = np.einsum("nki,nkj->nij", weighted, weighted) + ridge
+        fit = np.linalg.solve(
+            square, np.einsum("nki,nkj->nij", weighted, weight[:, :, None] * others)
+        )
+        left = np.linalg.norm(others - terms @ fit, axis=2)
+        usual = np.median(left, axis=1)
+        weight = 1.0 / np.maximum(1.0, left / (HELD * usual[:, None] + 1e-6))
+    own = np.linalg.norm(offsets_mm[part] - fit[:, 0], axis=1)
+    return np.asarray(own / (usual + FLOOR_MM))
+
+
+DOUBT_FEWEST = 200
+"""Fewer episodes of a pair do not tell what is felt where."""
+PARTS = 10
+"""Principal parts of the estimated patch that are compared, beside the wrench."""
+SMOOTH_MM = 3.0
+DOUBT_RIDGE = 0.5
+FOLDS = 8
+NEAR = 80
+"""So many labels nearby tell the scatter."""
+MOST = 1500
+"""More episodes than this make the smooth function no better, only slower."""
+CLIP = 0.01
+SHRINK = 0.1
+SHIFTS_MM = (1.0, 2.0, 3.0, 5.0)
+TURNS = 12
+
+
+def summarise_signals(probability: FloatArray, wrench: FloatArray) -> FloatArray:
+    """Return what was felt in few numbers, (n, d), scaled alike.
+
+    ``probability`` (n, N) of the estimated patches, ``wrench`` (n, 6) of the settled press; all of
+    one pair.
+    """
+    return np.hstack([_parts(probability), _standard(wrench)])
+
+
+def displacement_doubt(felt: FloatArray, offsets_mm: FloatArray) -> FloatArray:
+    """Return how much likelier (n,) each episode is a few mm from its label: twice log likelihoods.
+
+    ``felt`` (n, d) as ``signals_of`` gives it, ``offsets_mm`` (n, 2) as labelled; all of one pair.
+    NaN below ``FEWEST`` episodes.
+    """
+    count = len(offsets_mm)
+    if count < DOUBT_FEWEST:
+        return np.full(count, np.nan)
+    error = felt - _expected_without_own(offsets_mm, felt)
+    expected = _smooth(offsets_mm, felt, np.random.default_rng(0))
+    near = _nearest(offsets_mm, min(NEAR, count - 1))
+    shifts = _shifts_mm()
+    found = np.empty(count)
+    for k in range(count):
+        middle, scale, inverse = _scatter(error[near[k]])
+        moved = expected(offsets_mm[k] + shifts)
+        apart = (error[k] - middle - (moved - moved[0])) / scale
+        distance = np.einsum("ij,jk,ik->i", apart, inverse, apart)
+        found[k] = distance[0] - distance.min()
+    return found
+
+
+def _nearest(at_mm: FloatArray, count: int) -> NDArray[np.intp]:
+    """Return the indices (n, count) of the nearest other places."""
+    found = np.asarray(cKDTree(at_mm).query(at_mm, k=count + 1)[1], dtype=np.intp)
+    return found[:, 1:]
+
+
+def _parts(probability: FloatArray) -> FloatArray:
+    """Return the first principal parts of the log odds, (n, PARTS), scaled alike."""
+    p = np.clip(probability, CLIP, 1 - CLIP)
+    odds = np.log(p / (1 - p))
+    left, sizes, _ = np.linalg.svd(odds - odds.mean(axis=0), full_matrices=False)
+    return _standard(left[:, :PARTS] * sizes[:PARTS])
+
+
+def _standard(values: FloatArray) -> FloatArray:
+    return np.asarray((values - values.mean(axis=0)) / np.maximum(values.std(axis=0), 1e-9))
+
+
+class _KernelRidge:
+    """A smooth function of the displacement, fitted to what was felt (kernel ridge)."""
+
+    def __init__(self, at_mm: FloatArray, felt: FloatArray) -> None:
+        self._at_mm, self._mean = at_mm, felt.mean(axis=0)
+        ridge = DOUBT_RIDGE * np.eye(len(at_mm))
+        self._weights = np.linalg.solve(_kernel(at_mm, at_mm) + ridge, felt - self._mean)
+
+    def __call__(self, at_mm: FloatArray) -> FloatArray:
+        return np.asarray(_kernel(at_mm, self._at_mm) @ self._weights + self._mean)
+
+
+def _smooth(at_mm: FloatArray, felt: FloatArray, rng: np.random.Generator) -> _KernelRidge:
+    if len(at_mm) > MOST:
+        chosen = np.sort(rng.choice(len(at_mm), MOST, replace=False))
+        at_mm, felt = at_mm[chosen], felt[chosen]
+    return _KernelRidge(at_mm, felt)
+
+
+def _kernel(one_mm: FloatArray, other_mm: FloatArray) -> FloatArray:
+    apart = ((one_mm[:, None] - other_mm) ** 2).sum(axis=2)
+    return np.asarray(np.exp(-apart / (2 * SMOOTH_MM**2)))
+
+
+def _expected_without_own(at_mm: FloatArray, felt: FloatArray) -> FloatArray:
+    """Return what the others say is felt at each label: no episode speaks for itself."""
+    rng = np.random.default_rng(1)
+    fold = rng.permutation(len(at_mm)) % FOLDS
+    expected = np.empty_like(felt)
+    for number in range(FOLDS):
+        others = fold != number
+        expected[~others] = _smooth(at_mm[others], felt[others], rng)(at_mm[~others])
+    return expected
+
+
+def _scatter(error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return middle and scale (d,) of errors (k, d), and the inverse covariance in that scale.
+
+    Wrong labels among them are held to three deviations.
+    """
+    middle = np.median(error, axis=0)
+    scale = 1.4826 * np.median(np.abs(error - middle), axis=0) + 1e-6
+    z = np.clip((error - middle) / scale, -3.0, 3.0)
+    covariance = np.cov(z.T) + SHRINK * np.eye(error.shape[1])
+    return middle, scale, np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+
+
+def _shifts_mm() -> FloatArray:
+    """Return the shifts that are tried, (m, 2); the first is none."""
+    turn = 2 * np.pi * np.arange(TURNS) / TURNS
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return np.concatenate([np.zeros((1, 2)), *(by * ring for by in SHIFTS_MM)])
+
+
+SETTLED_TICKS = 5
+"""The last 0.5 s of a press are compared: the load is constant there."""
+
+
+@dataclass(slots=True)
+class _PairSignals:
+    """What was felt in the episodes of one pair: estimated patch (N,) and settled wrench (6,)."""
+
+    uuids: list[str] = field(default_factory=list)
+    probability: list[FloatArray] = field(default_factory=list)
+    wrench: list[FloatArray] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _ModelResults:
+    """What the models of one piece found; ``felt`` per pair."""
+
+    suggestion: dict[str, Label] = field(default_factory=dict)
+    entropy: dict[str, float] = field(default_factory=dict)
+    apart: dict[str, float] = field(default_factory=dict)
+    felt: dict[str, _PairSignals] = field(default_factory=lambda: defaultdict(_PairSignals))
+
+
+def score_labels(
+    dataset: Dataset,
+    models_of: Callable[[str], Ensemble | None],
+    progress: Callable[[int, int], bool],
+) -> int:
+    """Score every episode that has a model; returns how many were scored.
+
+    ``progress`` gets (done, all) after each and returns False to stop: what was found until then
+    is kept. Episodes that cannot be read or judged get no score.
+    """
+    entries = dataset.episodes(EpisodeFilter(accepted=True))
+    found: dict[str, _ModelResults] = defaultdict(_ModelResults)
+    grids: dict[str, OffsetGrid] = {}
+    for number, entry in enumerate(entries, start=1):
+        models = models_of(entry.piece)
+        if models is not None and entry.file_state == "complete":
+            _score(dataset, entry, models, grids, found[models.weights])
+        if not progress(number, len(entries)):
+            break
+    for weights, part in found.items():
+        _store(dataset, weights, part)
+    return sum(len(part.suggestion) for part in found.values())
+
+
+def _score(
+    dataset: Dataset,
+    entry: EpisodeEntry,
+    models: Ensemble,
+    grids: dict[str, OffsetGrid],
+    found: _ModelResults,
+) -> None:
+    try:
+        episode = dataset.film(entry.uuid).episode
+        if entry.geometry not in grids:
+            pair = dataset.geometry.pair(entry.geometry)
+            grids[entry.geometry] = OffsetGrid.of(pair.points_mm, pair.bottom)
+        says = models.judge(episode, grids[entry.geometry])
+    except (InputError, ValueError):
+        return
+    x_um, y_um = (round(1e3 * value) for value in says.fit.offset_mm)
+    suggested = Label(x_um, y_um, 0, round(1e3 * says.fit.sigma_mm))
+    head = dataset.labels.head(entry.uuid)
+    found.suggestion[entry.uuid] = suggested
+    found.entropy[entry.uuid] = says.entropy
+    source: Source = f"{MODEL}{models.weights}"
+    apart = disagreement(head, Suggestion(suggested, source, 0))
+    # A label that came from these models agrees with them and says nothing.
+    if apart is not None and head.source != source:
+        found.apart[entry.uuid] = apart
+    felt = found.felt[entry.geometry]
+    felt.uuids.append(entry.uuid)
+    felt.probability.append(says.patch.probability)
+    settled = episode.observation[-SETTLED_TICKS:, TACTILE_CHANNELS:].mean(axis=0)
+    felt.wrench.append(np.asarray(settled, dtype=np.float64))
+
+
+def _store(dataset: Dataset, weights: str, found: _ModelResults) -> None:
+    dataset.scores.suggest(found.suggestion, weights)
+    dataset.scores.put("uncertainty", found.entropy, weights)
+    dataset.scores.put("disagreement", found.apart, weights)
+    for felt in found.felt.values():
+        offsets = np.stack([dataset.labels.head(uuid).label.offset_mm for uuid in felt.uuids])
+        known = np.flatnonzero(np.isfinite(offsets).all(axis=1))
+        if len(known) < 2:
+            continue
+        signals = summarise_signals(np.stack(felt.probability)[known], np.stack(felt.wrench)[known])
+        uuids = [felt.uuids[k] for k in known.tolist()]
+        for name, values in (
+            ("doubt", displacement_doubt(signals, offsets[known])),
+            ("duplicates", neighbour_residual(signals, offsets[known])),
+        ):
+            told = zip(uuids, values.tolist(), strict=True)
+            scores = {uuid: value for uuid, value in told if np.isfinite(value)}
+            dataset.scores.put(name, scores, weights)

@@ -1,0 +1,109 @@
+"""Tower below the touched surface, as entered by the operator.
+
+A robot that presses on the uppermost bottom does not feel where the ones below stand. They come
+from an entry (or from where the robot put them itself), each with its standard uncertainty; the
+piece is released only where every interface below would carry it as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from math import pi
+
+import numpy as np
+
+from touchdown.backend.config import TowerSettings
+from touchdown.backend.core import FloatArray, InputError
+from touchdown.backend.geometry import Body, Piece, inset_mm
+
+XY = tuple[float, float]
+DRAWS = 13
+"""Towers that are looked at in place of the one that nobody knows exactly."""
+
+
+@dataclass(frozen=True, slots=True)
+class SupportTower:
+    """``bodies`` from the lowest to the touched one, and ``offset_mm`` of each above the lowest
+    from the one that it stands on, known within ``sigma_mm`` along x and along y.
+
+    ``piece_g``: mass of the piece that will press on them when it is let go.
+    """
+
+    bodies: tuple[Body, ...]
+    offset_mm: tuple[XY, ...]
+    sigma_mm: float
+    piece_g: float
+
+    def __post_init__(self) -> None:
+        if len(self.offset_mm) != len(self.bodies) - 1:
+            raise ValueError("every body above the lowest needs an offset")
+
+    @classmethod
+    def entered(
+        cls, piece: Piece, bottoms: Sequence[Piece], entry: TowerSettings
+    ) -> SupportTower | None:
+        """Return the tower of ``bottoms`` (bottom-up, the last one is touched) as it was entered.
+
+        None for a single bottom. Raises ``InputError`` if the entry is of another tower.
+        """
+        joints = len(bottoms) - 1
+        if not joints:
+            return None
+        offset_mm = entry.offset_mm or ((0.0, 0.0),) * joints
+        if len(offset_mm) != joints:
+            raise InputError(
+                f"The tower has {joints} bottoms above the lowest, {len(offset_mm)} were entered.",
+                "tower.offset_mm",
+                "Enter one offset for each, from the lowest up.",
+            )
+        bodies = tuple(bottom.body() for bottom in bottoms)
+        return cls(bodies, offset_mm, entry.sigma_mm, piece.mass_g)
+
+    def insets_mm(self, centre_mm: FloatArray) -> FloatArray:
+        """Return (DRAWS, ...): how far within the weakest support below the load lies.
+
+        ``centre_mm`` (..., 2): the piece's centre of mass from the centre of the touched body.
+        Of each interface that is the distance to the nearest edge, negative outside; the overlap
+        of two convex faces has no other edges than theirs.
+        """
+        draws = normal_draws(len(self.offset_mm))
+        return np.stack([self._least(centre_mm, draw) for draw in draws])
+
+    def _least(self, centre_mm: FloatArray, draw: FloatArray) -> FloatArray:
+        """Return (...,) for one tower; ``draw`` (joints, 2) standard normal."""
+        steps = np.array(self.offset_mm, dtype=np.float64).reshape(-1, 2) + self.sigma_mm * draw
+        at = _places(steps)
+        least = np.full(centre_mm.shape[:-1], np.inf)
+        moment, mass = self.piece_g * centre_mm, self.piece_g
+        for k in range(len(self.bodies) - 1, -1, -1):
+            body = self.bodies[k]
+            moment = moment + body.mass_g * (at[k] + np.asarray(body.com_xy_mm))
+            mass += body.mass_g
+            if body.fixed:
+                continue
+            load = moment / mass
+            least = np.minimum(least, inset_mm(body.lower, load - at[k]))
+            upper = self.bodies[k - 1].upper if k else None
+            if upper is not None:
+                least = np.minimum(least, inset_mm(upper, load - at[k - 1]))
+        return least
+
+
+def _places(steps: FloatArray) -> FloatArray:
+    """Return (n + 1, 2) where the bodies stand, the touched one at the origin."""
+    climbed = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    return np.asarray(climbed - climbed[-1], dtype=np.float64)
+
+
+@lru_cache(maxsize=4)
+def normal_draws(joints: int) -> FloatArray:
+    """Return (DRAWS, joints, 2) standard normal places, spread evenly: the same ones every time.
+
+    A sunflower on the plane of each joint; joints go through it in a different order.
+    """
+    k = (np.arange(DRAWS)[:, None] * (2 * np.arange(joints) + 1)[None, :]) % DRAWS
+    reach = np.sqrt(-2.0 * np.log1p(-(k + 0.5) / DRAWS))
+    angle = k * pi * (3.0 - 5.0**0.5)
+    return np.stack([reach * np.cos(angle), reach * np.sin(angle)], axis=-1)

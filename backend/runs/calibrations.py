@@ -1,0 +1,396 @@
+"""Validity of the calibrations on a connected bench: records in use, gel identity, wrist drift."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import cast
+
+from touchdown.backend.calibration import (
+    AXES,
+    FINGERPRINT_LIMIT_PX,
+    HELD_LIMIT_PX,
+    MIRROR_CODES,
+    NUMBERS,
+    CalibrationName,
+    CalibrationRecord,
+    CalibrationStore,
+    DeviceName,
+    calibrated_positions,
+    dots_to_numbers,
+    fingerprint_distance_px,
+    identify_gel,
+    mirrored_dots,
+    numbers_to_dots,
+    require_calibrated_bottom,
+)
+from touchdown.backend.config import BenchMode
+from touchdown.backend.core import (
+    FINGERS,
+    LEVEL_RAD,
+    CalibrationMeasured,
+    Event,
+    Fault,
+    FaultError,
+    Finger,
+    FloatArray,
+    Noticed,
+    Pose,
+    RefusedError,
+    StaleSampleError,
+    Stream,
+    TactileFrame,
+)
+from touchdown.backend.devices import Arm, Device, DeviceState, Gripper
+from touchdown.backend.geometry import Piece
+from touchdown.backend.rig import fault_of
+from touchdown.backend.runs.requests import CollectRequest, Request, StackRequest
+from touchdown.backend.sensing import (
+    MOTION_FACTOR,
+    NOISE_FLOOR_PX,
+    REST_FRAMES,
+    DriftWatch,
+    GelRest,
+    LiveSensing,
+    WrenchDrift,
+    gripper_payload,
+    measure_rest,
+)
+
+Used = Mapping[CalibrationName, CalibrationRecord]
+
+
+def device_names(devices: Mapping[str, Device]) -> dict[str, DeviceName]:
+    """Return who each connected device says it is; firmware may change without harm."""
+    known = {name: device.identity for name, device in devices.items()}
+    return {
+        name: DeviceName(maker=who.maker, model=who.model, serial=who.serial)
+        for name, who in known.items()
+        if who is not None
+    }
+
+
+def calibrations_for(
+    request: Request,
+    mode: BenchMode,
+    store: CalibrationStore | None,
+    devices: Mapping[str, Device],
+) -> Used:
+    """Return the calibrations that a run uses.
+
+    On hardware, stacking and collecting need all of them: raises ``RefusedError`` naming the first
+    that is missing, expired, damaged or of another device or bottom, with the fix. Elsewhere those
+    that hold are used.
+    """
+    required = mode == "hardware" and isinstance(request, StackRequest | CollectRequest)
+    if store is not None:
+        used = store.in_use(device_names(devices), required=required)
+        if required and isinstance(request, StackRequest):
+            require_calibrated_bottom(used, "+".join(request.bottoms), store.command("board"))
+        elif required and isinstance(request, CollectRequest):
+            require_calibrated_bottom(used, request.bottom, store.command("board"))
+        return used
+    if required:
+        raise RefusedError("CALIBRATION-MISSING", "This bench has no folder of calibrations.")
+    return {}
+
+
+def contact_height_mm(piece: Piece, bottom: str, used: Used) -> float:
+    """Return the height of ``G`` at which the held piece touches ``bottom``; NaN if unknown.
+
+    As the board was felt with this piece on this bottom; else by the nominal height of the grip.
+    """
+    board = calibrated_positions(used).board
+    if board is not None and board.is_of(piece.name, bottom):
+        return board.contact_mm
+    return math.nan if piece.grip_height_mm is None else piece.grip_height_mm
+
+
+def payload_wrench(
+    store: CalibrationStore | None, devices: Mapping[str, Device], used: Used | None = None
+) -> FloatArray | None:
+    """Return the measured wrench (6,) of the gripper, hand level; None if none holds.
+
+    ``used``: what a run was checked with. Its record counts, whatever has become of the file.
+    """
+    names = device_names(devices)
+    record = None if used is None else used.get("payload")
+    if record is not None:
+        record = None if record.foreign(names) else record
+    elif store is not None:
+        standing = store.standing("payload", names)
+        record = standing.record if standing.condition == "valid" else None
+    if record is None:
+        return None
+    values = record.file.values
+    # The height of the centre of mass makes no moment while the hand is level.
+    centre_mm = (values["com_x_mm"].value, values["com_y_mm"].value, 0.0)
+    return gripper_payload(values["mass_kg"].value, centre_mm)
+
+
+def accept_calibration(
+    store: CalibrationStore,
+    measured: CalibrationMeasured,
+    devices: Mapping[str, Device],
+    person: str = "",
+) -> Path:
+    """Accept what was measured with ``devices``; refused as ``CalibrationStore.accept``.
+
+    Of the cameras it keeps which serial number is at which finger and how each raw picture is to be
+    mirrored, and the fingerprint of each gel, whatever the settings were while it was measured.
+    """
+    names = device_names(devices)
+    if measured.what != "camera":
+        return store.accept(measured, names, person)
+    values = dict(zip(measured.names, measured.values, strict=True))
+    sources: dict[Finger, Finger] = {finger: finger for finger in FINGERS}
+    if values["exchanged"]:
+        sources = {"left": "right", "right": "left"}
+    sits: dict[str, float] = {"exchanged": 0.0}
+    gels: dict[str, tuple[float, ...]] = {}
+    seen_px = dict(zip(FINGERS, _places(measured.gels_px), strict=False))
+    for finger, source in sources.items():
+        now = str(devices[f"tactile_{source}"].describe().get("mirror", "none"))
+        code = round(values[f"{finger}_mirror"]) ^ MIRROR_CODES.index(now)
+        sits[f"{finger}_mirror"] = float(code)
+        if source in seen_px:
+            gels[f"tactile_{finger}"] = dots_to_numbers(mirrored_dots(seen_px[source], now))
+    kept = tuple(sits.get(name, value) for name, value in values.items())
+    cameras = {f"tactile_{f}": names[f"tactile_{s}"] for f, s in sources.items()}
+    return store.accept(replace(measured, values=kept), {**names, **cameras}, person, gels=gels)
+
+
+def _places(gels_px: Sequence[float]) -> list[FloatArray]:
+    """Return the dots (63, 2) of each finger, none where no fingerprint was taken."""
+    return [numbers_to_dots(gels_px[i : i + NUMBERS]) for i in range(0, len(gels_px), NUMBERS)]
+
+
+def calibration_metadata(used: Used) -> tuple[tuple[str, str], ...]:
+    """Return the pairs that an episode keeps: which calibration, by its SHA-256."""
+    return tuple((f"calibration_{what}", record.sha256) for what, record in used.items())
+
+
+WAIT_S, LOOK_S = 3.0, 0.02
+"""A camera has so long for its pictures, looked for so often."""
+FEWEST = 3
+UNUSED = "The connection was closed again; nothing was moved."
+
+
+class GelCheck:
+    """Of one bench: ``store`` has the fingerprints (None: any 7 x 9 gel will do), ``frames``
+    what the cameras send.
+
+    ``pause`` lets ``LOOK_S`` pass, or ends it at once where connecting was cancelled.
+    """
+
+    def __init__(
+        self,
+        store: CalibrationStore | None,
+        devices: Mapping[str, Device],
+        frames: Mapping[Finger, Stream[TactileFrame]],
+        pause: Callable[[threading.Event], object] = lambda cancel: cancel.wait(LOOK_S),
+    ) -> None:
+        self._store, self._devices, self._frames = store, devices, frames
+        self._pause = pause
+
+    def prove(self, name: str, cancel: threading.Event) -> None:
+        """Raise ``FaultError`` if ``name`` is a camera with another gel than was calibrated.
+
+        The faults: its own, or GEL-UNSEEN (too few pictures), GEL-GRID (no grid of 7 x 9),
+        GEL-MOVES, and GEL-OTHER, which names whose gel it is where that is known. Other devices
+        pass.
+        """
+        finger = next((finger for finger in FINGERS if name == f"tactile_{finger}"), None)
+        if finger is None:
+            return
+        frames = self._newest(finger, cancel)
+        if cancel.is_set():
+            return
+        if len(frames) < FEWEST:
+            told = fault_of(self._devices[name])
+            raise _unseen(name) if told is None else FaultError(told)
+        seen = measure_rest(frames)
+        if not seen.grid.usable:
+            what = f"{seen.grid.message[:1].upper()}{seen.grid.message[1:]}."
+            raise _fault("GEL-GRID", name, what, "Clean the gel, or fit one of 7 x 9 dots.")
+        self._compare(finger, seen)
+
+    def _newest(self, finger: Finger, cancel: threading.Event) -> list[TactileFrame]:
+        """Return the next pictures, fewer where the camera is slow."""
+        stream, waited_s = self._frames[finger], 0.0
+        begun = stream.count
+        while stream.count - begun < REST_FRAMES and waited_s < WAIT_S and not cancel.is_set():
+            self._pause(cancel)
+            waited_s += LOOK_S
+        return stream.since(begun)[0]
+
+    def _compare(self, finger: Finger, seen: GelRest) -> None:
+        name = f"tactile_{finger}"
+        known = {one: mirrored_dots(px, self._mirror(one)) for one, px in self._known().items()}
+        if name not in known:
+            return
+        limit_px = FINGERPRINT_LIMIT_PX if self._empty() else HELD_LIMIT_PX
+        away_px = fingerprint_distance_px(seen.position_px, known[name])
+        if away_px < limit_px:
+            return
+        if seen.motion_px > MOTION_FACTOR * NOISE_FLOOR_PX:
+            what = f"The gel moves by {seen.motion_px:.2f} px: it cannot be told which one it is."
+            raise _fault("GEL-MOVES", name, what, "Let go of the gel and connect again.")
+        owner, mirror = identify_gel(seen.position_px, known, name, limit_px)
+        again = "" if self._store is None else self._store.command("camera")
+        raise other_gel_fault(finger, (away_px, limit_px), _next_step(name, owner, mirror), again)
+
+    def _known(self) -> dict[str, FloatArray]:
+        """Return the fingerprints of the raw pictures, by camera; none where they are of others."""
+        if self._store is None:
+            return {}
+        standing = self._store.standing("camera", device_names(self._devices))
+        record: CalibrationRecord | None = standing.record
+        if record is None or standing.condition not in ("valid", "expired"):
+            return {}
+        return {name: numbers_to_dots(numbers) for name, numbers in record.file.gels.items()}
+
+    def _mirror(self, name: str) -> str:
+        return str(self._devices[name].describe().get("mirror", "none"))
+
+    def _empty(self) -> bool:
+        """Whether the jaws are known to hold nothing."""
+        gripper = self._devices.get("gripper")
+        if gripper is None or gripper.state is not DeviceState.READY:
+            return False
+        return not cast("Gripper", gripper).status().holding
+
+
+def other_gel_fault(
+    finger: Finger, px: tuple[float, float], next_step: str, again: str
+) -> FaultError:
+    """Return the fault of a gel whose dots rest ``px[0]`` (limit ``px[1]``) from where they did.
+
+    ``again``: the command that calibrates the cameras anew.
+    """
+    away_px, limit_px = px
+    far = f"{away_px:.1f} px" if away_px < float("inf") else "too few dots seen"
+    what = (
+        f"The {finger} finger has another gel than when the cameras were calibrated: its dots "
+        f"rest {far} from where they did (rms, limit {limit_px:g} px)."
+    )
+    on_purpose = f"If it was changed on purpose, run '{again}'."
+    return _fault("GEL-OTHER", f"tactile_{finger}", what, f"{next_step} {on_purpose}")
+
+
+def _next_step(name: str, owner: str, mirror: str) -> str:
+    """Return what to do, by what the picture is like."""
+    if owner and owner != name:
+        other = owner.removeprefix("tactile_")
+        return f"It is the gel of the {other} finger: put the two back."
+    if owner:
+        return f"The picture is mirrored in {AXES[mirror]}: look at the settings."
+    return "Have gels or sensors been exchanged? Put the right one back."
+
+
+def _unseen(name: str) -> FaultError:
+    return _fault("GEL-UNSEEN", name, "Its pictures come too seldom.", "Look at its cable.")
+
+
+def _fault(code: str, name: str, what: str, next_step: str) -> FaultError:
+    return FaultError(Fault(code, what, UNUSED, next_step, name))
+
+
+CLEAR_MM = 1.0
+"""So high above the support a hand touches nothing."""
+STILL_MM, STILL_RAD = 0.05, 0.001
+"""A hand that moves by less stands."""
+SETTLE_S = 0.2
+"""Vibration dies out before its air counts."""
+SAME_MM = 0.3
+"""Jaws that moved by less hold what they held."""
+POSE_AGE_S = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class DriftScene:
+    """Where the devices of one scene stand. ``surface_mm``: height of ``G`` in contact."""
+
+    now_s: Callable[[], float]
+    arm: Arm
+    gripper: Gripper
+    surface_mm: Callable[[], float]
+
+
+class DriftMonitor:
+    """One scene. ``update`` is called once per advance of the bench and tells ``sensing``."""
+
+    def __init__(
+        self, place: DriftScene, sensing: LiveSensing, publish: Callable[[Event], None]
+    ) -> None:
+        self._place, self._sensing, self._publish = place, sensing, publish
+        self._cursor = sensing.raw.samples.count
+        self._watch = DriftWatch()
+        self._stands: Pose | None = None
+        self._since_s = math.inf
+        self._load: tuple[bool, float] | None = None
+
+    def update(self) -> None:
+        """Take what arrived since the last call; publish ``Noticed`` where the drift is much."""
+        samples = self._sensing.raw.samples.since(self._cursor)
+        self._cursor = samples.cursor
+        if not self._stands_in_air():
+            self._watch.leave()
+            return
+        settled = samples.t_s >= self._since_s + SETTLE_S
+        self._watch.feed(samples.t_s[settled], samples.values[settled, :3])
+        was, found = self._sensing.drift, self._watch.drift()
+        self._sensing.drift = found
+        if found is not None and found.named and not (was is not None and was.named):
+            self._publish(Noticed(self._place.now_s(), drift_notice(found)))
+
+    def _stands_in_air(self) -> bool:
+        place = self._place
+        status = place.gripper.status()
+        load = status.holding, status.width_mm
+        if self._load is None or not _same_load(load, self._load):
+            self._load = load
+            self._watch.reload()
+            self._stands = None
+        try:
+            pose = place.arm.pose(POSE_AGE_S)
+        except StaleSampleError:
+            pose = None
+        if pose is None or math.hypot(pose.rx_rad, pose.ry_rad, pose.rz_rad) > LEVEL_RAD:
+            self._stands = None
+            if pose is not None:
+                self._watch.reload()
+            return False
+        if self._stands is None or not _stands(pose, self._stands):
+            self._stands, self._since_s = pose, place.now_s()
+            return False
+        return pose.z_mm >= place.surface_mm() + CLEAR_MM
+
+
+def drift_notice(drift: WrenchDrift) -> Fault:
+    """Return what to say of a sensor that drifts much; nothing is latched."""
+    per_min = 60.0 * drift.rate_n_s
+    return Fault(
+        "FT-DRIFT",
+        f"The wrist sensor has drifted by {drift.moved_n:.2f} N in {drift.over_s:.0f} s, "
+        f"in still air ({per_min:.1f} N a minute).",
+        "Each probe takes its own tare; what drifts after that is read as force.",
+        "Zero it in air (Z) before you go by its figures; let a cold sensor warm up. "
+        "If it goes on, check its mounting and cable.",
+        "force_torque",
+    )
+
+
+def _same_load(one: tuple[bool, float], other: tuple[bool, float]) -> bool:
+    moved = abs(one[1] - other[1])
+    return one[0] == other[0] and not moved > SAME_MM
+
+
+def _stands(one: Pose, other: Pose) -> bool:
+    # Number by number: asked in every step, of so few numbers, arrays take ten times as long.
+    moved = (one.x_mm - other.x_mm, one.y_mm - other.y_mm, one.z_mm - other.z_mm)
+    turned = (one.rx_rad - other.rx_rad, one.ry_rad - other.ry_rad, one.rz_rad - other.rz_rad)
+    return all(abs(d) <= STILL_MM for d in moved) and all(abs(d) <= STILL_RAD for d in turned)

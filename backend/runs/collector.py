@@ -1,0 +1,503 @@
+"""Probes of a campaign on one bench, each recorded as a labelled episode.
+
+The label is the measured displacement. The origin is checked by touching the edges of the bottom on
+both sides.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter, deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.annotations import Dataset, EpisodeContext, EpisodeEntry, Label, with_uuid
+from touchdown.backend.config import CollectSettings
+from touchdown.backend.core import (
+    DISK_S,
+    MARKERS,
+    TACTILE_CHANNELS,
+    DecisionAwaited,
+    Episode,
+    EpisodeDecided,
+    EpisodeDecision,
+    EpisodeRecorded,
+    Event,
+    FaultError,
+    FaultRaised,
+    FloatArray,
+    Gripped,
+    OriginChecked,
+    ProbeCollected,
+    RefusedError,
+    Said,
+    blocking_section,
+)
+from touchdown.backend.episodes import Coverage
+from touchdown.backend.runs import messages
+from touchdown.backend.runs.bench import Bench, PendingDecision, PressedProbe
+from touchdown.backend.runs.campaign import Campaign, ProbeTarget, planned_displacement_mm
+from touchdown.backend.runs.jig import (
+    approach_with_piece,
+    pick_piece,
+    return_piece,
+    with_handed_piece,
+)
+from touchdown.backend.runs.motions import descent_start, lift, move_to, wait
+from touchdown.backend.runs.plan import PausePoint, Plan, Wait
+from touchdown.backend.runs.probe import press_once, scene_pictures
+from touchdown.backend.runs.recorder import (
+    FULL,
+    decision_not_saved_fault,
+    no_space_fault,
+    refused_episode_fault,
+    save_or_wait,
+    wait_for_space,
+    wait_while_writing,
+)
+from touchdown.backend.runs.touch_probing import RESOLUTION_MM, edge_mm, find_height
+from touchdown.backend.sensing import EpisodeLimits
+
+MEASURED = "measured"
+
+
+@dataclass(frozen=True, slots=True)
+class BottomOrigin:
+    """Where the centre of the bottom is for the arm, in mm, and its standard uncertainty."""
+
+    x_mm: float
+    y_mm: float
+    sigma_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredOffset:
+    """Displacement (2,) at contact, its standard uncertainty, and the height of contact, in mm."""
+
+    offset_mm: FloatArray
+    sigma_mm: float
+    contact_mm: float
+
+    def label(self) -> Label:
+        """Return the label in whole µm."""
+        x_um, y_um = np.rint(1e3 * self.offset_mm).astype(int).tolist()
+        return Label(x_um, y_um, 0, round(1e3 * self.sigma_mm))
+
+
+def measure_offset(
+    episode: Episode, origin: BottomOrigin, settings: CollectSettings
+) -> MeasuredOffset:
+    """Return where the arm really was at the contact onset, relative to ``origin``.
+
+    The three uncertainties (arm, place of the bottom, piece in the grasp) are independent.
+    """
+    recording = episode.recording
+    assert recording is not None
+    x, y, z = (
+        float(np.interp(episode.onset_s, recording.pose_t_s, recording.pose_mm[:, axis]))
+        for axis in range(3)
+    )
+    sigma_mm = math.hypot(settings.arm_sigma_mm, origin.sigma_mm, settings.grip_sigma_mm)
+    return MeasuredOffset(np.array([x - origin.x_mm, y - origin.y_mm]), sigma_mm, z)
+
+
+Signals = tuple[float, float, float, float, float]
+
+
+def last_signals(observation: NDArray[np.float32]) -> Signals:
+    """Return what the distribution is coloured by: marker shift u, v; Tx, Ty, Fz; last tick.
+
+    ``observation`` (20, 258) as in ``Episode``.
+    """
+    last = np.asarray(observation[-1], dtype=np.float64)
+    shifts = last[:TACTILE_CHANNELS].reshape(2, 2, MARKERS)
+    u_px, v_px = (_largest(shifts[:, axis]) for axis in range(2))
+    fz, tx, ty = (float(last[TACTILE_CHANNELS + channel]) for channel in (2, 3, 4))
+    return u_px, v_px, tx, ty, fz
+
+
+def _largest(values: FloatArray) -> float:
+    """Return the value of the largest magnitude, with its sign; NaN where one is missing."""
+    flat = values.ravel()
+    return float(flat[np.argmax(np.abs(flat))])
+
+
+class EpisodeRecorder:
+    """Records into a dataset on one thread of its own, so that the bench waits for no disk."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.dataset = dataset
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="collect-writer")
+        self._pending: Future[EpisodeEntry] | None = None
+        self._newest: tuple[Episode, Label, EpisodeContext] | None = None
+
+    def record(self, episode: Episode, label: Label, context: EpisodeContext) -> None:
+        """Begin to record; the one before must have been settled."""
+        assert self._pending is None
+        # Its id is fixed here: whatever is tried again becomes the same episode, the same file.
+        self._newest = with_uuid(episode), label, context
+        self._pending = self._begin()
+
+    @property
+    def written(self) -> bool:
+        """Whether ``settle`` would return, or raise, at once."""
+        return self._pending is not None and self._pending.done()
+
+    def settle(self) -> EpisodeEntry:
+        """Return the entry of the last episode once it is durable; raises what prevented it.
+
+        Asked again after that, it tries once more: the episode is still held.
+        """
+        pending, self._pending = self._pending or self._begin(), None
+        with blocking_section("waits for the disk", DISK_S):
+            return pending.result()
+
+    def _begin(self) -> Future[EpisodeEntry]:
+        assert self._newest is not None
+        episode, label, context = self._newest
+        return self._writer.submit(
+            self.dataset.record, episode, label, source=MEASURED, context=context
+        )
+
+    def close(self) -> None:
+        """End the thread; an episode on its way is still written."""
+        self._writer.shutdown(wait=True)
+
+
+@dataclass(frozen=True, slots=True)
+class OriginCheck:
+    """``residual_mm`` (2,): felt centre of the bottom minus the origin; standard uncertainty.
+
+    The uncertainty holds resolution, arm, and the piece in this very grasp.
+    """
+
+    residual_mm: FloatArray
+    sigma_mm: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the residual is within three standard uncertainties on both axes."""
+        return bool(np.abs(self.residual_mm).max() <= 3.0 * self.sigma_mm)
+
+
+def check_origin(bench: Bench, origin: BottomOrigin) -> Plan[OriginCheck]:
+    """Touch with the held piece at known displacements around all four edges.
+
+    Raises ``RefusedError`` "ORIGIN-FAR" if an edge is too far off.
+    """
+    centre = np.array([origin.x_mm, origin.y_mm])
+    contact_mm = yield from find_height(bench, centre)
+    start_mm = contact_mm + bench.settings.probe.start_height_mm
+    reach = np.add(bench.piece.face.half_extents_mm, bench.outline.half_extents_mm)
+    for axis in range(2):
+        edges = []
+        for side in (-1.0, 1.0):
+            edge = yield from edge_mm(bench, centre, axis, side * float(reach[axis]), start_mm)
+            edges.append(edge)
+        centre[axis] += 0.5 * (edges[0] + edges[1])
+    collect = bench.settings.collect
+    touch = math.hypot(RESOLUTION_MM / math.sqrt(12.0), collect.arm_sigma_mm) / math.sqrt(2.0)
+    check = OriginCheck(
+        centre - (origin.x_mm, origin.y_mm), math.hypot(touch, collect.grip_sigma_mm)
+    )
+    x_mm, y_mm = check.residual_mm.tolist()
+    yield OriginChecked(bench.now_s(), (x_mm, y_mm), check.sigma_mm, check.agrees)
+    return check
+
+
+OPERATOR_S = 24 * 3600.0
+SLIP_MM = EpisodeLimits().slip_mm
+FIRST_POSES_S = 0.1
+"""A scene that was just set has no pose of the arm yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class _PendingEpisode:
+    """A probe on its way to the disk."""
+
+    felt: PressedProbe
+    item: int
+    where: MeasuredOffset
+    drift_mm: float
+
+
+class Collector:
+    """Works off the items of a campaign; lives as long as its run, whatever the mounting."""
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        recorder: EpisodeRecorder,
+        decisions: PendingDecision,
+        seen: Coverage,
+        entries: list[EpisodeEntry],
+    ) -> None:
+        self.campaign, self.recorder, self._decisions = campaign, recorder, decisions
+        self.seen = seen
+        self.todo = deque(campaign.todo(entries))
+        self.done = sum(e.quality.accepted and not e.deleted for e in entries)
+        self.ask = self.check_origin = self.hand_over = False
+        self._rejected: Counter[int] = Counter()
+        self._probes = 0
+        self._taken: _PendingEpisode | None = None
+        self._last: tuple[EpisodeEntry, int] | None = None
+        self._said: EpisodeDecision | None = None
+        """What was decided about the last one, until it is carried out."""
+        self._untold: deque[Event] = deque()
+        """Facts about a probe that is durable, in their order."""
+
+    def mounting(
+        self,
+        bench: Bench,
+        target: ProbeTarget,
+        origin: BottomOrigin,
+        context: EpisodeContext,
+        after: int = 0,
+    ) -> Plan[bool]:
+        """Grip and probe until nothing is left to do, or the bottom is due to be fitted anew.
+
+        ``after`` so many grips that were made on it before; one more at least is made.
+        """
+        if self.hand_over or bench.jig is None:
+            yield from wait(bench, FIRST_POSES_S)
+            bench = with_handed_piece(bench)
+        first = after + 1
+        most = max(first, bench.settings.collect.grips_per_mounting)
+        for grip in range(first, most + 1):
+            if not self.todo:
+                break
+            mass_g = yield from pick_piece(bench)
+            yield Gripped(bench.now_s(), grip, self.campaign.mountings, mass_g)
+            if self.check_origin and grip == first:
+                context = yield from self._checked(bench, origin, context)
+            held = replace(context, grip_id=f"{context.mounting_id}/grip-{grip}")
+            yield from self._grip(bench, target, origin, held)
+            yield from return_piece(bench)
+            yield from self._settled(bench)
+            yield from self._carry_out(bench)
+        return True
+
+    def settle(self, bench: Bench) -> Plan[None]:
+        """Announce the probe on which a mounting ended early; a disk that refuses it is a fault.
+
+        Whatever ended it: what is in the dataset is told, also where only part of it was told yet,
+        and what was decided before the end is carried out.
+        """
+        yield from self._tell()
+        for rest_of in (self._carry_out, self._settled):
+            try:
+                yield from rest_of(bench, waits=False)
+            except FaultError as cause:
+                bench.interlock.raise_fault(cause.fault)
+                yield FaultRaised(bench.now_s(), cause.fault)
+
+    def _settled(self, bench: Bench, *, waits: bool = True) -> Plan[None]:
+        """Announce the probe before, once it is durable; ``waits`` for room on a full disk."""
+        taken = self._taken
+        if taken is None:
+            return
+        entry = yield from self._durable(bench, waits=waits)
+        self._taken = None
+        episode, where = taken.felt.episode, taken.where
+        if entry.quality.accepted:
+            self.done += 1
+        self._last = (entry, taken.item)
+        now_s = bench.now_s()
+        shown = replace(episode, episode_id=entry.uuid, recording=None)
+        self._untold.append(EpisodeRecorded(now_s, shown, taken.felt.probe, entry.path))
+        self._untold.append(ProbeCollected(
+            now_s,
+            uuid=entry.uuid,
+            item=taken.item,
+            probe=taken.felt.probe,
+            done=self.done,
+            total=self.campaign.count,
+            commanded_mm=_pair(episode.offset_mm),
+            measured_mm=_pair(where.offset_mm),
+            sigma_mm=where.sigma_mm,
+            signals=last_signals(episode.observation),
+            slip_mm=episode.quality.slip_mm,
+            drift_mm=taken.drift_mm,
+            reasons="; ".join(episode.quality.reasons),
+        ))  # fmt: skip
+        yield from self._tell()
+
+    def _tell(self) -> Plan[None]:
+        """Announce what is durable; a stop between two facts leaves the second for later."""
+        while self._untold:
+            yield self._untold.popleft()
+
+    def _checked(
+        self, bench: Bench, origin: BottomOrigin, context: EpisodeContext
+    ) -> Plan[EpisodeContext]:
+        """Feel the edges of the bottom; the result goes with every episode of the mounting."""
+        check = yield from check_origin(bench, origin)
+        x_mm, y_mm = check.residual_mm.tolist()
+        yield Said(bench.now_s(), messages.origin_message(x_mm, y_mm, check.sigma_mm, check.agrees))
+        found = {"residual_mm": [x_mm, y_mm], "sigma_mm": check.sigma_mm}
+        return replace(context, bench={**context.bench, "origin_check": json.dumps(found)})
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _durable(self, bench: Bench, *, waits: bool) -> Plan[EpisodeEntry]:
+        """Return the entry of the last probe; a full disk pauses the campaign until it is there."""
+        while True:
+            if waits:
+                yield from wait_while_writing(bench, lambda: self.recorder.written)
+            try:
+                return self.recorder.settle()
+            except FaultError as error:
+                if error.fault.code != FULL or not waits:
+                    self._taken = None
+                    raise
+                obstacle = refused_episode_fault(error.fault)
+            yield PausePoint(obstacle)
+
+    def _grip(
+        self, bench: Bench, target: ProbeTarget, origin: BottomOrigin, context: EpisodeContext
+    ) -> Plan[None]:
+        """Probe until this grip is used up: too many probes, slipped, or drifted."""
+        settings = bench.settings.collect
+        first_mm: float | None = None
+        for _ in range(settings.probes_per_grip):
+            yield PausePoint()
+            yield from self._carry_out(bench)
+            if not self.todo:
+                return
+            yield from wait_for_space(
+                lambda: no_space_fault(self.recorder.dataset.folder) or bench.store.obstacle()
+            )
+            item = self.todo[0]
+            wanted = planned_displacement_mm(
+                self.campaign.pattern, target, self.campaign.seed, item,
+                self.campaign.count, self.seen,
+            )  # fmt: skip
+            taken = yield from self._probe(bench, item, wanted, origin, first_mm)
+            first_mm = taken.where.contact_mm if first_mm is None else first_mm
+            self._enter(taken, replace(context, plan_item=item))
+            if self.ask:
+                yield from self._settled(bench)
+                yield from self._asked(bench)
+            slip_mm = taken.felt.episode.quality.slip_mm
+            if not slip_mm <= SLIP_MM:
+                yield Said(
+                    bench.now_s(), messages.regrip_message(f"it slipped by {slip_mm:.2f} mm")
+                )
+                return
+            if not taken.drift_mm <= settings.drift_mm:
+                drifted = f"contact came {taken.drift_mm:.2f} mm off its first height"
+                yield Said(bench.now_s(), messages.regrip_message(drifted))
+                return
+
+    def _probe(
+        self,
+        bench: Bench,
+        item: int,
+        wanted_mm: tuple[float, float],
+        origin: BottomOrigin,
+        first_mm: float | None,
+    ) -> Plan[_PendingEpisode]:
+        """Go there, press, and lift off again; the probe before is settled on the way."""
+        self._probes += 1
+        probe = bench.settings.probe
+        there = (origin.x_mm + wanted_mm[0], origin.y_mm + wanted_mm[1])
+        place = descent_start(bench, there)
+        if first_mm is not None:
+            place = replace(place, z_mm=first_mm + probe.start_height_mm)
+        if first_mm is None:
+            yield from approach_with_piece(bench, place)
+        else:
+            yield from move_to(bench, place, "the arm to shift")
+        yield from self._settled(bench)
+        felt = yield from press_once(bench, self._probes, np.array(wanted_mm))
+        where = measure_offset(felt.episode, origin, bench.settings.collect)
+        yield from lift(bench, self._probes)
+        felt = replace(felt, episode=_with_outcome(felt.episode, bench))
+        drift_mm = 0.0 if first_mm is None else abs(where.contact_mm - first_mm)
+        return _PendingEpisode(felt, item, where, drift_mm)
+
+    def _enter(self, taken: _PendingEpisode, context: EpisodeContext) -> None:
+        """Give the probe to the recorder, and the item back to the plan if it is none."""
+        self.recorder.record(taken.felt.episode, taken.where.label(), context)
+        self._taken = taken
+        item = self.todo.popleft()
+        if taken.felt.episode.quality.accepted:
+            self.seen = self.seen.with_offset(_pair(taken.where.offset_mm))
+            return
+        self._rejected[item] += 1
+        # Once more at once, then after all others, then never: one bad place holds up nothing.
+        if self._rejected[item] == 1:
+            self.todo.appendleft(item)
+        elif self._rejected[item] == 2:
+            self.todo.append(item)
+        else:
+            self.campaign = self.campaign.without(item)
+
+    def _asked(self, bench: Bench) -> Plan[None]:
+        assert self._last is not None
+        entry, item = self._last
+        yield DecisionAwaited(bench.now_s(), entry.uuid, item)
+        yield Wait(lambda: self._decisions.given, OPERATOR_S, "the operator")
+
+    def _carry_out(self, bench: Bench, *, waits: bool = True) -> Plan[None]:
+        """Carry out what the operator decided about the newest recorded episode.
+
+        ``waits`` for room on a full disk; what the end of the run cuts short is done at its end.
+        """
+        self._said = decision = self._decisions.take() or self._said
+        if decision is None or self._last is None:
+            self._said = None
+            return
+        entry, item = self._last
+        try:
+            if waits:
+                yield from save_or_wait(lambda: self._decide(decision, entry, item))
+            else:
+                self._decide(decision, entry, item)
+        except RefusedError as cause:
+            self._said = None
+            yield Said(bench.now_s(), f"Refused: {cause.detail}")
+        except FaultError as cause:
+            if waits or cause.fault.code != FULL:
+                raise
+            folder = self.recorder.dataset.folder
+            raise FaultError(decision_not_saved_fault(folder, decision, item)) from cause
+        else:
+            self._said = None
+            yield EpisodeDecided(bench.now_s(), entry.uuid, item, decision, entry.person)
+
+    def _decide(self, decision: EpisodeDecision, entry: EpisodeEntry, item: int) -> None:
+        labels = self.recorder.dataset.labels
+        if decision == "keep":
+            return
+        if decision == "flag":
+            labels.flag(entry.person, entry.uuid)
+            return
+        labels.delete(entry.person, entry.uuid, messages.DECIDED[decision])
+        self._last = None
+        if entry.quality.accepted:
+            self.done -= 1
+        if item in self.todo:
+            self.todo.remove(item)
+        if decision == "discard":
+            self.todo.append(item)
+        elif decision == "redo":
+            self.todo.appendleft(item)
+        else:
+            self.campaign = self.campaign.without(item)
+
+
+def _with_outcome(episode: Episode, bench: Bench) -> Episode:
+    """Return the episode with one more picture of the scene: after lifting."""
+    if episode.recording is None:
+        return episode
+    scene = (*episode.recording.scene, *scene_pictures(bench))
+    return replace(episode, recording=replace(episode.recording, scene=scene))
+
+
+def _pair(place: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[float, float]:
+    return float(place[0]), float(place[1])

@@ -1,0 +1,334 @@
+"""Append-only logs in JSON lines: events of a run, changes of the limits of a bench.
+
+Each line is durable before the next one. Arrays become ``{"shape", "dtype", "data"}`` with base64
+of little-endian bytes; a float that is not finite becomes the text ``nan``, ``inf`` or ``-inf``, so
+that every line is standard JSON. Signals of episodes are not repeated: the episode file is named.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import math
+import os
+import types
+import typing
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict
+from datetime import UTC, datetime
+from enum import Enum
+from functools import cache
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from touchdown.backend.core import (
+    DISK_S,
+    ActionChosen,
+    ApprovalAwaited,
+    BeliefUpdated,
+    CalibrationMeasured,
+    CampaignBegan,
+    DecisionAwaited,
+    EpisodeDecided,
+    EpisodeRecorded,
+    Event,
+    FaultRaised,
+    FaultsReset,
+    Gripped,
+    HandOverAwaited,
+    InputError,
+    MountingAwaited,
+    Noticed,
+    OriginChecked,
+    OutcomeAwaited,
+    PatchEstimated,
+    Paused,
+    PhaseEntered,
+    PhotoKept,
+    ProbeCollected,
+    Progress,
+    Refused,
+    Released,
+    RunFinished,
+    RunStarted,
+    Said,
+    SetUpAwaited,
+    StabilityJudged,
+    TrialFinished,
+    TrialStarted,
+    blocking_section,
+    make_folder,
+    sync_folder,
+)
+from touchdown.backend.devices import Limits
+
+FORMAT = 1
+# The name of each event in a log: written to disk, so it stays when a class is renamed.
+_RECORDED: dict[str, type[Event]] = {
+    "RunStarted": RunStarted,
+    "TrialStarted": TrialStarted,
+    "PhaseEntered": PhaseEntered,
+    "EpisodeRecorded": EpisodeRecorded,
+    "PatchEstimated": PatchEstimated,
+    "BeliefUpdated": BeliefUpdated,
+    "StabilityJudged": StabilityJudged,
+    "ActionChosen": ActionChosen,
+    "ApprovalAwaited": ApprovalAwaited,
+    "SetUpAwaited": SetUpAwaited,
+    "OutcomeAwaited": OutcomeAwaited,
+    "PhotoKept": PhotoKept,
+    "Released": Released,
+    "TrialFinished": TrialFinished,
+    "RunFinished": RunFinished,
+    "CampaignBegan": CampaignBegan,
+    "Gripped": Gripped,
+    "OriginChecked": OriginChecked,
+    "CalibrationMeasured": CalibrationMeasured,
+    "DecisionAwaited": DecisionAwaited,
+    "HandOverAwaited": HandOverAwaited,
+    "MountingAwaited": MountingAwaited,
+    "ProbeCollected": ProbeCollected,
+    "EpisodeDecided": EpisodeDecided,
+    "FaultRaised": FaultRaised,
+    "Paused": Paused,
+    "Noticed": Noticed,
+    "FaultsReset": FaultsReset,
+    "Progress": Progress,
+    "Said": Said,
+    "Refused": Refused,
+}
+_KIND_OF = {cls: kind for kind, cls in _RECORDED.items()}
+_DTYPES = {"float64", "float32", "bool", "uint8"}
+
+
+def encode_event(fact: Event) -> dict[str, Any]:
+    """Return ``fact`` as a JSON-ready dictionary with its kind."""
+    return {"kind": _KIND_OF[type(fact)], **_encode_fields(fact)}
+
+
+def decode_event(line: dict[str, Any], where: str) -> Event:
+    """Return the fact of a dictionary made by ``encode``; raises ``InputError``."""
+    kind = line.get("kind")
+    cls = _RECORDED.get(kind) if isinstance(kind, str) else None
+    if cls is None:
+        raise InputError(f"Unknown fact {kind!r}.", where, "Use a newer Touchdown to replay it.")
+    try:
+        fact = _build(cls, line)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"Damaged fact {kind}: {error}.", where, "Replay the lines before."
+        ) from error
+    assert isinstance(fact, Event)
+    return fact
+
+
+def _encode_fields(value: Any) -> dict[str, Any]:
+    skip = {"recording"}
+    return {
+        f.name: _encoded(getattr(value, f.name))
+        for f in dataclasses.fields(value)
+        if f.name not in skip
+    }
+
+
+def _encoded(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        array = np.ascontiguousarray(value)
+        little = array.astype(array.dtype.newbyteorder("<"))
+        data = base64.b64encode(little.tobytes()).decode("ascii")
+        return {"shape": list(array.shape), "dtype": array.dtype.name, "data": data}
+    if isinstance(value, Enum):
+        return value.name
+    if dataclasses.is_dataclass(value):
+        return _encode_fields(value)
+    if isinstance(value, tuple):
+        return [_encoded(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return repr(value)
+    return value
+
+
+@cache
+def _hints(cls: type) -> dict[str, Any]:
+    """Return the types of the fields: worked out anew for every fact they took half the time."""
+    return typing.get_type_hints(cls)
+
+
+def _build(cls: type, content: dict[str, Any]) -> Any:
+    hints = _hints(cls)
+    values = {
+        f.name: _decoded(hints[f.name], content[f.name])
+        for f in dataclasses.fields(cls)
+        if f.name in content
+    }
+    return cls(**values)
+
+
+def _decoded(hint: Any, value: Any) -> Any:
+    if isinstance(value, dict) and "dtype" in value and "shape" in value:
+        return _array(value)
+    if hint is float:
+        return float(value)
+    origin = typing.get_origin(hint)
+    if origin in (typing.Union, types.UnionType):
+        inner = [arg for arg in typing.get_args(hint) if arg is not type(None)]
+        return None if value is None else _decoded(inner[0], value)
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return hint[value]
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        return _build(hint, value)
+    if origin is tuple:
+        args = typing.get_args(hint)
+        repeated = len(args) == 2 and args[1] is Ellipsis
+        return tuple(
+            _decoded(args[0] if repeated else args[i], item) for i, item in enumerate(value)
+        )
+    return value
+
+
+def _array(value: dict[str, Any]) -> np.ndarray[Any, Any]:
+    if value["dtype"] not in _DTYPES:
+        raise ValueError(f"dtype {value['dtype']!r} is not allowed")
+    dtype = np.dtype(value["dtype"]).newbyteorder("<")
+    flat = np.frombuffer(base64.b64decode(value["data"], validate=True), dtype=dtype)
+    return flat.reshape(value["shape"]).astype(value["dtype"])
+
+
+EVENT_LOG_NAME = "journal.jsonl"
+MAX_LINE_BYTES = 8_000_000
+
+
+class EventLog:
+    """Subscribes to a hub and appends every fact to ``folder/journal.jsonl``."""
+
+    def __init__(self, folder: Path) -> None:
+        make_folder(folder.parent)
+        folder.mkdir(exist_ok=False)
+        self.folder = folder
+        self._file: IO[bytes] = (folder / EVENT_LOG_NAME).open("xb")
+        self._durable_bytes = 0
+        self._append({"format": FORMAT, "program": "touchdown"})
+        sync_folder(folder)
+        sync_folder(folder.parent)
+
+    def __call__(self, fact: Event) -> None:
+        """Append ``fact``."""
+        if not self._file.closed:
+            self._append(encode_event(fact))
+
+    def close(self) -> None:
+        """Close the file; closing twice is allowed."""
+        self._file.close()
+
+    def mend(self) -> None:
+        """Open the file anew after a failed write, without the part of a line it may have left.
+
+        Raises ``OSError`` where that fails too. What was synced before stays untouched.
+        """
+        self.abandon()
+        self._file = (self.folder / EVENT_LOG_NAME).open("r+b")
+        self._file.truncate(self._durable_bytes)
+        self._file.seek(self._durable_bytes)
+
+    def abandon(self) -> None:
+        """Close after a failed write without writing again."""
+        with suppress(OSError):
+            self._file.close()
+
+    def _append(self, line: dict[str, object]) -> None:
+        raw = json.dumps(line, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+        self._file.write(raw)
+        self._file.flush()
+        with blocking_section("waits for the disk", DISK_S):
+            os.fsync(self._file.fileno())
+        self._durable_bytes += len(raw)
+
+
+def event_log_path(run: Path) -> Path:
+    """Return the journal of a run folder (or the file itself); raises ``InputError``."""
+    path = run / EVENT_LOG_NAME if run.is_dir() else run
+    if not path.is_file():
+        raise InputError("There is no run journal.", str(run), "Name the folder of a run.")
+    return path
+
+
+def read_events(run: Path) -> Iterator[Event]:
+    """Yield the facts of a run in order.
+
+    A torn last line (the program was killed while writing it) ends the journal quietly: it was
+    never acknowledged. Any other damage raises ``InputError`` naming file and line.
+    """
+    path = event_log_path(run)
+    with path.open("rb") as file:
+        for number, raw in enumerate(file, start=1):
+            if not raw.endswith(b"\n"):
+                return
+            where = f"{path}, line {number}"
+            if len(raw) > MAX_LINE_BYTES:
+                raise InputError("A line is too long.", where, "The journal is damaged.")
+            try:
+                line = json.loads(raw)
+            except ValueError as error:
+                if number == 1:
+                    raise _no_journal(where) from error
+                raise InputError(
+                    "A line is not valid JSON.",
+                    where,
+                    f"Keep the {number - 1} lines before it in a file of their own, and replay it.",
+                ) from error
+            if number == 1:
+                _check_head(line, where)
+            else:
+                yield decode_event(line, where)
+
+
+def _check_head(line: object, where: str) -> None:
+    if not isinstance(line, dict) or line.get("program") != "touchdown":
+        raise _no_journal(where)
+    if line.get("format") != FORMAT:
+        raise InputError(
+            f"Journal format {line.get('format')} is not known.", where, "Use a newer Touchdown."
+        )
+
+
+def _no_journal(where: str) -> InputError:
+    return InputError("This is not a Touchdown journal.", where, "Name the folder of a run.")
+
+
+LIMIT_LOG_NAME = "limits.jsonl"
+
+
+def changed_limits(before: Limits, after: Limits) -> dict[str, tuple[float, float]]:
+    """Return (before, after) of each limit that differs, by name."""
+    old, new = asdict(before), asdict(after)
+    return {name: (old[name], new[name]) for name in old if old[name] != new[name]}
+
+
+def log_limit_change(folder: Path, bench: str, person: str, before: Limits, after: Limits) -> None:
+    """Append what changes to ``folder/limits.jsonl``; raises ``InputError`` where that fails."""
+    line = {
+        "at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "bench": bench,
+        "person": person,
+        "changed": {name: list(pair) for name, pair in changed_limits(before, after).items()},
+    }
+    path = folder / LIMIT_LOG_NAME
+    try:
+        make_folder(folder)
+        with path.open("ab") as file:
+            file.write(json.dumps(line, allow_nan=False).encode() + b"\n")
+            file.flush()
+            os.fsync(file.fileno())
+        sync_folder(folder)
+    except OSError as error:
+        raise InputError(
+            f"The change of limits cannot be written: {error.strerror or error}.",
+            str(path),
+            "Make room or name another folder (TOUCHDOWN_DATA); the former limits hold.",
+        ) from error

@@ -1,0 +1,297 @@
+"""Control of an idle bench: jog, grip, zero, preconditions of a run, stop button."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+
+from touchdown.backend.core import (
+    Event,
+    EventBus,
+    Fault,
+    FaultError,
+    FaultRaised,
+    FaultsReset,
+    Refused,
+    RefusedError,
+    Said,
+    StaleSampleError,
+    pose_rotation,
+    require_unrotated,
+)
+from touchdown.backend.devices import (
+    Around,
+    Device,
+    DeviceState,
+    GuardedArm,
+    GuardedGripper,
+    Interlock,
+    Jog,
+    Motion,
+    RobotMode,
+)
+from touchdown.backend.rig import Connection, fault_of
+from touchdown.backend.runs.requests import Request, StackRequest
+from touchdown.backend.sensing import LiveSensing
+
+REFERENCE_FRAMES = 10
+REFERENCE_S = 2.0
+CLEAR_MM = 10.0
+"""By hand the jaws open this far beyond their present width."""
+OPEN_MM_S = 5.0
+WAITING = 4
+"""So many orders to the sensing may wait; further ones are refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class ManualDevices:
+    """The devices and the sensing of one scene."""
+
+    arm: GuardedArm
+    gripper: GuardedGripper
+    sensing: LiveSensing
+
+
+class ManualControl:
+    """One operator at one scene. ``tick`` is called once per advance of the bench."""
+
+    def __init__(
+        self,
+        reach: ManualDevices,
+        interlock: Interlock,
+        around: Around,
+        publish: Callable[[Event], None],
+    ) -> None:
+        self._reach, self._interlock, self._around = reach, interlock, around
+        self._publish = publish
+        self._orders: deque[tuple[Callable[[], str], float]] = deque(maxlen=WAITING)
+        self._grip: Motion | None = None
+        self._switch: threading.Thread | None = None
+        self.jog = Jog(reach.arm, interlock, around, self._refused)
+
+    @property
+    def active(self) -> bool:
+        """Whether something moves by hand."""
+        return self.jog.active or self._gripping or self.switching
+
+    @property
+    def switching(self) -> bool:
+        """Whether the servo is being switched."""
+        return self._switch is not None and self._switch.is_alive()
+
+    @property
+    def powered(self) -> bool:
+        """Whether the motors of the arm are on."""
+        return self._reach.arm.status().robot_mode is not RobotMode.SERVO_OFF
+
+    @property
+    def holding(self) -> bool:
+        """Whether a piece is held."""
+        return self._reach.gripper.status().holding
+
+    @property
+    def pressing_n(self) -> float:
+        """How hard the held piece presses on what is below, N; 0 while nothing is touched.
+
+        Without a piece the tare still holds its weight: what the wrist then feels is no contact.
+        """
+        press_n = self._around.press_n()
+        return press_n if press_n > self._interlock.limits.contact_n and self.holding else 0.0
+
+    @property
+    def rotates(self) -> bool:
+        """Whether the hand can turn and single joints can be driven."""
+        return self._reach.arm.rotates
+
+    def refuse_turned(self) -> None:
+        """Refuse to probe with a turned face: what it feels would mean something else."""
+        with suppress(StaleSampleError):
+            require_unrotated(pose_rotation(self._reach.arm.pose(max_age_s=1.0)))
+
+    # -- from any thread --------------------------------------------------------------------------
+
+    def grip(self, force_n: float) -> None:
+        """Close on the piece with ``force_n`` per finger; raises ``RefusedError``."""
+        self._take()
+        self._grip = self._reach.gripper.grip(force_n)
+
+    def open(self, *, confirmed: bool) -> None:
+        """Open the jaws; raises ``RefusedError``, "HOLDING" if a piece is held unconfirmed."""
+        self._take()
+        status, press_n = self._reach.gripper.status(), self._around.press_n()
+        self._grip = self._reach.gripper.open_by_hand(
+            status.width_mm + CLEAR_MM, OPEN_MM_S, confirmed=confirmed
+        )
+        if status.holding:
+            text = f"Opened by the operator on a held piece at {press_n:.1f} N of press force."
+            self._publish(Said(self._around.now_s(), text))
+
+    def servo(self, on: bool) -> None:
+        """Switch the motors, on a thread of its own; raises ``RefusedError``."""
+        if self._around.busy():
+            raise RefusedError("BUSY", "A run is going on: cancel it first.")
+        if self.switching:
+            raise RefusedError("MOVING", "The servo is being switched.")
+        if on:
+            self._interlock.refuse_latched()
+        self._switch = threading.Thread(
+            target=self._switch_servo, args=(on,), name="servo", daemon=True
+        )
+        self._switch.start()
+
+    def zero_wrench(self) -> None:
+        """Take the tare anew, at rest in air."""
+        self._order(self._zero, 0.0)
+
+    def take_references(self) -> None:
+        """Take both tactile references anew, at rest in air.
+
+        A marker hidden for a moment refuses them; they are tried again for ``REFERENCE_S``.
+        """
+        self._order(self._reference, REFERENCE_S)
+
+    # -- on the bench's own time ------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Move on: the jog lease, the gripper's end, what waits for the sensing."""
+        self._recover()
+        self.jog.tick()
+        if self._grip is not None and self._grip.done:
+            self._grip = None
+        if self._around.busy():
+            self._orders.clear()
+        while self._orders:
+            order, until_s = self._orders.popleft()
+            try:
+                text = order()
+            except RefusedError as error:
+                if self._around.now_s() < until_s:
+                    self._orders.appendleft((order, until_s))
+                    return
+                self._refused(error)
+            except FaultError as error:
+                self._refused(RefusedError(error.fault.code, error.fault.what))
+            else:
+                self._publish(Said(self._around.now_s(), text))
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    @property
+    def _gripping(self) -> bool:
+        return self._grip is not None and not self._grip.done
+
+    def _take(self) -> None:
+        """Refuse while something else moves; else take the permission to move."""
+        if self._around.busy():
+            raise RefusedError("BUSY", "A run is going on: cancel it first.")
+        if self.active:
+            raise RefusedError("MOVING", "Wait until the last motion has ended.")
+        self._interlock.renew_lease(self._around.now_s())
+
+    def _order(self, order: Callable[[], str], for_s: float) -> None:
+        if self._around.busy():
+            raise RefusedError("BUSY", "A run takes its own tare and references.")
+        if len(self._orders) == WAITING:
+            raise RefusedError("WAITING", "Earlier orders are still waiting.")
+        self._orders.append((order, self._around.now_s() + for_s))
+
+    def _zero(self) -> str:
+        self._reach.sensing.zero_wrench(self._around.now_s())
+        return "Force and moment are zeroed."
+
+    def _reference(self) -> str:
+        self._reach.sensing.take_references(REFERENCE_FRAMES)
+        return "The tactile reference is taken anew."
+
+    def _recover(self) -> None:
+        """End the recovery once the wrist is free of contact."""
+        if not self._interlock.recovering:
+            return
+        if abs(self._around.press_n()) <= self._interlock.limits.contact_n:
+            self._interlock.recovering = False
+
+    def _switch_servo(self, on: bool) -> None:
+        try:
+            self._reach.arm.servo(on)
+        except FaultError as error:
+            self._refused(RefusedError(error.fault.code, error.fault.what))
+        except RefusedError as error:
+            self._refused(error)
+        else:
+            self._publish(Said(self._around.now_s(), f"The servo is {'on' if on else 'off'}."))
+
+    def _refused(self, error: RefusedError) -> None:
+        self._publish(Refused(self._around.now_s(), error.reason, error.detail))
+
+
+def check_devices(connection: Connection | None, request: Request) -> None:
+    """Raise ``RefusedError`` for what only a simulation can do, or while a device is away.
+
+    Where each scene has its own devices (None) there is nothing to refuse.
+    """
+    if connection is None:
+        return
+    if isinstance(request, StackRequest) and request.strategy == "pick-and-place":
+        raise RefusedError("SIMULATED-ONLY", "Letting go untested is for simulations only.")
+    if missing := connection.missing():
+        names = ", ".join(missing)
+        raise RefusedError("NOT-CONNECTED", f"Not connected: {names}. Connect first (Ctrl+L).")
+
+
+def check_no_contact(hand: ManualControl | None) -> None:
+    """Refuse to move off sideways, or to tare and reference, while the piece presses."""
+    pressing_n = 0.0 if hand is None else hand.pressing_n
+    if pressing_n:
+        raise RefusedError(
+            "IN-CONTACT",
+            f"The piece presses with {pressing_n:.1f} N: lift before you start (jog +Z).",
+        )
+
+
+def wire_stop(connection: Connection | None, interlock: Interlock) -> None:
+    """Let STOP end connecting, and reach arm and gripper before there is a scene."""
+    if connection is None:
+        return
+    interlock.on_stop(connection.cancel)
+    for name in ("arm", "gripper"):
+        stop = getattr(connection.devices.get(name), "stop", None)
+        if stop is not None:
+            interlock.on_stop(stop)
+
+
+def latch_device_faults(devices: Iterable[Device], interlock: Interlock) -> None:
+    """Latch the fault of each device that was lost, or that has a fault of its own."""
+    for device in devices:
+        fault = fault_of(device)
+        if fault is not None and device.state is DeviceState.FAULT:
+            interlock.raise_fault(fault)
+
+
+class FaultNotifier:
+    """Announces faults that were latched while no run was there to do it; each once."""
+
+    def __init__(self, hub: EventBus, interlock: Interlock, now_s: Callable[[], float]) -> None:
+        self._hub, self._interlock, self._now_s = hub, interlock, now_s
+        self._told: set[tuple[str, str]] = set()
+        hub.subscribe(self._note)
+
+    def tell(self) -> None:
+        """Announce what is latched and was not announced since the last reset."""
+        for fault in self._interlock.faults:
+            if (fault.code, fault.device) not in self._told:
+                self._hub.publish(FaultRaised(self._now_s(), fault))
+
+    def tell_now(self, fault: Fault) -> None:
+        """Latch ``fault`` and announce it on this thread, if that was not done since the reset."""
+        if (fault.code, fault.device) not in self._told:
+            self._interlock.raise_fault(fault)
+            self._hub.publish(FaultRaised(self._now_s(), fault))
+
+    def _note(self, fact: Event) -> None:
+        if isinstance(fact, FaultRaised):
+            self._told.add((fact.fault.code, fact.fault.device))
+        elif isinstance(fact, FaultsReset):
+            self._told.clear()

@@ -1,0 +1,154 @@
+"""Messages to the operator about a run: estimate, belief, action and reason, with numbers."""
+
+from __future__ import annotations
+
+import math
+
+from touchdown.backend.core import (
+    ContactPatch,
+    Fault,
+    HandOverAwaited,
+    MountingAwaited,
+    Outcome,
+    OutcomeAwaited,
+    PlaceAction,
+    SetUpAwaited,
+    Stability,
+    SupportKind,
+)
+
+CONTRADICTED = "The physics engine contradicts the static judge here; the static judge decides."
+
+
+def decision_message(
+    probe: int, patch: ContactPatch, stability: Stability, action: PlaceAction
+) -> str:
+    """One line per probe: estimate, belief, verdict with signed margin, chosen move."""
+    points = int((patch.probability > 0.5).sum())
+    share = 100.0 * points / max(1, len(patch.probability))
+    return (
+        f"Probe {probe}: contact on {share:.0f} % of the face ({points} points). "
+        f"{support_message(stability)} {action.reason}"
+    )
+
+
+def support_message(stability: Stability) -> str:
+    """Say what supports the piece, and the verdict."""
+    if stability.support is SupportKind.AREA:
+        verdict = "stable" if stability.stable else "not stable"
+        digits = 1 if abs(stability.margin_mm) >= 0.1 else 2
+        margin = f"{stability.margin_mm:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
+        return f"Verdict: {verdict}, margin {margin} mm."
+    return f"Verdict: not stable, {stability.support.value}."
+
+
+def release_message(stands: bool, margin_mm: float) -> str:
+    """Say what became of the released piece."""
+    if not math.isfinite(margin_mm):
+        return "The piece stands." if stands else "The piece fell: nothing supported it."
+    if stands:
+        return f"The piece stands, {margin_mm:.1f} mm inside its support."
+    return f"The piece fell: its centre of mass was {-margin_mm:.1f} mm outside its support."
+
+
+DECIDED = {
+    "discard": "discarded while collecting",
+    "redo": "probed again",
+    "skip": "left out of the campaign",
+}
+"""Why an episode was deleted, by the decision."""
+
+
+def origin_message(x_mm: float, y_mm: float, sigma_mm: float, agrees: bool) -> str:
+    """Say where the bottom was felt against where it should be."""
+    felt = f"The bottom was felt {x_mm:+.2f}, {y_mm:+.2f} mm off its origin (s.d. {sigma_mm:.2f})"
+    return f"{felt}." if agrees else f"{felt}: set the origin again, the labels are off by this."
+
+
+def repeated_board_message(residual_mm: float, limit_mm: float) -> str:
+    """Say why a board is measured twice."""
+    return (
+        f"The residual is {residual_mm:.2f} mm, beyond its limit of {limit_mm:.1f} mm: the board "
+        "is felt once more, and both rounds count."
+    )
+
+
+def regrip_message(why: str) -> str:
+    """Say why the piece goes back into its jig before its time."""
+    return f"The piece is gripped anew: {why}."
+
+
+def hand_over_message(awaited: HandOverAwaited) -> str:
+    """Say what the operator's hands have to do before the campaign goes on."""
+    if awaited.anew:
+        return f"Take the {awaited.piece} and the gels off and fit them anew: a new series begins."
+    if awaited.gives:
+        return f"Hold the {awaited.piece} between the jaws: they close on it."
+    return f"Take hold of the {awaited.piece}: the jaws open."
+
+
+def mounting_question(awaited: MountingAwaited) -> str:
+    """Ask whether the campaign goes on with the mounting that it had."""
+    what = f"the {awaited.bottom} or the gels"
+    return f"Were {what} fitted anew since mounting {awaited.mounting} of this campaign?"
+
+
+def same_mounting_message(number: int, grips: int) -> str:
+    """Say that nothing was fitted anew."""
+    return f"Mounting {number} and its series go on, after {grips} grips."
+
+
+def rejected_message(probe: int, reasons: tuple[str, ...]) -> str:
+    """Say why a probe is no observation."""
+    return f"Probe {probe} is not an observation: {'; '.join(reasons)}."
+
+
+def void_press_message(probe: int, fault: Fault) -> str:
+    """Say why a press is made again."""
+    return f"Probe {probe} is void: {fault.what} Pressing again."
+
+
+def void_touch_message(fault: Fault) -> str:
+    """Say why a touch that looks for a height or an edge is made again."""
+    return f"The touch is void: {fault.what} Touching again."
+
+
+def late_verdict_message(held_s: float) -> str:
+    """Say that a verdict came too late to be acted on while pressed."""
+    return f"The verdict took {held_s:.1f} s, too long to hold the press: lifted, probing again."
+
+
+_SEEN = {
+    Outcome.PLACED: "The operator saw it stand.",
+    Outcome.FELL: "The operator saw it fall.",
+    Outcome.KNOCKED_OVER: "The operator saw the bottom disturbed.",
+}
+
+
+def seen_outcome_message(outcome: Outcome, reason: str) -> str:
+    """Say what the operator saw, with the reason they gave; a trial that is void needs one."""
+    if outcome is Outcome.ABORTED:
+        return f"Void: {reason.rstrip('.')}."
+    said = _SEEN[outcome]
+    return f"{said} {reason}".strip()
+
+
+def scene_to_set_message(awaited: SetUpAwaited) -> str:
+    """Say what stands where before a trial on devices begins."""
+    x, y = (f"{value:+.1f}".replace("-", "\N{MINUS SIGN}") for value in awaited.start_mm)
+    bottom = " on ".join(reversed(awaited.bottom.split("+")))
+    held = "" if awaited.holds else f" The {awaited.piece} is handed over next."
+    return (
+        f"Put the bottom ({bottom}) in its place and take your hands away. The {awaited.piece} "
+        f"starts {x}, {y} mm off its centre, where it would fall.{held}"
+    )
+
+
+def outcome_question(awaited: OutcomeAwaited) -> str:
+    """Ask what became of the piece, with what the signals speak for."""
+    said = {
+        Outcome.PLACED: "it stands",
+        Outcome.FELL: "it fell",
+        Outcome.KNOCKED_OVER: "the bottom was disturbed",
+    }.get(awaited.proposed, "the trial is void")
+    return f"What became of it? {awaited.why} Proposed: {said}."

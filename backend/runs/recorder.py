@@ -1,0 +1,400 @@
+"""Recording of a run: event log, episode files, operator photos, wait for disk space.
+
+One folder a run, with an append-only log and one file per episode. When the disk fills up, the run
+pauses before the next probe.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from touchdown.backend.annotations import NO_ROOM, free_bytes_if_low, free_space_for
+from touchdown.backend.core import (
+    DISK_S,
+    ClockJumpDetector,
+    Episode,
+    EpisodeDecision,
+    Event,
+    EventBus,
+    Fault,
+    FaultError,
+    InputError,
+    Said,
+    SharedLock,
+    blocking_section,
+    make_folder,
+    write_atomically,
+)
+from touchdown.backend.devices import Interlock
+from touchdown.backend.episodes import write_episode
+from touchdown.backend.runs.bench import Bench
+from touchdown.backend.runs.event_log import EventLog
+from touchdown.backend.runs.plan import CancelledError, PausePoint, Plan, StoppedError, Wait
+
+FULL = "DISK-FULL"
+CONSEQUENCE = "The run is paused, the arm stands lifted; every probe so far is safe."
+NEXT_STEP = "Make room on this disk, then resume (P)."
+WRITE_S = 60.0
+"""An episode is on its way to the disk for so long at most."""
+
+
+def wait_for_space(obstacle: Callable[[], Fault | None]) -> Plan[None]:
+    """Pause, as often as it is resumed, until nothing keeps the run from recording any more."""
+    while (fault := obstacle()) is not None:
+        yield PausePoint(fault)
+
+
+def no_space_fault(folder: Path) -> Fault | None:
+    """Return what to say where too little is free to record another episode, else None."""
+    short_bytes = free_bytes_if_low(folder)
+    if short_bytes is None:
+        return None
+    what = f"Only {short_bytes / 1e9:.2f} GB are free on the disk of {folder}."
+    return Fault(FULL, what, CONSEQUENCE, NEXT_STEP)
+
+
+def refused_episode_fault(fault: Fault) -> Fault:
+    """Return what to say of a probe that is still held in memory, since the disk refused it."""
+    return replace(fault, consequence=f"{CONSEQUENCE} The last one is kept in memory.",
+                   next_step=NEXT_STEP)  # fmt: skip
+
+
+def save_or_wait(save: Callable[[], None]) -> Plan[bool]:
+    """Save something small, and return True; a full disk pauses the run until it is saved.
+
+    Raises ``FaultError`` or ``OSError`` where the disk refuses for another reason.
+    """
+    while True:
+        try:
+            with blocking_section("waits for the disk", DISK_S):
+                save()
+        except FaultError as error:
+            if error.fault.code != FULL:
+                raise
+            fault = error.fault
+        except OSError as error:
+            if error.errno not in NO_ROOM:
+                raise
+            fault = Fault(FULL, "The disk is full.", "", "")
+        else:
+            return True
+        yield PausePoint(replace(fault, consequence=CONSEQUENCE, next_step=NEXT_STEP))
+
+
+def plan_not_saved_fault(folder: Path) -> Fault:
+    """Return what to say where a campaign that ended could not write down what it left out."""
+    return Fault(
+        FULL,
+        f"The disk of {folder} is full: the plan of the campaign could not be saved.",
+        "Every probe and decision is safe; places given up after three refused probes are tried "
+        "again when it goes on.",
+        "Make room on this disk, then press Reset.",
+        "store",
+    )
+
+
+def decision_not_saved_fault(folder: Path, decision: EpisodeDecision, item: int) -> Fault:
+    """Return what to say where a run ended and its last decision could not be saved."""
+    return Fault(
+        FULL,
+        f"The disk of {folder} is full: '{decision}' for item {item + 1} could not be saved.",
+        "The probe stays in the dataset as it was.",
+        "Make room on this disk, press Reset, choose the probe and decide again.",
+        "store",
+    )
+
+
+def wait_while_writing(bench: Bench, written: Callable[[], bool]) -> Plan[None]:
+    """Where time passes by itself, let the sensors be read until ``written()``.
+
+    A slow disk would leave the newest wrench so old that no motion sideways may begin. A bench
+    that is stepped does not wait by its own clock: no number may depend on the disk.
+    """
+    if bench.real_time and not written():
+        yield Wait(written, WRITE_S, "the episode to be on the disk")
+
+
+def wait_until_durable(bench: Bench) -> Plan[Path | None]:
+    """Return the file of the last episode; a full disk pauses the run until it is there.
+
+    Raises ``FaultError`` where the disk refused for another reason, and where the run ends while
+    it waits: what was held is then lost.
+    """
+    store = bench.store
+    while True:
+        yield from wait_while_writing(bench, lambda: store.written)
+        try:
+            return store.settle()
+        except FaultError as error:
+            if error.fault.code != FULL:
+                raise
+            refused = error
+        try:
+            yield PausePoint(refused_episode_fault(refused.fault))
+        except (CancelledError, StoppedError):
+            raise refused from None
+
+
+def data_folder() -> Path:
+    """Return the folder of the operator's data: $TOUCHDOWN_DATA, else the XDG data folder."""
+    chosen = os.environ.get("TOUCHDOWN_DATA")
+    if chosen:
+        return Path(chosen)
+    base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
+    return Path(base) / "touchdown"
+
+
+def dataset_folder() -> Path:
+    """Return the folder of the operator's usual dataset."""
+    return data_folder() / "dataset"
+
+
+def calibrations_folder() -> Path:
+    """Return where the calibrations of a bench without a lab file are kept."""
+    return data_folder() / "calibrations"
+
+
+def models_folder() -> Path:
+    """Return where the models in use are kept."""
+    return data_folder() / "models"
+
+
+class RunStore:
+    """Writes episodes on one thread of its own, so that a run does not wait for the disk.
+
+    ``settle`` returns only when the last episode is durable; a failed write raises there, and the
+    episode is held for another try. ``obstacle``: what keeps the run from recording.
+    """
+
+    def __init__(
+        self,
+        folder: Path | None,
+        metadata: Mapping[str, str],
+        obstacle: Callable[[], Fault | None] = lambda: None,
+    ) -> None:
+        self._folder, self._metadata = folder, dict(metadata)
+        self.obstacle = obstacle
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="episode-writer")
+        self._pending: Future[Path] | None = None
+        self._newest: Episode | None = None
+        """Not known to be on disk."""
+
+    def keep(self, episode: Episode) -> None:
+        """Begin to write ``episode`` (nothing is written where no folder was given)."""
+        if self._folder is not None:
+            self.settle()
+            self._newest = episode
+            self._begin(self._folder, episode)
+
+    @property
+    def written(self) -> bool:
+        """Whether ``settle`` would return, or raise, at once."""
+        return self._pending is None or self._pending.done()
+
+    def settle(self) -> Path | None:
+        """Wait until the last episode is on disk; return its path.
+
+        Raises ``FaultError`` where the disk refused it; asked again it writes once more.
+        """
+        if self._pending is None and self._newest is not None and self._folder is not None:
+            self._begin(self._folder, self._newest)
+        pending, self._pending = self._pending, None
+        try:
+            with blocking_section("waits for the disk", DISK_S):
+                path = None if pending is None else pending.result()
+        except OSError as error:
+            raise FaultError(
+                Fault(
+                    FULL if error.errno in NO_ROOM else "EPISODE-FAILED",
+                    f"The episode cannot be written: {error.strerror or error}.",
+                    "The run ends; its journal and all earlier episodes are on disk.",
+                    f"Make room on the disk of {self._folder}, then press Reset.",
+                    "store",
+                )
+            ) from error
+        self._newest = None
+        return path
+
+    def close(self) -> None:
+        """Finish the last write and end the thread; what was refused before is let go."""
+        try:
+            if self._pending is not None:
+                self.settle()
+        finally:
+            self._writer.shutdown(wait=True)
+
+    def _begin(self, folder: Path, episode: Episode) -> None:
+        self._pending = self._writer.submit(self._write, folder, episode)
+
+    def _write(self, folder: Path, episode: Episode) -> Path:
+        make_folder(folder)
+        path = folder / f"{episode.episode_id}.mcap"
+        write_episode(path, episode, label=None, metadata=self._metadata)
+        return path
+
+
+FOLDER = "photos"
+KINDS = (".jpg", ".jpeg", ".png")
+MAX_BYTES = 30_000_000
+_BEGINS = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")
+
+
+def keep_photo(run: Path, trial: int, source: Path) -> Path:
+    """Copy ``source`` into the folder of a run as the picture of ``trial``; return its new path.
+
+    Each gets the number after the last: none takes the place of another. Raises ``InputError``
+    naming the file.
+    """
+    fix = "Choose a JPEG or PNG picture below 30 MB."
+    try:
+        if source.stat().st_size > MAX_BYTES:
+            raise InputError("The picture is too large.", str(source), fix)
+        content = source.read_bytes()
+        if source.suffix.lower() not in KINDS or not content.startswith(_BEGINS):
+            raise InputError("This is no picture.", str(source), fix)
+        name = f"trial-{trial:03d}-"
+        taken = [p.stem.removeprefix(name) for p in (run / FOLDER).glob(f"{name}*")]
+        number = max((int(word) for word in taken if word.isdecimal()), default=0) + 1
+        path = run / FOLDER / f"{name}{number}{source.suffix.lower()}"
+        write_atomically(path, content)
+    except OSError as error:
+        what = f"The picture cannot be kept: {error.strerror or error}."
+        raise InputError(what, str(source), "Look at the file and at the disk.") from error
+    return path
+
+
+MOST_HELD = 2000
+"""So many facts wait for room at most; a run pauses long before."""
+CLOCK_SET = (
+    "The clock of this computer was set by {:+.0f} s, or it slept: no measurement goes by it."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingOptions:
+    """Where runs are kept (None: nowhere), and whether episodes are kept beside the journal."""
+
+    runs: Path | None = None
+    episodes: bool = True
+
+
+class RunRecorder:
+    """Opens journal and store of a run and closes them; one run at a time."""
+
+    def __init__(
+        self, keep: RecordingOptions, hub: EventBus, interlock: Interlock, mode: str
+    ) -> None:
+        self._keep, self._hub, self._interlock, self._mode = keep, hub, interlock, mode
+        self._journal: EventLog | None = None
+        self._leave: Callable[[], None] | None = None
+        self._held: list[Event] = []
+        """Facts for which the disk has no room, in order."""
+        self._lock = SharedLock()
+        self._wall = ClockJumpDetector()
+        self.store = RunStore(None, {})
+        """Takes episodes; those of no run are not kept."""
+        self.folder: Path | None = None
+
+    def open(self, run_id: str) -> None:
+        """Begin run ``run_id``; raises ``InputError`` where there is no room, or no folder."""
+        self.close()
+        self._wall = ClockJumpDetector()
+        self.folder = None if self._keep.runs is None else self._keep.runs / run_id
+        episodes = None
+        if self.folder is not None:
+            if self._keep.episodes:
+                episodes = self.folder / "episodes"
+                free_space_for(episodes, 1)
+            self._journal = _new_journal(self.folder)
+            self._leave = self._hub.subscribe(self._record)
+        self.store = RunStore(episodes, {"run": run_id, "mode": self._mode}, self.obstacle)
+
+    def obstacle(self) -> Fault | None:
+        """Return what keeps the run from recording another probe, None if nothing does."""
+        with self._lock:
+            self._try_again()
+            if self._held:
+                what = "The run journal cannot be written: the disk is full."
+                return Fault(
+                    FULL, what, f"{CONSEQUENCE} What it did is kept in memory.", NEXT_STEP, "store"
+                )
+        if self.folder is None or not self._keep.episodes:
+            return None
+        return no_space_fault(self.folder)
+
+    def close(self) -> None:
+        """Close journal and store of the last run, if any."""
+        if self._leave is not None:
+            self._leave()
+        with self._lock:
+            self._try_again()
+            if self._journal is not None and self._held:
+                lost = len(self._held)
+                self._give_up(f"the disk is full, the last {lost} lines are lost")
+            if self._journal is not None:
+                self._journal.close()
+            self._leave = self._journal = None
+        store, self.store = self.store, RunStore(None, {})
+        store.close()
+
+    def _record(self, fact: Event) -> None:
+        """Append ``fact`` to the journal; where the disk has no room it is held until there is.
+
+        A disk that refuses for another reason stops the run with a fault.
+        """
+        with self._lock:
+            if self._journal is None:
+                return
+            if jump_s := self._wall.jump_s():
+                self._held.append(Said(fact.t_s, CLOCK_SET.format(jump_s)))
+            self._held.append(fact)
+            self._write(mend=len(self._held) > 1)
+
+    def _try_again(self) -> None:
+        if self._held:
+            self._write(mend=True)
+
+    def _write(self, *, mend: bool) -> None:
+        """Append what is held, the oldest first; what finds no room stays held."""
+        if self._journal is None:
+            return
+        try:
+            if mend:
+                self._journal.mend()
+            while self._held:
+                self._journal(self._held[0])
+                del self._held[0]
+        except OSError as error:
+            if error.errno not in NO_ROOM or len(self._held) > MOST_HELD:
+                self._give_up(error.strerror or str(error))
+
+    def _give_up(self, why: str) -> None:
+        assert self._journal is not None
+        journal, self._journal = self._journal, None
+        self._held.clear()
+        journal.abandon()
+        self._interlock.raise_fault(
+            Fault(
+                "JOURNAL-FAILED",
+                f"The run journal cannot be written: {why}.",
+                "The run ends; every fact before is on disk, the gripper was not opened.",
+                f"Make room on the disk of {journal.folder}, then press Reset.",
+                "store",
+            )
+        )
+
+
+def _new_journal(folder: Path) -> EventLog:
+    """Begin the journal of a run; raises ``InputError`` where the folder cannot be written."""
+    try:
+        return EventLog(folder)
+    except OSError as error:
+        raise InputError(
+            f"The run cannot be kept: {error.strerror or error}.",
+            str(folder.parent),
+            "Name a folder that can be written (--runs, or TOUCHDOWN_DATA).",
+        ) from error

@@ -1,0 +1,144 @@
+"""Touch probing with the held piece: height of a surface, position of its edges."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import numpy as np
+
+from touchdown.backend.core import (
+    Fault,
+    FaultError,
+    FloatArray,
+    PhaseEntered,
+    Pose,
+    RefusedError,
+    Said,
+)
+from touchdown.backend.devices import PressCommand
+from touchdown.backend.runs import messages
+from touchdown.backend.runs.bench import Bench
+from touchdown.backend.runs.jig import approach_with_piece
+from touchdown.backend.runs.motions import MOVE_S, TOUCH_TRIES, move_to, retry_if_void, wait
+from touchdown.backend.runs.plan import Plan, Wait
+
+SEARCH_MM = 3.0
+"""An edge is looked for this far on both sides of where it should be."""
+RESOLUTION_MM, FINE_MM = 0.1, 0.05
+BELOW_MM = 1.2
+"""No contact down to this far below the centre's height: the piece is beside the bottom."""
+DEPTH_MM, TOUCH_S = 0.1, 0.1
+SETTLE_S = 0.3
+
+
+def find_height(bench: Bench, centre: FloatArray) -> Plan[float]:
+    """Carry the piece over ``centre`` (2,), touch it, and return the height of contact.
+
+    Raises ``RefusedError`` "ORIGIN-FAR" if nothing is there.
+    """
+    x_mm, y_mm = centre.tolist()
+    start_mm = (bench.piece.grip_height_mm or 0.0) + bench.settings.probe.start_height_mm
+    yield from approach_with_piece(bench, Pose(x_mm, y_mm, start_mm))
+    contact_mm = yield from touch_height_mm(bench, centre, start_mm, 2.0 * BELOW_MM)
+    if contact_mm is None:
+        raise RefusedError(
+            "ORIGIN-FAR", "Nothing is felt where the centre of the bottom should be."
+        )
+    return contact_mm
+
+
+def edge_mm(
+    bench: Bench,
+    centre: FloatArray,
+    axis: int,
+    expected_mm: float,
+    start_mm: float,
+    to_mm: float = RESOLUTION_MM,
+) -> Plan[float]:
+    """Return how far from ``centre`` along ``axis`` contact ends, by halving down to ``to_mm``.
+
+    ``expected_mm`` with its sign; descents begin at ``start_mm``. Raises ``RefusedError``
+    "ORIGIN-FAR" if the edge is more than ``SEARCH_MM`` off.
+    """
+    side = math.copysign(1.0, expected_mm)
+    inside, outside = abs(expected_mm) - SEARCH_MM, abs(expected_mm) + SEARCH_MM
+    least, most = inside, outside
+    while outside - inside > to_mm:
+        middle = 0.5 * (inside + outside)
+        place = centre.copy()
+        place[axis] += side * middle
+        touched = yield from touch_height_mm(bench, place, start_mm, BELOW_MM)
+        if touched is None:
+            outside = middle
+        else:
+            inside = middle
+    if inside == least or outside == most:
+        raise RefusedError(
+            "ORIGIN-FAR", f"The bottom is more than {SEARCH_MM:.0f} mm from where it should be."
+        )
+    return side * 0.5 * (inside + outside)
+
+
+def touch_height_mm(
+    bench: Bench, place: FloatArray, start_mm: float, below_mm: float
+) -> Plan[float | None]:
+    """Descend at ``place`` (2,) from ``start_mm``; return the height of contact, None without one.
+
+    Without contact it goes ``below_mm`` below the usual height of contact. The arm ends at
+    ``start_mm``. A touch that is void is made again.
+    """
+
+    def after_void(fault: Fault) -> Plan[None]:
+        yield Said(bench.now_s(), messages.void_touch_message(fault))
+        yield from rise_from_contact(bench, start_mm)
+
+    touch = partial(_touched_mm, bench, place, start_mm, below_mm)
+    return (yield from retry_if_void(bench, touch, after_void, TOUCH_TRIES))
+
+
+def rise_from_contact(bench: Bench, start_mm: float) -> Plan[None]:
+    """Rise to ``start_mm`` straight up from where the contact has pushed the arm.
+
+    Sideways it would drag.
+    """
+    yield PhaseEntered(bench.now_s(), "lift", 0)
+    here = bench.arm.pose(max_age_s=0.2)
+    up = Pose(here.x_mm, here.y_mm, start_mm)
+    yield from move_to(bench, up, "the arm to lift")
+
+
+def _touched_mm(
+    bench: Bench, place: FloatArray, start_mm: float, below_mm: float
+) -> Plan[float | None]:
+    probe = bench.settings.probe
+    x_mm, y_mm = place.tolist()
+    yield from move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
+    yield from wait(bench, SETTLE_S)
+    yield PhaseEntered(bench.now_s(), "approach", 0)
+    press = bench.arm.press(
+        PressCommand(
+            depth_mm=DEPTH_MM,
+            ramp_s=TOUCH_S,
+            hold_s=2.0 * TOUCH_S,
+            approach_mm_s=probe.approach_mm_s,
+            threshold_n=probe.threshold_n,
+            max_travel_mm=probe.start_height_mm + below_mm,
+            stiffness_n_mm=probe.stiffness_n_mm,
+        )
+    )
+    yield Wait(lambda: press.done, MOVE_S, "the touch to end")
+    onset_s = press.onset_s
+    try:
+        press.result()
+    except FaultError as cause:
+        if cause.fault.code != "NO-CONTACT":
+            raise
+    height_mm = None if onset_s is None else _height_mm(bench, onset_s)
+    yield from rise_from_contact(bench, start_mm)
+    return height_mm
+
+
+def _height_mm(bench: Bench, t_s: float) -> float:
+    poses = bench.arm.poses.window(t_s - 0.1, t_s + 0.1)
+    return float(np.interp(t_s, poses.t_s, poses.values[:, 2]))

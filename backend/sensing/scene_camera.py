@@ -1,0 +1,282 @@
+"""Positions on the board from the picture of the scene camera.
+
+The board is the plane of the touched face (z = 0 of the bench frame). Four bright dots at known
+positions on it determine the homography: one picture of the bench is the whole calibration.
+
+A piece that slipped in the grasp, or was gripped off its place, is off by an amount unknown to the
+arm. While it is pressed its face lies in the plane of the board, so that the homography maps the
+front rim of the face exactly. Only that rim is used: parts above the board do not matter, and the
+rest of the outline is hidden behind the piece.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from touchdown.backend.core import FloatArray, ImageArray, InputError, read_only
+from touchdown.backend.geometry import BOARD_DOTS_MM
+
+LEAST_AREA_PX = 20
+BRIGHT = 230
+"""Dots are magenta: blue and red above this, green below ``255 - BRIGHT``; nothing else is."""
+WORST_PX = 2.0
+_FIX = "Show all four dots to the camera, evenly lit, and calibrate again."
+
+
+@dataclass(frozen=True, slots=True)
+class Homography:
+    """``matrix`` (3, 3): board mm to image px (right, down); ``residual_px``: rms of its fit."""
+
+    matrix: FloatArray
+    residual_px: float
+
+    def __post_init__(self) -> None:
+        read_only(self.matrix)
+
+    def to_px(self, board_mm: ArrayLike) -> FloatArray:
+        """Return (n, 2) px of board points (n, 2) in mm."""
+        return _mapped(self.matrix, board_mm)
+
+    def to_mm(self, image_px: ArrayLike) -> FloatArray:
+        """Return (n, 2) mm on the board of image points (n, 2) in px."""
+        inverse: FloatArray = np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
+        return _mapped(inverse, image_px)
+
+    def text(self) -> str:
+        """Return the form in which episodes keep it."""
+        return json.dumps({"matrix": self.matrix.tolist(), "residual_px": self.residual_px})
+
+    @classmethod
+    def parse(cls, text: str) -> Homography:
+        """Read the form that ``text`` made; raises ``InputError``."""
+        try:
+            content = json.loads(text)
+            matrix = np.array(content["matrix"], dtype=np.float64).reshape(3, 3)
+            residual_px = float(content["residual_px"])
+        except (ValueError, TypeError, KeyError) as error:
+            raise InputError(f"The homography is damaged: {error}.", "scene", _FIX) from error
+        if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-12:
+            raise InputError("The homography maps to nowhere.", "scene", _FIX)
+        return cls(matrix, residual_px)
+
+
+def fit_homography(board_mm: FloatArray, image_px: FloatArray) -> Homography:
+    """Fit (n, 2) board points to (n, 2) image points, n >= 4, by the normalised linear method.
+
+    Source: Hartley and Zisserman, Multiple View Geometry, algorithm 4.2. Raises ``InputError`` for
+    points on a line.
+    """
+    if len(board_mm) < 4:
+        raise InputError(f"{len(board_mm)} points are no calibration.", "scene", _FIX)
+    to, back = _normaliser(board_mm), _normaliser(image_px)
+    source, target = _mapped(to, board_mm), _mapped(back, image_px)
+    rows = []
+    for (x, y), (u, v) in zip(source, target, strict=True):
+        rows.append([-x, -y, -1, 0, 0, 0, u * x, u * y, u])
+        rows.append([0, 0, 0, -x, -y, -1, v * x, v * y, v])
+    _, strength, vectors = np.linalg.svd(np.array(rows))
+    if not strength[7] > 1e-9 * strength[0]:
+        raise InputError("The points lie on a line.", "scene", _FIX)
+    matrix = np.linalg.inv(back) @ vectors[-1].reshape(3, 3) @ to
+    matrix = matrix / matrix[2, 2]
+    errors = _mapped(matrix, board_mm) - image_px
+    return Homography(matrix, float(np.sqrt((errors**2).sum(axis=1).mean())))
+
+
+def calibrate_scene_camera(image: ImageArray) -> Homography:
+    """Find the four dots in a picture (h, w, 3) and fit; raises ``InputError``.
+
+    The dots are told apart by their order around their middle; the lowest left one in the picture
+    is the lower left one of the board.
+    """
+    bright = (image[..., 0] >= BRIGHT) & (image[..., 2] >= BRIGHT)
+    bright &= image[..., 1] <= 255 - BRIGHT
+    count, labels = cv2.connectedComponents(bright.astype(np.uint8))
+    spots = [np.argwhere(labels == k)[:, ::-1] for k in range(1, count)]
+    found = [spot.mean(axis=0) for spot in spots if len(spot) >= LEAST_AREA_PX]
+    if len(found) != len(BOARD_DOTS_MM):
+        raise InputError(f"{len(found)} dots are seen instead of four.", "scene camera", _FIX)
+    fitted = fit_homography(BOARD_DOTS_MM, _in_order(np.array(found)))
+    if not fitted.residual_px <= WORST_PX:
+        raise InputError(
+            f"The dots are {fitted.residual_px:.1f} px off their places.", "scene camera", _FIX
+        )
+    return fitted
+
+
+def _in_order(places_px: FloatArray) -> FloatArray:
+    """Return the four dots counter-clockwise as seen on the board, lower left first."""
+    from_middle = places_px - places_px.mean(axis=0)
+    turned = np.arctan2(-from_middle[:, 1], from_middle[:, 0])
+    around = places_px[np.argsort(turned)]
+    first = int(np.argmin(around[:, 0] - around[:, 1]))
+    return np.roll(around, -first, axis=0)
+
+
+def _normaliser(points: FloatArray) -> FloatArray:
+    """Return the (3, 3) that moves points to mean 0 and mean distance sqrt 2."""
+    middle = points.mean(axis=0)
+    spread = float(np.hypot(*(points - middle).T).mean()) or 1.0
+    scale = np.sqrt(2.0) / spread
+    return np.array(
+        [[scale, 0.0, -scale * middle[0]], [0.0, scale, -scale * middle[1]], [0.0, 0.0, 1.0]]
+    )
+
+
+def _mapped(matrix: FloatArray, points: ArrayLike) -> FloatArray:
+    given = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+    mapped = np.column_stack([given, np.ones(len(given))]) @ matrix.T
+    return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+
+REACH_MM = 4.0
+"""The rim is looked for so far on both sides of where it should be."""
+STEP_MM = 0.1
+RIM_POINTS = 96
+INNER_PART = 0.4
+"""The colour of the piece is that of the inner part of its face."""
+LEAST_SPREAD = 12.0
+"""Colours nearer than this (of 255) are one colour in any light."""
+FRONT_SHARE = 0.35
+"""The rim is seen where its outward direction points down in the picture by at least this share."""
+BEHIND_MM, MOST = 1.0, 0.6
+"""Above the far rim the piece is seen so far behind it, at this share of places at least."""
+FEWEST_POINTS = 12
+FIT_ROUNDS = 6
+FARTHEST_MM = 0.5
+"""Edges that lie farther off the fitted rim belong to something else."""
+FLOOR_MM = 0.12
+"""What edge, picture compression and the fit of the board leave at best (measured, see tests)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ObservedOffset:
+    """``offset_mm`` (2,) of the face in ``O`` as it is seen, its standard uncertainty per axis."""
+
+    offset_mm: FloatArray
+    sigma_mm: float
+
+    def __post_init__(self) -> None:
+        read_only(self.offset_mm)
+
+
+def observe_offset(
+    image: ImageArray, board: Homography, face_mm: FloatArray, near_mm: FloatArray
+) -> ObservedOffset | None:
+    """Return where the face is, None if its rim cannot be made out.
+
+    ``image`` (h, w, 3) BGR while pressed; ``face_mm`` (k, 2): outline of the face round its own
+    centre, counter-clockwise; ``near_mm`` (2,): displacement to begin with, within 4 mm of the
+    true one. The camera stands upright and sees the piece in a colour of its own.
+    """
+    rim, outward = _even_rim(face_mm)
+    like = _likeness(image, board, INNER_PART * face_mm + near_mm)
+    at: FloatArray = np.array(near_mm, dtype=np.float64)
+    found = None
+    for turn in range(FIT_ROUNDS):
+        found = _fit(like, board, rim, outward, at, REACH_MM if turn < 2 else 1.0)
+        if found is None:
+            return None
+        at = at + found[0]
+    assert found is not None
+    _, sigma_mm = found
+    if not math.dist(at, near_mm) <= REACH_MM or not _stands_up(like, board, rim + at, outward):
+        return None
+    one_mm = board.to_px(np.array([at, at + np.array([1.0, 0.0])]))
+    board_mm = board.residual_px / math.dist(*one_mm.tolist())
+    return ObservedOffset(at, math.hypot(sigma_mm, board_mm, FLOOR_MM))
+
+
+def _even_rim(face_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return points (n, 2) evenly along the outline and the directions (n, 2) out of it."""
+    closed = np.concatenate([face_mm, face_mm[:1]])
+    edges = np.diff(closed, axis=0)
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*edges.T))])
+    s = (np.arange(RIM_POINTS) + 0.5) * length[-1] / RIM_POINTS
+    edge = np.clip(np.searchsorted(length, s, side="right") - 1, 0, len(edges) - 1)
+    points = np.column_stack([np.interp(s, length, closed[:, axis]) for axis in range(2)])
+    along = edges[edge] / np.linalg.norm(edges[edge], axis=1, keepdims=True)
+    return points, np.column_stack([along[:, 1], -along[:, 0]])
+
+
+def _likeness(image: ImageArray, board: Homography, inner_mm: FloatArray) -> NDArray[np.float32]:
+    """Return (h, w) how much each pixel has the colour of the piece, 0..1."""
+    mask = np.zeros(image.shape[:2], dtype=np.uint8)
+    cv2.fillPoly(mask, [np.rint(board.to_px(inner_mm)).astype(np.int32)], 1)
+    colours = image[mask.astype(bool)].astype(np.float32)
+    if not len(colours):
+        return np.zeros(image.shape[:2], dtype=np.float32)
+    middle = np.median(colours, axis=0)
+    usual = np.median(np.linalg.norm(colours - middle, axis=1))
+    spread = max(3.0 * float(usual), LEAST_SPREAD)
+    apart = np.linalg.norm(image.astype(np.float32) - middle.astype(np.float32), axis=2)
+    return np.asarray(np.clip(1.5 - 0.5 * apart / spread, 0.0, 1.0), dtype=np.float32)
+
+
+def _fit(
+    like: NDArray[np.float32],
+    board: Homography,
+    rim: FloatArray,
+    outward: FloatArray,
+    at: FloatArray,
+    reach_mm: float,
+) -> tuple[FloatArray, float] | None:
+    """Return the step (2,) to where the edges are, and its standard uncertainty per axis."""
+    steps = np.arange(-reach_mm, reach_mm + STEP_MM / 2, STEP_MM)
+    place = rim + at
+    front = board.to_px(place + outward) - board.to_px(place)
+    shown = front[:, 1] > FRONT_SHARE * np.linalg.norm(front, axis=1)
+    place, normal = place[shown], outward[shown]
+    if len(place) < FEWEST_POINTS:
+        return None
+    lines = place[:, None] + steps[None, :, None] * normal[:, None]
+    px = board.to_px(lines.reshape(-1, 2)).astype(np.float32).reshape(len(place), len(steps), 2)
+    profile = np.asarray(cv2.remap(like, px[..., 0], px[..., 1], cv2.INTER_LINEAR), np.float64)
+    edge = _edges(profile, steps)
+    known = np.isfinite(edge)
+    return _solve(normal[known], edge[known])
+
+
+def _stands_up(
+    like: NDArray[np.float32], board: Homography, rim: FloatArray, outward: FloatArray
+) -> bool:
+    """Return whether the piece goes on behind its far rim: a flat face ends there."""
+    out = board.to_px(rim + BEHIND_MM * outward)
+    far = (out - board.to_px(rim))[:, 1]
+    behind = out[far <= np.quantile(far, 0.25)].astype(np.float32)
+    seen = cv2.remap(like, behind[:, :1], behind[:, 1:], cv2.INTER_LINEAR)
+    return bool((np.asarray(seen) >= 0.5).mean() >= MOST)
+
+
+def _edges(profile: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return (n,) where each profile leaves the piece for good, NaN where it never does."""
+    inside = profile >= 0.5
+    last = inside.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)
+    good = inside.any(axis=1) & (last < inside.shape[1] - 1)
+    row, last = np.arange(len(profile)), np.minimum(last, inside.shape[1] - 2)
+    here, after = profile[row, last], profile[row, last + 1]
+    part = (here - 0.5) / np.where(here > after, here - after, 1.0)
+    return np.where(good, steps[last] + part * STEP_MM, np.nan)
+
+
+def _solve(normal: FloatArray, edge: FloatArray) -> tuple[FloatArray, float] | None:
+    """Return the least-squares step for edges (n,) along normals (n, 2), outliers left out."""
+    step: FloatArray = np.zeros(2)
+    kept = np.ones(len(edge), dtype=bool)
+    for _ in range(3):
+        if int(kept.sum()) < FEWEST_POINTS:
+            return None
+        step = np.asarray(np.linalg.lstsq(normal[kept], edge[kept], rcond=None)[0], np.float64)
+        rest = np.abs(edge - normal @ step)
+        kept = rest <= max(3.0 * float(np.median(rest)), FARTHEST_MM)
+    weight = normal[kept].T @ normal[kept]
+    if not np.linalg.cond(weight) < 1e3:
+        return None
+    rms = float(np.sqrt((rest[kept] ** 2).mean()))
+    return step, rms * math.sqrt(float(np.trace(np.linalg.inv(weight))) / 2)

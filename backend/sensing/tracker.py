@@ -1,0 +1,502 @@
+"""Tracker of the 63 markers of one finger.
+
+In every frame the dot of each marker is centred to a fraction of a pixel from its last position.
+Unless all 63 are found and look like themselves, all dots of the image are detected and assigned to
+the markers one to one, and unseen markers are interpolated. Positions come from the image alone,
+never from summed steps, so that no error outlives its cause. If the known positions lead nowhere,
+the order is determined again from the geometry of the grid.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from touchdown.backend.core import (
+    GRID_COLS,
+    GRID_ROWS,
+    MARKERS,
+    Finger,
+    FloatArray,
+    ImageArray,
+    MarkerField,
+    MarkerState,
+    TactileFrame,
+    fill_unseen_markers,
+    marker_misfit,
+    read_only,
+)
+from touchdown.backend.sensing.detector import (
+    HEIGHT_PX,
+    NO_GRID,
+    WIDTH_PX,
+    Blobs,
+    Detector,
+    GridReport,
+    order_grid,
+)
+from touchdown.backend.sensing.slip import fit_rigid
+from touchdown.backend.sensing.zeroing import TactileReference
+
+NEAREST_ORDER_PX = 4.0
+"""Neighbours closer than this along their axis have lost their order."""
+
+
+def nearest_dots(expected_px: FloatArray, dots_px: FloatArray, reach_px: float) -> NDArray[np.intp]:
+    """Return for each of n places the dot that is nearest both ways within ``reach_px``, else -1.
+
+    One to one by construction; ``dots_px`` is (m, 2).
+    """
+    owner = np.full(len(expected_px), -1, dtype=np.intp)
+    if not len(dots_px):
+        return owner
+    gap = _gap(expected_px, dots_px)
+    mine, theirs = gap.argmin(axis=1), gap.argmin(axis=0)
+    places = np.arange(len(expected_px))
+    mutual = (theirs[mine] == places) & (gap[places, mine] <= reach_px)
+    owner[mutual] = mine[mutual]
+    return owner
+
+
+def assign_rest(
+    owner: NDArray[np.intp], expected_px: FloatArray, dots_px: FloatArray, reach_px: float
+) -> NDArray[np.intp]:
+    """Complete ``owner``: markers without a dot share out the free dots at least total distance."""
+    places = np.flatnonzero(owner < 0)
+    free = np.setdiff1d(np.arange(len(dots_px)), owner)
+    completed = owner.copy()
+    if not len(places) or not len(free):
+        return completed
+    gap = _gap(expected_px[places], dots_px[free])
+    rows, cols = linear_sum_assignment(np.minimum(gap, 2 * reach_px))
+    near = gap[rows, cols] <= reach_px
+    completed[places[rows[near]]] = free[cols[near]]
+    return completed
+
+
+def out_of_order(position_px: FloatArray) -> NDArray[np.bool_]:
+    """Return the (63,) markers whose right or lower neighbour is not right of or below them."""
+    grid = position_px.reshape(GRID_ROWS, GRID_COLS, 2)
+    wrong = np.zeros((GRID_ROWS, GRID_COLS), dtype=bool)
+    across = np.diff(grid[:, :, 0], axis=1) < NEAREST_ORDER_PX
+    wrong[:, :-1] |= across
+    wrong[:, 1:] |= across
+    down = np.diff(grid[:, :, 1], axis=0) < NEAREST_ORDER_PX
+    wrong[:-1] |= down
+    wrong[1:] |= down
+    return wrong.ravel()
+
+
+def _gap(expected_px: FloatArray, dots_px: FloatArray) -> FloatArray:
+    across = expected_px[:, None, 0] - dots_px[None, :, 0]
+    down = expected_px[:, None, 1] - dots_px[None, :, 1]
+    # Not hypot, whose care for overflow takes six times as long.
+    return np.asarray(np.sqrt(across * across + down * down), dtype=np.float64)
+
+
+LARGEST_CARRY_PX = 8.0
+
+
+class HiddenMarkers:
+    """Infers hidden markers from the seen ones and from what was last known of the hidden ones.
+
+    A smooth fill alone would let a marker jump when it disappears, by as much as it deviates from
+    its neighbours. That deviation is kept while the marker is hidden, and shrinks in proportion
+    when the field around it does.
+    """
+
+    def __init__(self, rest_px: FloatArray) -> None:
+        self._rest: FloatArray = np.array(rest_px)
+        self._known = np.zeros((MARKERS, 2))
+        self._seen = np.ones(MARKERS, dtype=bool)
+        self._deviation = np.zeros((MARKERS, 2))
+        self._size = np.zeros(MARKERS)
+
+    def carry(self, step: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
+        """Return ``step`` (63, 2) with the unseen filled smoothly."""
+        if seen.all():
+            return step
+        filled: FloatArray = fill_unseen_markers(step[None], seen[None])[0]
+        return filled
+
+    def fill(self, position_px: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
+        """Return the places (63, 2): seen ones as given, hidden ones inferred."""
+        displacement = position_px - self._rest
+        if seen.all():
+            self._known, self._seen = displacement, seen
+            return position_px
+        smooth = self.carry(displacement, seen)
+        if (seen != self._seen).any():
+            self._remember(seen)
+        hidden = ~seen
+        size = np.linalg.norm(smooth[hidden], axis=1)
+        scale = np.minimum(1.0, size / np.maximum(self._size[hidden], 1e-3))
+        smooth[hidden] += scale[:, None] * self._deviation[hidden]
+        self._known, self._seen = smooth, seen
+        return np.asarray(self._rest + smooth, dtype=np.float64)
+
+    def forget(self, markers: NDArray[np.bool_]) -> None:
+        """Drop what is remembered of ``markers`` (63,): they are filled smoothly."""
+        self._deviation[markers] = 0.0
+
+    def _remember(self, seen: NDArray[np.bool_]) -> None:
+        smooth = self.carry(self._known, seen)
+        deviation = self._known - smooth
+        length = np.maximum(np.linalg.norm(deviation, axis=1), 1e-9)
+        self._deviation = deviation * np.minimum(1.0, LARGEST_CARRY_PX / length)[:, None]
+        self._size = np.linalg.norm(smooth, axis=1)
+
+
+OWN_RANGE = np.array([[0.7, 0.5], [1.45, 1.45]])
+"""Lowest and highest ratio of darkness in the middle and in all to the marker's own usual look."""
+COMMON_RANGE = np.array([[0.5, 0.5], [1.9, 1.9]])
+"""Ratio to the look of the other markers, where a marker has no own yet or was long hidden."""
+APPEARANCE_MEMORY = 0.05
+
+
+class DotAppearance:
+    """Running mean of the darkness of every marker, in its middle and in all."""
+
+    def __init__(self) -> None:
+        self._usual = np.zeros((MARKERS, 2))
+        self.newest: FloatArray = np.zeros((MARKERS, 2))
+        """Of the last frame, of markers that looked like themselves."""
+
+    def recognise_all(self, looks: FloatArray) -> bool:
+        """Return whether all 63 look like themselves, and learn from that if they do."""
+        own = self._usual
+        if not ((looks >= own * OWN_RANGE[0]).all() and (looks <= own * OWN_RANGE[1]).all()):
+            return False
+        own += APPEARANCE_MEMORY * (looks - own)
+        self.newest = looks
+        return True
+
+    def recognise(
+        self, markers: NDArray[np.intp], looks: FloatArray, stale: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Return (n,) whether ``markers`` look like themselves, and learn from those that do.
+
+        ``looks``: (n, 2) of the dot given to each; ``stale``: (n,) not seen for so long that the
+        own look may have changed.
+        """
+        if not len(markers):
+            return np.zeros(0, dtype=bool)
+        own = self._usual[markers]
+        fresh = (own[:, 0] > 0) & ~stale
+        expected = own
+        if not fresh.all():
+            typical = np.median(own[fresh] if fresh.any() else looks, axis=0)
+            expected = np.where(fresh[:, None], own, np.maximum(typical, 1e-6))
+        ratio = looks / expected
+        lowest = np.where(fresh[:, None], OWN_RANGE[0], COMMON_RANGE[0])
+        highest = np.where(fresh[:, None], OWN_RANGE[1], COMMON_RANGE[1])
+        good = ((ratio >= lowest) & (ratio <= highest)).all(axis=1)
+        blend = np.where(fresh, APPEARANCE_MEMORY, 1.0)[:, None]
+        self._usual[markers[good]] = (own + blend * (looks - own))[good]
+        self.newest = self.newest.copy()
+        self.newest[markers[good]] = looks[good]
+        return np.asarray(good)
+
+
+LOST_AFTER_S = 2.0
+REACH_PITCH = 0.4
+STRAY_PX = 5.0
+"""A step that differs this much from its neighbours' steps is not believed."""
+SMOOTH_PX = 0.5
+"""Frame-to-frame misfit (rms) up to which a field counts as smooth."""
+_LARGEST_SHIFT_PX = 5.0
+"""A centre further from where it was looked for belongs to something else."""
+_FEWEST_SEEN = 32
+_REORDER_EVERY = 5
+_NO_BLOB = -1
+
+
+class TrackerMemory(NamedTuple):
+    """What a tracker knows from earlier frames; made by it and for it."""
+
+    grid: GridReport
+    locked: bool
+    position_px: FloatArray
+    looks: DotAppearance
+    last_seen_s: FloatArray
+    was_seen: NDArray[np.bool_]
+    hidden: HiddenMarkers
+    restless: int
+
+
+class MarkerTracker:
+    """The live tracker of one finger: frames in, marker fields out; deterministic.
+
+    ``grid`` tells what the last look at the whole grid found. ``track`` never raises on an image,
+    however bad: it answers with quality 0.
+    """
+
+    def __init__(self, finger: Finger, reference: TactileReference | None = None) -> None:
+        self.finger = finger
+        self.grid: GridReport = NO_GRID
+        self._reference: TactileReference | None = None
+        self._detector = Detector()
+        self._locked = False
+        self._position = _straight_grid()
+        self._looks = DotAppearance()
+        self._last_seen_s = np.full(MARKERS, -np.inf)
+        self._was_seen = np.zeros(MARKERS, dtype=bool)
+        self._hidden = HiddenMarkers(self._position)
+        self._restless = 0
+        if reference is not None:
+            self.set_reference(reference)
+
+    @property
+    def reference(self) -> TactileReference | None:
+        """The rest places that displacements count from."""
+        return self._reference
+
+    def set_reference(self, reference: TactileReference) -> None:
+        """Count displacements from ``reference`` from now on."""
+        self._reference = reference
+        self._hidden = HiddenMarkers(reference.position_px)
+        if not self._locked:
+            self._position = reference.position_px.copy()
+
+    @property
+    def looks(self) -> FloatArray:
+        """(63, 2) darkness of each marker in its middle and in all, px², when it was last seen."""
+        return self._looks.newest
+
+    def remember(self) -> TrackerMemory:
+        """Return where it stands now, to ``recall`` it after a picture that was none."""
+        return TrackerMemory(
+            self.grid,
+            self._locked,
+            self._position,
+            copy.deepcopy(self._looks),
+            self._last_seen_s.copy(),
+            self._was_seen,
+            copy.deepcopy(self._hidden),
+            self._restless,
+        )
+
+    def recall(self, memory: TrackerMemory) -> None:
+        """Go on from ``memory``, as if no picture had come since."""
+        self.grid, self._locked, self._position = memory.grid, memory.locked, memory.position_px
+        self._looks, self._hidden, self._restless = memory.looks, memory.hidden, memory.restless
+        self._last_seen_s, self._was_seen = memory.last_seen_s, memory.was_seen
+
+    def track(self, frame: TactileFrame) -> MarkerField:
+        """Return the markers of ``frame``; frames must come in order of time."""
+        if not _is_readable(frame.image):
+            return self._blind(frame)
+        self._detector.look(frame.image)
+        position, seen = self._follow(frame.t_s), np.ones(MARKERS, dtype=bool)
+        if position is None:
+            blobs = self._detector.blobs()
+            owner = self._own(blobs)
+            if owner is None:
+                return self._blind(frame)
+            seen, position = self._centre(blobs, owner, frame.t_s)
+        rough_px = self._reject_strays(position, seen)
+        self._settle(position, seen, frame.t_s)
+        share = float(np.count_nonzero(seen)) / MARKERS
+        quality = share * min(1.0, SMOOTH_PX / max(rough_px, SMOOTH_PX))
+        return self._field(frame, quality)
+
+    def _follow(self, t_s: float) -> FloatArray | None:
+        """Return the places (63, 2) if each marker is still near its last one, else None."""
+        recent = t_s - self._last_seen_s[0] <= LOST_AFTER_S
+        if not (recent and self._was_seen.all() and self._detector.border_clear):
+            return None
+        centres = self._detector.refine(self._position)
+        place = centres.position_px
+        near = np.abs(place - self._position).max() < _LARGEST_SHIFT_PX
+        if not (near and self._looks.recognise_all(centres.looks)):
+            return None
+        self._restless = 0
+        return place
+
+    def _own(self, blobs: Blobs) -> NDArray[np.intp] | None:
+        """Return the blob of each marker (-1: none), or None while the grid is unknown."""
+        if not self._locked:
+            return self._lock(blobs)
+        whole = np.flatnonzero(blobs.whole)
+        dots = blobs.centre_px[whole]
+        reach_px = REACH_PITCH * self.grid.pitch_px
+        found = nearest_dots(self._position, dots, reach_px)
+        missing = int((found < 0).sum())
+        if missing:
+            found = self._second_look(found, dots, reach_px)
+            missing = int((found < 0).sum())
+        owner = np.where(found < 0, _NO_BLOB, whole[found] if len(whole) else _NO_BLOB)
+        self._restless = self._restless + 1 if missing else 0
+        if self._should_reorder(missing, len(whole)):
+            return self._reordered(blobs, owner)
+        return owner
+
+    def _second_look(
+        self, found: NDArray[np.intp], dots: FloatArray, reach_px: float
+    ) -> NDArray[np.intp]:
+        """Look for the rest where the neighbours' motion has taken them."""
+        step = np.zeros((MARKERS, 2))
+        hit = found >= 0
+        step[hit] = dots[found[hit]] - self._position[hit]
+        expected = self._position + self._hidden.carry(step, hit)
+        return assign_rest(found, expected, dots, reach_px)
+
+    def _should_reorder(self, missing: int, dots: int) -> bool:
+        if not missing or self._restless % _REORDER_EVERY != 1:
+            return False
+        return MARKERS - missing < _FEWEST_SEEN or dots >= MARKERS
+
+    def _lock(self, blobs: Blobs) -> NDArray[np.intp] | None:
+        ordered = order_grid(blobs)
+        self.grid = ordered.report
+        if not ordered.report.usable:
+            return None
+        self._locked = True
+        return self._adopt(blobs, ordered.index)
+
+    def _reordered(self, blobs: Blobs, owner: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Take the order from geometry if it is certain, else keep ``owner``."""
+        ordered = order_grid(blobs)
+        few = int((owner >= 0).sum()) < _FEWEST_SEEN
+        if not (ordered.report.complete or (few and ordered.report.usable)):
+            return owner
+        self.grid = ordered.report
+        if (ordered.index == owner).all():
+            return owner
+        return self._adopt(blobs, ordered.index)
+
+    def _adopt(self, blobs: Blobs, index: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Start anew from the dots at ``index``; returns it without those that are no markers."""
+        self._looks = DotAppearance()
+        found = np.flatnonzero(index >= 0)
+        chosen = index[found]
+        centres = self._detector.refine(blobs.centre_px[chosen])
+        good = self._looks.recognise(found, centres.looks, np.ones(len(found), dtype=bool))
+        place, seen = np.zeros((MARKERS, 2)), np.zeros(MARKERS, dtype=bool)
+        place[found], seen[found] = centres.position_px, good
+        rest = self._reference.position_px if self._reference else _straight_grid()
+        self._position = rest + self._hidden.carry(place - rest, seen)
+        if self._reference is None:
+            self._hidden = HiddenMarkers(self._position)
+        self._was_seen = np.zeros(MARKERS, dtype=bool)
+        return np.where(seen, index, _NO_BLOB)
+
+    def _centre(
+        self, blobs: Blobs, owner: NDArray[np.intp], t_s: float
+    ) -> tuple[NDArray[np.bool_], FloatArray]:
+        """Return which markers are seen, and the places (63, 2) of those."""
+        seen = owner >= 0
+        position = self._position.copy()
+        start = blobs.centre_px[owner[seen]]
+        centres = self._detector.refine(start)
+        stale = t_s - self._last_seen_s[seen] > LOST_AFTER_S
+        good = self._looks.recognise(np.flatnonzero(seen), centres.looks, stale)
+        good &= np.abs(centres.position_px - start).max(axis=1, initial=0.0) < _LARGEST_SHIFT_PX
+        position[seen] = np.where(good[:, None], centres.position_px, position[seen])
+        seen[seen] = good
+        return seen, position
+
+    def _reject_strays(self, position: FloatArray, seen: NDArray[np.bool_]) -> float:
+        """Un-see markers that jumped away from their neighbours; return the field's roughness."""
+        if not self._was_seen.any():
+            return 0.0
+        square = np.zeros(MARKERS)
+        for _ in range(4):
+            both = seen & self._was_seen
+            bend = marker_misfit(self._hidden.carry(position - self._position, both))
+            square = np.einsum("ij,ij->i", bend, bend)
+            worst = int((square * both).argmax())
+            if not both[worst] or square[worst] <= STRAY_PX**2:
+                break
+            seen[worst] = False
+        return math.sqrt(float(square.mean()))
+
+    def _settle(self, position: FloatArray, seen: NDArray[np.bool_], t_s: float) -> None:
+        """Fill in the unseen and remember the frame."""
+        self._position = self._hidden.fill(position, seen)
+        if not seen.all():
+            self._hidden.forget(out_of_order(self._position) & ~seen)
+        self._last_seen_s[seen] = t_s
+        self._was_seen = seen
+
+    def _field(self, frame: TactileFrame, quality: float) -> MarkerField:
+        state = np.zeros(MARKERS, dtype=np.uint8)
+        if not self._was_seen.all():
+            gone = frame.t_s - self._last_seen_s > LOST_AFTER_S
+            state[~self._was_seen] = MarkerState.INFERRED
+            state[~self._was_seen & gone] = MarkerState.LOST
+        displacement, residual = np.zeros((MARKERS, 2)), 0.0
+        if self._reference is not None and self._locked:
+            rest = self._reference.position_px
+            displacement = self._position - rest
+            residual = fit_rigid(rest, displacement).residual_px
+        return MarkerField(
+            finger=frame.finger,
+            sequence=frame.sequence,
+            t_s=frame.t_s,
+            position_px=self._position.copy(),
+            displacement_px=displacement,
+            state=state,
+            quality=quality,
+            residual_px=residual,
+        )
+
+    def _blind(self, frame: TactileFrame) -> MarkerField:
+        """Answer for a frame in which nothing can be said: the last places, none seen."""
+        self._was_seen = np.zeros(MARKERS, dtype=bool)
+        return self._field(frame, 0.0)
+
+
+def _is_readable(image: ImageArray) -> bool:
+    return image.shape == (HEIGHT_PX, WIDTH_PX, 3) and image.dtype == np.uint8
+
+
+def _straight_grid() -> FloatArray:
+    """Return (63, 2) nominal places, for order only; real gels deviate by some px."""
+    u, v = np.linspace(21, 287, GRID_COLS), np.linspace(20, 214, GRID_ROWS)
+    return np.stack(np.meshgrid(u, v), axis=-1).reshape(MARKERS, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class GelRest:
+    """Of some pictures: ``grid`` in the best of them, ``position_px`` (63, 2) the median places.
+
+    NaN for dots that were not seen in every picture with a usable grid; ``motion_px``: by how much
+    the others moved from picture to picture, rms.
+    """
+
+    grid: GridReport
+    position_px: FloatArray
+    motion_px: float
+
+    def __post_init__(self) -> None:
+        read_only(self.position_px)
+
+
+def measure_rest(frames: Sequence[TactileFrame]) -> GelRest:
+    """Return how the gel of ``frames`` (one finger, oldest first, one or more) rests."""
+    tracker = MarkerTracker(frames[0].finger)
+    grids: list[GridReport] = []
+    places = []
+    for frame in frames:
+        field = tracker.track(frame)
+        grids.append(tracker.grid)
+        if field.quality > 0.0:
+            seen = field.state == MarkerState.SEEN
+            places.append(np.where(seen[:, None], field.position_px, np.nan))
+    best = max(grids, key=lambda grid: (grid.usable, grid.complete, grid.rows * grid.cols))
+    if not places:
+        return GelRest(best, np.full((MARKERS, 2), np.nan), 0.0)
+    stacked = np.stack(places)
+    position_px = np.asarray(np.median(stacked, axis=0))
+    whole = np.isfinite(position_px).all(axis=1)
+    spread = stacked[:, whole] - stacked[:, whole].mean(axis=0)
+    motion_px = float(np.sqrt((spread**2).sum(axis=2).mean())) if whole.any() else 0.0
+    return GelRest(best, position_px, motion_px)

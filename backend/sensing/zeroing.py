@@ -1,0 +1,355 @@
+"""Zero references of the sensors before a probe: tare, tactile reference, and drift since then.
+
+The raw wrench holds the gripper (about 14.7 N), the piece and the offset of the sensor. All three
+vanish only if the tare is taken with the piece held, still, in air and in the pose of the press
+(rulings 3). The tactile reference is where the 63 markers rest. In still air the weight stays, so
+that a slow change is drift (reliability S8); a sudden change is a load and is ignored.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+
+import numpy as np
+
+from touchdown.backend.core import (
+    MARKERS,
+    WRENCH_CHANNELS,
+    Fault,
+    FaultError,
+    Finger,
+    FloatArray,
+    MarkerField,
+    MarkerState,
+    RefusedError,
+    read_only,
+)
+
+STANDARD_GRAVITY_M_S2 = 9.80665
+
+
+@dataclass(frozen=True, slots=True)
+class TareLimits:
+    """When a tare is refused. Forces in N, moments in N·m; set from noise measured in air."""
+
+    noise: tuple[float, float] = (0.3, 0.012)
+    """Largest standard deviation (force, moment): 3 sigma of the air noise 0.1 N, 0.004 N·m."""
+    motion: tuple[float, float] = (0.15, 0.006)
+    """Largest change between the halves of the window: a moving arm or a changing load."""
+    load_n: float = 3.0
+    """Largest force beyond the payload: more is a contact (reliability S8)."""
+    least_samples: int = 10
+    """Fewer samples are no mean; 200 ms hold 200 samples at 1 kHz."""
+    least_span_s: float = 0.15
+    """The samples must span at least this time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tare:
+    """What is subtracted: the calibrated ``payload`` (6,) and the measured ``offset`` (6,)."""
+
+    payload: FloatArray
+    offset: FloatArray
+
+    def __post_init__(self) -> None:
+        read_only(self.payload)
+        read_only(self.offset)
+
+    @classmethod
+    def zero(cls) -> Tare:
+        """Return the tare that changes nothing."""
+        return cls(np.zeros(WRENCH_CHANNELS), np.zeros(WRENCH_CHANNELS))
+
+    @property
+    def total(self) -> FloatArray:
+        """(6,) payload and offset together, N and N·m."""
+        return self.payload + self.offset
+
+    def apply(self, wrench: FloatArray) -> FloatArray:
+        """Return ``wrench`` (..., 6) without payload and offset."""
+        return np.asarray(wrench - self.total, dtype=np.float64)
+
+
+def gripper_payload(mass_kg: float, centre_mm: tuple[float, float, float]) -> FloatArray:
+    """Return the wrench (6,) of a payload hanging at ``centre_mm`` from the sensor, z up."""
+    weight_n = mass_kg * STANDARD_GRAVITY_M_S2
+    x_m, y_m = 1e-3 * centre_mm[0], 1e-3 * centre_mm[1]
+    return np.array([0.0, 0.0, -weight_n, -y_m * weight_n, x_m * weight_n, 0.0])
+
+
+def take_tare(
+    t_s: FloatArray,
+    wrench: FloatArray,
+    payload: FloatArray | None = None,
+    limits: TareLimits | None = None,
+) -> Tare:
+    """Average still samples in air: ``t_s`` (n,) and raw ``wrench`` (n, 6).
+
+    ``payload`` (6,) is the calibrated weight of the gripper; without one a contact is noticed by
+    its motion and noise only. Raises ``FaultError`` "TARE-REFUSED" naming what is wrong.
+    """
+    limits = limits or TareLimits()
+    base = np.zeros(WRENCH_CHANNELS) if payload is None else np.array(payload, dtype=np.float64)
+    refusal = _refusal(t_s, wrench - base, limits, weighed=payload is not None)
+    if refusal:
+        raise FaultError(
+            Fault(
+                "TARE-REFUSED",
+                f"The force sensor cannot be tared: {refusal}.",
+                "No probe was started.",
+                "Hold the piece still in air, free of contact, and try again.",
+                "force_torque",
+            )
+        )
+    return Tare(base, np.asarray((wrench - base).mean(axis=0), dtype=np.float64))
+
+
+def _refusal(t_s: FloatArray, wrench: FloatArray, limits: TareLimits, *, weighed: bool) -> str:
+    """Return why these samples are no tare, "" if they are one; NaN refuses."""
+    if len(t_s) < limits.least_samples or not float(t_s[-1] - t_s[0]) >= limits.least_span_s:
+        return f"{len(t_s)} samples are too few or span too short a time"
+    if not np.isfinite(wrench).all():
+        return "a sample is not a finite number"
+    half = len(wrench) // 2
+    noise = _largest(wrench.std(axis=0, ddof=1))
+    motion = _largest(np.abs(wrench[half:].mean(axis=0) - wrench[:half].mean(axis=0)))
+    for kind, measured, allowed in (
+        ("noise", noise, limits.noise),
+        ("drift", motion, limits.motion),
+    ):
+        if not (measured[0] <= allowed[0] and measured[1] <= allowed[1]):
+            return f"{kind} of {measured[0]:.2f} N, {measured[1]:.3f} N·m in still air"
+    load_n = math.hypot(*wrench[:, :3].mean(axis=0))
+    if weighed and not load_n <= limits.load_n:
+        return f"{load_n:.1f} N beyond the payload: the piece touches something"
+    return ""
+
+
+def _largest(channels: FloatArray) -> tuple[float, float]:
+    """Return the largest of the forces and of the moments in ``channels`` (6,)."""
+    return float(channels[:3].max()), float(channels[3:].max())
+
+
+REST_FRAMES = 10
+"""Frames of a usual reference."""
+FEWEST_REST_FRAMES = 3
+NOISE_FLOOR_PX = 0.06
+"""Noise of one marker centre on a still gel (measured on real frames, docs/tracking.md)."""
+MOTION_FACTOR = 3.0
+CONTACT_PX = 0.7
+"""Change of shape (rms, whole-grid motion and affine part removed) that means contact."""
+
+
+@dataclass(frozen=True, slots=True)
+class TactileReference:
+    """Mean of still frames: ``position_px`` (63, 2), ``noise_px`` (63,) sigma per marker at rest.
+
+    ``t_s``: bench time of its newest frame; ``frames``: how many were averaged.
+    """
+
+    finger: Finger
+    t_s: float
+    position_px: FloatArray
+    noise_px: FloatArray
+    frames: int
+
+    def __post_init__(self) -> None:
+        read_only(self.position_px)
+        read_only(self.noise_px)
+
+    @property
+    def sha256(self) -> str:
+        """Name of the rest positions: equal ones have the same."""
+        return sha256(np.ascontiguousarray(self.position_px, dtype="<f8").tobytes()).hexdigest()
+
+
+def take_reference(
+    fields: Sequence[MarkerField], template: TactileReference | None = None
+) -> TactileReference:
+    """Average ``fields`` of one finger, oldest first, into a reference.
+
+    ``template``: a no-contact reference of the same gel; with it a gel in contact is refused (the
+    loop gives the first one taken in air after gripping). Raises ``RefusedError`` with reason
+    "frames" (too few or of two fingers), "markers" (not all seen), "motion" (more than three times
+    the noise floor) or "contact".
+    """
+    _check_frames(fields)
+    places = np.stack([field.position_px for field in fields])
+    rest = places.mean(axis=0)
+    motion_px = float(np.sqrt(((places - rest) ** 2).mean(axis=(1, 2)).max()))
+    if motion_px > MOTION_FACTOR * NOISE_FLOOR_PX:
+        raise RefusedError(
+            "motion",
+            f"The gel moves by {motion_px:.2f} px; wait until it is still "
+            f"(at most {MOTION_FACTOR * NOISE_FLOOR_PX:.2f} px).",
+        )
+    if template is not None:
+        refuse_contact(rest, [template.position_px])
+    noise = places.std(axis=0, ddof=1).mean(axis=1)
+    return TactileReference(fields[-1].finger, fields[-1].t_s, rest, noise, len(fields))
+
+
+def refuse_contact(position_px: FloatArray, templates_px: Sequence[FloatArray]) -> None:
+    """Raise ``RefusedError`` "contact" unless (63, 2) places have the shape of one template."""
+    change_px = min(shape_change_px(position_px, template) for template in templates_px)
+    if not change_px <= CONTACT_PX:
+        raise RefusedError(
+            "contact",
+            f"The gel is pressed {change_px:.2f} px out of its no-contact shape "
+            f"(at most {CONTACT_PX:.2f} px).",
+        )
+
+
+def shape_change_px(position_px: FloatArray, rest_px: FloatArray) -> float:
+    """Return the rms change of shape between two (63, 2) grids beyond an affine motion, in px."""
+    model = np.column_stack([rest_px, np.ones(MARKERS)])
+    change = position_px - rest_px
+    fitted = model @ np.linalg.lstsq(model, change, rcond=None)[0]
+    return float(np.sqrt(((change - fitted) ** 2).sum(axis=1).mean()))
+
+
+def _check_frames(fields: Sequence[MarkerField]) -> None:
+    if len(fields) < FEWEST_REST_FRAMES or len({field.finger for field in fields}) > 1:
+        raise RefusedError(
+            "frames", f"A reference needs {FEWEST_REST_FRAMES} or more frames of one finger."
+        )
+    hidden = max(int((field.state != MarkerState.SEEN).sum()) for field in fields)
+    if hidden:
+        raise RefusedError(
+            "markers", f"{hidden} of the {MARKERS} markers are not seen; clean or check the gel."
+        )
+
+
+BLOCK_S = 0.5
+"""Samples of so long are one mean."""
+LEAST_S = 0.15
+"""Shorter air says nothing."""
+STEP_N = 0.15
+"""From one mean to the next; more, or more than the noise explains, is a load."""
+FAST_N_S = 0.1
+"""Between two stays in air it may have drifted by so much more a second; beyond is a load."""
+NOISE_FACTOR = 8.0
+BROKEN_S = 0.2
+"""Samples that are farther apart are not one air."""
+LONGEST_GAP_S = 60.0
+"""What happened over a longer time out of the air is not known."""
+WINDOW_S = 300.0
+"""Drift is told over so long: a tare is as old as that at most (reliability S8)."""
+NAMED_N, QUIET_N = 0.5, 0.25
+"""So much drift is named, well before it reaches 1 N, until there is as little as this again."""
+SOON_S = 5.0
+"""Less time in air gives no figure yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchDrift:
+    """By how much, in N, a still wrist sensor moved within the last ``over_s``; ``named``: much."""
+
+    moved_n: float
+    over_s: float
+    named: bool = False
+
+    @property
+    def rate_n_s(self) -> float:
+        """Mean rate in N a second."""
+        return self.moved_n / self.over_s
+
+    def text(self) -> str:
+        """Return it as an episode keeps it."""
+        return f"{self.moved_n:.3f} N in {self.over_s:.1f} s"
+
+    def words(self) -> str:
+        """Return it as the read-out shows it."""
+        over = f"{self.over_s:.0f} s" if self.over_s < 99.5 else f"{self.over_s / 60.0:.0f} min"
+        return f"drift {self.moved_n:.2f} N in {over}"
+
+
+@dataclass(frozen=True, slots=True)
+class _AirMean:
+    """One mean of still air: until when, (3,) N, and the standard deviation of that mean."""
+
+    until_s: float
+    mean_n: FloatArray
+    sigma_n: float
+
+
+class DriftWatch:
+    """Adds up what the air moves; the caller knows what air is."""
+
+    def __init__(self) -> None:
+        self._blocks: list[tuple[FloatArray, FloatArray]] = []
+        self._last: _AirMean | None = None
+        self._contiguous = False
+        self._sum_n = np.zeros(3)
+        self._step_n: FloatArray | None = None
+        self._loaded = False
+        self._told: deque[tuple[float, FloatArray]] = deque()
+        self._named = False
+
+    def feed(self, t_s: FloatArray, force_n: FloatArray) -> None:
+        """Take untared samples (n,), (n, 3) in still air, with the same load as those before."""
+        finite = np.isfinite(force_n).all(axis=1)
+        t_s, force_n = t_s[finite], force_n[finite]
+        if not len(t_s):
+            return
+        if self._blocks and t_s[0] - self._blocks[-1][0][-1] > BROKEN_S:
+            self.leave()
+        self._blocks.append((t_s, force_n))
+        if t_s[-1] - self._blocks[0][0][0] >= BLOCK_S:
+            self._close()
+
+    def leave(self) -> None:
+        """Leave the air, or stand still no longer: until the next air more may change."""
+        if self._blocks and self._blocks[-1][0][-1] - self._blocks[0][0][0] >= LEAST_S:
+            self._close()
+        self._blocks.clear()
+        self._contiguous = False
+
+    def reload(self) -> None:
+        """Begin with another load: a piece was gripped or let go, or the hand was turned."""
+        self.leave()
+        self._last = None
+
+    def drift(self) -> WrenchDrift | None:
+        """Return what was found, None as long as that is too little to say."""
+        if not self._told or self._told[-1][0] - self._told[0][0] < SOON_S:
+            return None
+        (first_s, first_n), (last_s, last_n) = self._told[0], self._told[-1]
+        moved_n = float(np.linalg.norm(last_n - first_n))
+        self._named = moved_n >= (QUIET_N if self._named else NAMED_N)
+        return WrenchDrift(moved_n, last_s - first_s, self._named)
+
+    def _close(self) -> None:
+        """Take the mean of what is gathered, and what it moved since the one before."""
+        t_s, force_n = (np.concatenate(part) for part in zip(*self._blocks, strict=True))
+        self._blocks.clear()
+        sigma_n = float(force_n.std(axis=0).max()) / math.sqrt(len(t_s))
+        air = _AirMean(float(t_s[-1]), force_n.mean(axis=0), sigma_n)
+        before, self._last = self._last, air
+        if before is None:
+            self._count(None)
+        elif self._is_load(before, air):
+            # The means beside it may hold a part of the load.
+            self._step_n, self._loaded = None, True
+        else:
+            self._count(None if self._loaded else air.mean_n - before.mean_n)
+        self._contiguous = True
+        self._told.append((air.until_s if before is None else before.until_s, self._sum_n))
+        while self._told[0][0] < air.until_s - WINDOW_S:
+            self._told.popleft()
+
+    def _count(self, step_n: FloatArray | None) -> None:
+        """Add the step before, now that no load followed it; keep this one."""
+        if self._step_n is not None:
+            self._sum_n = self._sum_n + self._step_n
+        self._step_n, self._loaded = step_n, False
+
+    def _is_load(self, before: _AirMean, air: _AirMean) -> bool:
+        gap_s = 0.0 if self._contiguous else air.until_s - before.until_s
+        noise_n = NOISE_FACTOR * math.hypot(air.sigma_n, before.sigma_n)
+        moved_n = float(np.linalg.norm(air.mean_n - before.mean_n))
+        return gap_s > LONGEST_GAP_S or moved_n > max(STEP_N, noise_n) + FAST_N_S * gap_s

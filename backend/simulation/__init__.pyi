@@ -1,0 +1,81 @@
+from .arm import ArmCycle as ArmCycle
+from .batch import BatchedTrials as BatchedTrials
+from .batch import BatchPlan as BatchPlan
+from .batch import EpisodeBatch as EpisodeBatch
+from .batch import MarkerModel as MarkerModel
+from .batch import SensorNoise as SensorNoise
+from .batch import TrialPresses as TrialPresses
+from .batch import draw_noise as draw_noise
+from .batch import gel_from_settings as gel_from_settings
+from .batch import observe_presses as observe_presses
+from .batch import onset_rule as onset_rule
+from .batch import simulate_episodes as simulate_episodes
+from .conditions import Conditions as Conditions
+from .conditions import GripDraw as GripDraw
+from .conditions import MountingDraw as MountingDraw
+from .conditions import ProbeDraw as ProbeDraw
+from .conditions import conditions_from_draws as conditions_from_draws
+from .contact import RESIDUAL_LIMIT as RESIDUAL_LIMIT
+from .finger_camera import WIDTH_PX as WIDTH_PX
+from .finger_camera import TactileRenderer as TactileRenderer
+from .finger_camera import load_gel_appearance as load_gel_appearance
+from .finger_camera import mirror_appearance as mirror_appearance
+from .gripper import start_command_mm as start_command_mm
+from .mechanics import GraspHistory as GraspHistory
+from .mechanics import Region as Region
+from .mechanics import begin_probes as begin_probes
+from .pressing import press_batch as press_batch
+from .release_mujoco import import_mujoco as import_mujoco
+from .release_mujoco import mujoco_available as mujoco_available
+from .scene import Scene as Scene
+from .scene import SceneTruth as SceneTruth
+from .scene import release_kick_mm as release_kick_mm
+from .scene import tower_with_piece as tower_with_piece
+from .scene import true_margin_mm as true_margin_mm
+from .supports import SupportStack as SupportStack
+from .supports import join_support_stacks as join_support_stacks
+from .supports import support_stack as support_stack
+from .world import CycleRecord as CycleRecord
+from .world import World as World
+
+__all__ = [
+    "RESIDUAL_LIMIT",
+    "WIDTH_PX",
+    "ArmCycle",
+    "BatchPlan",
+    "BatchedTrials",
+    "Conditions",
+    "CycleRecord",
+    "EpisodeBatch",
+    "GraspHistory",
+    "GripDraw",
+    "MarkerModel",
+    "MountingDraw",
+    "ProbeDraw",
+    "Region",
+    "Scene",
+    "SceneTruth",
+    "SensorNoise",
+    "SupportStack",
+    "TactileRenderer",
+    "TrialPresses",
+    "World",
+    "begin_probes",
+    "conditions_from_draws",
+    "draw_noise",
+    "gel_from_settings",
+    "import_mujoco",
+    "join_support_stacks",
+    "load_gel_appearance",
+    "mirror_appearance",
+    "mujoco_available",
+    "observe_presses",
+    "onset_rule",
+    "press_batch",
+    "release_kick_mm",
+    "simulate_episodes",
+    "start_command_mm",
+    "support_stack",
+    "tower_with_piece",
+    "true_margin_mm",
+]

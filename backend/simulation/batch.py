@@ -1,0 +1,563 @@
+"""Batch version of the simulated bench, for labelled episodes and for whole trials.
+
+The same physics as the stepped bench. For episodes, the probes of one grip follow each other (the
+grip slip carries over) and the grips of one chunk are solved side by side; every probe has its own
+generator, so that results do not depend on how chunks are distributed. For trials, mounting, grip
+and probe are drawn as on the stepped bench with the same scene; only the noise within a probe
+(white, drift, frame times, lost markers) is drawn otherwise, and nothing is rendered or tracked.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.config import SAMPLES_PER_PROBE, ProbeSettings, SimulationSettings
+from touchdown.backend.core import (
+    CHANNELS,
+    TACTILE_CHANNELS,
+    FloatArray,
+    OnsetRule,
+    fill_unseen_markers,
+)
+from touchdown.backend.geometry import Outline, Tower, face_points
+from touchdown.backend.simulation import conditions as nuisance
+from touchdown.backend.simulation import marker_fields
+from touchdown.backend.simulation.conditions import Conditions, SeedScope, true_offset_mm
+from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
+from touchdown.backend.simulation.gripper import scene_mounting, start_command_mm
+from touchdown.backend.simulation.marker_fields import CameraDraw, Gel, build_gel
+from touchdown.backend.simulation.mechanics import GraspHistory, Region, begin_probes
+from touchdown.backend.simulation.pressing import (
+    TIMELINE_VALUES,
+    PressBatch,
+    Timeline,
+    noise_samples,
+    press_batch,
+)
+from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.supports import (
+    SupportStack,
+    join_support_stacks,
+    slide_bottoms,
+    support_stack,
+)
+from touchdown.backend.simulation.wrist_sensor import wrist_wrench
+
+MAX_ATTEMPTS = 20
+MIN_OVERLAP_MM2 = 6.0
+REGRASP_MM = 1.0
+"""An operator would grasp the piece anew when it has slipped this far."""
+LARGEST_FORCE_RATIO = 1.3
+"""A press force above this times series stiffness times depth is no equilibrium."""
+
+
+@dataclass(frozen=True, slots=True)
+class BatchPlan:
+    """What to simulate for one pair of piece and bottom.
+
+    ``face_points_mm`` (N, 2): lattice of the face; ``width_mm``: held between the pads.
+    ``bottoms``: what the touched outline belongs to, where it can rock and slide; None: rigid.
+    Every probe finds it where it stood: an operator puts it back.
+    """
+
+    piece: str
+    bottom: str
+    face: Outline
+    bottom_outline: Outline
+    face_points_mm: FloatArray
+    grip_height_mm: float
+    width_mm: float
+    episodes: int
+    seed: int
+    probes_per_grip: int = 50
+    grips_per_mounting: int = 10
+    settings: SimulationSettings = field(default_factory=SimulationSettings)
+    probe: ProbeSettings = field(default_factory=ProbeSettings)
+    bottoms: Tower | None = None
+
+    @property
+    def pair(self) -> int:
+        """Number that stands for the pair in seeds."""
+        return zlib.crc32(f"{self.piece}/{self.bottom}".encode())
+
+    @property
+    def grips(self) -> int:
+        """Number of grippings."""
+        return -(-self.episodes // self.probes_per_grip)
+
+    def probes_of(self, grip: int) -> int:
+        """Return the number of probes of gripping ``grip``."""
+        return min(self.probes_per_grip, self.episodes - grip * self.probes_per_grip)
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeBatch:
+    """n labelled episodes.
+
+    ``observation`` (n, 20, 258) float32; ``offset_mm`` (n, 2) commanded, ``true_offset_mm`` (n, 2);
+    ``patch`` (n, N) bool, overlap at the commanded displacement (the label); ``onset_error_s``,
+    ``slip_mm`` (largest change of shear slip in this probe), ``residual``: (n,); ``episode``,
+    ``grip``, ``mounting``: (n,) numbers within the plan; ``rejected``: probes drawn again.
+    """
+
+    observation: NDArray[np.float32]
+    offset_mm: FloatArray
+    true_offset_mm: FloatArray
+    patch: NDArray[np.bool_]
+    onset_error_s: FloatArray
+    slip_mm: FloatArray
+    residual: FloatArray
+    episode: NDArray[np.intp]
+    grip: NDArray[np.intp]
+    mounting: NDArray[np.intp]
+    rejected: int
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNoise:
+    """What the sensors add to one press.
+
+    ``phase_s``: where the cycle boundaries lie relative to the contact; ``force_n``: errors of the
+    press force on the sample grid; ``wrench`` (20, 6) at the ticks, N and N·m.
+    """
+
+    phase_s: float
+    force_n: FloatArray
+    wrench: FloatArray
+    camera: CameraDraw
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerModel:
+    """How marker fields arise (``gel``) and how unseen markers are filled in (``infer``)."""
+
+    gel: Gel
+    infer: marker_fields.FillMarkers = fill_unseen_markers
+
+
+@dataclass(frozen=True, slots=True)
+class _ProbeNoise:
+    """All that is random in one probe."""
+
+    offset_mm: FloatArray
+    probe: nuisance.ProbeDraw
+    noise: SensorNoise
+
+
+def simulate_episodes(
+    plan: BatchPlan,
+    grips: Sequence[int] | None = None,
+    infer: marker_fields.FillMarkers = fill_unseen_markers,
+) -> Iterator[EpisodeBatch]:
+    """Yield the episodes of the named ``grips`` (default: all), one probe of every grip at a time.
+
+    Probes that do not converge, find no contact or exceed the sanity bound are drawn again and
+    counted. Raises ``RuntimeError`` if a probe fails ``ATTEMPTS`` times.
+    """
+    chosen = list(range(plan.grips) if grips is None else grips)
+    bench = _BatchBench(plan, infer)
+    held = {grip: bench.gripping(grip) for grip in chosen}
+    carried = GraspHistory.fresh(len(chosen))
+    for number in range(max(map(plan.probes_of, chosen), default=0)):
+        rows = np.array([i for i, g in enumerate(chosen) if plan.probes_of(g) > number])
+        batch, after = bench.probe([chosen[i] for i in rows], number, held, carried.take(rows))
+        carried = carried.replaced(rows, after)
+        yield batch
+
+
+class _BatchBench:
+    """The parts of a plan that every probe needs."""
+
+    def __init__(self, plan: BatchPlan, infer: marker_fields.FillMarkers) -> None:
+        self.plan = plan
+        self.eye = MarkerModel(gel_from_settings(plan.settings), infer)
+        self.rule = onset_rule(plan.settings, plan.probe)
+        self.cycle_s = 1e-6 * plan.settings.cycle_us
+        tower = plan.bottoms
+        self.stand = None if tower is None else support_stack(tower, plan.settings.support)
+
+    def gripping(self, grip: int) -> tuple[nuisance.MountingDraw, nuisance.GripDraw]:
+        """Draw mounting and gripping number ``grip``."""
+        plan = self.plan
+        mounting = grip // plan.grips_per_mounting
+        at_mounting = nuisance.scoped_generator(plan.seed, SeedScope.MOUNTING, plan.pair, mounting)
+        at_grip = nuisance.scoped_generator(
+            plan.seed, SeedScope.GRIPPING, plan.pair, mounting, grip
+        )
+        return (
+            nuisance.draw_mounting(plan.settings, at_mounting),
+            nuisance.draw_gripping(plan.settings, plan.probe.grip_force_n, at_grip),
+        )
+
+    def probe(
+        self,
+        grips: list[int],
+        number: int,
+        held: dict[int, tuple[nuisance.MountingDraw, nuisance.GripDraw]],
+        carried: GraspHistory,
+    ) -> tuple[EpisodeBatch, GraspHistory]:
+        """Simulate probe ``number`` of each of the ``grips``, again where it failed."""
+        parts: dict[int, tuple[EpisodeBatch, GraspHistory, int]] = {}
+        waiting = np.arange(len(grips))
+        rejected = 0
+        for attempt in range(MAX_ATTEMPTS):
+            names = [grips[i] for i in waiting]
+            drawn = [self._draw(grip, number, attempt) for grip in names]
+            batch, after, good = self._press(
+                names, number, drawn, [held[g] for g in names], carried.take(waiting)
+            )
+            for k in np.flatnonzero(good):
+                parts[int(waiting[k])] = (batch, after, int(k))
+            rejected += int((~good).sum())
+            waiting = waiting[~good]
+            if not len(waiting):
+                return _joined([parts[i] for i in range(len(grips))], rejected)
+        raise RuntimeError(
+            f"{len(waiting)} probes of {self.plan.piece} failed {MAX_ATTEMPTS} times"
+        )
+
+    def _draw(self, grip: int, number: int, attempt: int) -> _ProbeNoise:
+        plan = self.plan
+        rng = nuisance.scoped_generator(
+            plan.seed, SeedScope.PROBE, plan.pair, grip, number, attempt
+        )
+        offset = self._draw_offset(rng)
+        probe = nuisance.draw_probe(plan.settings, rng)
+        return _ProbeNoise(offset, probe, draw_noise(plan.settings, self.rule, rng))
+
+    def _draw_offset(self, rng: np.random.Generator) -> FloatArray:
+        """Return (2,) uniform over displacements with enough overlap."""
+        plan = self.plan
+        reach = np.add(plan.face.half_extents_mm, plan.bottom_outline.half_extents_mm)
+        cell = plan.settings.face.lattice_mm**2
+        while True:
+            tried = reach * (2.0 * rng.random((4, 2)) - 1.0)
+            inside = plan.bottom_outline.contains(plan.face_points_mm + tried[:, None, :])
+            enough = np.flatnonzero(cell * inside.sum(axis=1) >= MIN_OVERLAP_MM2)
+            if len(enough):
+                return np.asarray(tried[enough[0]], dtype=np.float64)
+
+    def _press(
+        self,
+        grips: list[int],
+        number: int,
+        drawn: list[_ProbeNoise],
+        held: list[tuple[nuisance.MountingDraw, nuisance.GripDraw]],
+        carried: GraspHistory,
+    ) -> tuple[EpisodeBatch, GraspHistory, NDArray[np.bool_]]:
+        plan = self.plan
+        draws = [(m, g, d.probe) for (m, g), d in zip(held, drawn, strict=True)]
+        conditions = nuisance.conditions_from_draws(
+            plan.settings, plan.probe, plan.grip_height_mm, plan.width_mm, draws
+        )
+        commanded = np.stack([d.offset_mm for d in drawn])
+        true = true_offset_mm(commanded, conditions, carried.slip)
+        state = begin_probes(
+            plan.face_points_mm,
+            plan.bottom_outline,
+            true,
+            conditions,
+            carried,
+            plan.settings.face.lattice_mm,
+        ).on(None if self.stand is None else join_support_stacks([self.stand] * len(drawn)))
+        pressed = press_batch(
+            state,
+            np.array([d.noise.phase_s for d in drawn]),
+            np.stack([d.noise.force_n for d in drawn]),
+            plan.probe,
+            self.rule,
+            self.cycle_s,
+        )
+        slipped = pressed.state.slip[:, :, :2] - carried.slip[:, :, :2]
+        after = _regrasped(GraspHistory(pressed.state.slip, pressed.state.relaxed))
+        mounting = np.array(grips) // plan.grips_per_mounting
+        batch = EpisodeBatch(
+            observation=observe_presses(
+                pressed, conditions, plan.settings, [d.noise for d in drawn], self.eye
+            ),
+            offset_mm=commanded,
+            true_offset_mm=true,
+            patch=plan.bottom_outline.contains(plan.face_points_mm + commanded[:, None, :]),
+            onset_error_s=pressed.onset_s - pressed.touch_s,
+            slip_mm=np.hypot(slipped[..., 0], slipped[..., 1]).max(axis=1),
+            residual=pressed.state.residual,
+            episode=np.array(grips) * plan.probes_per_grip + number,
+            grip=np.array(grips),
+            mounting=mounting,
+            rejected=0,
+        )
+        return batch, after, usable_presses(pressed, conditions, plan.probe)
+
+
+def gel_from_settings(settings: SimulationSettings) -> Gel:
+    """Return the gel that the settings describe."""
+    tactile = settings.tactile
+    return build_gel(tactile.mm_per_px, tactile.pitch_mm, tactile.roll_off_mm, tactile.dilation)
+
+
+def onset_rule(settings: SimulationSettings, probe: ProbeSettings) -> OnsetRule:
+    """Return how the wrist sensor's samples become a contact."""
+    return OnsetRule(threshold_n=probe.threshold_n, rate_hz=settings.wrist.rate_hz)
+
+
+def draw_noise(
+    settings: SimulationSettings, rule: OnsetRule, rng: np.random.Generator
+) -> SensorNoise:
+    """Draw what the sensors add to one press."""
+    cycle_s = 1e-6 * settings.cycle_us
+    phase_s = cycle_s * float(rng.random())
+    force_n = settings.wrist.white_n * rng.standard_normal(noise_samples(rule, cycle_s))
+    wrench = _wrench_noise(settings, rng)
+    return SensorNoise(phase_s, force_n, wrench, marker_fields.draw_camera(settings.tactile, rng))
+
+
+class PressCourse(Protocol):
+    """What ``observe`` reads of B presses; ``Pressed`` is one."""
+
+    @property
+    def timeline(self) -> Timeline:
+        """Wrench, strain and pad forces over time."""
+
+    @property
+    def ticks_s(self) -> FloatArray:
+        """(B, 20) instants of the model's input."""
+
+    @property
+    def air(self) -> FloatArray:
+        """(B, 14) values before the descent."""
+
+
+def observe_presses(
+    pressed: PressCourse,
+    conditions: Conditions,
+    settings: SimulationSettings,
+    noise: Sequence[SensorNoise],
+    eye: MarkerModel,
+) -> NDArray[np.float32]:
+    """Return (n, 20, 258) as the model sees n presses."""
+    sight = marker_fields.PadImaging(
+        eye.gel,
+        conditions.gain,
+        conditions.bias_px,
+        conditions.grip_force_n,
+        settings.tactile.border_px,
+        eye.infer,
+    )
+    fields = marker_fields.fields_at_ticks(
+        pressed.timeline, pressed.air, pressed.ticks_s, [n.camera for n in noise], sight
+    )
+    at_wrist = wrist_wrench(_mean_wrench(pressed), settings.wrist.height_mm, settings.wrist.yaw_rad)
+    at_wrist += conditions.ft_offset[:, None, :]
+    at_wrist += np.stack([n.wrench for n in noise])
+    count = len(noise)
+    seen = np.empty((count, SAMPLES_PER_PROBE, CHANNELS), dtype=np.float32)
+    in_order = fields.swapaxes(-1, -2).reshape(count, SAMPLES_PER_PROBE, TACTILE_CHANNELS)
+    seen[:, :, :TACTILE_CHANNELS] = in_order
+    seen[:, :, TACTILE_CHANNELS:] = at_wrist
+    return seen
+
+
+def _regrasped(carried: GraspHistory) -> GraspHistory:
+    """Put a piece that has slipped too far back into the jig: the same grip without slip."""
+    slid = np.hypot(carried.slip[..., 0], carried.slip[..., 1]).max(axis=1) > REGRASP_MM
+    return carried.replaced(np.flatnonzero(slid), GraspHistory.fresh(int(slid.sum())))
+
+
+def _mean_wrench(pressed: PressCourse) -> FloatArray:
+    """Return (n, 20, 6) mean over the 100 samples of 1 ms up to each tick, N and N·mm."""
+    # Ten groups of ten samples; the mean of a group is the value at its centre.
+    centre = -0.1 + 1e-3 * (10.0 * np.arange(10) + 5.5)
+    t_s = (pressed.ticks_s[:, :, None] + centre).reshape(len(pressed.ticks_s), -1)
+    values = pressed.timeline.at(t_s)[:, :, :6]
+    return np.asarray(
+        values.reshape(len(t_s), SAMPLES_PER_PROBE, 10, 6).mean(axis=2), dtype=np.float64
+    )
+
+
+def _wrench_noise(settings: SimulationSettings, rng: np.random.Generator) -> FloatArray:
+    """Return (20, 6) error of the 10 Hz wrench without its constant offset, N and N·m."""
+    wrist = settings.wrist
+    white = np.repeat([wrist.white_n, wrist.white_nm], 3)
+    drift = np.repeat([wrist.drift_n_sqrt_min, wrist.drift_nm_sqrt_min], 3)
+    per_tick = np.sqrt(0.1 * wrist.rate_hz)
+    tare = rng.standard_normal(6) / np.sqrt(0.2 * wrist.rate_hz)
+    noise = white * (rng.standard_normal((SAMPLES_PER_PROBE, 6)) / per_tick - tare)
+    walk = np.sqrt(np.r_[1.6, np.full(SAMPLES_PER_PROBE - 1, 0.1)] / 60.0)[:, None]
+    noise += drift * np.cumsum(walk * rng.standard_normal((SAMPLES_PER_PROBE, 6)), axis=0)
+    return np.asarray(noise, dtype=np.float64)
+
+
+def usable_presses(
+    pressed: PressBatch, conditions: Conditions, probe: ProbeSettings
+) -> NDArray[np.bool_]:
+    """Return (n,) which presses converged, found contact and stay below the sanity bound."""
+    both = 2.0 * conditions.shear_n_mm * (1.0 + conditions.alpha)
+    series = both * conditions.robot_n_mm[:, 2] / (both + conditions.robot_n_mm[:, 2])
+    bound = LARGEST_FORCE_RATIO * series * (probe.depth_mm + 0.1)
+    largest = pressed.timeline.values[:, :, 2].max(axis=1)
+    converged = pressed.state.residual <= RESIDUAL_LIMIT
+    return np.asarray(pressed.detected & converged & (largest <= bound))
+
+
+def _joined(
+    parts: list[tuple[EpisodeBatch, GraspHistory, int]], rejected: int
+) -> tuple[EpisodeBatch, GraspHistory]:
+    """Pick row k of each part, in order."""
+
+    def pick(name: str) -> NDArray[np.generic]:
+        return np.stack([getattr(batch, name)[k] for batch, _, k in parts])
+
+    names = [n for n in EpisodeBatch.__dataclass_fields__ if n != "rejected"]
+    joined = EpisodeBatch(**{n: pick(n) for n in names}, rejected=rejected)  # type: ignore[arg-type]
+    slip = np.stack([after.slip[k] for _, after, k in parts])
+    return joined, GraspHistory(slip, np.stack([after.relaxed[k] for _, after, k in parts]))
+
+
+_MOUNTING = _GRIP = 0
+_SENSORS = 1
+
+
+@dataclass(frozen=True, slots=True)
+class TrialPresses:
+    """What k presses left behind.
+
+    ``observation`` (k, 20, 258) float32; ``true_mm`` (k, 2): displacement of the face afterwards,
+    slip in the hand and sliding of the bottom included; ``valid`` (k,): contact was found and the
+    solver converged; ``press_n`` (k,) at the end; ``slip_mm`` (k,): largest slip of a pad in this
+    press; ``toppled`` (k,): the supports will not come back upright.
+    """
+
+    observation: NDArray[np.float32]
+    true_mm: FloatArray
+    valid: NDArray[np.bool_]
+    press_n: FloatArray
+    slip_mm: FloatArray
+    toppled: NDArray[np.bool_]
+
+
+class BatchedTrials:
+    """Trials of one piece over one upper outline and one bench; scenes differ in seed and tower.
+
+    Raises ValueError for scenes of different pieces, surfaces, settings or numbers of free bodies.
+    """
+
+    def __init__(self, scenes: Sequence[Scene], probe: ProbeSettings | None = None) -> None:
+        first = scenes[0]
+        if any(self.shared(s) != self.shared(first) for s in scenes):
+            raise ValueError("trials in lockstep share piece, surface and settings")
+        self.scenes, self._first = scenes, first
+        self._probe = probe or ProbeSettings()
+        self._points_mm = face_points(first.piece.face, first.settings.face.lattice_mm)
+        self._rule = onset_rule(first.settings, self._probe)
+        self._eye = MarkerModel(gel_from_settings(first.settings))
+        force_n = self._probe.grip_force_n
+        self.grippings = [
+            nuisance.draw_gripping(
+                s.settings,
+                force_n,
+                nuisance.scoped_generator(s.seed, SeedScope.GRIPPING, _MOUNTING, _GRIP),
+            )
+            for s in scenes
+        ]
+        self._mountings = [scene_mounting(scene) for scene in scenes]
+        self._carried = GraspHistory.fresh(len(scenes))
+        self._number = [0] * len(scenes)
+        self.bottoms = [scene.bottoms for scene in scenes]
+        """The towers below, as far as they have slid by now."""
+        self._slid_mm = np.zeros((len(scenes), 2))
+        self._stands = [support_stack(tower, first.settings.support) for tower in self.bottoms]
+
+    @staticmethod
+    def shared(scene: Scene) -> tuple[object, ...]:
+        """Return what must be the same in all scenes."""
+        return scene.piece, scene.surface, scene.settings, _free(scene)
+
+    def surfaces(self, rows: NDArray[np.intp]) -> Region:
+        """Return what lies under the faces of the trials ``rows``."""
+        return self._first.surface
+
+    def start_commands_mm(self) -> FloatArray:
+        """Return (B, 2): commands of the face that put each piece at its scene's start."""
+        return np.stack([start_command_mm(scene)[:2] for scene in self.scenes])
+
+    def press(self, trials: Sequence[int], commands_mm: FloatArray) -> TrialPresses:
+        """Press the pieces of the named ``trials`` at ``commands_mm`` (k, 2); slip stays.
+
+        Every call is a new probe of these trials, with its own draws, as on the bench.
+        """
+        rows = np.asarray(trials, dtype=np.intp)
+        settings = self._first.settings
+        conditions = self._conditions(rows)
+        carried = self._carried.take(rows)
+        state = begin_probes(
+            self._points_mm,
+            self.surfaces(rows),
+            true_offset_mm(commands_mm, conditions, carried.slip) - self._slid_mm[rows],
+            conditions,
+            carried,
+            settings.face.lattice_mm,
+        ).on(self._stand(rows))
+        noise = [draw_noise(settings, self._rule, self._sensor_rng(i)) for i in rows.tolist()]
+        pressed = press_batch(
+            state,
+            np.array([n.phase_s for n in noise]),
+            np.stack([n.force_n for n in noise]),
+            self._probe,
+            self._rule,
+            1e-6 * settings.cycle_us,
+        )
+        slid = pressed.state.slip[:, :, :2] - carried.slip[:, :, :2]
+        valid = usable_presses(pressed, conditions, self._probe)
+        after = GraspHistory(pressed.state.slip, pressed.state.relaxed)
+        self._carried = self._carried.replaced(rows, after)
+        self._slide(rows, pressed.state.pose.slide_mm)
+        last = pressed.timeline.values[:, -1, :TIMELINE_VALUES]
+        return TrialPresses(
+            observation=observe_presses(pressed, conditions, settings, noise, self._eye),
+            true_mm=true_offset_mm(commands_mm, conditions, after.slip) - self._slid_mm[rows],
+            valid=valid,
+            press_n=np.asarray(last[:, 2], dtype=np.float64),
+            slip_mm=np.asarray(np.hypot(slid[..., 0], slid[..., 1]).max(axis=1)),
+            toppled=pressed.state.toppled,
+        )
+
+    def _stand(self, rows: NDArray[np.intp]) -> SupportStack | None:
+        stands = [stand for i in rows.tolist() if (stand := self._stands[i]) is not None]
+        return join_support_stacks(stands) if stands else None
+
+    def _slide(self, rows: NDArray[np.intp], slide_mm: FloatArray) -> None:
+        """Leave the supports where they have slid to (k, m, 2)."""
+        for i, slide in zip(rows.tolist(), slide_mm, strict=True):
+            if slide.any():
+                self.bottoms[i] = slide_bottoms(self.bottoms[i], slide)
+                self._slid_mm[i] += slide.sum(axis=0)
+                self._stands[i] = support_stack(self.bottoms[i], self._first.settings.support)
+
+    def _conditions(self, rows: NDArray[np.intp]) -> Conditions:
+        draws = []
+        for i in rows.tolist():
+            self._number[i] += 1
+            scene = self.scenes[i]
+            rng = nuisance.scoped_generator(
+                scene.seed, SeedScope.PROBE, _MOUNTING, _GRIP, self._number[i]
+            )
+            each = nuisance.draw_probe(scene.settings, rng)
+            draws.append((self._mountings[i], self.grippings[i], each))
+        piece = self._first.piece
+        return nuisance.conditions_from_draws(
+            self._first.settings, self._probe, self._first.grip_height_mm, piece.width_mm, draws
+        )
+
+    def _sensor_rng(self, trial: int) -> np.random.Generator:
+        seed, number = self.scenes[trial].seed, self._number[trial]
+        return nuisance.scoped_generator(seed, SeedScope.PROBE, _MOUNTING, _GRIP, number, _SENSORS)
+
+
+def _free(scene: Scene) -> int:
+    return sum(not body.fixed for body in scene.bottoms.bodies)

@@ -1,0 +1,4 @@
+from .bench import BenchStreams as BenchStreams
+from .bench import SimulatedBench as SimulatedBench
+
+__all__ = ["BenchStreams", "SimulatedBench"]

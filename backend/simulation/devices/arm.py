@@ -1,0 +1,387 @@
+"""The simulated arm as a device, with the joints of an RV-5AS beside the simulated bench."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+
+from touchdown.backend.config import MelfaSettings
+from touchdown.backend.core import (
+    IDENTITY_ROTATION,
+    LEVEL_RAD,
+    Fault,
+    FaultError,
+    FloatArray,
+    Pose,
+    RefusedError,
+    SampleStream,
+    pose_rotation,
+    require_unrotated,
+    rotation_vector,
+    tilt_rad,
+)
+from touchdown.backend.devices import (
+    RETREAT_MM,
+    RETREAT_MM_S,
+    STILL,
+    TURN_RAD_S,
+    ArmStatus,
+    CommandedMotion,
+    Joints,
+    PressCommand,
+    RobotMode,
+    SafetyMode,
+    Vector,
+    replaced_fault,
+    servo_off_fault,
+    stopped_fault,
+)
+from touchdown.backend.devices.melfa import JOINT_RANGES, Placing, check_joints
+from touchdown.backend.simulation.arm import (
+    HandPlace,
+    JointKinematics,
+    PressLaw,
+    SimJog,
+    SimJointJog,
+    SimJointTravel,
+    SimPress,
+    SimProgram,
+    SimRotationJog,
+    SimRotationTravel,
+)
+from touchdown.backend.simulation.devices.connection import SimConnection, SimDevice
+from touchdown.backend.simulation.world import World
+
+
+class SimPressMotion(CommandedMotion):
+    """A press with its contact times."""
+
+    def __init__(self, sent: Mapping[str, float], press: SimPress) -> None:
+        super().__init__(sent)
+        self._press = press
+
+    @property
+    def detected_s(self) -> float | None:
+        """When contact was declared."""
+        return self._press.detected_s
+
+    @property
+    def onset_s(self) -> float | None:
+        """Back-dated time of first contact."""
+        return self._press.onset_s
+
+
+CLEAR_MM = 10.0
+"""The simulated contact knows an unturned face only: turned, it stays as high as this."""
+
+
+class SimJoints:
+    """From the place of the hand to the joints and back, and which places are allowed."""
+
+    def __init__(self, world: World) -> None:
+        arm = MelfaSettings()
+        yaw_rad, hand_rad = math.radians(arm.yaw_deg), math.radians(arm.hand_deg)
+        self._placing = Placing(arm.origin_mm, yaw_rad, hand_rad, arm.tool_mm)
+        self._world = world
+        self._last = np.zeros(6)
+
+    def of(self, place: HandPlace) -> FloatArray:
+        """Return the (6,) joints, rad, of a place, near the last ones; raises ``RefusedError``."""
+        self._last = self._placing.joints(place[0], self._last, place[1])
+        return self._last.copy()
+
+    def place(self, joints_rad: FloatArray) -> HandPlace:
+        """Return where (6,) joints put the hand."""
+        return self._placing.pivot_mm(joints_rad), self._placing.turn(joints_rad)
+
+    def allowed(self, place: HandPlace) -> Fault | None:
+        """Return why the arm may not be at ``place``, None if it may."""
+        try:
+            check_joints(self.of(place))
+        except RefusedError as error:
+            return _refused(error.reason, error.detail, "Choose another way or place.")
+        turned = float(np.linalg.norm(rotation_vector(place[1]))) > LEVEL_RAD
+        if turned and not self._world.clear_mm(place[0]) >= CLEAR_MM:
+            what = (
+                f"The hand is turned (tilted by {math.degrees(tilt_rad(place[1])):.1f}°): "
+                f"it would come within {CLEAR_MM:.0f} mm of the surface."
+            )
+            return _refused("TURNED-LOW", what, "Go up, or level the hand first.")
+        return None
+
+
+def _refused(code: str, what: str, next_step: str) -> Fault:
+    return Fault(code, what, "The arm stands still.", next_step, "arm")
+
+
+_INF = math.inf
+_P = TypeVar("_P", bound=SimProgram)
+
+
+class SimArm(SimDevice):
+    """Moves the pivot of a ``World``. ``stop`` works from any thread and in every state."""
+
+    def __init__(
+        self,
+        world: World,
+        poses: SampleStream,
+        commands: SampleStream,
+        now_s: Callable[[], float],
+    ) -> None:
+        self._world, self._poses, self._now_s = world, poses, now_s
+        self._commands = commands
+        super().__init__(SimConnection("arm", "simulated arm", now_s))
+        self._joints = SimJoints(world)
+        self._driving = JointKinematics(self._joints.place, self._joints.allowed)
+        self._lock = threading.Lock()
+        self._motion: CommandedMotion | None = None
+        self._program: SimProgram | None = None
+        self._powered = True
+
+    @property
+    def poses(self) -> SampleStream:
+        """Measured position of ``G``, mm, once per cycle."""
+        return self._poses
+
+    def close(self) -> None:
+        """Stop and close; the jaws stay as they are."""
+        self.stop()
+        self._connection.close()
+
+    def describe(self) -> Mapping[str, str | float]:
+        """Return the commanded position."""
+        x, y, z = self._world.drive.command_mm.tolist()
+        return {"kind": "simulated", "x_mm": x, "y_mm": y, "z_mm": z}
+
+    def status(self) -> ArmStatus:
+        """Return the status words."""
+        if not self._connection.ready:
+            return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
+        mode = RobotMode.MOVING if self._world.drive.moving else RobotMode.READY
+        return ArmStatus(mode if self._powered else RobotMode.SERVO_OFF, SafetyMode.NORMAL, 1.0, 0)
+
+    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Connect at once, with the motors on."""
+        super().connect(timeout_s, cancel)
+        self._powered = True
+
+    def servo(self, on: bool) -> None:
+        """Switch the motors at once; off ends the motion under way."""
+        self._connection.require_ready()
+        if not on:
+            self.stop()
+        self._powered = on
+
+    def _require_power(self) -> None:
+        self._connection.require_ready()
+        if not self._powered:
+            raise FaultError(servo_off_fault(self.name))
+
+    def pose(self, max_age_s: float) -> Pose:
+        """Return the measured pose; raises ``StaleSampleError`` if it is older."""
+        _, values = self._poses.latest(self._now_s(), max_age_s)
+        return _pose(values, self._world.drive.turn)
+
+    # -- moves ------------------------------------------------------------------------------------
+
+    def move_to(
+        self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S
+    ) -> CommandedMotion:
+        """Move straight to ``target``, turning on the way; ValueError for a senseless number."""
+        self._require_power()
+        goal, turn = np.array([target.x_mm, target.y_mm, target.z_mm]), pose_rotation(target)
+        speeds = (speed_mm_s, turn_rad_s)
+        if not (np.isfinite([*goal, *turn.ravel()]).all() and all(0.0 < v < _INF for v in speeds)):
+            raise ValueError("target and speed must be finite, the speed positive")
+        sent = {"x_mm": target.x_mm, "y_mm": target.y_mm, "z_mm": target.z_mm,
+                "speed_mm_s": speed_mm_s}  # fmt: skip
+        with self._lock:
+            drive = self._world.drive
+            if turn is IDENTITY_ROTATION and drive.turn is IDENTITY_ROTATION:
+                return self._take(CommandedMotion(sent), self._world.travel(goal, speed_mm_s))
+            sent |= {"rx_rad": target.rx_rad, "ry_rad": target.ry_rad, "rz_rad": target.rz_rad,
+                     "turn_rad_s": turn_rad_s}  # fmt: skip
+            end = (goal, turn)
+            program = SimRotationTravel(self._place(), end, speeds, self._joints.allowed)
+            return self._begin(sent, program, self._joints.allowed(end))
+
+    def jog(
+        self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL
+    ) -> CommandedMotion:
+        """Follow a velocity and a turn for ``for_s``; a renewal goes on without a jerk."""
+        self._require_power()
+        velocity, turning = np.array(velocity_mm_s), np.array(turn_rad_s)
+        if not (np.isfinite([*velocity, *turning]).all() and 0.0 < for_s < _INF):
+            raise ValueError("velocity and time must be finite, the time positive")
+        until_s = self._now_s() + for_s
+        sent = dict(zip(("x_mm_s", "y_mm_s", "z_mm_s"), velocity_mm_s, strict=True))
+        with self._lock:
+            if turning.any() or self._world.drive.turn is not IDENTITY_ROTATION:
+                sent |= dict(zip(("rx_rad_s", "ry_rad_s", "rz_rad_s"), turn_rad_s, strict=True))
+                make = partial(SimRotationJog, self._place(), self._joints.allowed)
+                turned, motion = self._going_on(SimRotationJog, make, sent)
+                turned.renew(velocity, turning, until_s)
+                return motion
+            program, motion = self._going_on(SimJog, SimJog, sent)
+            program.renew(velocity, until_s)
+            return motion
+
+    # -- joints -----------------------------------------------------------------------------------
+
+    @property
+    def rotates(self) -> bool:
+        """The hand turns in free air."""
+        return True
+
+    def joints_rad(self, max_age_s: float) -> Joints:
+        """Return the joints; raises ``StaleSampleError`` if the position is older."""
+        _, values = self._poses.latest(self._now_s(), max_age_s)
+        return tuple(self._joints.of((values, self._world.drive.turn)).tolist())
+
+    @property
+    def joint_limits_rad(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest angle of each joint."""
+        return JOINT_RANGES
+
+    def place_of(self, joints_rad: Joints) -> Pose:
+        """Return the pose that these joints give the hand."""
+        return _pose(*self._joints.place(np.array(joints_rad)))
+
+    def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> CommandedMotion:
+        """Turn the joints for ``for_s``; a renewal goes on without a jerk."""
+        self._require_power()
+        speeds = np.array(speeds_rad_s)
+        if not (speeds.shape == (6,) and np.isfinite(speeds).all() and 0.0 < for_s < _INF):
+            raise ValueError("six speeds and the time must be finite, the time positive")
+        sent = {f"j{k}_rad_s": speed for k, speed in enumerate(speeds_rad_s, 1)}
+        with self._lock:
+            make = partial(SimJointJog, self._joints.of(self._place()), self._driving)
+            program, motion = self._going_on(SimJointJog, make, sent)
+            program.renew(speeds, self._now_s() + for_s)
+            return motion
+
+    def move_joints(self, target_rad: Joints, speed_rad_s: float) -> CommandedMotion:
+        """Turn all joints to ``target_rad``; none goes faster than ``speed_rad_s``."""
+        self._require_power()
+        target = np.array(target_rad)
+        if not (target.shape == (6,) and np.isfinite(target).all() and 0.0 < speed_rad_s < _INF):
+            raise ValueError("six joints and the speed must be finite, the speed positive")
+        sent = {f"j{k}_rad": angle for k, angle in enumerate(target_rad, 1)}
+        with self._lock:
+            start = self._joints.of(self._place())
+            program = SimJointTravel(start, target, speed_rad_s, self._driving)
+            end = self._joints.place(target)
+            return self._begin(sent, program, self._joints.allowed(end))
+
+    # -- contact ----------------------------------------------------------------------------------
+
+    def press(self, command: PressCommand) -> SimPressMotion:
+        """Press compliantly from here straight down; refused while the hand is turned."""
+        self._require_power()
+        require_unrotated(self._world.drive.turn)
+        law = PressLaw(
+            depth_mm=command.depth_mm,
+            ramp_s=command.ramp_s,
+            hold_s=command.hold_s,
+            approach_mm_s=command.approach_mm_s,
+            threshold_n=command.threshold_n,
+            max_travel_mm=command.max_travel_mm,
+        )
+        sent = {
+            "depth_mm": law.depth_mm,
+            "ramp_s": law.ramp_s,
+            "hold_s": law.hold_s,
+            "approach_mm_s": law.approach_mm_s,
+            "threshold_n": law.threshold_n,
+            "max_travel_mm": law.max_travel_mm,
+            "stiffness_z_n_mm": command.stiffness_n_mm[2],
+        }
+        with self._lock:
+            program = self._world.press(law, command.stiffness_n_mm)
+            motion = SimPressMotion(sent, program)
+            self._take(motion, program)
+            return motion
+
+    def unload(self, force_n: float, speed_mm_s: float) -> CommandedMotion:
+        """Rise until the press force is ``force_n``."""
+        self._require_power()
+        sent = {"force_n": force_n, "speed_mm_s": speed_mm_s}
+        with self._lock:
+            return self._take(CommandedMotion(sent), self._world.unload(force_n, speed_mm_s))
+
+    def stop(self) -> None:
+        """Stand still from the next cycle on; the motion under way ends with a fault."""
+        with self._lock:
+            self._world.drive.drop()
+            if self._motion is not None:
+                self._motion.end(stopped_fault(self.name))
+            self._motion = self._program = None
+
+    def retreat(self) -> None:
+        """Rise straight from where the arm is, then stand; without motors, stop."""
+        self.stop()
+        if not (self._connection.ready and self._powered):
+            return
+        with self._lock:
+            up_mm = self._world.drive.command_mm + np.array([0.0, 0.0, RETREAT_MM])
+            motion = CommandedMotion({"z_mm": float(up_mm[2])})
+            self._take(motion, self._world.travel(up_mm, RETREAT_MM_S))
+
+    def halt(self) -> None:
+        """Stand still from the next cycle on: in a simulation the same as ``stop``."""
+        self.stop()
+
+    def deliver(self, t_s: float, pose_mm: FloatArray, *, silent: bool) -> None:
+        """Take the measured position of one cycle and see whether the motion ended."""
+        if self._connection.ready and not silent:
+            at_s = np.array([t_s])
+            self._poses.put(at_s, pose_mm[None])
+            self._commands.put(at_s, self._world.drive.command_mm[None])
+            self._connection.arrived(t_s, 1)
+        with self._lock:
+            if self._motion is not None and self._program is not None and self._program.done:
+                self._motion.end(self._program.failure)
+                self._motion = self._program = None
+
+    def _place(self) -> HandPlace:
+        return self._world.drive.command_mm, self._world.drive.turn
+
+    def _begin(
+        self, sent: Mapping[str, float], program: SimProgram, fault: Fault | None
+    ) -> CommandedMotion:
+        """Begin a move that turns; one whose end is not allowed has failed before it began."""
+        motion = CommandedMotion(sent)
+        if fault is not None:
+            motion.end(fault)
+            return motion
+        self._world.follow(program)
+        return self._take(motion, program)
+
+    def _going_on(
+        self, kind: type[_P], make: Callable[[], _P], sent: Mapping[str, float]
+    ) -> tuple[_P, CommandedMotion]:
+        """Return the program of this kind that goes on, or a new one, and its motion."""
+        program, motion = self._program, self._motion
+        if isinstance(program, kind) and not program.done and motion is not None:
+            return program, motion
+        made = make()
+        self._world.follow(made)
+        return made, self._take(CommandedMotion(sent), made)
+
+    def _take(self, motion: CommandedMotion, program: SimProgram) -> CommandedMotion:
+        if self._motion is not None:
+            self._motion.end(replaced_fault(self.name))
+        self._motion, self._program = motion, program
+        return motion
+
+
+def _pose(position_mm: FloatArray, turn: FloatArray) -> Pose:
+    x, y, z = position_mm.tolist()
+    if turn is IDENTITY_ROTATION:
+        return Pose(x, y, z)
+    return Pose(x, y, z, *rotation_vector(turn).tolist())

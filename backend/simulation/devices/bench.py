@@ -1,0 +1,159 @@
+"""The simulated bench: the devices of one scene on one manual clock."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from touchdown.backend.config import SimulationSettings
+from touchdown.backend.core import (
+    FINGERS,
+    Finger,
+    FloatArray,
+    ImageArray,
+    ManualClock,
+    SampleStream,
+    Stream,
+    TactileFrame,
+)
+from touchdown.backend.devices import Device, DeviceState
+from touchdown.backend.emulation import DisturbanceScript, RateLimiter
+from touchdown.backend.simulation.devices.arm import SimArm
+from touchdown.backend.simulation.devices.end_effector import SimForceTorque, SimGripper, SimTactile
+from touchdown.backend.simulation.scene import Scene, SceneTruth
+from touchdown.backend.simulation.scene_camera import render_scene
+from touchdown.backend.simulation.world import CycleRecord, World
+
+FRAME_CAPACITY = 256
+SAMPLE_CAPACITY = 32_768
+JUMP_N = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class BenchStreams:
+    """Where the devices put what they deliver; streams may outlive a scene."""
+
+    frames: Mapping[Finger, Stream[TactileFrame]]
+    samples: SampleStream
+    poses: SampleStream
+    commands: SampleStream
+
+    @classmethod
+    def new(cls) -> BenchStreams:
+        """Return fresh streams."""
+        return cls(
+            {finger: Stream(f"tactile_{finger}", FRAME_CAPACITY) for finger in FINGERS},
+            SampleStream("force_torque", 6, SAMPLE_CAPACITY),
+            SampleStream("arm", 3, SAMPLE_CAPACITY),
+            SampleStream("arm_command", 3, SAMPLE_CAPACITY),
+        )
+
+    def clear(self) -> None:
+        """Forget what a former scene left: its clock began at zero as well."""
+        for frames in self.frames.values():
+            frames.clear()
+        self.samples.clear()
+        self.poses.clear()
+        self.commands.clear()
+
+
+class SimulatedBench:
+    """Five devices, a clock, and the truth for scoring. Time moves only by ``advance``."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        script: DisturbanceScript | None = None,
+        streams: BenchStreams | None = None,
+    ) -> None:
+        self.scene = scene
+        self._script = script or DisturbanceScript()
+        streams = streams or BenchStreams.new()
+        streams.clear()
+        self.clock = ManualClock()
+        self._world = World(scene, self._script)
+        now_s = self.clock.now_s
+        self.arm = SimArm(self._world, streams.poses, streams.commands, now_s)
+        self.gripper = SimGripper(self._world, now_s)
+        self._thinned = RateLimiter()
+        self.force_torque = SimForceTorque(streams.samples, now_s, scene.settings.wrist.rate_hz)
+        self.tactile: Mapping[Finger, SimTactile] = {
+            finger: SimTactile(finger, streams.frames[finger], now_s, self._script)
+            for finger in FINGERS
+        }
+
+    @property
+    def settings(self) -> SimulationSettings:
+        """Settings of the scene."""
+        return self.scene.settings
+
+    @property
+    def devices(self) -> Mapping[str, Device]:
+        """All devices by name."""
+        return {
+            "arm": self.arm,
+            "gripper": self.gripper,
+            "force_torque": self.force_torque,
+            "tactile_left": self.tactile["left"],
+            "tactile_right": self.tactile["right"],
+        }
+
+    def connect(self) -> None:
+        """Connect all devices."""
+        cancel = threading.Event()
+        for device in self.devices.values():
+            device.connect(1.0, cancel)
+
+    def advance(self, step_us: int) -> None:
+        """Move time on by ``step_us``; the world moves at the boundaries of its cycles."""
+        end_us = self.clock.now_us + step_us
+        while self._world.now_us + self._world.cycle_us <= end_us:
+            watched = [f for f in FINGERS if self.tactile[f].state is DeviceState.READY]
+            sensed = self._world.step(watched)
+            self.clock.wind(sensed.end_us - self.clock.now_us)
+            self._deliver(sensed)
+        self.clock.wind(end_us - self.clock.now_us)
+
+    def truth(self, *, animate: bool = False) -> SceneTruth:
+        """Return how things really are; ``animate`` adds the motion of a fall where possible."""
+        return self._world.truth(animate=animate)
+
+    def scene_picture(self) -> ImageArray:
+        """Return what a camera beside the bench sees now: (h, w, 3) BGR."""
+        truth, holding = self._world.truth(), self._world.holding
+        height_mm = self.scene.start_height_mm
+        if holding is not None:
+            height_mm = holding.gap_mm(self._world.drive.command_mm)
+        return render_scene(self.scene, truth.offset_mm, truth.yaw_rad, height_mm)
+
+    def _deliver(self, sensed: CycleRecord) -> None:
+        t_s = sensed.end_us * 1e-6
+        self.arm.deliver(t_s, sensed.pose_mm, silent=self._script.active("arm", "silent", t_s))
+        self.gripper.deliver(t_s, silent=self._script.active("gripper", "silent", t_s))
+        times_s, wrench = self._disturbed(sensed, t_s)
+        if self.force_torque.deliver(times_s, wrench):
+            self._world.hear(times_s, wrench[:, 2])
+        else:
+            self._world.hear(np.empty(0), np.empty(0))
+        for finger in FINGERS:
+            self.tactile[finger].deliver(sensed.shots[finger])
+
+    def _disturbed(self, sensed: CycleRecord, t_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return times and values of the wrist samples as the sensor would deliver them."""
+        script, name = self._script, "force_torque"
+        if script.active(name, "stop", t_s):
+            return sensed.t_s[:0], sensed.wrench[:0]
+        times_s, wrench = sensed.t_s, sensed.wrench
+        if (rate_hz := script.rate_hz(name, t_s)) is not None:
+            taken = [self._thinned.takes(at_s, rate_hz) for at_s in times_s.tolist()]
+            times_s, wrench = times_s[taken], wrench[taken]
+        if script.active(name, "nan", t_s):
+            return times_s, np.full_like(wrench, np.nan)
+        moved_n = script.drift_n(t_s) + (JUMP_N if script.active(name, "jump", t_s) else 0.0)
+        if moved_n:
+            wrench = wrench.copy()
+            wrench[:, 2] += moved_n
+        return times_s, wrench

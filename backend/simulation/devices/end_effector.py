@@ -1,0 +1,226 @@
+"""The simulated end effector as devices: gripper, finger cameras, and wrist sensor."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from touchdown.backend.core import (
+    Finger,
+    FloatArray,
+    ImageArray,
+    SampleStream,
+    Stream,
+    TactileFrame,
+    require_unrotated,
+)
+from touchdown.backend.devices import (
+    Arrivals,
+    CommandedMotion,
+    GripStatus,
+    replaced_fault,
+    stopped_fault,
+)
+from touchdown.backend.emulation import DisturbanceScript, RateLimiter
+from touchdown.backend.simulation.devices.connection import SimConnection, SimDevice
+from touchdown.backend.simulation.finger_camera import Exposure
+from touchdown.backend.simulation.world import World
+
+WIDTH_NOISE_MM = 0.01
+FORCE_NOISE_N = 0.05
+
+
+class SimGripper(SimDevice):
+    """Moves the jaws of a ``World``; ``stop`` works from any thread and keeps the grip."""
+
+    def __init__(self, world: World, now_s: Callable[[], float]) -> None:
+        self._world = world
+        super().__init__(SimConnection("gripper", "simulated gripper", now_s))
+        self._rng = np.random.Generator(
+            np.random.PCG64(np.random.SeedSequence([world.scene.seed, 6]))
+        )
+        self._lock = threading.Lock()
+        self._motion: CommandedMotion | None = None
+        self._status = GripStatus(world.jaws.width_mm, 0.0, False)
+
+    def close(self) -> None:
+        """Close; the jaws stay as they are."""
+        self.stop()
+        self._connection.close()
+
+    def describe(self) -> Mapping[str, str | float]:
+        """Return width and force."""
+        status = self._status
+        return {"kind": "simulated", "width_mm": status.width_mm, "force_n": status.force_n}
+
+    def status(self) -> GripStatus:
+        """Return what was measured in the last cycle."""
+        return self._status
+
+    def grip(self, force_n: float) -> CommandedMotion:
+        """Close until the piece is held with ``force_n`` per finger; refused on a turned hand."""
+        self._connection.require_ready()
+        require_unrotated(self._world.drive.turn)
+        if not 0.0 < force_n < float("inf"):
+            raise ValueError("the grip force must be positive")
+        with self._lock:
+            self._world.jaws.close(force_n)
+            return self._take(CommandedMotion({"force_n": force_n}))
+
+    def open_to(self, width_mm: float, speed_mm_s: float) -> CommandedMotion:
+        """Open to ``width_mm``; a held piece is let go."""
+        self._connection.require_ready()
+        if not (0.0 <= width_mm < float("inf") and 0.0 < speed_mm_s < float("inf")):
+            raise ValueError("width and speed must be finite, the speed positive")
+        with self._lock:
+            self._world.jaws.open_to(width_mm, speed_mm_s)
+            return self._take(CommandedMotion({"width_mm": width_mm, "speed_mm_s": speed_mm_s}))
+
+    def stop(self) -> None:
+        """Stop where it is; the grip is kept."""
+        with self._lock:
+            self._world.jaws.halt()
+            if self._motion is not None:
+                self._motion.end(stopped_fault(self.name))
+                self._motion = None
+
+    def deliver(self, t_s: float, *, silent: bool = False) -> None:
+        """Measure width and force of one cycle and see whether the motion ended.
+
+        ``silent``: nothing of it is told; the jaws go on.
+        """
+        jaws = self._world.jaws
+        width, force = self._rng.standard_normal(2).tolist()
+        if self._connection.ready and not silent:
+            force_n = jaws.force_n + FORCE_NOISE_N * force if jaws.force_n > 0.0 else 0.0
+            self._status = GripStatus(jaws.width_mm + WIDTH_NOISE_MM * width, force_n, jaws.holding)
+            self._connection.arrived(t_s, 1)
+        with self._lock:
+            if self._motion is not None and not jaws.moving:
+                self._motion.end()
+                self._motion = None
+
+    def _take(self, motion: CommandedMotion) -> CommandedMotion:
+        if self._motion is not None:
+            self._motion.end(replaced_fault(self.name))
+        self._motion = motion
+        return motion
+
+
+FLICKER = 0.25
+"""Swing of the brightness, by the law of the tracker's known-truth test."""
+
+
+class SimTactile(SimDevice):
+    """Frames of one finger; a gap in the numbers of the exposures counts as lost frames."""
+
+    def __init__(
+        self,
+        finger: Finger,
+        frames: Stream[TactileFrame],
+        now_s: Callable[[], float],
+        script: DisturbanceScript,
+    ) -> None:
+        self._finger, self._frames, self._script = finger, frames, script
+        super().__init__(SimConnection(f"tactile_{finger}", "simulated tactile finger", now_s))
+        self._thinned = RateLimiter()
+        self._newest: int | None = None
+        self._frozen: ImageArray | None = None
+
+    @property
+    def finger(self) -> Finger:
+        """Which finger."""
+        return self._finger
+
+    @property
+    def frames(self) -> Stream[TactileFrame]:
+        """Frames as they arrive."""
+        return self._frames
+
+    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Connect at once."""
+        if not self._connection.ready:
+            self._newest = None
+        self._connection.open()
+
+    def describe(self) -> Mapping[str, str | float]:
+        """Return the image format."""
+        return {"kind": "simulated", "width_px": 320.0, "height_px": 240.0, "gel": "large-dot"}
+
+    def deliver(self, shots: list[Exposure]) -> None:
+        """Put the pictures of one cycle into the stream."""
+        if not self._connection.ready:
+            return
+        for shot in shots:
+            t_s = shot.t_us * 1e-6
+            rate_hz = self._script.rate_hz(self.name, t_s)
+            if self._script.active(self.name, "stop", t_s):
+                continue
+            if rate_hz is not None and not self._thinned.takes(t_s, rate_hz):
+                continue
+            lost = 0 if self._newest is None else shot.sequence - self._newest - 1
+            self._newest = shot.sequence
+            image = self._seen(shot, t_s)
+            self._frames.put(t_s, TactileFrame(self._finger, shot.sequence, t_s, image))
+            self._connection.arrived(t_s, 1, lost)
+
+    def _seen(self, shot: Exposure, t_s: float) -> ImageArray:
+        image = shot.image
+        if self._script.active(self.name, "flicker", t_s):
+            light = 1.0 + FLICKER * math.sin(1.3 * shot.sequence)
+            return np.asarray(np.clip(image * light, 0, 255), dtype=np.uint8)
+        if self._script.active(self.name, "dark", t_s):
+            return np.asarray(image // 16, dtype=np.uint8)
+        if not self._script.active(self.name, "freeze", t_s):
+            self._frozen = None
+            return image
+        if self._frozen is None:
+            self._frozen = image
+        return self._frozen
+
+
+RATED = (200.0, 200.0, 200.0, 4.0, 4.0, 4.0)
+"""N and N·m, those of the laboratory's sensor."""
+
+
+class SimForceTorque(SimDevice):
+    """Untared samples, ``usual_hz`` a second, delivered in blocks of one cycle."""
+
+    def __init__(
+        self, samples: SampleStream, now_s: Callable[[], float], usual_hz: float = 1000.0
+    ) -> None:
+        self._samples, self._usual_hz = samples, usual_hz
+        self._pace = Arrivals(1.0 / usual_hz)
+        super().__init__(SimConnection("force_torque", "simulated wrist sensor", now_s))
+
+    @property
+    def samples(self) -> SampleStream:
+        """Fx Fy Fz Tx Ty Tz in N and N·m."""
+        return self._samples
+
+    @property
+    def rated(self) -> FloatArray:
+        """(6,) rated range."""
+        return np.array(RATED)
+
+    @property
+    def slow_since_s(self) -> float | None:
+        """When it began to deliver less than half of its samples; None while it does not."""
+        return self._pace.slow_since_s
+
+    def describe(self) -> Mapping[str, str | float]:
+        """Return the rated force and torque, and the usual rate."""
+        rated = {"rated_n": RATED[0], "rated_nm": RATED[3]}
+        return {"kind": "simulated", "usual_hz": self._usual_hz, **rated}
+
+    def deliver(self, t_s: FloatArray, values: FloatArray) -> bool:
+        """Put one block into the stream; return whether anything was delivered."""
+        if not (self._connection.ready and len(t_s)):
+            return False
+        self._samples.put(t_s, values)
+        self._connection.arrived(float(t_s[-1]), len(t_s))
+        self._pace.note(float(t_s[-1]), len(t_s))
+        return True

@@ -1,0 +1,206 @@
+"""Simulated marker fields: displacement on both pads, sampled by the finger cameras.
+
+Source: bench reference 5. Markers follow the elastic strain of the gel. Marker order is row-major,
+row 0 on top and column 0 on the left of the image as displayed; the right camera looks the other
+way, so that its u axis points along -X. The field at a tick is interpolated between the last frame
+before and the first frame after it (each with its own noise and its own lost markers), as the
+episode is assembled on the bench.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.config import SAMPLES_PER_PROBE, TactileSettings
+from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray
+from touchdown.backend.simulation.pressing import Timeline
+
+
+@dataclass(frozen=True, slots=True)
+class Gel:
+    """Linear map from pad motion to image: ``map`` (2 fingers, 4, 63 * 2) in px.
+
+    Its four inputs are e_x (mm), e_z (mm), e_θ (rad) and N / F_g - 1. ``rest_px`` (2, 63, 2): the
+    straight rest grid in the 320x240 image.
+    """
+
+    map: FloatArray
+    rest_px: FloatArray
+
+    def displacement_px(
+        self, strain: FloatArray, normal_n: FloatArray, grip_force_n: FloatArray
+    ) -> FloatArray:
+        """Return (..., 2, 63, 2) px. ``strain`` (..., 2, 3), ``normal_n`` (..., 2).
+
+        ``grip_force_n`` must broadcast against ``normal_n[..., 0]``.
+        """
+        inputs = np.concatenate(
+            [strain, (normal_n / np.asarray(grip_force_n)[..., None] - 1.0)[..., None]], axis=-1
+        )
+        field = (inputs[..., None, :] @ self.map)[..., 0, :]
+        return np.asarray(field.reshape(*strain.shape[:-1], MARKERS, 2), dtype=np.float64)
+
+
+def build_gel(
+    mm_per_px: tuple[float, float],
+    pitch_mm: float = 1.9,
+    roll_off_mm: tuple[float, float] = (7.0, 6.0),
+    dilation: float = 0.01,
+) -> Gel:
+    """Return the gel of two sensors with image scales ``mm_per_px`` (left, right)."""
+    row, column = np.divmod(np.arange(MARKERS), GRID_COLS)
+    z = (GRID_ROWS // 2 - row) * pitch_mm
+    maps, rests = [], []
+    for scale, facing in zip(mm_per_px, (1.0, -1.0), strict=True):
+        x = facing * (column - GRID_COLS // 2) * pitch_mm
+        phi = np.exp(-((x / roll_off_mm[0]) ** 4) - (z / roll_off_mm[1]) ** 4)
+        nothing = np.zeros(MARKERS)
+        d_x = np.stack([phi, nothing, z * phi, dilation * x])
+        d_z = np.stack([nothing, phi, -x * phi, dilation * z])
+        maps.append(np.stack([facing * d_x, -d_z], axis=-1).reshape(4, 2 * MARKERS) / scale)
+        rests.append(np.stack([160.0 + facing * x / scale, 120.0 - z / scale], axis=-1))
+    return Gel(np.stack(maps), np.stack(rests))
+
+
+FillMarkers = Callable[[FloatArray, NDArray[np.bool_]], FloatArray]
+"""Fills the unseen markers: (n, 63, 2) px and seen (n, 63) -> (n, 63, 2)."""
+
+FRAMES_PER_PRESS = 72
+"""Frames per camera that cover any press at 25 Hz."""
+LEAD_S = 0.25
+"""The first frames come this much before first touch."""
+IMAGE_PX = (320.0, 240.0)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraDraw:
+    """Random course of both cameras in one press.
+
+    ``t_s`` (2, 72) frame times, inf where dropped; ``lost`` (2, 72, 63) bool; ``white_px``
+    (20, 2, 2, 63, 2) tick, finger, frame before/after, marker, axis; ``drift_px`` (20, 2, 2).
+    """
+
+    t_s: FloatArray
+    lost: NDArray[np.bool_]
+    white_px: NDArray[np.float32]
+    drift_px: FloatArray
+
+
+def draw_camera(settings: TactileSettings, rng: np.random.Generator) -> CameraDraw:
+    """Draw phases, jitter, drops, losses, noise and drift of one press."""
+    period = 1.0 / settings.rate_hz
+    phase = period * rng.random((2, 1))
+    jitter = settings.jitter_s * (2.0 * rng.random((2, FRAMES_PER_PRESS)) - 1.0)
+    dropped = rng.random((2, FRAMES_PER_PRESS)) < settings.drop_share
+    t_s = phase + period * np.arange(FRAMES_PER_PRESS) - LEAD_S + jitter
+    white = rng.standard_normal((SAMPLES_PER_PROBE, 2, 2, MARKERS, 2), dtype=np.float32)
+    white *= np.float32(settings.white_px)
+    # From the reference, about 1.5 s before the press, the field has drifted already.
+    steps = rng.standard_normal((SAMPLES_PER_PROBE, 2, 2))
+    steps *= (
+        settings.drift_px_sqrt_s
+        * np.sqrt(np.r_[1.6, np.full(SAMPLES_PER_PROBE - 1, 0.1)])[:, None, None]
+    )
+    return CameraDraw(
+        np.where(dropped, np.inf, t_s), _lost(settings, rng), white, np.cumsum(steps, axis=0)
+    )
+
+
+def _lost(settings: TactileSettings, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return (2, 72, 63) markers lost in bursts of 1 to ``lost_frames`` frames."""
+    lost = np.zeros((2, FRAMES_PER_PRESS, MARKERS), dtype=bool)
+    mean_length = 0.5 * (1 + settings.lost_frames)
+    bursts = int(rng.poisson(settings.lost_share / mean_length * lost.size))
+    where = rng.integers(0, (2, FRAMES_PER_PRESS, MARKERS, settings.lost_frames), (bursts, 4))
+    for finger, frame, marker, extra in where:
+        lost[finger, frame : frame + extra + 1, marker] = True
+    return lost
+
+
+def around_ticks(t_s: FloatArray, ticks_s: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+    """Return frame indices (B, 2, 20, 2) before and after each tick, and weights of the same shape.
+
+    ``t_s`` (B, 2, 72), inf where dropped; ``ticks_s`` (B, 20).
+    """
+    frames = np.arange(t_s.shape[-1])
+    real = np.isfinite(t_s)
+    past = t_s[:, :, None, :] <= ticks_s[:, None, :, None]
+    before = np.where(past, frames, -1).max(axis=-1)
+    after = np.where(real[:, :, None, :] & ~past, frames, t_s.shape[-1]).min(axis=-1)
+    before = np.where(before < 0, after, before)
+    after = np.where(after >= t_s.shape[-1], before, after)
+    index = np.stack([before, after], axis=-1)
+    rows = np.arange(len(t_s))[:, None, None, None]
+    times = t_s[rows, np.arange(2)[:, None, None], index]
+    gap = times[..., 1] - times[..., 0]
+    late = ticks_s[:, None, :] - times[..., 0]
+    share = np.where(gap > 0.0, late / np.where(gap > 0.0, gap, 1.0), 0.0)
+    return index, np.stack([1.0 - share, share], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class PadImaging:
+    """How B pads are seen: ``gain`` (B, 2), ``bias_px`` (B, 2, 2), ``grip_force_n`` (B,).
+
+    A marker nearer than ``border_px`` to the image border is not seen; ``infer`` fills it in.
+    """
+
+    gel: Gel
+    gain: FloatArray
+    bias_px: FloatArray
+    grip_force_n: FloatArray
+    border_px: float
+    infer: FillMarkers
+
+
+def fields_at_ticks(
+    timeline: Timeline,
+    air: FloatArray,
+    ticks_s: FloatArray,
+    draws: list[CameraDraw],
+    sight: PadImaging,
+) -> FloatArray:
+    """Return (B, 20, 2, 63, 2) marker displacements in px as they reach the model.
+
+    ``air`` (B, 14): values with the piece held in air (the reference).
+    """
+    t_s = np.stack([draw.t_s for draw in draws])
+    index, weight = around_ticks(t_s, ticks_s)
+    count = len(draws)
+    rows = np.arange(count)[:, None, None, None]
+    fingers = np.arange(2)[None, :, None, None]
+    frame_t = t_s[rows, fingers, index]
+    values = timeline.at(frame_t.reshape(count, -1)).reshape(*index.shape, -1)
+    moved = _inputs(values, sight) - _inputs(air[:, None, None, None, :], sight)
+    field = (moved.reshape(count, 2, -1, 4) @ sight.gel.map).reshape(*index.shape, MARKERS, 2)
+    lost = np.stack([draw.lost for draw in draws])[rows, fingers, index]
+    lost |= _outside(sight.gel.rest_px[:, None, None] + field, sight.border_px)
+    field *= sight.gain[:, :, None, None, None, None]
+    field += np.stack([draw.white_px for draw in draws]).swapaxes(1, 2)
+    hurt = lost.any(axis=-1)
+    if hurt.any():
+        field[hurt] = sight.infer(field[hurt], ~lost[hurt])
+    at_ticks = (field * weight[..., None, None]).sum(axis=3).swapaxes(1, 2)
+    at_ticks += sight.bias_px[:, None, :, None, :]
+    at_ticks += np.stack([draw.drift_px for draw in draws])[:, :, :, None, :]
+    return np.asarray(at_ticks, dtype=np.float64)
+
+
+def _inputs(values: FloatArray, sight: PadImaging) -> FloatArray:
+    """Return (B, 2, ..., 4) inputs of the gel's map, each finger's own, from (B, 2, ..., 14)."""
+    strain = values[..., 6:12].reshape(*values.shape[:-1], 2, 3)
+    normal = values[..., 12:14] / sight.grip_force_n[:, None, None, None, None] - 1.0
+    both = np.concatenate([strain, normal[..., None]], axis=-1)
+    if values.shape[1] == 1:
+        return np.asarray(both[:, 0].transpose(0, 3, 1, 2, 4), dtype=np.float64)
+    return np.stack([both[:, 0, ..., 0, :], both[:, 1, ..., 1, :]], axis=1)
+
+
+def _outside(position_px: FloatArray, border_px: float) -> NDArray[np.bool_]:
+    low = (position_px < border_px).any(axis=-1)
+    high = (position_px > np.array(IMAGE_PX) - border_px).any(axis=-1)
+    return np.asarray(low | high)

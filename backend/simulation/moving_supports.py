@@ -1,0 +1,442 @@
+"""Equilibrium of a piece pressed on bottoms that may rock or slide, batched over probes.
+
+Unknowns: the motion q of the piece, and at each interface the rocking a and the sliding s. Both
+obey the same law: the resultant c lies in the support polygon and a is normal to it there; the
+lateral force T lies in the friction disc and s is normal to it there. Each is written as ``c =
+nearest point to (c + a)`` and solved together with the piece by Newton's method. Probes whose
+supports do not move cost one check.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.core import FloatArray
+from touchdown.backend.simulation.contact import (
+    RESIDUAL_LIMIT,
+    SCALE,
+    TOLERANCE,
+    ContactCells,
+    ContactForces,
+    contact_forces,
+    halve_steps,
+    solve_equilibrium,
+    tangent_stiffness,
+)
+from touchdown.backend.simulation.supports import (
+    SupportMotion,
+    SupportStack,
+    interface_heights_mm,
+    polygon_drift_mm,
+    weight_moment_growth,
+)
+
+ROCK_MM_RAD = 1000.0
+"""Weight of an angle beside a place in the law of rocking: any positive one gives the same."""
+SLIDE_N_MM = 10.0
+MOMENT_N_MM = 0.4
+"""A resultant off by 1 mm counts as this residual, as 8 N do in the scale of the piece."""
+AXES = np.eye(2)
+
+
+@dataclass(frozen=True, slots=True)
+class SolutionInputs:
+    """Grasp and place of B probes during one solution.
+
+    ``zero`` q° (B, 6) and ``stiffness`` (B, 6) of the grasp; ``pivot_mm`` (B, 2): the pivot over
+    ``O``; ``slid_mm``, ``leaned_rad`` (B, m, 2): sliding and rocking so far. ``drag_mm_rad``: the
+    resultant is taken as shifted back by so much per radian of rocking further than that.
+    """
+
+    cells: ContactCells
+    anchor: FloatArray
+    zero: FloatArray
+    stiffness: FloatArray
+    stand: SupportStack
+    pivot_mm: FloatArray
+    slid_mm: FloatArray
+    leaned_rad: FloatArray
+    drag_mm_rad: float = 0.0
+
+    def take(self, rows: NDArray[np.intp]) -> SolutionInputs:
+        """Return the probes ``rows``."""
+        return SolutionInputs(
+            self.cells.take(rows),
+            self.anchor[:, rows],
+            self.zero[rows],
+            self.stiffness[rows],
+            self.stand.take(rows),
+            self.pivot_mm[rows],
+            self.slid_mm[rows],
+            self.leaned_rad[rows],
+            self.drag_mm_rad,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class SupportLaw:
+    """How far the supports are from their laws, and what is needed to linearise that.
+
+    ``load_n`` (B, m); ``centre_mm`` (B, m, 2): where the resultant is; ``corner_mm`` and
+    ``corner_slope``: the nearest point of the polygon; ``rock``, ``slide`` (B, m, 2): residuals in
+    mm and N; ``reach``, ``reach_load``: derivative of the nearest lateral force by force and load.
+    """
+
+    load_n: FloatArray
+    centre_mm: FloatArray
+    corner_mm: FloatArray
+    corner_slope: FloatArray
+    rock: FloatArray
+    slide: FloatArray
+    reach: FloatArray
+    reach_load: FloatArray
+
+    @classmethod
+    def at(
+        cls, held: SolutionInputs, q: FloatArray, pose: SupportMotion, now: ContactForces
+    ) -> SupportLaw:
+        """Return the law at the motion ``q`` (B, 6), supports at ``pose``, forces ``now``."""
+        stand = held.stand
+        load = now.wrench[:, 2:3] + stand.weight_n
+        moment = np.einsum("bmij,bj->bmi", levers(held), now.wrench)
+        moment += now.wrench[:, None, 2:3] * face_motion(held.cells, q)[:, None]
+        moment += stand.centre_nmm + weight_moment_growth(stand, pose)
+        centre = moment / load[..., None]
+        at = centre - polygon_drift_mm(stand, pose)
+        at -= held.drag_mm_rad * (pose.rock_rad - held.leaned_rad)
+        corner, slope = stand.area.nearest(at + ROCK_MM_RAD * pose.rock_rad)
+        rock = np.where(stand.rocks[..., None], at - corner, pose.rock_rad * ROCK_MM_RAD)
+        lateral = -now.wrench[:, None, :2]
+        tried = lateral + SLIDE_N_MM * (pose.slide_mm - held.slid_mm)
+        size = np.maximum(np.hypot(tried[..., 0], tried[..., 1]), 1e-12)
+        share = np.minimum(1.0, stand.mu * load / size)[..., None]
+        along = tried / size[..., None]
+        sliding = share < 1.0
+        outward = along[..., :, None] * along[..., None, :]
+        reach = share[..., None] * (AXES - outward * sliding[..., None])
+        return cls(
+            load_n=load,
+            centre_mm=centre,
+            corner_mm=corner,
+            corner_slope=slope,
+            rock=rock,
+            slide=lateral - share * tried,
+            reach=reach,
+            reach_load=np.where(sliding, np.where(sliding, stand.mu[..., None], 0.0) * along, 0.0),
+        )
+
+    def take(self, rows: NDArray[np.intp]) -> SupportLaw:
+        """Return the probes ``rows``."""
+        return SupportLaw(*(getattr(self, name)[rows] for name in self.__slots__))
+
+    def put(self, rows: NDArray[np.intp], by: SupportLaw) -> None:
+        """Overwrite the probes ``rows``."""
+        for name in self.__slots__:
+            getattr(self, name)[rows] = getattr(by, name)
+
+    @property
+    def size(self) -> FloatArray:
+        """(B,) residual in N."""
+        rock = MOMENT_N_MM * self.rock
+        return np.asarray(np.sqrt((rock**2 + self.slide**2).sum(axis=(1, 2))), dtype=np.float64)
+
+
+def levers(held: SolutionInputs) -> FloatArray:
+    """Return (B, m, 2, 6): moments of a unit wrench on the piece, as resultant times load."""
+    up = held.stand.height_mm - held.cells.r_z[:, None]
+    levers = np.zeros((*up.shape, 2, 6))
+    levers[..., 0, 0] = levers[..., 1, 1] = -up
+    levers[..., :, 2] = held.pivot_mm[:, None]
+    levers[..., 0, 4], levers[..., 1, 3] = -1.0, 1.0
+    return levers
+
+
+def face_motion(cells: ContactCells, q: FloatArray) -> FloatArray:
+    """Return (B, 2): motion of the middle of the face, which the press moves with."""
+    along = np.stack([q[:, 4], -q[:, 3]], axis=1)
+    return np.asarray(q[:, :2] + cells.r_z[:, None] * along)
+
+
+MAX_ITERATIONS = 40
+HALVINGS = 12
+PATIENCE, PROGRESS = 8, 0.5
+"""A search whose residual has not fallen to this share in so many iterations is given up."""
+DRAGS_MM_RAD = (1e8, 1e7, 1e6, 1e5, 1e4, 1e3, 1e2, 1e1)
+VISCOUS = 1e-6
+"""Keeps the matrix regular where face and table slide at once; the residual is without it."""
+
+
+@dataclass(frozen=True, slots=True)
+class SupportSolution:
+    """A trial solution: motion ``q`` (B, 6), supports, scaled ``residual`` (B,)."""
+
+    q: FloatArray
+    pose: SupportMotion
+    residual: FloatArray
+
+    def replaced(self, rows: NDArray[np.intp], by: SupportSolution) -> SupportSolution:
+        """Return a copy in which the probes ``rows`` are those of ``by``."""
+        q, residual = self.q.copy(), self.residual.copy()
+        q[rows], residual[rows] = by.q, by.residual
+        return SupportSolution(q, self.pose.replaced(rows, by.pose), residual)
+
+    def take(self, rows: NDArray[np.intp]) -> SupportSolution:
+        """Return the probes ``rows``."""
+        return SupportSolution(self.q[rows], self.pose.take(rows), self.residual[rows])
+
+
+def solve_on_supports(
+    held: SolutionInputs,
+    q: FloatArray,
+    pose: SupportMotion,
+    alive: NDArray[np.bool_],
+    *,
+    eased: bool,
+) -> SupportSolution:
+    """Return the equilibrium nearest to the guess ``q`` (B, 6), ``pose``.
+
+    The supports of probes that are no longer ``alive`` (B,) stay, with a residual of infinity.
+    ``eased``: search harder where nothing was found.
+    """
+    start = _resting_solution(held, q, pose)
+    rows = np.flatnonzero(alive & ~(start.residual <= TOLERANCE))
+    if not len(rows):
+        return start
+    loose = held.take(rows)
+    found = _together(loose, start.q[rows], start.pose.take(rows))
+    lost = np.flatnonzero(~(found.residual <= TOLERANCE))
+    if eased and len(lost):
+        again = _relaxed_drag(loose.take(lost), start.q[rows[lost]], start.pose.take(rows[lost]))
+        found = found.replaced(lost, again)
+    # A press without balance goes on as on rigid supports: no forces out of a lost search.
+    usable = np.flatnonzero(found.residual <= RESIDUAL_LIMIT)
+    return start.replaced(rows[usable], found.take(usable))
+
+
+def _resting_solution(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:
+    """Return the equilibrium on supports that stay; residual infinity where they may not."""
+    q, now, residual = _fixed(held, q, pose)
+    law = SupportLaw.at(held, q, pose, now)
+    return SupportSolution(q, pose, np.where(law.size <= TOLERANCE, residual, np.inf))
+
+
+def carried_motion(
+    held: SolutionInputs, pose: SupportMotion, edge_mm: FloatArray | None = None
+) -> FloatArray:
+    """Return (B, 6): motion of the touched face as a motion about the pivot, like q.
+
+    ``edge_mm`` (B, m, 2): points that stay down; None: those that the rocking leaves down.
+    """
+    stand = held.stand
+    rocked = pose.rock_rad.sum(axis=1)
+    moved = (stand.height_mm[..., None] * pose.rock_rad + pose.slide_mm).sum(axis=1)
+    edge = stand.area.foremost(pose.rock_rad) if edge_mm is None else edge_mm
+    lift = (edge * pose.rock_rad).sum(axis=(1, 2))
+    ride = np.zeros((len(rocked), 6))
+    ride[:, :2] = moved - held.cells.r_z[:, None] * rocked
+    ride[:, 2] = lift - (rocked * held.pivot_mm).sum(axis=1)
+    ride[:, 3], ride[:, 4] = -rocked[:, 1], rocked[:, 0]
+    return ride
+
+
+def _relaxed_drag(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:
+    """Let the supports give way against a drag, and take it away by and by.
+
+    Between sticking and sliding of the faces lies a way of 0.001 mm, a micro-radian of a tower:
+    without drag the search leaps over it.
+    """
+    now = SupportSolution(q, pose, np.full(len(q), np.inf))
+    for drag in DRAGS_MM_RAD:
+        slowly = replace(held, leaned_rad=now.pose.rock_rad, drag_mm_rad=drag)
+        found = _together(slowly, now.q, now.pose)
+        there = np.flatnonzero(found.residual <= TOLERANCE)
+        now = now.replaced(there, found.take(there))
+    return _together(held, now.q, now.pose)
+
+
+def _fixed(
+    held: SolutionInputs, q: FloatArray, pose: SupportMotion
+) -> tuple[FloatArray, ContactForces, FloatArray]:
+    """Return q (B, 6), forces and residual of the equilibrium on supports that stay at ``pose``."""
+    ride = carried_motion(held, pose)
+    relative, now, residual = solve_equilibrium(
+        held.cells, held.anchor, q - ride, held.zero - ride, held.stiffness
+    )
+    return relative + ride, now, residual
+
+
+def _together(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:
+    """Newton with step halving on piece and supports at once; finished probes are laid aside.
+
+    During one step the edges stay where the last one found them: the lift of a body about a given
+    edge is smooth through its upright position, that about the edge it happens to lean on is not.
+    """
+    ends = SupportSolution(q, pose, np.full(len(q), np.inf))
+    rows = np.arange(len(q))
+    rest = _ResidualTrial.at(held, q, pose, held.stand.area.foremost(pose.rock_rad))
+    before = np.full(len(q), np.inf)
+    for number in range(MAX_ITERATIONS):
+        edge = rest.law.corner_mm
+        rest = _ResidualTrial.at(held, rest.q, rest.pose, edge)
+        going = rest.size > TOLERANCE
+        if number % PATIENCE == 0:
+            going &= rest.size < PROGRESS * before
+            before = rest.size
+        busy = np.flatnonzero(going)
+        if len(busy) < len(rows):
+            ends = ends.replaced(rows, rest.settled)
+            if not len(busy):
+                return ends
+            rows, held, rest = rows[busy], held.take(busy), rest.take(busy)
+            edge, before = edge[busy], before[busy]
+        rest = _stepped(held, edge, rest)
+    return ends.replaced(rows, rest.settled)
+
+
+def _stepped(held: SolutionInputs, edge_mm: FloatArray, rest: _ResidualTrial) -> _ResidualTrial:
+    """Go one Newton step, halved for each probe until its residual falls."""
+    count, m = rest.law.load_n.shape
+    matrix = _matrix(held, rest.q, rest.now, rest.law, edge_mm)
+    laws = np.concatenate([rest.law.rock, rest.law.slide], axis=1).reshape(count, 4 * m)
+    right = np.concatenate([rest.force, laws], axis=1)
+    step = np.linalg.solve(matrix, -right[:, :, None])[:, :, 0]
+    after = _ResidualTrial.at(held, *rest.gone(step), edge_mm)
+
+    def at(rows: NDArray[np.intp], share: FloatArray) -> _ResidualTrial:
+        tried = rest.take(rows).gone(share[:, None] * step[rows])
+        return _ResidualTrial.at(held.take(rows), *tried, edge_mm[rows])
+
+    halve_steps(after, rest.size, np.flatnonzero(~(after.size < rest.size)), HALVINGS, at)
+    return after
+
+
+@dataclass(frozen=True, slots=True)
+class _ResidualTrial:
+    """A trial, and what is missing there to balance: of the piece ``force`` (B, 6) in N and N·mm,
+    of the ``law``. ``size`` (B,): both as one number in N.
+    """
+
+    q: FloatArray
+    pose: SupportMotion
+    now: ContactForces
+    law: SupportLaw
+    force: FloatArray
+    size: FloatArray
+
+    @classmethod
+    def at(
+        cls, held: SolutionInputs, q: FloatArray, pose: SupportMotion, edge_mm: FloatArray
+    ) -> _ResidualTrial:
+        now = contact_forces(held.cells, held.anchor, q - carried_motion(held, pose, edge_mm))
+        law = SupportLaw.at(held, q, pose, now)
+        force = now.wrench - held.stiffness * (q - held.zero)
+        size = np.sqrt(((force * SCALE) ** 2).sum(axis=1) + law.size**2)
+        return cls(q, pose, now, law, force, size)
+
+    @property
+    def settled(self) -> SupportSolution:
+        return SupportSolution(self.q, self.pose, self.size)
+
+    def gone(self, step: FloatArray) -> tuple[FloatArray, SupportMotion]:
+        """Return motion and supports one ``step`` (B, 6 + 4m) further."""
+        m = step.shape[1] // 4 - 1
+        rock, slide = step[:, 6 : 6 + 2 * m], step[:, 6 + 2 * m :]
+        return self.q + step[:, :6], SupportMotion(
+            self.pose.rock_rad + rock.reshape(-1, m, 2),
+            self.pose.slide_mm + slide.reshape(-1, m, 2),
+        )
+
+    def take(self, rows: NDArray[np.intp]) -> _ResidualTrial:
+        """Return the probes ``rows``."""
+        now, law = self.now.take(rows), self.law.take(rows)
+        return _ResidualTrial(
+            self.q[rows], self.pose.take(rows), now, law, self.force[rows], self.size[rows]
+        )
+
+    def put(self, rows: NDArray[np.intp], by: _ResidualTrial) -> None:
+        """Overwrite the probes ``rows``."""
+        self.q[rows], self.force[rows], self.size[rows] = by.q, by.force, by.size
+        self.pose.rock_rad[rows] = by.pose.rock_rad
+        self.pose.slide_mm[rows] = by.pose.slide_mm
+        self.now.put(rows, by.now)
+        self.law.put(rows, by.law)
+
+
+def _matrix(
+    held: SolutionInputs, q: FloatArray, now: ContactForces, law: SupportLaw, edge_mm: FloatArray
+) -> FloatArray:
+    """Return d(residuals)/d(q, rock, slide), (B, 6 + 4m, 6 + 4m)."""
+    stand, count, m = held.stand, len(q), held.stand.interfaces
+    width = 6 + 4 * m
+    rock, slide = slice(6, 6 + 2 * m), slice(6 + 2 * m, width)
+    # Only motion relative to the support changes the wrench on the piece.
+    relative = np.zeros((count, 6, width))
+    relative[:, :, :6] = np.eye(6)
+    relative[:, :, rock] = -_ride_rock(held, edge_mm)
+    relative[:, :2, slide] = -np.tile(AXES, (1, m))
+    wrench = tangent_stiffness(held.cells, now) @ relative
+    matrix = np.zeros((count, width, width))
+    matrix[:, :6] = wrench
+    matrix[:, range(6), range(6)] -= held.stiffness
+    at = _resultant_slope(held, q, now, law, wrench)
+    away = AXES - law.corner_slope
+    rows = away @ at
+    rows[..., rock] -= ROCK_MM_RAD * _each(law.corner_slope)
+    rigid = np.zeros((count, m, 2, width))
+    rigid[..., rock] = ROCK_MM_RAD * _each(np.broadcast_to(AXES, (count, m, 2, 2)))
+    rows = np.where(stand.rocks[..., None, None], rows, rigid)
+    matrix[:, rock] = rows.reshape(count, 2 * m, width)
+    lateral = -wrench[:, None, :2]
+    rows = (AXES - law.reach) @ lateral
+    rows -= law.reach_load[..., None] * wrench[:, None, 2:3]
+    rows[..., slide] -= SLIDE_N_MM * _each(law.reach + VISCOUS * AXES)
+    matrix[:, slide] = rows.reshape(count, 2 * m, width)
+    return matrix
+
+
+def _resultant_slope(
+    held: SolutionInputs, q: FloatArray, now: ContactForces, law: SupportLaw, wrench: FloatArray
+) -> FloatArray:
+    """Return d(``at_mm``)/d(q, rock, slide), (B, m, 2, 6 + 4m); ``wrench``: that of the wrench."""
+    stand, m = held.stand, held.stand.interfaces
+    slope: FloatArray = levers(held) @ wrench[:, None]
+    spare = face_motion(held.cells, q)[:, None] - law.centre_mm
+    slope += spare[..., None] * wrench[:, None, 2:3]
+    face = np.zeros((len(q), 2, 6))
+    face[:, :, :2] = AXES
+    face[:, 0, 4], face[:, 1, 3] = held.cells.r_z, -held.cells.r_z
+    slope[..., :6] += (now.wrench[:, 2, None, None] * face)[:, None]
+    slope[..., 6 : 6 + 2 * m] += _spread(stand.rocked_nmm)
+    slope[..., 6 + 2 * m :] += _spread(stand.moved_n)
+    slope /= law.load_n[..., None, None]
+    slope[..., 6 : 6 + 2 * m] -= _spread(interface_heights_mm(stand) + held.drag_mm_rad * np.eye(m))
+    slope[..., 6 + 2 * m :] -= _spread(np.broadcast_to(np.tri(m), (len(q), m, m)))
+    return slope
+
+
+def _ride_rock(held: SolutionInputs, edge_mm: FloatArray) -> FloatArray:
+    """Return d(``carried``)/d(rock), (B, 6, 2m)."""
+    m = held.stand.interfaces
+    up = held.stand.height_mm - held.cells.r_z[:, None]
+    slope = np.zeros((len(up), 6, m, 2))
+    slope[:, 0, :, 0] = slope[:, 1, :, 1] = up
+    slope[:, 2] = edge_mm - held.pivot_mm[:, None]
+    slope[:, 3, :, 1], slope[:, 4, :, 0] = -1.0, 1.0
+    return slope.reshape(len(up), 6, 2 * m)
+
+
+def _spread(per_pair: FloatArray) -> FloatArray:
+    """Return (B, m, 2, 2m): the number of each pair of interfaces, for both axes."""
+    m = per_pair.shape[1]
+    both = per_pair[:, :, None, :, None] * AXES[None, None, :, None, :]
+    return np.asarray(both.reshape(-1, m, 2, 2 * m))
+
+
+def _each(blocks: FloatArray) -> FloatArray:
+    """Return (B, m, 2, 2m) with the block (2, 2) of each interface under its own unknowns."""
+    m = blocks.shape[1]
+    wide = np.eye(m)[None, :, None, :, None] * blocks[:, :, :, None, :]
+    return np.asarray(wide.reshape(-1, m, 2, 2 * m))

@@ -1,0 +1,3 @@
+from .trials import SecondWorldTrials as SecondWorldTrials
+
+__all__ = ["SecondWorldTrials"]

@@ -1,0 +1,396 @@
+"""Trials in the second world, in place of the batched trials of the simulated bench.
+
+Mountings, grips, probes and sensors are drawn as on the bench with the same scenes; the physics
+differs. Presses are solved one after the other, with the same law of the command: down at the
+approach speed until contact is declared at a cycle boundary, then to the depth of the ramp counted
+from the back-dated onset, never up.
+
+On the bench a pad is a linear spring with a Maxwell branch, slips at a sharp limit, and the markers
+show its strain at once. Here the spring hardens, the piece creeps along the pad at any load and
+ever faster towards the limit of friction, and the markers follow a strain that saturates, with a
+delay. The gel is an elastic half-space: each pad is gripped over a round patch, and the piece moves
+that patch of the surface as one; outside, the surface follows (on the bench: a flat top with a
+steep roll-off). Closed forms for incompressible gel: traction of a sliding punch (Johnson, Contact
+Mechanics, 3.7), torsion of a patch (Reissner and Sagoci), and gel pressed out sideways.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S, ProbeSettings
+from touchdown.backend.core import (
+    GRID_COLS,
+    GRID_ROWS,
+    MARKERS,
+    FloatArray,
+    OnsetRule,
+    back_date_onset,
+    detect_contact,
+    force_over_baseline,
+)
+from touchdown.backend.simulation.batch import (
+    BatchedTrials,
+    MarkerModel,
+    TrialPresses,
+    draw_noise,
+    observe_presses,
+)
+from touchdown.backend.simulation.conditions import Conditions, true_offset_mm
+from touchdown.backend.simulation.marker_fields import Gel
+from touchdown.backend.simulation.mechanics import SIGN, GraspHistory, elastic_zero
+from touchdown.backend.simulation.pressing import LONGEST, Timeline, air_samples
+from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.second_world.model import (
+    HAND_JOINTS,
+    HELD_JOINTS,
+    STEP_S,
+    MountedPiece,
+    bottoms_after_press,
+    build_model,
+    pad_stiffness,
+)
+
+PATCH_MM = 5.0
+"""Radius of the gripped patch [U]."""
+POISSON = 0.5
+
+
+def shear_field(x_mm: FloatArray, z_mm: FloatArray, patch_mm: float) -> FloatArray:
+    """Return (n, 2) displacement (x, z) of the points for a patch moved by 1 along x."""
+    r = np.maximum(np.hypot(x_mm, z_mm), 1e-9)
+    inside = r <= patch_mm
+    share = np.where(inside, 1.0, patch_mm / r)
+    tail = POISSON * share * np.sqrt(1.0 - share**2)
+    cos, sin = x_mm / r, z_mm / r
+    scale = 2.0 / (np.pi * (2.0 - POISSON))
+    along = (2.0 - POISSON) * np.arcsin(share) + tail * (cos**2 - sin**2)
+    across = tail * 2.0 * cos * sin
+    return np.asarray(scale * np.stack([along, across], axis=-1))
+
+
+def torsion_share(r_mm: FloatArray, patch_mm: float) -> FloatArray:
+    """Return (n,) rotation of the surface at the radii, for a patch turned by 1."""
+    share = np.minimum(1.0, patch_mm / np.maximum(r_mm, 1e-9))
+    turned = np.arcsin(share) - share * np.sqrt(1.0 - share**2)
+    return np.asarray(2.0 / np.pi * turned)
+
+
+def build_half_space_gel(
+    mm_per_px: tuple[float, float], pitch_mm: float, dilation: float, patch_mm: float = PATCH_MM
+) -> Gel:
+    """Return the gel of two sensors; same inputs and marker order as ``simulation.gel``."""
+    row, column = np.divmod(np.arange(MARKERS), GRID_COLS)
+    z = (GRID_ROWS // 2 - row) * pitch_mm
+    maps, rests = [], []
+    for scale, facing in zip(mm_per_px, (1.0, -1.0), strict=True):
+        x = facing * (column - GRID_COLS // 2) * pitch_mm
+        along_x = shear_field(x, z, patch_mm)
+        along_z = shear_field(z, x, patch_mm)[:, ::-1]
+        r = np.hypot(x, z)
+        turned = torsion_share(r, patch_mm)[:, None] * np.stack([z, -x], axis=-1)
+        # What leaves the patch crosses every circle round it: 1/r outside.
+        out = dilation * np.minimum(1.0, (patch_mm / np.maximum(r, 1e-9)) ** 2)
+        pressed = out[:, None] * np.stack([x, z], axis=-1)
+        field = np.stack([along_x, along_z, turned, pressed])
+        to_image = np.array([facing, -1.0]) / scale
+        maps.append((field * to_image).reshape(4, 2 * MARKERS))
+        rests.append(np.stack([160.0 + facing * x / scale, 120.0 - z / scale], axis=-1))
+    return Gel(np.stack(maps), np.stack(rests))
+
+
+HARDENING_MM = 3.0
+"""Shear at which a pad is twice as stiff as unstrained [U]."""
+SATURATION_MM, SEEN_LATE_S = 2.0, 0.12
+"""The markers show at most this much shear, and follow it with this delay [U]."""
+CREEP_MM_S, CREEP_POWER, CREEP_CAP = 0.1, 12, 1.3
+"""Speed of the creep at the limit of friction, how steeply it grows with the load, and the load
+beyond which it grows no more [U]."""
+
+
+class CreepingPads:
+    """Both pads of one gripping. ``slip`` (2, 3): finger; x, z in mm, torsion in rad.
+
+    ``seen`` (2, 3): the strain that the markers show. ``normal_n`` (2,).
+    """
+
+    def __init__(self, conditions: Conditions, slip: FloatArray) -> None:
+        self.slip = slip.copy()
+        self._half_mm = 0.5 * float(conditions.width_mm[0])
+        self._shear_n_mm = float(conditions.shear_n_mm[0])
+        self._normal_n_mm = float(conditions.normal_n_mm[0])
+        self._torsion_nmm = float(conditions.torsion_nmm[0])
+        self._grip_n = float(conditions.grip_force_n[0])
+        self._limit = float(conditions.mu_grip[0])
+        self._radius_mm = float(conditions.limit_radius_mm[0])
+        self._slips = bool(conditions.slips[0])
+        self.hardening = 1.0
+        """Stiffness of shear and torsion over that of an unstrained gel."""
+        self.normal_n = np.full(2, self._grip_n)
+        self.strain = self._strain(self.rest())
+        self.seen = _saturated(self.strain)
+
+    def rest(self) -> FloatArray:
+        """Return (6,) displacement of the piece in the hand at which the pads are unloaded."""
+        unloaded = np.concatenate([self.slip, np.zeros((2, 1))], axis=1)[None]
+        zero = elastic_zero(np.zeros((1, 3)), unloaded, np.array([2.0 * self._half_mm]))
+        return np.asarray(zero[0])
+
+    def follow(self, held: FloatArray, dt_s: float) -> None:
+        """Let ``dt_s`` pass with the piece at ``held`` (6,) in the hand, mm and rad."""
+        self.strain = self._strain(held)
+        self.normal_n = np.maximum(self._grip_n + SIGN * self._normal_n_mm * held[1], 0.0)
+        size2 = float((self.strain[:, :2] ** 2).sum(axis=1).mean())
+        self.hardening = 1.0 + size2 / HARDENING_MM**2
+        if self._slips:
+            self._creep(dt_s)
+        late = dt_s / (dt_s + SEEN_LATE_S)
+        self.seen += late * (_saturated(self.strain) - self.seen)
+
+    def _strain(self, held: FloatArray) -> FloatArray:
+        swing = self._half_mm * SIGN
+        d_x = held[0] - held[5] * swing
+        d_z = held[2] + held[3] * swing
+        return np.stack([d_x, d_z, np.full(2, held[4])], axis=1) - self.slip
+
+    def _creep(self, dt_s: float) -> None:
+        stiffness = self.hardening * np.array([self._shear_n_mm] * 2 + [self._torsion_nmm])
+        lever = np.array([1.0, 1.0, self._radius_mm])
+        limit = np.maximum(self._limit * self.normal_n, 1e-9)[:, None]
+        load = stiffness * self.strain / (limit * lever)
+        size = np.linalg.norm(load, axis=1, keepdims=True)
+        speed = CREEP_MM_S * np.minimum(size, CREEP_CAP) ** CREEP_POWER
+        self.slip += dt_s * speed * load / np.maximum(size, 1e-9) / lever
+
+
+def _saturated(strain: FloatArray) -> FloatArray:
+    """Return strain (2, 3) as markers show it; the torsion of small angles does not saturate."""
+    shown = strain.copy()
+    size = np.linalg.norm(strain[:, :2], axis=1, keepdims=True)
+    shown[:, :2] *= SATURATION_MM * np.tanh(size / SATURATION_MM) / np.maximum(size, 1e-9)
+    return shown
+
+
+CLEAR_MM = 0.1
+"""Height of the face over the highest place it may touch, at the start."""
+BALANCE_N, BALANCE_NMM = 0.1, 2.0
+"""Contact and springs may differ by this at the end; otherwise the press has not settled."""
+HAND_Z = HAND_JOINTS.start + 2
+
+
+@dataclass(frozen=True, slots=True)
+class DescentRecord:
+    """``t_s`` (M,) from about first touch; ``values`` (M, 14) as in a timeline; ``air`` (14,).
+
+    ``onset_s``: back-dated, NaN where no contact was declared. ``settled``: contact and springs
+    balance at the end. ``press_n`` at the end.
+    """
+
+    t_s: FloatArray
+    values: FloatArray
+    air: FloatArray
+    onset_s: float
+    settled: bool
+
+    @property
+    def ticks_s(self) -> FloatArray:
+        """(20,) instants of the model's input."""
+        onset = self.onset_s if np.isfinite(self.onset_s) else 0.0
+        return np.asarray(onset + TICK_S * np.arange(1, SAMPLES_PER_PROBE + 1))
+
+    @property
+    def press_n(self) -> float:
+        """Press force at the end."""
+        return float(self.values[-1, 2])
+
+
+class SecondWorldPress:
+    """A mounted piece on its way down."""
+
+    def __init__(
+        self,
+        mounted: MountedPiece,
+        pads: CreepingPads,
+        conditions: Conditions,
+        probe: ProbeSettings,
+    ) -> None:
+        self._mount, self._pads, self._probe = mounted, pads, probe
+        self._stiffness = pad_stiffness(conditions)
+        self._values: list[FloatArray] = []
+        self._force_n: list[float] = []
+
+    def run(
+        self, high_mm: float, noise_n: FloatArray, rule: OnsetRule, cycle_s: float
+    ) -> DescentRecord:
+        """Press from ``high_mm`` over the centre of the support.
+
+        ``noise_n``: errors of the press force on the sample grid, as for ``pressing.press``.
+        """
+        rest = self._pads.rest()
+        data, held_z = self._mount.data, float(rest[2])
+        data.qpos[HELD_JOINTS] = rest * np.array([1e-3] * 3 + [1.0] * 3)
+        start_mm = high_mm - held_z
+        data.qpos[HAND_Z] = 1e-3 * start_mm
+        air = self._now()
+        speed = self._probe.approach_mm_s
+        onset_s, acted = float("nan"), 0
+        for cycle in range(LONGEST):
+            high = start_mm - speed * cycle * cycle_s
+            self._cycle(high, high - speed * cycle_s, cycle_s)
+            found = self._onset(noise_n, rule, cycle_s)
+            if found is not None:
+                onset_s, acted = found, cycle + 1
+                break
+        if not acted:
+            return self._ended(air, onset_s, cycle_s)
+        stopped_s = acted * cycle_s
+        cycles = int(np.ceil((onset_s + self._probe.duration_s - stopped_s) / cycle_s)) + 1
+        times = stopped_s + cycle_s * np.arange(cycles + 1)
+        commands = [
+            start_mm - speed * onset_s - self._depth_mm(onset_s, stopped_s, t)
+            for t in times.tolist()
+        ]
+        for command, following in pairwise(commands):
+            self._cycle(command, following, cycle_s)
+        return self._ended(air, onset_s, cycle_s)
+
+    def _depth_mm(self, onset_s: float, stopped_s: float, t_s: float) -> float:
+        """Return the commanded depth below the onset at a time after the descent was stopped."""
+        probe = self._probe
+        reached = probe.approach_mm_s * (stopped_s - onset_s)
+        along = min(1.0, (t_s - onset_s) / (probe.ramp_fraction * probe.duration_s))
+        return max(reached, probe.depth_mm * along)
+
+    def _cycle(self, from_mm: float, to_mm: float, cycle_s: float) -> None:
+        """Move the command for one cycle, then let the pads follow."""
+        model, data, pads = self._mount.model, self._mount.data, self._pads
+        steps = round(cycle_s / STEP_S)
+        for command_mm in np.linspace(from_mm, to_mm, steps + 1)[1:].tolist():
+            model.qpos_spring[HAND_Z] = 1e-3 * command_mm
+            self._mount.engine.mj_step(model, data)
+            self._force_n.append(float(data.qfrc_constraint[HELD_JOINTS.start + 2]))
+        pads.follow(self._mount.held(), cycle_s)
+        model.qpos_spring[HELD_JOINTS] = pads.rest() * np.array([1e-3] * 3 + [1.0] * 3)
+        harder = np.array([pads.hardening, 1.0, *[pads.hardening] * 4])
+        model.jnt_stiffness[HELD_JOINTS] = self._stiffness * harder
+        self._values.append(self._now())
+
+    def _now(self) -> FloatArray:
+        return np.concatenate(
+            [self._mount.wrench_g(), self._pads.seen.ravel(), self._pads.normal_n]
+        )
+
+    def _onset(self, noise_n: FloatArray, rule: OnsetRule, cycle_s: float) -> float | None:
+        """Return the back-dated onset since the start, once contact is declared."""
+        lead = air_samples(rule)
+        steps = STEP_S * (np.arange(len(self._force_n)) + 1.0)
+        sample_s = (np.arange(round(steps[-1] * rule.rate_hz)) + 1.0) / rule.rate_hz
+        force = noise_n[: lead + len(sample_s)].copy()
+        force[lead:] += np.interp(sample_s, steps, self._force_n)
+        over = force_over_baseline(force[None], rule)
+        found = detect_contact(over, rule)
+        if found[0] < lead:
+            return None
+        t_s = np.asarray((np.arange(len(force)) + 1.0 - lead) / rule.rate_hz, dtype=np.float64)
+        onset = float(back_date_onset(t_s, over, found, rule)[0])
+        return onset if np.isfinite(onset) else None
+
+    def _ended(self, air: FloatArray, onset_s: float, cycle_s: float) -> DescentRecord:
+        touched = np.flatnonzero(np.array(self._force_n) > 0.0)
+        first_s = STEP_S * float(touched[0]) if len(touched) else 0.0
+        zero_s = cycle_s * np.floor(first_s / cycle_s)
+        t_s = cycle_s * np.arange(1, len(self._values) + 1) - zero_s
+        return DescentRecord(t_s, np.array(self._values), air, onset_s - zero_s, self._settled())
+
+    def _settled(self) -> bool:
+        """Whether contact and springs of the piece balance, the engine's forces against ours."""
+        model, data = self._mount.model, self._mount.data
+        spring = model.jnt_stiffness[HELD_JOINTS] * (
+            data.qpos[HELD_JOINTS] - model.qpos_spring[HELD_JOINTS]
+        )
+        spring[3:] *= 1e3
+        left = np.abs(self._mount.wrench_g() - spring)
+        return bool((left[:3] < BALANCE_N).all() and (left[3:] < BALANCE_NMM).all())
+
+
+@dataclass(frozen=True, slots=True)
+class _JoinedPresses:
+    """Presses side by side, as ``episodes.observe`` reads them."""
+
+    timeline: Timeline
+    ticks_s: FloatArray
+    air: FloatArray
+
+
+class SecondWorldTrials(BatchedTrials):
+    """The second world behind the interface of the bench."""
+
+    def __init__(self, scenes: Sequence[Scene], probe: ProbeSettings | None = None) -> None:
+        super().__init__(scenes, probe)
+        tactile = self._first.settings.tactile
+        self._eye = MarkerModel(
+            build_half_space_gel(tactile.mm_per_px, tactile.pitch_mm, tactile.dilation)
+        )
+
+    def press(self, trials: Sequence[int], commands_mm: FloatArray) -> TrialPresses:
+        """Press the pieces of the named ``trials`` at ``commands_mm`` (k, 2); slip stays."""
+        rows = np.asarray(trials, dtype=np.intp)
+        settings, first = self._first.settings, self._first
+        conditions = self._conditions(rows)
+        before = self._carried.take(rows).slip
+        true = true_offset_mm(commands_mm, conditions, before) - self._slid_mm[rows]
+        noise = [draw_noise(settings, self._rule, self._sensor_rng(i)) for i in rows.tolist()]
+        pressed: list[DescentRecord] = []
+        slip, toppled = before.copy(), np.zeros(len(rows), dtype=np.bool_)
+        reach_mm = float(np.hypot(*first.surface.half_extents_mm))
+        for k, trial in enumerate(rows.tolist()):
+            own = conditions.take(np.array([k]))
+            mounted = build_model(first.piece, self.bottoms[trial], own, true[k], settings.support)
+            pads = CreepingPads(own, before[k])
+            high_mm = CLEAR_MM + float(np.hypot(*own.tilt_rad[0])) * reach_mm
+            high_mm += self._probe.approach_mm_s * noise[k].phase_s
+            press = SecondWorldPress(mounted, pads, own, self._probe)
+            pressed.append(
+                press.run(high_mm, noise[k].force_n, self._rule, 1e-6 * settings.cycle_us)
+            )
+            slip[k] = pads.slip
+            slide_mm, toppled[k] = bottoms_after_press(mounted, self.bottoms[trial])
+            self._slide(rows[k : k + 1], slide_mm[None])
+        self._carried = self._carried.replaced(
+            rows, GraspHistory(slip, np.zeros((len(rows), 2, 4)))
+        )
+        moved = slip[:, :, :2] - before[:, :, :2]
+        return TrialPresses(
+            observation=observe_presses(
+                _side_by_side(pressed), conditions, settings, noise, self._eye
+            ),
+            true_mm=true_offset_mm(commands_mm, conditions, slip) - self._slid_mm[rows],
+            valid=_valid(pressed, toppled),
+            press_n=np.array([p.press_n for p in pressed]),
+            slip_mm=np.asarray(np.hypot(moved[..., 0], moved[..., 1]).max(axis=1)),
+            toppled=toppled,
+        )
+
+
+def _valid(pressed: list[DescentRecord], toppled: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    found = [bool(np.isfinite(p.onset_s)) and p.settled for p in pressed]
+    return np.array(found, dtype=np.bool_) & ~toppled
+
+
+def _side_by_side(pressed: list[DescentRecord]) -> _JoinedPresses:
+    """Join presses; the shorter ones stay as they ended."""
+    longest = max(len(p.t_s) for p in pressed)
+    index = [np.minimum(np.arange(longest), len(p.t_s) - 1) for p in pressed]
+    return _JoinedPresses(
+        Timeline(
+            np.stack([p.t_s[i] for p, i in zip(pressed, index, strict=True)]),
+            np.stack([p.values[i] for p, i in zip(pressed, index, strict=True)]),
+        ),
+        np.stack([p.ticks_s for p in pressed]),
+        np.stack([p.air for p in pressed]),
+    )

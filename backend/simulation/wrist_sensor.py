@@ -1,0 +1,111 @@
+"""The simulated wrist sensor: contact wrench, weights and lever arms, noise, offset and drift.
+
+Source: bench reference 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from touchdown.backend.config import WristSettings
+from touchdown.backend.core import IDENTITY_ROTATION, FloatArray
+
+GRAVITY_M_S2 = 9.80665
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """A weight below the sensor: ``mass_kg`` at ``position_mm`` relative to the pivot ``G``."""
+
+    mass_kg: float
+    position_mm: tuple[float, float, float]
+
+    def wrench_g(self, turn: FloatArray = IDENTITY_ROTATION) -> FloatArray:
+        """Return (6,) weight at ``G`` in N and N·mm, in the axes of a hand turned by (3, 3)."""
+        force = np.array([0.0, 0.0, -self.mass_kg * GRAVITY_M_S2]) @ turn
+        return np.concatenate([force, np.cross(self.position_mm, force)])
+
+
+def held_piece_load(
+    mass_g: float,
+    com_mm: tuple[float, float, float],
+    grip_height_mm: float,
+    grasp_offset_mm: tuple[float, float],
+) -> Load:
+    """Return the load of a held piece; ``com_mm`` relative to its face centre ``F``."""
+    g_x, g_z = grasp_offset_mm
+    position = (com_mm[0] - g_x, com_mm[1], com_mm[2] - grip_height_mm - g_z)
+    return Load(1e-3 * mass_g, position)
+
+
+def wrist_wrench(wrench_g: FloatArray, height_mm: float, yaw_rad: float = 0.0) -> FloatArray:
+    """Return (..., 6) in N and N·m at the sensor ``height_mm`` above ``G``.
+
+    ``wrench_g`` (..., 6) in N and N·mm, axes of ``G``; the sensor is turned by ``yaw_rad`` about z.
+    """
+    w = np.array(wrench_g, dtype=np.float64)
+    w[..., 3] += height_mm * wrench_g[..., 1]
+    w[..., 4] -= height_mm * wrench_g[..., 0]
+    w[..., 3:] *= 1e-3
+    if yaw_rad == 0.0:
+        return w
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    turned = w.copy()
+    for first in (0, 3):
+        turned[..., first] = cos * w[..., first] + sin * w[..., first + 1]
+        turned[..., first + 1] = cos * w[..., first + 1] - sin * w[..., first]
+    return turned
+
+
+def centre_of_pressure_mm(wrench_w: FloatArray, lever_mm: float) -> FloatArray:
+    """Return (..., 2) centre of pressure in the face plane, relative to G's vertical axis.
+
+    ``wrench_w`` (..., 6) in N and N·m; ``lever_mm`` from sensor to face. NaN where Fz <= 0.
+    """
+    f_z = np.where(wrench_w[..., 2] > 0.0, wrench_w[..., 2], np.nan)
+    x = -(1e3 * wrench_w[..., 4] + lever_mm * wrench_w[..., 0]) / f_z
+    y = (1e3 * wrench_w[..., 3] - lever_mm * wrench_w[..., 1]) / f_z
+    return np.stack([x, y], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class WristLoad:
+    """What acts below the sensor over a cycle: (6,) at ``G`` in N and N·mm, weights included."""
+
+    before_g: FloatArray
+    after_g: FloatArray
+    offset: FloatArray
+    """(6,) slow error of the present probe, N and N·m."""
+
+
+class WristSampler:
+    """Produces untared samples block by block."""
+
+    def __init__(self, settings: WristSettings, cycle_us: int, seed: int) -> None:
+        self._settings = settings
+        self._count = round(settings.rate_hz * cycle_us * 1e-6)
+        self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 4])))
+        scale = np.repeat([settings.white_n, settings.white_nm], 3)
+        self._white = scale
+        per_minute = np.repeat([settings.drift_n_sqrt_min, settings.drift_nm_sqrt_min], 3)
+        self._walk = per_minute * np.sqrt(cycle_us * 1e-6 / 60.0)
+        self._drift = np.zeros(6)
+        self.payload = Load(settings.payload_kg, settings.payload_com_mm)
+        self.payload_g = self.payload.wrench_g()
+        """(6,) weight of the gripper at ``G``, N and N·mm."""
+        self._share = np.arange(1, self._count + 1)[:, None] / self._count
+
+    def samples(
+        self, start_us: int, end_us: int, strain: WristLoad
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return times (n,) in s and samples (n, 6) in N and N·m of one cycle."""
+        settings = self._settings
+        wrench_g = strain.before_g + self._share * (strain.after_g - strain.before_g)
+        values = wrist_wrench(wrench_g, settings.height_mm, settings.yaw_rad)
+        self._drift = self._drift + self._walk * self._rng.standard_normal(6)
+        values += strain.offset + self._drift
+        values += self._white * self._rng.standard_normal((self._count, 6))
+        t_us = start_us + self._share[:, 0] * (end_us - start_us)
+        return np.round(t_us) * 1e-6, values

@@ -1,0 +1,275 @@
+"""Colours, fonts and palettes of the themes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cache
+from importlib.resources import files
+from typing import Literal
+
+import numpy as np
+import pyqtgraph as pg
+from numpy.typing import NDArray
+from PySide6.QtCore import QByteArray, QDir, QRectF, QSize, Qt
+from PySide6.QtGui import (
+    QColor,
+    QFont,
+    QFontDatabase,
+    QIcon,
+    QPainter,
+    QPalette,
+    QPixmap,
+    QPixmapCache,
+)
+from PySide6.QtSvg import QSvgRenderer
+from PySide6.QtWidgets import QAbstractButton, QApplication, QWidget
+
+from touchdown.widgets.base.style_sheet import style_sheet
+
+ThemeName = Literal["dark", "light", "contrast"]
+THEMES: tuple[ThemeName, ...] = ("dark", "light", "contrast")
+BASE_POINTS = 10.0
+LEAST, MOST = 0.8, 2.0
+"""Font scales."""
+STYLED = "touchdown-styled"
+"""Property of an application that has its style already."""
+FONTS = "touchdown-fonts"
+"""Property of an application that has the bundled fonts already."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tokens:
+    """Colours of one theme as ``#rrggbb``; state and action colours are equal in all themes."""
+
+    name: ThemeName
+    bg: str
+    panel: str
+    raised: str
+    hover: str
+    text: str
+    muted: str
+    border: str
+    hairline: str
+    grid: str
+    focus: str
+    selection: str
+    selection_text: str
+    axis_x: str
+    axis_y: str
+    axis_z: str
+    good: str
+    bad: str
+    disabled: str
+    pill_grey: str = "#5A6570"
+    pill_blue: str = "#1565C0"
+    pill_green: str = "#57C785"
+    pill_yellow: str = "#F9C800"
+    pill_red: str = "#B3261E"
+    on_light: str = "#14181C"
+    on_dark: str = "#FFFFFF"
+    stop: str = "#C62828"
+    reset: str = "#1565C0"
+
+    def colour(self, token: str) -> QColor:
+        """Return the colour of a token by name; raises AttributeError for an unknown one."""
+        return QColor(getattr(self, token))
+
+    def as_dict(self) -> dict[str, str]:
+        """Return all tokens by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+DARK = Tokens(
+    name="dark", bg="#14181C", panel="#1C2127", raised="#262D35", hover="#303943",
+    text="#E3E8ED", muted="#A3AEBA", border="#7A8794", hairline="#2E363F", grid="#2A323A",
+    focus="#7CC4FF", selection="#1F6FB2", selection_text="#FFFFFF",
+    axis_x="#4FA8FF", axis_y="#F0E442", axis_z="#FF6E5E", good="#6CEAAB", bad="#FF8370",
+    disabled="#7A8794",
+)  # fmt: skip
+LIGHT = Tokens(
+    name="light", bg="#FFFFFF", panel="#F2F4F6", raised="#FFFFFF", hover="#E6EAEE",
+    text="#1B2127", muted="#55606B", border="#76818C", hairline="#D5DBE0", grid="#E2E7EB",
+    focus="#0B5CAD", selection="#1F6FB2", selection_text="#FFFFFF",
+    axis_x="#005FCC", axis_y="#C04A00", axis_z="#3A0D3F", good="#11784D", bad="#AA180E",
+    disabled="#76818C",
+)  # fmt: skip
+CONTRAST = Tokens(
+    name="contrast", bg="#000000", panel="#000000", raised="#000000", hover="#2B2B2B",
+    text="#FFFFFF", muted="#FFFFFF", border="#FFFFFF", hairline="#FFFFFF", grid="#4A4A4A",
+    focus="#FFFF00", selection="#FFFF00", selection_text="#000000",
+    axis_x="#00C8FF", axis_y="#FFFF00", axis_z="#FF8A7A", good="#68D9A1", bad="#F37B68",
+    disabled="#808080",
+)  # fmt: skip
+_BY_NAME: dict[ThemeName, Tokens] = {"dark": DARK, "light": LIGHT, "contrast": CONTRAST}
+
+
+def tokens_of(name: ThemeName) -> Tokens:
+    """Return the tokens of a theme."""
+    return _BY_NAME[name]
+
+
+class Theme:
+    """The tokens in force. Widgets hold it and read ``theme.tokens`` whenever they paint."""
+
+    def __init__(self, name: ThemeName = "dark", scale: float = 1.0) -> None:
+        self.tokens = tokens_of(name)
+        self.scale = scale
+
+    def choose(self, application: QApplication, name: ThemeName, scale: float) -> None:
+        """Take a theme and font scale for widgets that are about to be made; then ``apply``.
+
+        Under a style sheet every widget that comes into a layout is polished anew, with all that
+        it holds: without one a window is made in half the time.
+        """
+        self._take(application, name, scale)
+        if application.styleSheet():
+            application.setStyleSheet("")
+
+    def apply(
+        self,
+        application: QApplication,
+        name: ThemeName,
+        scale: float,
+        window: QWidget | None = None,
+    ) -> None:
+        """Switch the whole application to a theme and font scale (0.8 to 2).
+
+        With ``window`` only that and what is opened from it has the style sheet: a page that is
+        made later then gets it once, when it comes into the window, not at each step of its making.
+        """
+        self._take(application, name, scale)
+        sheet = style_sheet(self.tokens.as_dict(), BASE_POINTS * self.scale)
+        dressed = application if window is None else window
+        if sheet != dressed.styleSheet():
+            if window is not None and window.styleSheet():
+                # Beside another window, what is laid out before the first showing keeps the rules
+                # of the first sheet: Qt forgets them for polished widgets alone.
+                window.ensurePolished()
+            # Qt takes five times as long to put one sheet in the place of another.
+            dressed.setStyleSheet("")
+            dressed.setStyleSheet(sheet)
+        for widget in application.allWidgets():
+            widget.update()
+
+    def _take(self, application: QApplication, name: ThemeName, scale: float) -> None:
+        self.tokens = tokens_of(name)
+        self.scale = min(max(scale, LEAST), MOST)
+        if not application.property(STYLED):
+            application.setStyle("Fusion")
+            application.setProperty(STYLED, True)
+        # Font, palette and sheet each lay out and paint every widget: only what changed is set.
+        if application.font() != ui_font(self.scale):
+            application.setFont(ui_font(self.scale))
+        application.setPalette(_palette(self.tokens))
+
+
+def load_resources() -> None:
+    """Register the bundled interface font and icons with Qt (equal looks on every machine).
+
+    Once per application: with each font that comes Qt forgets all that it has measured of any.
+    """
+    application = QApplication.instance()
+    assert application is not None
+    if application.property(FONTS):
+        return
+    application.setProperty(FONTS, True)
+    resources = files("touchdown.resources")
+    for style in ("Regular", "Medium", "SemiBold"):
+        data = resources.joinpath("fonts", f"Inter-{style}.otf").read_bytes()
+        QFontDatabase.addApplicationFontFromData(data)
+    QDir.addSearchPath("icons", str(resources.joinpath("icons")))
+
+
+@cache
+def ui_font(scale: float = 1.0, size: float = 1.0, weight: int = 400) -> QFont:
+    """Return the interface font; ``size`` is a multiple of the base, digits have equal widths.
+
+    Fonts are shared between callers: making one anew costs as much as drawing a line of text.
+    """
+    font = QFont(["Inter", "DejaVu Sans"])
+    font.setPointSizeF(BASE_POINTS * scale * size)
+    font.setWeight(QFont.Weight(weight))
+    font.setFeature(QFont.Tag("tnum"), 1)
+    return font
+
+
+def _palette(t: Tokens) -> QPalette:
+    palette = QPalette()
+    role = QPalette.ColorRole
+    for key, colour in (
+        (role.Window, t.panel), (role.Base, t.bg), (role.AlternateBase, t.panel),
+        (role.Button, t.raised), (role.Text, t.text), (role.WindowText, t.text),
+        (role.ButtonText, t.text), (role.ToolTipBase, t.raised), (role.ToolTipText, t.text),
+        (role.Highlight, t.selection), (role.HighlightedText, t.selection_text),
+        (role.PlaceholderText, t.muted), (role.Link, t.focus), (role.Mid, t.border),
+        (role.BrightText, t.text), (role.Light, t.raised), (role.Dark, t.border),
+    ):  # fmt: skip
+        palette.setColor(key, QColor(colour))
+    disabled = QPalette.ColorGroup.Disabled
+    for key in (role.Text, role.WindowText, role.ButtonText):
+        palette.setColor(disabled, key, QColor(t.disabled))
+    return palette
+
+
+def blend(under: QColor, over: QColor, share: float) -> QColor:
+    """Mix two opaque colours; ``share`` of ``over`` in 0..1."""
+    return QColor.fromRgbF(
+        under.redF() + share * (over.redF() - under.redF()),
+        under.greenF() + share * (over.greenF() - under.greenF()),
+        under.blueF() + share * (over.blueF() - under.blueF()),
+    )
+
+
+ICON_SHARE = 0.9
+
+
+def icon(name: str, colour: QColor, size_px: int = 20) -> QIcon:
+    """Return icon ``name`` (a file in resources/icons) drawn in ``colour``."""
+    return QIcon(pixmap(name, colour, size_px * 2))
+
+
+def fit_icon(*buttons: QAbstractButton) -> None:
+    """Draw the icons of buttons as high as their letters."""
+    for button in buttons:
+        side = round(ICON_SHARE * button.fontMetrics().height())
+        button.setIconSize(QSize(side, side))
+
+
+def pixmap(name: str, colour: QColor, size_px: int) -> QPixmap:
+    """Return icon ``name`` as a square pixmap; raises FileNotFoundError for an unknown one."""
+    kept, drawn = f"icon {name} {colour.name()} {size_px}", QPixmap()
+    if QPixmapCache.find(kept, drawn):
+        return drawn
+    source = (
+        files("touchdown.resources").joinpath("icons", f"{name}.svg").read_text(encoding="utf-8")
+    )
+    renderer = QSvgRenderer(QByteArray(source.replace("currentColor", colour.name()).encode()))
+    drawn = QPixmap(size_px, size_px)
+    drawn.fill(Qt.GlobalColor.transparent)
+    painter = QPainter(drawn)
+    renderer.render(painter, QRectF(0, 0, size_px, size_px))
+    painter.end()
+    QPixmapCache.insert(kept, drawn)
+    return drawn
+
+
+MapName = Literal["cividis", "viridis", "grey"]
+MAPS: tuple[MapName, ...] = ("cividis", "viridis", "grey")
+
+
+@cache
+def table(name: MapName) -> NDArray[np.uint8]:
+    """(256, 3) uint8 RGB of a map; read-only."""
+    if name == "grey":
+        lut = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+    else:
+        lut = np.ascontiguousarray(pg.colormap.get(name).getLookupTable(nPts=256)[:, :3])
+        lut = lut.astype(np.uint8)
+    lut.flags.writeable = False
+    return lut
+
+
+def colours(values: NDArray[np.float64], name: MapName) -> NDArray[np.uint8]:
+    """Map values in 0..1 (any shape) to (..., 3) uint8; NaN becomes the colour of 0."""
+    index = np.clip(np.nan_to_num(values, nan=0.0) * 255.0, 0, 255).astype(np.uint8)
+    return np.asarray(table(name)[index])

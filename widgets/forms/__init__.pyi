@@ -1,0 +1,59 @@
+from .collect_form import TargetButtons as TargetButtons
+from .collect_form import TargetForm as TargetForm
+from .collect_form import TargetIntents as TargetIntents
+from .collect_form import TargetPanel as TargetPanel
+from .fields import inset as inset
+from .jogging import JOINTS as JOINTS
+from .jogging import JogIntents as JogIntents
+from .jogging import JogPad as JogPad
+from .jogging import Pace as Pace
+from .jogging import PoseLook as PoseLook
+from .probe import GripperPanel as GripperPanel
+from .probe import HealthPanel as HealthPanel
+from .probe import LastProbePanel as LastProbePanel
+from .probe import ProbePanel as ProbePanel
+from .probe import ProbeWords as ProbeWords
+from .questions import BESIDE as BESIDE
+from .questions import ChoiceBar as ChoiceBar
+from .questions import NameAsker as NameAsker
+from .run_form import STRATEGIES as STRATEGIES
+from .run_form import RunButtons as RunButtons
+from .run_form import RunForm as RunForm
+from .run_form import RunPanel as RunPanel
+from .run_form import ScenePanel as ScenePanel
+from .training_form import LABELS as LABELS
+from .training_form import TrainingButtons as TrainingButtons
+from .training_form import TrainingForm as TrainingForm
+from .training_form import TrainingFormPanel as TrainingFormPanel
+from .training_form import TrainingIntents as TrainingIntents
+
+__all__ = [
+    "BESIDE",
+    "JOINTS",
+    "LABELS",
+    "STRATEGIES",
+    "ChoiceBar",
+    "GripperPanel",
+    "HealthPanel",
+    "JogIntents",
+    "JogPad",
+    "LastProbePanel",
+    "NameAsker",
+    "Pace",
+    "PoseLook",
+    "ProbePanel",
+    "ProbeWords",
+    "RunButtons",
+    "RunForm",
+    "RunPanel",
+    "ScenePanel",
+    "TargetButtons",
+    "TargetForm",
+    "TargetIntents",
+    "TargetPanel",
+    "TrainingButtons",
+    "TrainingForm",
+    "TrainingFormPanel",
+    "TrainingIntents",
+    "inset",
+]

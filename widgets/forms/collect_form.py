@@ -1,0 +1,345 @@
+"""Form that starts a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QGridLayout,
+    QHBoxLayout,
+    QProgressBar,
+    QPushButton,
+    QSizePolicy,
+    QSpinBox,
+    QWidget,
+)
+
+from touchdown.widgets.base import Panel, Theme, fit_icon, icon, label
+from touchdown.widgets.forms.fields import inset
+from touchdown.widgets.forms.questions import NameField
+
+PATTERNS = (
+    ("random", "Random, as in the paper"),
+    ("grid", "Grid"),
+    ("adaptive", "Adaptive: into the holes"),
+)
+WIDEST_MM = 60.0
+NO_LIMIT = "any"
+
+
+@dataclass(frozen=True, slots=True)
+class TargetForm:
+    """What the operator asked for; ``within_mm`` 0 is any displacement that overlaps enough.
+
+    ``probes_per_grip`` 0: as many as give the campaign three grips, 50 at most.
+    """
+
+    piece: str = "pot"
+    bottom: str = "circle15"
+    within_mm: float = 0.0
+    pattern: str = "random"
+    count: int = 20
+    probes_per_grip: int = 0
+    seed: int = 0
+    origin_x_mm: float = 0.0
+    origin_y_mm: float = 0.0
+    check_origin: bool = False
+    ask: bool = True
+    hand_over: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class TargetButtons:
+    """Which buttons may be pressed. ``go_on``: what the last campaign still lacks, "" if nothing.
+
+    ``why_not`` is why nothing can be started; ``in_contact``: a lift would help. ``ask``: what the
+    run waits to be confirmed or, with ``answers`` (yes, no), asks. ``form``: it may be filled in.
+    """
+
+    start: bool
+    pause: bool
+    end: bool
+    paused: bool
+    go_on: str = ""
+    why_not: str = ""
+    in_contact: bool = False
+    ask: str = ""
+    answers: tuple[str, str] | None = None
+    form: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class TargetIntents:
+    """What the operator can ask for."""
+
+    start: Callable[[], None]
+    go_on: Callable[[], None]
+    pause: Callable[[], None]
+    end: Callable[[], None]
+    person: Callable[[str], None]
+    take_origin: Callable[[], None]
+    origin_here: Callable[[], None]
+    lift: Callable[[], None]
+    pair: Callable[[], None]
+
+
+class TargetPanel(Panel):
+    """The form of a campaign with its buttons and its progress."""
+
+    def __init__(self, theme: Theme, intents: TargetIntents) -> None:
+        super().__init__("Target")
+        self._theme = theme
+        self.piece, self.bottom, self.pattern = QComboBox(), QComboBox(), QComboBox()
+        self.within, self.count, self.per_grip = QDoubleSpinBox(), QSpinBox(), QSpinBox()
+        self.seed, self.person = QSpinBox(), NameField()
+        self.origin = (QDoubleSpinBox(), QDoubleSpinBox())
+        self.check_origin = QCheckBox("Feel the edges after every mounting")
+        self.ask = QCheckBox("Wait for an answer after each probe")
+        self.hand_over = QCheckBox("Hand the piece over (no jig)")
+        self.residual = label("", "small", wrap=True)
+        self.here, self.take = (
+            QPushButton("Set here"),
+            QPushButton("Add residual"),
+        )
+        self.why_not, self.lift = label("", "small", wrap=True), QPushButton("Lift 5 mm")
+        self.start, self.go_on = QPushButton("Start collecting"), QPushButton("Go on")
+        self.pause, self.end = QPushButton("Pause"), QPushButton("End")
+        self.bar, self.eta = QProgressBar(), label("", "small")
+        self._fields: tuple[QWidget, ...] = (
+            self.piece, self.bottom, self.within, self.pattern, self.count, self.per_grip,
+            self.seed, self.person, *self.origin, self.check_origin, self.ask, self.hand_over,
+            self.here,
+        )  # fmt: skip
+        self._limits()
+        self._tips()
+        self._arrange()
+        self._wire(intents)
+        self.show_form(TargetForm())
+        self.show_residual("Origin not checked yet.", usable=False)
+        self.show_buttons(TargetButtons(start=False, pause=False, end=False, paused=False))
+        self.show_progress(0, 0, "")
+
+    def _limits(self) -> None:
+        self.within.setRange(0.0, WIDEST_MM)
+        self.within.setSpecialValueText(NO_LIMIT)
+        self.within.setSuffix(" mm")
+        self.count.setRange(1, 100_000)
+        self.per_grip.setRange(0, 1000)
+        self.per_grip.setSpecialValueText("auto")
+        self.seed.setRange(0, 999_999)
+        for spin in self.origin:
+            spin.setRange(-100.0, 100.0)
+            spin.setDecimals(2)
+            spin.setSingleStep(0.1)
+        inset(self.within, self.count, self.per_grip, self.seed, *self.origin)
+        for key, text in PATTERNS:
+            self.pattern.addItem(text, key)
+        self.bar.setTextVisible(True)
+        self.bar.setFormat("%v of %m")
+        self.start.setProperty("role", "primary")
+        self.person.setMaxLength(64)
+
+    def _tips(self) -> None:
+        for widget, name, tip in (
+            (self.piece, "Piece", "The grasped piece; it waits in its jig"),
+            (self.bottom, "Bottom or board", "What is pressed on; its outline is known here"),
+            (self.within, "Range", "Largest displacement along x and along y"),
+            (self.pattern, "Pattern", "Where the probes go"),
+            (self.count, "Probes", "How many probes the campaign plans"),
+            (self.per_grip, "Probes per grip", "At most so many; auto: three grips, or more"),
+            (self.seed, "Seed", "The same seed gives the same plan"),
+            (self.person, "Person", "Who collects; stored with every episode"),
+            (self.origin[0], "Origin x", "Centre of the bottom for the arm, along x (mm)"),
+            (self.origin[1], "Origin y", "Centre of the bottom for the arm, along y (mm)"),
+            (self.check_origin, "Check the origin", "Feel all four edges with the held piece"),
+            (self.ask, "Ask after every probe", "Nothing moves until one key answers"),
+            (self.hand_over, "Hand over", "You hold the piece between the jaws and take it back"),
+            (self.here, "Set the origin where the arm is", "Jog it over the centre of the bottom"),
+            (
+                self.take,
+                "Add the residual to the origin",
+                "Add the residual to the origin for new probes",
+            ),
+            (self.lift, "Lift", "Rise by 5 mm, so that a campaign can start"),
+            (self.end, "End the campaign for now", "Lift, settle what was probed, end"),
+            (self.bar, "Progress", "Accepted probes of the campaign"),
+        ):
+            widget.setAccessibleName(name)
+            widget.setToolTip(tip)
+
+    def _arrange(self) -> None:
+        # A campaign in contact shows all of it: nothing may be squeezed at the least size.
+        self.column.setSpacing(4)
+        self.lift.setProperty("role", "header")
+        form = QGridLayout()
+        form.setHorizontalSpacing(8)
+        form.setVerticalSpacing(3)
+        form.setColumnStretch(1, 1)
+        form.setColumnStretch(3, 1)
+        for row, (text, field) in enumerate(
+            (("Piece", self.piece), ("Bottom", self.bottom), ("Pattern", self.pattern),
+             ("Person", self.person))
+        ):  # fmt: skip
+            form.addWidget(_buddy(text, field), row, 0)
+            form.addWidget(field, row, 1, 1, 3)
+        pairs = (
+            ("Range \N{PLUS-MINUS SIGN}", self.within, "Probes", self.count),
+            ("Per grip", self.per_grip, "Seed", self.seed),
+            ("Origin x", self.origin[0], "y", self.origin[1]),
+        )
+        for row, (left, one, right, other) in enumerate(pairs, start=4):
+            form.addWidget(_buddy(left, one), row, 0)
+            form.addWidget(one, row, 1)
+            form.addWidget(_buddy(right, other), row, 2)
+            form.addWidget(other, row, 3)
+        for field in self._fields:
+            if isinstance(field, QComboBox):
+                field.setMinimumContentsLength(8)
+                field.setSizeAdjustPolicy(
+                    QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
+                )
+            if not isinstance(field, QCheckBox | QPushButton):
+                field.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        buttons = QHBoxLayout()
+        for button in (self.go_on, self.pause, self.end):
+            buttons.addWidget(button, 1)
+        origins = QHBoxLayout()
+        origins.addWidget(self.here, 3)
+        origins.addWidget(self.take, 2)
+        self.column.insertLayout(1, form)
+        self.column.addLayout(origins)
+        for widget in (
+            self.residual, self.check_origin, self.hand_over, self.ask, self.start,
+        ):  # fmt: skip
+            self.column.addWidget(widget)
+        waiting = QHBoxLayout()
+        waiting.addWidget(self.why_not, 1)
+        waiting.addWidget(self.lift)
+        self.column.addLayout(waiting)
+        self.column.addLayout(buttons)
+        self.column.addWidget(self.bar)
+        self.column.addWidget(self.eta)
+        self.column.addStretch(1)
+
+    def _wire(self, intents: TargetIntents) -> None:
+        self.start.clicked.connect(intents.start)
+        self.go_on.clicked.connect(intents.go_on)
+        self.pause.clicked.connect(intents.pause)
+        self.end.clicked.connect(intents.end)
+        self.take.clicked.connect(intents.take_origin)
+        self.here.clicked.connect(intents.origin_here)
+        self.lift.clicked.connect(intents.lift)
+        self.person.editingFinished.connect(lambda: intents.person(self.person.text()))
+        for combo in (self.piece, self.bottom):
+            combo.currentIndexChanged.connect(intents.pair)
+
+    def show_catalogue(
+        self, pieces: Sequence[tuple[str, str]], bottoms: Sequence[tuple[str, str]]
+    ) -> None:
+        """Offer these (key, title) pieces and bottoms; the choice is kept where possible."""
+        form = self.form()
+        for combo, entries in ((self.piece, pieces), (self.bottom, bottoms)):
+            combo.blockSignals(True)
+            combo.clear()
+            for key, title in entries:
+                combo.addItem(title, key)
+            combo.blockSignals(False)
+        self.show_form(form)
+
+    def show_form(self, form: TargetForm) -> None:
+        """Fill in a form; unknown entries are left as they are."""
+        self._form = form
+        for combo, key in ((self.piece, form.piece), (self.bottom, form.bottom),
+                           (self.pattern, form.pattern)):  # fmt: skip
+            index = combo.findData(key)
+            if index >= 0:
+                combo.setCurrentIndex(index)
+        self.within.setValue(form.within_mm)
+        self.count.setValue(form.count)
+        self.per_grip.setValue(form.probes_per_grip)
+        self.seed.setValue(form.seed)
+        self.origin[0].setValue(form.origin_x_mm)
+        self.origin[1].setValue(form.origin_y_mm)
+        self.check_origin.setChecked(form.check_origin)
+        self.ask.setChecked(form.ask)
+        self.hand_over.setChecked(form.hand_over)
+
+    def form(self) -> TargetForm:
+        """Return what is filled in; without a catalogue, the pair that was asked for last."""
+        return TargetForm(
+            piece=self.piece.currentData() or self._form.piece,
+            bottom=self.bottom.currentData() or self._form.bottom,
+            within_mm=self.within.value(),
+            pattern=self.pattern.currentData(),
+            count=self.count.value(),
+            probes_per_grip=self.per_grip.value(),
+            seed=self.seed.value(),
+            origin_x_mm=self.origin[0].value(),
+            origin_y_mm=self.origin[1].value(),
+            check_origin=self.check_origin.isChecked(),
+            ask=self.ask.isChecked(),
+            hand_over=self.hand_over.isChecked(),
+        )
+
+    def show_buttons(self, buttons: TargetButtons) -> None:
+        """Enable what is allowed now; a disabled Start says why, and it confirms what waits."""
+        self.start.setEnabled(buttons.start or bool(buttons.ask))
+        yes, no = buttons.answers or ("Confirm", "Go on")
+        self.start.setText(yes if buttons.ask else "Start collecting")
+        said = buttons.ask or (f"{buttons.why_not}." if buttons.why_not else "")
+        self.why_not.setText(said)
+        self.why_not.setVisible(bool(said))
+        there = "Yes (F5)" if buttons.answers else "My hand is there (F5)"
+        tip = there if buttons.ask else "Begin a new campaign (F5)"
+        self.start.setToolTip(buttons.why_not or tip)
+        self.lift.setVisible(buttons.in_contact)
+        self.go_on.setText(no)
+        asked = buttons.answers is not None
+        self.go_on.setEnabled(asked or (buttons.start and bool(buttons.go_on)))
+        tip = buttons.go_on or "No campaign is left to go on with"
+        self.go_on.setToolTip("No (Shift+F5)" if asked else tip)
+        self.pause.setEnabled(buttons.pause)
+        self.pause.setText("Resume" if buttons.paused else "Pause")
+        self.pause.setToolTip("Pause at the next safe place, arm lifted (P)")
+        self.end.setEnabled(buttons.end)
+        for field in self._fields:
+            field.setEnabled(buttons.form)
+        self.draw_icons()
+
+    def ask_person(self) -> None:
+        """Let the name be typed."""
+        self.person.setFocus()
+        self.person.selectAll()
+
+    def show_progress(self, done: int, total: int, eta: str) -> None:
+        """Show how far the campaign is; ``eta`` in words."""
+        self.bar.setRange(0, max(total, 1))
+        self.bar.setValue(min(done, total))
+        self.bar.setVisible(total > 0)
+        self.eta.setText(eta)
+        self.eta.setVisible(bool(eta))
+
+    def show_residual(self, text: str, *, usable: bool) -> None:
+        """Show what the last check of the origin found."""
+        self.residual.setText(text)
+        self.take.setEnabled(usable)
+
+    def draw_icons(self) -> None:
+        """Draw the icons in the colours of the theme."""
+        t = self._theme.tokens
+        ink = t.colour("panel") if self.start.isEnabled() else t.colour("disabled")
+        self.start.setIcon(icon("play", ink))
+        paused = self.pause.text() == "Resume"
+        for button, name in ((self.pause, "play" if paused else "pause"), (self.end, "cancel")):
+            button.setIcon(icon(name, t.colour("text" if button.isEnabled() else "disabled")))
+        fit_icon(self.start, self.pause, self.end)
+
+
+def _buddy(text: str, field: QWidget) -> QWidget:
+    made = label(text, "muted")
+    made.setBuddy(field)
+    return made

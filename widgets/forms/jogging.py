@@ -1,0 +1,402 @@
+"""Pads that jog the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from PySide6.QtCore import QSignalBlocker, QSize, Qt
+from PySide6.QtGui import QResizeEvent
+from PySide6.QtWidgets import (
+    QButtonGroup,
+    QComboBox,
+    QDoubleSpinBox,
+    QGridLayout,
+    QHBoxLayout,
+    QPushButton,
+    QSizePolicy,
+    QSlider,
+    QVBoxLayout,
+    QWidget,
+)
+
+from touchdown.widgets.base import ElidedLabel, Panel, label, set_property
+from touchdown.widgets.forms.fields import inset
+from touchdown.widgets.forms.hold_button import Hold, HoldButton
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """Unit of a way, its steps, and slowest, fastest and usual speed in that unit per second."""
+
+    unit: str
+    spoken: str
+    steps: tuple[float, ...]
+    speeds: tuple[float, float, float]
+
+
+class JogPace(QWidget):
+    """Hold-to-run or one of the steps, and the speed. Each pace keeps its own speed."""
+
+    def __init__(self, paces: Sequence[Pace]) -> None:
+        """``paces``: the first is shown; the steps of the others are among its own."""
+        super().__init__()
+        self._paces = tuple(paces)
+        self._pace = self._paces[0]
+        self._kept = {pace.unit: pace.speeds[2] for pace in self._paces}
+        self.steps = self._step_buttons()
+        self._unit = label(self._pace.unit, "muted")
+        self.speed, self._slider = QDoubleSpinBox(), QSlider(Qt.Orientation.Horizontal)
+        self._wire_speed()
+        self._arrange()
+        self.show_pace(0)
+
+    @property
+    def step(self) -> float | None:
+        """The chosen step in the present unit, None while pads are held."""
+        at = self._chosen()
+        return None if at == 0 else float(self.steps[at].text())
+
+    def show_pace(self, at: int) -> None:
+        """Show steps and speed of another pace."""
+        pace = self._pace = self._paces[at]
+        for button, step in zip(self.steps[1:], self._paces[0].steps, strict=True):
+            button.setVisible(step in pace.steps)
+            button.setAccessibleName(f"Step of {button.text()} {pace.spoken}")
+            button.setToolTip(f"{button.accessibleName()} ([ and ])")
+        if self.steps[self._chosen()].isHidden():
+            self.next_step(1)
+        self._unit.setText(pace.unit)
+        slowest, fastest, _ = pace.speeds
+        with QSignalBlocker(self.speed), QSignalBlocker(self._slider):
+            self.speed.setRange(slowest, fastest)
+            self.speed.setSuffix(f" {pace.unit}/s")
+            self._slider.setRange(int(slowest), int(fastest))
+            self.speed.setValue(self._kept[pace.unit])
+            self._slider.setValue(round(self._kept[pace.unit]))
+
+    def next_step(self, by: int) -> None:
+        """Choose the next longer or shorter step; before the shortest is hold-to-run."""
+        at = self._chosen() + by
+        while 0 < at < len(self.steps) - 1 and self.steps[at].isHidden():
+            at += by
+        self.steps[min(max(at, 0), len(self.steps) - 1)].setChecked(True)
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _chosen(self) -> int:
+        return next((i for i, button in enumerate(self.steps) if button.isChecked()), 0)
+
+    def _step_buttons(self) -> list[QPushButton]:
+        group, made = QButtonGroup(self), []
+        for text in ("Hold", *(f"{step:g}" for step in self._paces[0].steps)):
+            button = QPushButton(text)
+            button.setProperty("role", "choice")
+            button.setCheckable(True)
+            group.addButton(button)
+            made.append(button)
+        made[0].setChecked(True)
+        made[0].setAccessibleName("Hold to run")
+        made[0].setToolTip("Hold to run ([ and ])")
+        return made
+
+    def _wire_speed(self) -> None:
+        self.speed.setDecimals(0)
+        inset(self.speed)
+        for widget in (self.speed, self._slider):
+            widget.setAccessibleName("Jog speed")
+            widget.setToolTip("Near the surface and in contact it is 2 mm/s at most")
+        self.speed.valueChanged.connect(self._follow_spin)
+        self._slider.valueChanged.connect(self._follow_slider)
+
+    def _follow_spin(self, value: float) -> None:
+        self._kept[self._pace.unit] = value
+        self._slider.setValue(round(value))
+
+    def _follow_slider(self, value: int) -> None:
+        self.speed.setValue(value)
+
+    def _arrange(self) -> None:
+        steps, speed = QHBoxLayout(), QHBoxLayout()
+        steps.setSpacing(4)
+        for button in self.steps:
+            steps.addWidget(button, 1)
+        steps.addWidget(self._unit)
+        buddy = label("Speed", "muted")
+        buddy.setBuddy(self.speed)
+        speed.addWidget(buddy)
+        speed.addWidget(self._slider, 1)
+        speed.addWidget(self.speed)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(6)
+        column.addLayout(steps)
+        column.addLayout(speed)
+
+
+MINUS, DEGREE = "\N{MINUS SIGN}", "\N{DEGREE SIGN}"
+JOINTS = 6
+PAD_LINES, PAD_TALL = 8, 1.1
+"""A pad is at most so many lines of text wide, and so much taller than wide, on any screen."""
+MOVES = (
+    ("+y", 0, 1), ("-x", 1, 0), ("+x", 1, 2), ("-y", 2, 1), ("+z", 0, 3), ("-z", 2, 3),
+)  # fmt: skip
+TURNS = tuple((f"{what[0]}r{what[1]}", row, column) for what, row, column in MOVES)
+JOINT_PADS = tuple(
+    (f"{sign}j{joint + 1}", joint // 2, 2 * (joint % 2) + at)
+    for joint in range(JOINTS)
+    for at, sign in enumerate("-+")
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseLook:
+    """Where the hand is and the room each way; ``note`` says why it is slow, or why not at all.
+
+    ``pose``: what the present frame shows, with its unit; "" while nothing is known. ``rooms``: for
+    ways such as "+x" or "-j4", what a pad says below its name. ``turned``: the hand is not level.
+    """
+
+    pose: str = ""
+    age_s: float = 0.0
+    rooms: tuple[tuple[str, str], ...] = ()
+    note: str = ""
+    warn: bool = False
+    turned: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class JogIntents:
+    """What the operator can ask for. ``renew`` is called again and again while a pad is held."""
+
+    renew: Callable[[str], bool]
+    ended: Callable[[str], None]
+    step: Callable[[str], None]
+    arm_keys: Callable[[bool], None]
+    level: Callable[[], None]
+
+
+class JogPad(Panel):
+    """The pads of one frame. With a step chosen a press is one step; else it lasts as the press."""
+
+    def __init__(self, paces: Sequence[Pace], intents: JogIntents) -> None:
+        """``paces``: of moving and of turning."""
+        super().__init__("Jog")
+        self._intents = intents
+        self.hold = Hold(self, intents.renew, intents.ended)
+        self.pads = {what: self._pad(what) for what, _, _ in (*MOVES, *TURNS, *JOINT_PADS)}
+        self.frame = QComboBox()
+        self.frame.addItems(["XYZ", "TOOL", "JOINT"])
+        self.frame.setAccessibleName("Jog frame")
+        self.turn = QPushButton("Turn")
+        self.turn.setCheckable(True)
+        self.turn.setProperty("role", "choice")
+        self.turn.setAccessibleName("Turn the hand instead of moving it")
+        self.level = QPushButton("Level")
+        self.level.setAccessibleName("Level the hand")
+        self.keys = QPushButton("Arm keys")
+        self.keys.setCheckable(True)
+        for button in (self.level, self.keys):
+            button.setProperty("role", "header")
+        self.keys.setAccessibleName("Arm the jog keys")
+        self.pace = JogPace(paces)
+        self.speed = self.pace.speed
+        self.joint = 1
+        """The joint that the arrow keys drive in JOINT."""
+        self._ready = self._turns = False
+        self._pose, self._note = ElidedLabel(""), label("", "small")
+        self._field = QWidget()
+        self._wire()
+        self._arrange()
+        self.show_turning("")
+        self._show_frame()
+        self.show_look(PoseLook())
+
+    @property
+    def turning(self) -> bool:
+        """Whether the pads turn: steps and speed are then in degrees."""
+        return self.frame.currentText() == "JOINT" or self.turn.isChecked()
+
+    @property
+    def step(self) -> float | None:
+        """The chosen step, mm or degrees, None while pads are held."""
+        return self.pace.step
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """The ways that have a pad now."""
+        if self.frame.currentText() == "JOINT":
+            return tuple(what for what, _, _ in JOINT_PADS)
+        return tuple(what for what, _, _ in (TURNS if self.turn.isChecked() else MOVES))
+
+    def show_turning(self, reason: str) -> None:
+        """Offer turning and JOINT only where the arm can; else say why not ("" offers them)."""
+        item = self.frame.model().item(2)  # type: ignore[attr-defined]
+        item.setEnabled(not reason)
+        item.setToolTip(reason)
+        tip = "XYZ: axes of the bench. TOOL: axes of the hand. JOINT: one joint. (F)"
+        self.frame.setToolTip(f"{tip} {reason}".strip())
+        self._turns = not reason
+        self.turn.setVisible(self._turns and self.frame.currentText() != "JOINT")
+        self.level.setVisible(not reason)
+
+    def show_armed(self, armed: bool) -> None:
+        """Show the ring round the panel while keys move the arm."""
+        set_property(self, "armed", "yes" if armed else "no")
+        if self.keys.isChecked() != armed:
+            self.keys.setChecked(armed)
+        self.keys.setText("Keys armed" if armed else "Arm keys")
+        self._mark_joint()
+
+    def show_ready(self, ready: bool, why: str) -> None:
+        """Switch all pads off with the reason, or on."""
+        self._ready = ready
+        for what, pad in self.pads.items():
+            if pad.isEnabled() != ready:
+                pad.setEnabled(ready)
+            pad.setToolTip(f"Jog {_signed(what)}" if ready else why)
+        if self.keys.isEnabled() != ready:
+            self.keys.setEnabled(ready)
+
+    def show_look(self, look: PoseLook) -> None:
+        """Show pose, room and note."""
+        old = f"   ({look.age_s:.1f} s old)" if look.pose and look.age_s > 0.2 else ""
+        pose = f"{look.pose}{old}" or "No pose yet"
+        for shown, text in ((self._pose, pose), (self._note, look.note)):
+            if shown.text() != text:
+                shown.setText(text)
+                self._pose.setToolTip(pose)
+        for what, room in look.rooms:
+            text = f"{_signed(what)}\n{room}"
+            if self.pads[what].text() != text:
+                self.pads[what].setText(text)
+                self.pads[what].setAccessibleDescription(room)
+        set_property(self._note, "tone", "bad" if look.warn else "")
+        if self.level.isEnabled() != (look.turned and self._ready):
+            self.level.setEnabled(look.turned and self._ready)
+
+    def press_key(self, page: QWidget, what: str, key: int) -> None:
+        """Step, or begin to hold, by a key that means ``what`` while the pads move."""
+        frame = self.frame.currentText()
+        if frame == "JOINT":
+            what = f"{what[0]}j{self.joint}"
+        elif self.turn.isChecked():
+            what = f"{what[0]}r{what[1]}"
+        if not self._pressed_step(what):
+            self.hold.press(page, what, key)
+
+    def choose_joint(self, joint: int) -> None:
+        """Choose what the arrow keys drive in JOINT; what is held ends."""
+        self.hold.end("another joint was chosen")
+        self.joint = joint
+        self._mark_joint()
+
+    def next_step(self, by: int) -> None:
+        """Choose the next longer or shorter step; before the shortest is hold-to-run."""
+        self.pace.next_step(by)
+
+    def next_frame(self) -> None:
+        """Choose the next frame that can be had."""
+        offered = [i for i in range(3) if self.frame.model().item(i).isEnabled()]  # type: ignore[attr-defined]
+        at = offered.index(self.frame.currentIndex())
+        self.frame.setCurrentIndex(offered[(at + 1) % len(offered)])
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Keep the pads nearly square where there is more room than they need."""
+        super().resizeEvent(event)
+        within = self.column.contentsRect().width()
+        side = min(within / 4, PAD_LINES * self.fontMetrics().lineSpacing())
+        most = QSize(round(4 * side), round(3 * PAD_TALL * side))
+        self._field.setMaximumSize(most.expandedTo(self._field.minimumSizeHint()))
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _show_frame(self) -> None:
+        """Show the pads of the chosen frame; whatever is held ends."""
+        self.hold.end("the frame was changed")
+        joint = self.frame.currentText() == "JOINT"
+        self.turn.setVisible(self._turns and not joint)
+        shown = self.shown
+        for what, pad in self.pads.items():
+            pad.setVisible(what in shown)
+        self.pace.show_pace(int(self.turning))
+        keys = "Digits choose a joint, arrows drive it" if joint else (
+            "Arrows turn about X and Y, Page Up and Page Down about Z"
+            if self.turning else "Arrows move X and Y, Page Up and Page Down move Z"
+        )  # fmt: skip
+        self.keys.setToolTip(f"{keys} while this is on. It ends after 30 s without use.")
+        self._mark_joint()
+
+    def _mark_joint(self) -> None:
+        armed = self.keys.isChecked()
+        for what, _, _ in JOINT_PADS:
+            mark = armed and what[1:] == f"j{self.joint}"
+            set_property(self.pads[what], "chosen", "yes" if mark else "no")
+
+    def _pad(self, what: str) -> HoldButton:
+        pad = _Pad(_signed(what), what, f"Jog {_signed(what)}", self.hold, self._pressed_step)
+        pad.setProperty("axis", what[-1] if what[1] != "j" else "")
+        return pad
+
+    def _pressed_step(self, what: str) -> bool:
+        """Take a press as one step if a step is chosen."""
+        if self.step is None:
+            return False
+        self._intents.step(what)
+        return True
+
+    def _wire(self) -> None:
+        self.keys.toggled.connect(self._intents.arm_keys)
+        self.level.clicked.connect(self._intents.level)
+        self.level.setToolTip("Turn the hand back to straight down, where it is (Shift+T)")
+        self.turn.setToolTip("Turn the hand about these axes instead of moving it (T)")
+        self.level.setEnabled(False)
+        self.frame.currentIndexChanged.connect(self._show_frame)
+        self.turn.toggled.connect(self._show_frame)
+
+    def _arrange(self) -> None:
+        self.header.addWidget(self.level)
+        self.header.addWidget(self.keys)
+        top = QHBoxLayout()
+        top.addWidget(self._pose, 1)
+        top.addWidget(self.turn)
+        top.addWidget(self.frame)
+        pads = QGridLayout(self._field)
+        pads.setSpacing(4)
+        for what, row, column in (*MOVES, *TURNS, *JOINT_PADS):
+            pads.addWidget(self.pads[what], row, column)
+        for row in range(3):
+            pads.setRowStretch(row, 1)
+        for column in range(4):
+            pads.setColumnStretch(column, 1)
+        pads.setContentsMargins(0, 2, 0, 2)
+        middle = QHBoxLayout()
+        middle.addStretch(1)
+        middle.addWidget(self._field, 1000)
+        middle.addStretch(1)
+        self.column.addLayout(top)
+        self.column.addLayout(middle, 1000)
+        self.column.addWidget(self.pace)
+        self._note.setWordWrap(True)
+        self._note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self.column.addWidget(self._note)
+        self.column.addStretch(1)
+
+
+class _Pad(HoldButton):
+    """A pad that can be a step button as well."""
+
+    def __init__(
+        self, text: str, what: str, name: str, hold: Hold, step: Callable[[str], bool]
+    ) -> None:
+        super().__init__(text, what, name, hold)
+        self._as_step = step
+
+    def begin(self, source: int) -> None:
+        """Step, or begin to hold."""
+        if not self._as_step(self._what):
+            super().begin(source)
+
+
+def _signed(what: str) -> str:
+    return f"{MINUS if what[0] == '-' else '+'}{what[1:].upper()}"

@@ -1,0 +1,255 @@
+"""Probe and gripper panels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from PySide6.QtCore import QRectF, QSize, Qt
+from PySide6.QtGui import QFontMetrics, QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import (
+    QDoubleSpinBox,
+    QGridLayout,
+    QHBoxLayout,
+    QPushButton,
+    QSizePolicy,
+    QWidget,
+)
+
+from touchdown.widgets.base import ElidedLabel, Panel, Theme, label, set_property, ui_font
+from touchdown.widgets.forms.fields import inset
+
+PADDING = 3
+"""Room round a phase's name, in letters."""
+
+
+class PhaseStrip(QWidget):
+    """Phases in a row: those done are filled and ticked, the present one is framed and bold."""
+
+    def __init__(self, theme: Theme, phases: Sequence[str]) -> None:
+        super().__init__()
+        self._theme, self.phases, self.at = theme, tuple(phases), -1
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.setAccessibleName("Phases of the probe")
+
+    def show_phase(self, at: int) -> None:
+        """Show the phase in progress; -1: none yet, beyond the last: all done."""
+        if at != self.at:
+            self.at = at
+            known = 0 <= at < len(self.phases)
+            said = self.phases[at] if known else "done" if at >= 0 else "not begun"
+            self.setAccessibleDescription(said)
+            self.update()
+
+    def sizeHint(self) -> QSize:
+        """Return one line of text with room round it."""
+        high = QFontMetrics(ui_font(self._theme.scale, 0.8)).height()
+        return QSize(200, high + 12)
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the phases as boxes."""
+        painter, t = QPainter(self), self._theme.tokens
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        left = 0.0
+        letters = sum(len(name) + PADDING for name in self.phases)
+        for index, name in enumerate(self.phases):
+            width = self.width() * (len(name) + PADDING) / letters
+            box = QRectF(left + 1, 1, width - 2, self.height() - 2)
+            left += width
+            done, present = index < self.at, index == self.at
+            painter.setPen(QPen(t.colour("focus" if present else "border"), 2 if present else 1))
+            painter.setBrush(t.colour("raised" if done or present else "bg"))
+            painter.drawRoundedRect(box, 4, 4)
+            painter.setPen(t.colour("text" if done or present else "muted"))
+            painter.setFont(ui_font(self._theme.scale, 0.8, 600 if present else 400))
+            text = f"\N{CHECK MARK}{name}" if done else name
+            fitted = painter.fontMetrics().elidedText(
+                text, Qt.TextElideMode.ElideRight, round(box.width() - 2)
+            )
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), fitted)
+
+
+class ProbePanel(Panel):
+    """Probe once, with its progress and result."""
+
+    def __init__(
+        self,
+        theme: Theme,
+        phases: Sequence[str],
+        on_probe: Callable[[], None],
+        on_cancel: Callable[[], None],
+    ) -> None:
+        super().__init__("Probe")
+        self.values, self.model = label("", "small", wrap=True), ElidedLabel("small")
+        self.strip = PhaseStrip(theme, phases)
+        self.result = label("No probe yet.", wrap=True)
+        self.probe, self.cancel = QPushButton("Probe once"), QPushButton("Cancel")
+        self.probe.setProperty("role", "primary")
+        self.probe.setAccessibleName("Probe once")
+        self.probe.setToolTip("Press here with these values, feel, and lift (F5)")
+        self.cancel.setAccessibleName("Cancel the probe")
+        self.cancel.setToolTip("End in an orderly way: lift, keep the piece")
+        self.probe.clicked.connect(on_probe)
+        self.cancel.clicked.connect(on_cancel)
+        row = QHBoxLayout()
+        row.addWidget(self.probe, 2)
+        row.addWidget(self.cancel, 1)
+        self.column.addWidget(self.values)
+        self.column.addWidget(self.model)
+        self.column.addWidget(self.strip)
+        self.column.addWidget(self.result)
+        self.column.addLayout(row)
+
+    def show_model(self, short: str, full: str) -> None:
+        """Say which model reads the probe, with all about it in the tool tip."""
+        self.model.setText(short)
+        self.model.setToolTip(full)
+
+    def show_buttons(self, *, probe: bool, cancel: bool, why: str) -> None:
+        """Enable what is allowed now."""
+        if self.probe.isEnabled() != probe:
+            self.probe.setEnabled(probe)
+        if self.cancel.isEnabled() != cancel:
+            self.cancel.setEnabled(cancel)
+        self.probe.setToolTip(why or "Press here with these values, feel, and lift (F5)")
+
+
+DECISIONS: tuple[tuple[str, str, str], ...] = (
+    ("keep", "Keep", "Enter"),
+    ("discard", "Discard", "Backspace"),
+    ("flag", "Flag", "X"),
+    ("redo", "Redo", "R"),
+    ("skip", "Skip", "S"),
+)
+TIPS = {
+    "keep": "Keep the probe and go on (Enter, F5)",
+    "discard": "Delete it; its place is probed again at the end (Backspace)",
+    "flag": "Keep it with a flag, to be looked at (X)",
+    "redo": "Delete it and probe the same place again at once (R)",
+    "skip": "Delete it and leave its place out (S)",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeWords:
+    """A probe in words. ``tone``: good, bad or "". ``asking``: the run waits for the answer."""
+
+    verdict: str
+    tone: str = ""
+    where: str = ""
+    detail: str = ""
+    asking: bool = False
+    allowed: tuple[str, ...] = ()
+
+
+class LastProbePanel(Panel):
+    """Verdict, displacement, and one button per decision."""
+
+    def __init__(self, decide: Callable[[str], None]) -> None:
+        super().__init__("Probe")
+        self.verdict = label("No probe yet", "head", wrap=True)
+        self.where, self.words = ElidedLabel("small"), label("", "small", wrap=True)
+        self.words.setAlignment(Qt.AlignmentFlag.AlignTop)
+        self.words.setMinimumHeight(2 * self.fontMetrics().lineSpacing())
+        self.buttons: dict[str, QPushButton] = {}
+        grid = QGridLayout()
+        grid.setSpacing(6)
+        for at, (name, text, key) in enumerate(DECISIONS):
+            button = QPushButton(f"{text}  ({key})")
+            button.setAccessibleName(text)
+            button.setToolTip(TIPS[name])
+            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+            button.clicked.connect(lambda _=False, name=name: decide(name))
+            self.buttons[name] = button
+            row, column, span = (0, 3 * at, 3) if at < 2 else (1, 2 * (at - 2), 2)
+            grid.addWidget(button, row, column, 1, span)
+        for widget in (self.verdict, self.where, self.words):
+            self.column.addWidget(widget)
+        self.column.addLayout(grid)
+        self.show_words(ProbeWords("No probe yet"))
+
+    def show_words(self, words: ProbeWords) -> None:
+        """Show what is known of the probe; only ``allowed`` decisions can be taken."""
+        self.verdict.setText(words.verdict)
+        set_property(self.verdict, "tone", words.tone)
+        self.where.setText(words.where)
+        self.words.setText(words.detail)
+        self.detail.setText("waiting for you" if words.asking else "")
+        for name, button in self.buttons.items():
+            button.setEnabled(name in words.allowed)
+        self.setAccessibleDescription(". ".join((words.verdict, words.where, words.detail)))
+
+
+class HealthPanel(Panel):
+    """What looks wrong in what was collected: a line each, the worst first."""
+
+    MOST = 4
+
+    def __init__(self) -> None:
+        super().__init__("Health")
+        self.words = label("Nothing to judge yet.", "small", wrap=True)
+        self.words.setAlignment(Qt.AlignmentFlag.AlignTop)
+        self.column.addWidget(self.words, 1)
+
+    def show_findings(self, texts: Sequence[str], *, judged: int) -> None:
+        """Show findings about ``judged`` probes; the tool tip has all of them."""
+        probes = "1 probe" if judged == 1 else f"{judged} probes"
+        self.detail.setText(f"{len(texts)} in {probes}" if texts else probes)
+        if not judged:
+            self.words.setText("Nothing to judge yet.")
+        elif not texts:
+            self.words.setText("\N{CHECK MARK} Nothing looks wrong.")
+        else:
+            more = len(texts) - self.MOST
+            tail = [f"and {more} more"] if more > 0 else []
+            self.words.setText("\n".join([*texts[: self.MOST], *tail]))
+        self.words.setToolTip("\n".join(texts[:40]))
+
+
+USUAL_N, LEAST_N, MOST_N = 10.0, 1.0, 40.0
+
+
+class GripperPanel(Panel):
+    """Shows what the gripper says; asks for grip and open."""
+
+    def __init__(self, on_grip: Callable[[], None], on_open: Callable[[], None]) -> None:
+        super().__init__("Gripper")
+        self.figures = label("No data yet")
+        self.force = QDoubleSpinBox()
+        self.force.setRange(LEAST_N, MOST_N)
+        self.force.setDecimals(1)
+        self.force.setValue(USUAL_N)
+        self.force.setSuffix(" N")
+        inset(self.force)
+        self.force.setAccessibleName("Grip force per finger")
+        self.force.setToolTip("Force per finger for the next grip")
+        self.grip, self.open = QPushButton("Grip"), QPushButton("Open")
+        for button, tip, slot in (
+            (self.grip, "Close on the piece with this force (G)", on_grip),
+            (self.open, "Open the jaws; asks first while a piece is held (Shift+G)", on_open),
+        ):
+            button.setAccessibleName(f"{button.text()} the gripper")
+            button.setToolTip(tip)
+            button.clicked.connect(slot)
+        row = QHBoxLayout()
+        buddy = label("Force", "muted")
+        buddy.setBuddy(self.force)
+        row.addWidget(buddy)
+        row.addWidget(self.force, 1)
+        row.addWidget(self.grip, 1)
+        row.addWidget(self.open, 1)
+        self.column.addWidget(self.figures)
+        self.column.addLayout(row)
+
+    def show_status(self, width_mm: float, force_n: float, *, holding: bool, moving: bool) -> None:
+        """Show width, force per finger and the state."""
+        word = "moving" if moving else "holding a piece" if holding else "empty"
+        text = f"{width_mm:.1f} mm   {force_n:.1f} N   {word}"
+        if text != self.figures.text():
+            self.figures.setText(text)
+
+    def show_ready(self, ready: bool) -> None:
+        """Switch the buttons."""
+        for button in (self.grip, self.open):
+            if button.isEnabled() != ready:
+                button.setEnabled(ready)

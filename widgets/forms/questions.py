@@ -1,0 +1,248 @@
+"""Questions with a row of answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from PySide6.QtCore import QEvent, QKeyCombination, Qt
+from PySide6.QtGui import QFocusEvent, QKeyEvent, QKeySequence
+from PySide6.QtWidgets import (
+    QDialog,
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QLineEdit,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from touchdown.widgets.base import bring_in_sight, label
+
+COLUMNS = 3
+LONG = 18
+"""Answers with more letters than this stand two to a row."""
+ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
+BESIDE = "beside"
+"""Property of the actions whose keys act also while a question stands."""
+
+
+class ChoiceBar(QFrame):
+    """Takes the keyboard until one of its keys, Esc, or the loss of the focus ends it.
+
+    Two kinds: ``ask`` has a key for each answer; ``offer`` has none, so that no letter or digit
+    that was meant for something else is an answer: Tab marks, Enter takes what is marked. Keys of
+    actions that may act beside a question (``BESIDE``) do so: looking closer is no answer.
+    """
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setProperty("role", "question")
+        self.setAccessibleName("Question")
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self._title = label("", "title", wrap=True)
+        self._grid = QGridLayout()
+        self._grid.setHorizontalSpacing(8)
+        self._grid.setVerticalSpacing(6)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(14, 10, 14, 12)
+        column.addWidget(self._title)
+        column.addLayout(self._grid)
+        self._choices: dict[str, str] = {}
+        self._offered: list[str] = []
+        self._marked = 0
+        self._answer: Callable[[str], None] = _nothing
+        self._typed: Callable[[str], None] = _nothing
+        self._page = parent
+        self.hide()
+
+    def ask(
+        self, title: str, choices: Sequence[tuple[str, str]], answer: Callable[[str], None]
+    ) -> None:
+        """Ask; ``choices`` are (key, word), ``answer`` gets the word that was chosen."""
+        self._choices, self._offered = dict(choices), []
+        self._answer, self._typed = answer, _nothing
+        self._show(f"{title}  (Esc: leave)", title, [f"{key}   {word}" for key, word in choices],
+                   [word for _, word in choices])  # fmt: skip
+
+    def offer(
+        self,
+        title: str,
+        words: Sequence[str],
+        marked: int,
+        answer: Callable[[str], None],
+        typed: Callable[[str], None],
+    ) -> None:
+        """Offer ``words``, one of them marked; ``typed`` gets what begins a number instead.
+
+        Asked once more while it stands, the question keeps its mark.
+        """
+        self._answer, self._typed = answer, typed
+        if self.isVisible() and self.accessibleName() == title and self._offered == list(words):
+            self.setFocus()
+            return
+        self._choices, self._offered, self._marked = {}, list(words), marked
+        self._show(f"{title}  (Enter: take, Tab: next, Esc: leave)", title, words, words)
+        self._mark(marked)
+
+    @property
+    def marked(self) -> str:
+        """The word that Enter would take, "" where each answer has its own key."""
+        return self._offered[self._marked] if self._offered else ""
+
+    def event(self, event: QEvent) -> bool:
+        """Claim keys before the shortcuts of the window do, but for those that act beside."""
+        if event.type() is QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
+            if event.text().upper() in self._choices or not self._acts_beside(event):
+                event.accept()
+                return True
+            return False
+        return super().event(event)
+
+    def _acts_beside(self, event: QKeyEvent) -> bool:
+        keypad = Qt.KeyboardModifier.KeypadModifier
+        pressed = QKeySequence(QKeyCombination(event.modifiers() & ~keypad, Qt.Key(event.key())))
+        return any(
+            action.property(BESIDE) and action.isEnabled() and action.shortcut() == pressed
+            for action in self.window().actions()
+        )
+
+    def focusNextPrevChild(self, forward: bool) -> bool:
+        """Let Tab mark the next answer, Shift+Tab the one before."""
+        if self._offered:
+            self._mark((self._marked + (1 if forward else -1)) % len(self._offered))
+        return True
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Answer, or leave with Esc."""
+        if event.key() == Qt.Key.Key_Escape:
+            self.leave()
+        elif event.key() in ENTER and self._offered:
+            # Held down since the last question, Enter has not been meant for this one.
+            if not event.isAutoRepeat():
+                self._take(self.marked)
+        else:
+            self.take(event.text())
+
+    def focusOutEvent(self, event: QFocusEvent) -> None:
+        """Whoever turns to something else has answered nothing."""
+        super().focusOutEvent(event)
+        if event.reason() is not Qt.FocusReason.ActiveWindowFocusReason:
+            self.hide()
+
+    def leave(self) -> None:
+        """End without an answer."""
+        self.hide()
+        self._page.setFocus()
+
+    def take(self, text: str) -> None:
+        """Answer with a key, or hand on what begins a number; anything else is no answer."""
+        word = self._choices.get(text.upper())
+        if word is not None:
+            self._take(word)
+        elif self._offered and text and text in "0123456789.,-+":
+            self.leave()
+            self._typed(text)
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _take(self, word: str) -> None:
+        answer = self._answer
+        self.leave()
+        answer(word)
+
+    def _mark(self, at: int) -> None:
+        self._marked = at
+        for index in range(self._grid.count()):
+            item = self._grid.itemAt(index)
+            button = item.widget() if item is not None else None
+            if isinstance(button, QPushButton):
+                button.setCheckable(True)
+                button.setChecked(index == at)
+
+    def _show(self, title: str, name: str, texts: Sequence[str], words: Sequence[str]) -> None:
+        self._title.setText(title)
+        self.setAccessibleName(name)
+        while self._grid.count():
+            item = self._grid.takeAt(0)
+            widget = item.widget() if item is not None else None
+            if widget is not None:
+                # Gone at once: what is deleted later would still be drawn under the new answers.
+                widget.hide()
+                widget.deleteLater()
+        columns = COLUMNS if max(map(len, texts), default=0) <= LONG else 2
+        for at, (text, word) in enumerate(zip(texts, words, strict=True)):
+            button = QPushButton(text)
+            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+            button.clicked.connect(lambda _=False, word=word: self._take(word))
+            self._grid.addWidget(button, at // columns, at % columns)
+        self.show()
+        self.setFocus()
+        bring_in_sight(self)
+
+
+def _nothing(_word: str) -> None:
+    """Do nothing: nothing was asked."""
+
+
+class NameAsker(QDialog):
+    """``take`` is given the name and returns "" or why it cannot be had."""
+
+    def __init__(self, parent: QWidget, title: str) -> None:
+        super().__init__(parent)
+        self._take: Callable[[str], str] = str
+        self._taken: Sequence[str] = ()
+        self.setWindowTitle(title)
+        self.setModal(False)
+        self.head, self.said = label("", "head"), label("", "small", wrap=True)
+        self.field = QLineEdit()
+        self.save, close = QPushButton("Save"), QPushButton("Close")
+        self.save.setDefault(True)
+        self.save.clicked.connect(self._try)
+        close.clicked.connect(self.close)
+        self.field.textChanged.connect(self._say)
+        row = QHBoxLayout()
+        row.addStretch(1)
+        row.addWidget(close)
+        row.addWidget(self.save)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(18, 14, 18, 14)
+        column.setSpacing(10)
+        for widget in (self.head, self.field, self.said):
+            column.addWidget(widget)
+        column.addLayout(row)
+
+    def ask(self, what: str, taken: Sequence[str], take: Callable[[str], str]) -> None:
+        """Ask for ``what``; a name in ``taken`` will be replaced, and that is said."""
+        self._take, self._taken = take, taken
+        self.head.setText(what)
+        self.field.setAccessibleName(what)
+        self.field.clear()
+        self._say("")
+        self.setMinimumWidth(22 * self.fontMetrics().height())
+        self.show()
+        self.activateWindow()
+        self.field.setFocus()
+
+    def _say(self, text: str) -> None:
+        known = text.strip() in self._taken
+        self.said.setText("This name exists: its layout is replaced." if known else "")
+
+    def _try(self) -> None:
+        reason = self._take(self.field.text())
+        if reason:
+            self.said.setText(reason)
+        else:
+            self.close()
+
+
+class NameField(QLineEdit):
+    """Claims Enter before the shortcuts of the page do."""
+
+    def event(self, event: QEvent) -> bool:
+        """Take Enter as the end of the name."""
+        is_key = isinstance(event, QKeyEvent) and event.key() in ENTER
+        if is_key and event.type() is QEvent.Type.ShortcutOverride:
+            event.accept()
+            return True
+        return bool(super().event(event))

@@ -1,0 +1,304 @@
+"""Form that starts a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import (
+    QComboBox,
+    QDoubleSpinBox,
+    QGridLayout,
+    QHBoxLayout,
+    QPushButton,
+    QSizePolicy,
+    QSpinBox,
+    QWidget,
+)
+
+from touchdown.widgets.base import ElidedLabel, Panel, Theme, fit_icon, icon, label
+from touchdown.widgets.forms.fields import inset
+
+NOTHING = "nothing"
+STRATEGIES = (
+    ("paper", "Probe and believe"),
+    ("fused", "Learned fusion"),
+    ("zero-wrench", "Release at zero wrench"),
+    ("pick-and-place", "Pick and place"),
+)
+MODES = (
+    ("auto", "Auto: no questions"),
+    ("approve", "Approve each move"),
+    ("step", "Step by step"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RunForm:
+    """What the operator asked for. ``under``: the body below the touched bottom, "" for none.
+
+    ``origin_x_mm, origin_y_mm``: on devices, where the centre of the bottom is for the arm.
+    """
+
+    piece: str = "pot"
+    bottom: str = "short"
+    under: str = ""
+    seed: int = 7
+    trials: int = 3
+    strategy: str = "paper"
+    mode: str = "auto"
+    origin_x_mm: float = 0.0
+    origin_y_mm: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class RunButtons:
+    """Which buttons may be pressed, whether the run is paused and the form may be filled in."""
+
+    start: bool
+    pause: bool
+    cancel: bool
+    paused: bool
+    form: bool
+    why_not: str = ""
+
+
+class RunPanel(Panel):
+    """The form and its buttons; ``chosen`` when the piece or the strategy is another."""
+
+    chosen = Signal()
+
+    def __init__(
+        self,
+        theme: Theme,
+        on_start: Callable[[], None],
+        on_pause: Callable[[], None],
+        on_cancel: Callable[[], None],
+    ) -> None:
+        super().__init__("Run")
+        self._theme = theme
+        self._piece, self._bottom, self._under = QComboBox(), QComboBox(), QComboBox()
+        self._seed, self._trials = QSpinBox(), QSpinBox()
+        self._origin = QDoubleSpinBox(), QDoubleSpinBox()
+        self._strategy, self._mode = QComboBox(), QComboBox()
+        self._model = ElidedLabel("small")
+        self._seed.setRange(0, 999_999)
+        self._trials.setRange(1, 100)
+        for box in self._origin:
+            box.setRange(-300.0, 300.0)
+            box.setDecimals(2)
+        inset(self._seed, self._trials, *self._origin)
+        for key, text in STRATEGIES:
+            self._strategy.addItem(text, key)
+        for key, text in MODES:
+            self._mode.addItem(text, key)
+        self.start = QPushButton("Start stacking")
+        self.start.setProperty("role", "primary")
+        self.pause = QPushButton("Pause")
+        self.cancel = QPushButton("Cancel")
+        self.start.clicked.connect(on_start)
+        self.pause.clicked.connect(on_pause)
+        self.cancel.clicked.connect(on_cancel)
+        for combo in (self._piece, self._strategy):
+            combo.currentIndexChanged.connect(lambda _: self.chosen.emit())
+        self._tips()
+        self._arrange()
+        self.show_buttons(RunButtons(False, False, cancel=False, paused=False, form=True))
+
+    def _tips(self) -> None:
+        for widget, name, tip in (
+            (self._piece, "Piece", "The piece in the gripper; its geometry is known"),
+            (
+                self._bottom,
+                "Bottom",
+                "What the piece is set on; the method does not know its shape",
+            ),
+            (self._under, "Below it", "A second body under the bottom makes a tower"),
+            (self._seed, "Seed", "Trial k uses seed + k; the same seed gives the same run"),
+            (self._trials, "Trials", "How many times to stack"),
+            (
+                self._strategy,
+                "Strategy",
+                "The paper's method, others, or letting go unprobed",
+            ),
+            (self._mode, "Mode", "Whether each move waits for you"),
+            (self.pause, "Pause", "Pause at the next safe place, arm lifted (P)"),
+            (self.cancel, "Cancel", "End in an orderly way: lift, keep the piece"),
+        ):
+            widget.setAccessibleName(name)
+            widget.setToolTip(tip)
+        self.start.setAccessibleName("Start stacking")
+
+    def _arrange(self) -> None:
+        form = QGridLayout()
+        form.setHorizontalSpacing(12)
+        form.setVerticalSpacing(6)
+        form.setColumnStretch(1, 1)
+        form.setColumnStretch(3, 1)
+        wide = (("Piece", self._piece), ("Bottom", self._bottom), ("Below it", self._under))
+        for row, (text, field) in enumerate(wide):
+            form.addWidget(_buddy(text, field), row, 0)
+            form.addWidget(field, row, 1, 1, 3)
+        for column, (text, number) in ((0, ("Seed", self._seed)), (2, ("Trials", self._trials))):
+            form.addWidget(_buddy(text, number), 3, column)
+            form.addWidget(number, 3, column + 1)
+        x, y = self._origin
+        self._origin_words = _buddy("Origin x", x), _buddy("y", y)
+        for column, widget in enumerate((self._origin_words[0], x, self._origin_words[1], y)):
+            form.addWidget(widget, 7, column)
+        self.show_devices(False)
+        form.addWidget(_buddy("Model", self._model), 5, 0)
+        form.addWidget(self._model, 5, 1, 1, 3)
+        for row, (text, field) in ((4, ("Strategy", self._strategy)), (6, ("Mode", self._mode))):
+            form.addWidget(_buddy(text, field), row, 0)
+            form.addWidget(field, row, 1, 1, 3)
+        buttons = QHBoxLayout()
+        buttons.addWidget(self.pause, 1)
+        buttons.addWidget(self.cancel, 1)
+        self.column.addLayout(form)
+        self.column.addSpacing(2)
+        self.column.addWidget(self.start)
+        self.column.addLayout(buttons)
+        for one in (self._piece, self._bottom, self._under, self._strategy, self._mode):
+            one.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+            one.setMinimumContentsLength(8)
+            one.setSizeAdjustPolicy(
+                QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
+            )
+
+    def show_catalogue(
+        self, pieces: Sequence[tuple[str, str]], bottoms: Sequence[tuple[str, str]]
+    ) -> None:
+        """Offer these (key, title) pieces and bottoms; the choice is kept where possible."""
+        form = self.form()
+        for combo, entries in ((self._piece, pieces), (self._bottom, bottoms),
+                               (self._under, (("", NOTHING), *bottoms))):  # fmt: skip
+            combo.clear()
+            for key, title in entries:
+                combo.addItem(title, key)
+        self.show_form(form)
+
+    def show_model(self, short: str, full: str) -> None:
+        """Say which model reads the probes, with all about it in the tool tip."""
+        self._model.setText(short)
+        self._model.setToolTip(full)
+        self._model.setAccessibleName(f"Model: {short}")
+
+    def show_devices(self, devices: bool) -> None:
+        """Show the origin where an arm has to find the bottom."""
+        for widget in (*self._origin, *self._origin_words):
+            widget.setVisible(devices)
+
+    def show_form(self, form: RunForm) -> None:
+        """Fill in a form; unknown entries are left as they are."""
+        for combo, key in ((self._piece, form.piece), (self._bottom, form.bottom),
+                           (self._under, form.under), (self._strategy, form.strategy),
+                           (self._mode, form.mode)):  # fmt: skip
+            index = combo.findData(key)
+            if index >= 0:
+                combo.setCurrentIndex(index)
+        self._seed.setValue(form.seed)
+        self._trials.setValue(form.trials)
+        self._origin[0].setValue(form.origin_x_mm)
+        self._origin[1].setValue(form.origin_y_mm)
+
+    def form(self) -> RunForm:
+        """Return what is filled in."""
+        default = RunForm()
+        return replace(
+            default,
+            piece=self._piece.currentData() or default.piece,
+            bottom=self._bottom.currentData() or default.bottom,
+            under=self._under.currentData() or "",
+            seed=self._seed.value(),
+            trials=self._trials.value(),
+            strategy=self._strategy.currentData(),
+            mode=self._mode.currentData(),
+            origin_x_mm=self._origin[0].value(),
+            origin_y_mm=self._origin[1].value(),
+        )
+
+    def show_buttons(self, buttons: RunButtons) -> None:
+        """Enable what is allowed now; a disabled Start says why."""
+        self.start.setEnabled(buttons.start)
+        self.start.setToolTip(buttons.why_not or "Begin the run (Ctrl+Return)")
+        self.pause.setEnabled(buttons.pause)
+        self.pause.setText("Resume" if buttons.paused else "Pause")
+        self.cancel.setEnabled(buttons.cancel)
+        for field in (self._piece, self._bottom, self._under, self._seed, self._trials,
+                      self._strategy, self._mode, *self._origin):  # fmt: skip
+            field.setEnabled(buttons.form and self._piece.count() > 0)
+        self.draw_icons()
+
+    def draw_icons(self) -> None:
+        """Draw the icons in the colours of the theme."""
+        t = self._theme.tokens
+        ink = t.colour("panel") if self.start.isEnabled() else t.colour("disabled")
+        self.start.setIcon(icon("play", ink))
+        for button, name in (
+            (self.pause, "play" if self.pause.text() == "Resume" else "pause"),
+            (self.cancel, "cancel"),
+        ):
+            button.setIcon(icon(name, t.colour("text" if button.isEnabled() else "disabled")))
+        fit_icon(self.start, self.pause, self.cancel)
+
+
+def _buddy(text: str, field: QWidget) -> QWidget:
+    made = label(text, "muted")
+    made.setBuddy(field)
+    return made
+
+
+Entries = Sequence[tuple[str, str]]
+"""(name, title) of pieces."""
+
+
+class ScenePanel(Panel):
+    """Two choices and a button; ``on_set`` gets the names."""
+
+    def __init__(self, on_set: Callable[[str, str], None]) -> None:
+        super().__init__("Bench")
+        self._on_set = on_set
+        self.piece, self.bottom = QComboBox(), QComboBox()
+        self.set = QPushButton("Set")
+        row = QHBoxLayout()
+        for combo, name, tip in (
+            (self.piece, "Piece", "The piece between the jaws"),
+            (self.bottom, "Bottom", "What stands below it"),
+        ):
+            combo.setAccessibleName(name)
+            combo.setToolTip(tip)
+            combo.setMinimumContentsLength(6)
+            combo.setSizeAdjustPolicy(
+                QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
+            )
+            row.addWidget(combo, 1)
+        self.set.setAccessibleName("Set the bench")
+        self.set.setToolTip("Put both back to their places on the simulated bench (Ctrl+N)")
+        self.set.clicked.connect(self.ask)
+        row.addWidget(self.set)
+        self.column.addLayout(row)
+
+    def show_catalogue(self, pieces: Entries, bottoms: Entries, chosen: tuple[str, str]) -> None:
+        """Offer these; ``chosen`` names a piece and a bottom."""
+        for combo, entries, name in (
+            (self.piece, pieces, chosen[0]),
+            (self.bottom, bottoms, chosen[1]),
+        ):
+            combo.clear()
+            for key, title in entries:
+                combo.addItem(title, key)
+            combo.setCurrentIndex(max(combo.findData(name), 0))
+
+    def show_ready(self, ready: bool) -> None:
+        """Switch the controls."""
+        for widget in (self.piece, self.bottom, self.set):
+            if widget.isEnabled() != ready:
+                widget.setEnabled(ready)
+
+    def ask(self) -> None:
+        """Ask for what is chosen."""
+        piece, bottom = self.piece.currentData(), self.bottom.currentData()
+        if piece and bottom:
+            self._on_set(str(piece), str(bottom))

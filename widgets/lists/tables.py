@@ -1,0 +1,401 @@
+"""Tables of episodes and trainings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from PySide6.QtCore import (
+    QAbstractTableModel,
+    QItemSelectionModel,
+    QModelIndex,
+    QPersistentModelIndex,
+    QPoint,
+    QSignalBlocker,
+    QSize,
+    Qt,
+)
+from PySide6.QtGui import QFontMetrics, QKeyEvent, QPainter, QPaintEvent
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QHeaderView,
+    QMenu,
+    QTableView,
+    QTableWidget,
+    QTableWidgetItem,
+    QWidget,
+)
+
+from touchdown.widgets.base import Theme, ui_font
+
+Index = QModelIndex | QPersistentModelIndex
+ROOT = QModelIndex()
+HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time", "Grip", "Person")
+RIGHT = frozenset((0, 3, 4))
+WIDTHS_EM = (2.9, 4.5, 3.8, 5.3, 4.1, 3.4, 4.6)
+NUMBER, QUALITY, TIME = 0, 2, 4
+UP, DOWN = "\N{BLACK UP-POINTING SMALL TRIANGLE}", "\N{BLACK DOWN-POINTING SMALL TRIANGLE}"
+"""Beside the head that sorts: Qt's own mark would cover the word."""
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeRow:
+    """One probe. ``status``: state of its label or "deleted"; ``quality``: ok, or why not.
+
+    ``distance_mm``: how far it is displaced, which its column sorts by.
+    """
+
+    uuid: str
+    number: str
+    status: str
+    quality: str
+    where: str
+    time: str
+    flagged: bool = False
+    deleted: bool = False
+    grip: str = ""
+    person: str = ""
+    distance_mm: float = 0.0
+
+    def cells(self) -> tuple[str, ...]:
+        """Return the texts of the row."""
+        flag = "\N{BLACK FLAG} " if self.flagged else ""
+        status = f"{flag}{self.status}"
+        return self.number, status, self.quality, self.where, self.time, self.grip, self.person
+
+    def keys(self) -> tuple[float | str, ...]:
+        """Return what each column sorts by."""
+        number = float(self.number)
+        return (
+            number, self.status, self.quality, self.distance_mm, number, self.grip, self.person,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Arrangement:
+    """Which columns are shown, and which one the rows are sorted by."""
+
+    columns: tuple[str, ...] = HEADS[:5]
+    sort: str = HEADS[NUMBER]
+    descending: bool = True
+
+
+class EpisodeTable(QTableView):
+    """Shows thousands of rows; ``choose`` is told the uuid of the row that was picked."""
+
+    def __init__(self, theme: Theme, choose: Callable[[str], None]) -> None:
+        super().__init__()
+        self._theme, self._choose = theme, choose
+        self._all: Sequence[EpisodeRow] = ()
+        self._arrangement = Arrangement()
+        self._rows = _Rows(self)
+        self.setModel(self._rows)
+        self.setAccessibleName("Episodes")
+        self.setSelectionBehavior(QTableView.SelectionBehavior.SelectRows)
+        self.setSelectionMode(QTableView.SelectionMode.SingleSelection)
+        self.setEditTriggers(QTableView.EditTrigger.NoEditTriggers)
+        self.setShowGrid(False)
+        self.setWordWrap(False)
+        self.setTabKeyNavigation(False)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAsNeeded)
+        self.verticalHeader().hide()
+        head = self.horizontalHeader()
+        head.setHighlightSections(False)
+        head.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
+        head.setSectionResizeMode(QUALITY, QHeaderView.ResizeMode.Stretch)
+        head.setSectionsClickable(True)
+        head.sectionClicked.connect(self.sort_by)
+        head.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
+        head.customContextMenuRequested.connect(self._offer_columns)
+        head.setToolTip("Click: sort by this column. Right click: choose the columns.")
+        self.clicked.connect(lambda index: self._choose(self._rows.rows[index.row()].uuid))
+        self.fit_to_theme()
+        self.arrange(self._arrangement)
+
+    def show_rows(self, rows: Sequence[EpisodeRow], chosen: str) -> None:
+        """Show these rows in the chosen order, with one of them marked."""
+        self._all = rows
+        column = HEADS.index(self._arrangement.sort)
+        newest = sorted(rows, key=lambda row: row.keys()[NUMBER], reverse=True)
+        down = self._arrangement.descending
+        self._rows.show(sorted(newest, key=lambda row: row.keys()[column], reverse=down))
+        self.mark(chosen)
+
+    @property
+    def arrangement(self) -> Arrangement:
+        """Columns and order."""
+        return self._arrangement
+
+    def arrange(self, wanted: Arrangement) -> None:
+        """Take columns and order; raises ``ValueError`` for columns that there are not."""
+        if not wanted.columns or not {*wanted.columns, wanted.sort} <= set(HEADS):
+            raise ValueError("there is no such column")
+        chosen = self.chosen()
+        self._arrangement = wanted
+        for column, name in enumerate(HEADS):
+            self.setColumnHidden(column, name not in wanted.columns)
+        head = self.horizontalHeader()
+        head.setStretchLastSection(self.isColumnHidden(QUALITY))
+        self._rows.mark_head(HEADS.index(wanted.sort), DOWN if wanted.descending else UP)
+        self.show_rows(self._all, chosen)
+
+    def sort_by(self, column: int) -> None:
+        """Sort by a column, the other way round if it is the one already."""
+        now, name = self._arrangement, HEADS[column]
+        down = not now.descending if now.sort == name else column in (NUMBER, TIME)
+        self.arrange(replace(now, sort=name, descending=down))
+
+    def sort_by_next(self) -> None:
+        """Sort by the next column that is shown."""
+        shown = [column for column, name in enumerate(HEADS) if name in self._arrangement.columns]
+        at = HEADS.index(self._arrangement.sort)
+        self.sort_by(next((column for column in shown if column > at), shown[0]))
+
+    def show_column(self, column: int, *, shown: bool) -> None:
+        """Show or hide a column; the last one stays."""
+        now, name = self._arrangement, HEADS[column]
+        wanted = [one for one in HEADS if (one in now.columns if one != name else shown)]
+        if wanted:
+            self.arrange(replace(now, columns=tuple(wanted)))
+
+    def choose_columns(self) -> None:
+        """Offer the columns in a menu below the heads."""
+        self._offer_columns(self.horizontalHeader().rect().bottomLeft())
+
+    def chosen(self) -> str:
+        """Return the uuid of the marked row, "" if none is."""
+        index = self.currentIndex()
+        return self._rows.rows[index.row()].uuid if index.isValid() else ""
+
+    def rows(self) -> Sequence[EpisodeRow]:
+        """Return what is shown."""
+        return self._rows.rows
+
+    def mark(self, uuid: str) -> None:
+        """Mark one row, in sight; an unknown uuid marks none."""
+        for at, row in enumerate(self._rows.rows):
+            if row.uuid == uuid:
+                index = self._rows.index(at, 0)
+                self.setCurrentIndex(index)
+                self.scrollTo(index)
+                return
+        self.clearSelection()
+
+    def fit_to_theme(self) -> None:
+        """Take row height and column widths of the font scale."""
+        em = QFontMetrics(ui_font(self._theme.scale)).height()
+        self.verticalHeader().setDefaultSectionSize(round(1.45 * em))
+        self.horizontalHeader().setMinimumSectionSize(round(min(WIDTHS_EM) * em))
+        for column, width in enumerate(WIDTHS_EM):
+            self.setColumnWidth(column, round(width * em))
+
+    def _offer_columns(self, at: QPoint) -> None:
+        menu = QMenu(self)
+        menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        for column, name in enumerate(HEADS):
+            action = menu.addAction(name)
+            action.setCheckable(True)
+            action.setChecked(not self.isColumnHidden(column))
+            action.triggered.connect(lambda on, column=column: self.show_column(column, shown=on))
+        menu.popup(self.horizontalHeader().mapToGlobal(at))
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Leave letters and Enter to the page."""
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter) or event.text().isprintable():
+            event.ignore()
+        else:
+            super().keyPressEvent(event)
+
+
+class _Rows(QAbstractTableModel):
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.rows: list[EpisodeRow] = []
+        self._marked, self._mark = NUMBER, DOWN
+
+    def rowCount(self, parent: Index = ROOT) -> int:
+        return 0 if parent.isValid() else len(self.rows)
+
+    def columnCount(self, parent: Index = ROOT) -> int:
+        return 0 if parent.isValid() else len(HEADS)
+
+    def headerData(self, section: int, orientation: Qt.Orientation, role: int = 0) -> Any:
+        if orientation is not Qt.Orientation.Horizontal:
+            return None
+        if role == Qt.ItemDataRole.TextAlignmentRole:
+            return _aligned(section)
+        if role != Qt.ItemDataRole.DisplayRole:
+            return None
+        return f"{HEADS[section]} {self._mark}" if section == self._marked else HEADS[section]
+
+    def data(self, index: Index, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
+        row = self.rows[index.row()]
+        if role == Qt.ItemDataRole.DisplayRole:
+            return row.cells()[index.column()]
+        if role == Qt.ItemDataRole.ToolTipRole:
+            return ", ".join(row.cells())
+        if role == Qt.ItemDataRole.TextAlignmentRole:
+            return _aligned(index.column())
+        if role == Qt.ItemDataRole.FontRole and row.deleted:
+            font = ui_font()
+            font.setStrikeOut(True)
+            return font
+        return None
+
+    def mark_head(self, section: int, mark: str) -> None:
+        self._marked, self._mark = section, mark
+        self.headerDataChanged.emit(Qt.Orientation.Horizontal, 0, len(HEADS) - 1)
+
+    def show(self, rows: Sequence[EpisodeRow]) -> None:
+        self.beginResetModel()
+        self.rows = list(rows)
+        self.endResetModel()
+
+
+def _aligned(column: int) -> int:
+    side = Qt.AlignmentFlag.AlignRight if column in RIGHT else Qt.AlignmentFlag.AlignLeft
+    return int(side | Qt.AlignmentFlag.AlignVCenter)
+
+
+MOST_COMPARED = 3
+LEAST_ROWS = 3
+"""Every table has room for so many, at the least size of the window too."""
+ALIGN_RIGHT = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
+
+
+class FigureTable(QTableWidget):
+    """Rows of texts; all columns but the first are figures at the right.
+
+    ``empty`` is written in the middle while there is no row.
+    """
+
+    empty = ""
+
+    def __init__(self, theme: Theme, name: str, columns: Sequence[str]) -> None:
+        super().__init__(0, len(columns))
+        self._theme = theme
+        self.setAccessibleName(name)
+        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
+        self.setShowGrid(False)
+        self.setWordWrap(False)
+        self.setTabKeyNavigation(False)
+        self.verticalHeader().hide()
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.show_columns(columns)
+
+    def show_columns(self, columns: Sequence[str]) -> None:
+        """Name the columns."""
+        self.setColumnCount(len(columns))
+        for at, text in enumerate(columns):
+            item = QTableWidgetItem(text)
+            if at:
+                item.setTextAlignment(ALIGN_RIGHT)
+            else:
+                item.setTextAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+            self.setHorizontalHeaderItem(at, item)
+        header = self.horizontalHeader()
+        header.setHighlightSections(False)
+        header.setMinimumSectionSize(24)
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
+        self.fit_to_theme()
+
+    def show_rows(self, rows: Sequence[Sequence[str]]) -> None:
+        """Show these texts; a row may be shorter than the table."""
+        self.setRowCount(len(rows))
+        for r, row in enumerate(rows):
+            for c in range(self.columnCount()):
+                text = row[c] if c < len(row) else ""
+                item = QTableWidgetItem(text)
+                item.setToolTip(text)
+                if c:
+                    item.setTextAlignment(ALIGN_RIGHT)
+                self.setItem(r, c, item)
+        self.updateGeometry()
+
+    def sizeHint(self) -> QSize:
+        """Return the room of all rows."""
+        rows = max(self.rowCount(), LEAST_ROWS) * self.verticalHeader().defaultSectionSize()
+        return QSize(256, self.horizontalHeader().height() + rows + 2 * self.frameWidth() + 2)
+
+    def paintEvent(self, event: QPaintEvent) -> None:
+        """Draw the rows, or why there are none."""
+        super().paintEvent(event)
+        if self.empty and not self.rowCount():
+            painter = QPainter(self.viewport())
+            painter.setPen(self._theme.tokens.colour("muted"))
+            painter.setFont(ui_font(self._theme.scale, 0.92))
+            area = self.viewport().rect().adjusted(8, 2, -8, -2)
+            flags = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
+            painter.drawText(area, int(flags), self.empty)
+            painter.end()
+
+    def texts(self) -> list[list[str]]:
+        """Return what is shown."""
+        return [
+            [item.text() if (item := self.item(r, c)) else "" for c in range(self.columnCount())]
+            for r in range(self.rowCount())
+        ]
+
+    def fit_to_theme(self) -> None:
+        """Take the row height of the font scale."""
+        height = round(1.55 * QFontMetrics(ui_font(self._theme.scale)).height())
+        # The least first: below it Qt takes no usual height, and smaller text kept the old rows.
+        self.verticalHeader().setMinimumSectionSize(height)
+        self.verticalHeader().setDefaultSectionSize(height)
+        self.horizontalHeader().setFixedHeight(height)
+        self.setMinimumHeight((1 + LEAST_ROWS) * height + 2 * self.frameWidth())
+
+
+@dataclass(frozen=True, slots=True)
+class RunRow:
+    """One training in words: id, then the texts of the columns."""
+
+    uuid: str
+    cells: tuple[str, ...]
+
+
+RUN_COLUMNS = ("run", "state", "sees", "IoU %", "epoch")
+
+
+class RunTable(FigureTable):
+    """The trainings; up to three can be chosen, and are then compared."""
+
+    def __init__(self, theme: Theme, chosen: Callable[[tuple[str, ...]], None]) -> None:
+        super().__init__(theme, "Trainings", RUN_COLUMNS)
+        self._chosen, self._uuids = chosen, list[str]()
+        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
+        self.itemSelectionChanged.connect(self._tell)
+
+    def show_runs(self, rows: Sequence[RunRow]) -> None:
+        """Show the trainings without telling; what is chosen stays chosen."""
+        kept = self.chosen()
+        with QSignalBlocker(self):
+            self._uuids = [row.uuid for row in rows]
+            self.show_rows([row.cells for row in rows])
+            self._select(kept)
+
+    def choose(self, uuids: Sequence[str]) -> None:
+        """Choose these trainings, and no others."""
+        with QSignalBlocker(self):
+            self._select(uuids)
+        self._tell()
+
+    def _select(self, uuids: Sequence[str]) -> None:
+        self.clearSelection()
+        model, flag = self.selectionModel(), QItemSelectionModel.SelectionFlag
+        for uuid in uuids:
+            if uuid in self._uuids:
+                index = self.model().index(self._uuids.index(uuid), 0)
+                model.select(index, flag.Select | flag.Rows)
+
+    def chosen(self) -> tuple[str, ...]:
+        """Return the ids of the chosen trainings, in the order of the table, three at most."""
+        rows = sorted({index.row() for index in self.selectedIndexes()})
+        return tuple(self._uuids[row] for row in rows[:MOST_COMPARED])
+
+    def _tell(self) -> None:
+        self._chosen(self.chosen())

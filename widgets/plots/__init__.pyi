@@ -1,0 +1,67 @@
+from .axes import PlotArea as PlotArea
+from .axes import Strokes as Strokes
+from .axes import draw_message as draw_message
+from .axes import draw_mm_grid as draw_mm_grid
+from .axes import draw_stale as draw_stale
+from .axes import nice_step as nice_step
+from .axes import polygon_of as polygon_of
+from .axes import tick_text as tick_text
+from .axes import ticks as ticks
+from .distribution import Bins as Bins
+from .distribution import DistributionScene as DistributionScene
+from .distribution import DistributionView as DistributionView
+from .distribution import reach_of as reach_of
+from .force_traces import SPANS_S as SPANS_S
+from .force_traces import TracePlot as TracePlot
+from .force_traces import TracesPanel as TracesPanel
+from .recorded_traces import NAMES as NAMES
+from .recorded_traces import NOTHING as NOTHING
+from .recorded_traces import Drawn as Drawn
+from .recorded_traces import PhaseDrawn as PhaseDrawn
+from .recorded_traces import PhasePlot as PhasePlot
+from .recorded_traces import PhaseSheet as PhaseSheet
+from .recorded_traces import RecordedTraces as RecordedTraces
+from .recorded_traces import TraceSheet as TraceSheet
+from .recorded_traces import WrenchTrace as WrenchTrace
+from .recorded_traces import has_moments as has_moments
+from .training import TOKENS as TOKENS
+from .training import CurvePlot as CurvePlot
+from .training import Line as Line
+from .training import ReliabilityPlot as ReliabilityPlot
+from .training import SampleScene as SampleScene
+from .training import SampleStrip as SampleStrip
+
+__all__ = [
+    "NAMES",
+    "NOTHING",
+    "SPANS_S",
+    "TOKENS",
+    "Bins",
+    "CurvePlot",
+    "DistributionScene",
+    "DistributionView",
+    "Drawn",
+    "Line",
+    "PhaseDrawn",
+    "PhasePlot",
+    "PhaseSheet",
+    "PlotArea",
+    "RecordedTraces",
+    "ReliabilityPlot",
+    "SampleScene",
+    "SampleStrip",
+    "Strokes",
+    "TracePlot",
+    "TraceSheet",
+    "TracesPanel",
+    "WrenchTrace",
+    "draw_message",
+    "draw_mm_grid",
+    "draw_stale",
+    "has_moments",
+    "nice_step",
+    "polygon_of",
+    "reach_of",
+    "tick_text",
+    "ticks",
+]

@@ -1,0 +1,260 @@
+"""Axes, ticks, overlays and strokes of plots."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from PySide6.QtCore import QLineF, QPointF, QRect, QRectF, Qt
+from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
+from shiboken6 import Shiboken, VoidPtr
+
+from touchdown.backend.core import FloatArray
+from touchdown.widgets.base import Theme, ui_font
+
+
+def nice_step(span: float, count: int) -> float:
+    """Return a step of 1, 2 or 5 times a power of ten that gives about ``count`` ticks."""
+    raw = span / max(count, 1)
+    power = 10.0 ** math.floor(math.log10(raw))
+    return float(next(m * power for m in (1.0, 2.0, 5.0, 10.0) if raw <= m * power * (1 + 1e-9)))
+
+
+def ticks(low: float, high: float, count: int) -> list[float]:
+    """Return round values within [low, high]."""
+    step = nice_step(high - low, count)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [round(k * step, 10) for k in range(first, last + 1)]
+
+
+def tick_text(value: float, step: float) -> str:
+    """Write a tick with as many decimals as its step needs and a true minus sign."""
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    return f"{value:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
+
+
+@dataclass(frozen=True, slots=True)
+class PlotArea:
+    """Maps values in [x0, x1] x [y0, y1] to ``rect`` (y up)."""
+
+    rect: QRectF
+    x0: float
+    x1: float
+    y0: float
+    y1: float
+
+    def x(self, value: float) -> float:
+        """Pixel column of a value."""
+        return self.rect.left() + (value - self.x0) / (self.x1 - self.x0) * self.rect.width()
+
+    def y(self, value: float) -> float:
+        """Pixel row of a value."""
+        return self.rect.bottom() - (value - self.y0) / (self.y1 - self.y0) * self.rect.height()
+
+    def columns(self, x: FloatArray) -> FloatArray:
+        """Pixel columns of values of any shape."""
+        return self.rect.left() + (x - self.x0) * (self.rect.width() / (self.x1 - self.x0))
+
+    def rows(self, y: FloatArray) -> FloatArray:
+        """Pixel rows of values of any shape."""
+        return self.rect.bottom() - (y - self.y0) * (self.rect.height() / (self.y1 - self.y0))
+
+    def polygon(self, x: FloatArray, y: FloatArray) -> QPolygonF:
+        """Map (n,) and (n,) to a polyline without a Python loop."""
+        points = np.empty((len(x), 2))
+        points[:, 0], points[:, 1] = self.columns(x), self.rows(y)
+        return polygon_of(points)
+
+
+def polygon_of(points: FloatArray) -> QPolygonF:
+    """Copy (n, 2) pixel positions into a Qt polygon."""
+    polygon = QPolygonF()
+    if len(points) == 0:
+        return polygon
+    polygon.resize(len(points))
+    address: Any = polygon.data()
+    memory: Any = VoidPtr(address, points.size * 8, True)  # type: ignore[call-arg]
+    np.frombuffer(memory, dtype=np.float64)[:] = points.ravel()
+    return polygon
+
+
+def spread(wanted: list[float], gap: float, low: float, high: float) -> list[float]:
+    """Move labels apart so that neighbours are ``gap`` away and all stay within [low, high]."""
+    known = [low if math.isnan(y) else min(max(y, low), high) for y in wanted]
+    order = sorted(range(len(wanted)), key=known.__getitem__)
+    placed = [known[i] for i in order]
+    for k in range(1, len(placed)):
+        placed[k] = max(placed[k], placed[k - 1] + gap)
+    overshoot = placed[-1] - high
+    if overshoot > 0:
+        placed[-1] = high
+        for k in range(len(placed) - 2, -1, -1):
+            placed[k] = min(placed[k], placed[k + 1] - gap)
+    result = [0.0] * len(wanted)
+    for k, i in enumerate(order):
+        result[i] = placed[k]
+    return result
+
+
+class TraceBuckets:
+    """Keeps, per bucket of time, the least and greatest sample of every channel.
+
+    A ring over the newest ``span_s`` of signal time. Buckets without a sample are NaN: a gap is
+    shown as a gap, never as zero. Time that jumps back (a new trial) empties the ring.
+    """
+
+    def __init__(self, channels: int, span_s: float = 10.0, buckets: int = 500) -> None:
+        self.span_s, self.buckets, self.channels = span_s, buckets, channels
+        self._width_s = span_s / buckets
+        self._low = np.full((buckets, channels), np.nan)
+        self._high = np.full((buckets, channels), np.nan)
+        self._newest = -1
+        self.last: FloatArray = np.full(channels, np.nan)
+
+    @property
+    def empty(self) -> bool:
+        """Whether no finite sample has arrived."""
+        return self._newest < 0
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._low[:] = np.nan
+        self._high[:] = np.nan
+        self._newest = -1
+        self.last = np.full(self.channels, np.nan)
+
+    def add(self, t_s: FloatArray, values: FloatArray) -> None:
+        """Take samples: ``t_s`` (n,) ascending, ``values`` (n, channels)."""
+        if len(t_s) == 0:
+            return
+        index = np.floor(t_s / self._width_s + 1e-9).astype(np.int64)
+        if index[0] < self._newest - 1:
+            self.clear()
+        oldest = index[-1] - self.buckets
+        if index[0] <= oldest:
+            keep = index > oldest
+            index, values = index[keep], values[keep]
+        self._advance(int(index[-1]))
+        starts = np.concatenate(([0], np.flatnonzero(index[1:] != index[:-1]) + 1))
+        slots = index[starts] % self.buckets
+        low = np.fmin.reduceat(values, starts, axis=0)
+        high = np.fmax.reduceat(values, starts, axis=0)
+        self._low[slots] = np.fmin(self._low[slots], low)
+        self._high[slots] = np.fmax(self._high[slots], high)
+        self.last = values[-1].copy()
+
+    def _advance(self, newest: int) -> None:
+        """Empty the buckets between the former newest one and the new one."""
+        if self._newest >= 0:
+            count = min(newest - self._newest, self.buckets)
+            fresh = (self._newest + 1 + np.arange(count)) % self.buckets
+            self._low[fresh] = np.nan
+            self._high[fresh] = np.nan
+        self._newest = max(newest, self._newest)
+
+    def ordered(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return (age in s <= 0, low, high), oldest first; (n,), (n, channels), (n, channels)."""
+        order = (self._newest + 1 + np.arange(self.buckets)) % self.buckets
+        age_s = (np.arange(self.buckets) - self.buckets + 1) * self._width_s
+        return np.asarray(age_s, dtype=np.float64), self._low[order], self._high[order]
+
+    def largest(self) -> float:
+        """Largest magnitude kept (0 if empty)."""
+        both = np.stack([self._low, self._high])
+        finite = np.abs(both[np.isfinite(both)])
+        return float(finite.max()) if len(finite) else 0.0
+
+
+LINE_GAP_PX = 5
+
+
+def draw_message(
+    painter: QPainter, rect: QRect | QRectF, theme: Theme, text: str, detail: str = ""
+) -> None:
+    """Write an empty state in the middle of ``rect``: as many lines as the words need there."""
+    both = int(Qt.AlignmentFlag.AlignHCenter | Qt.TextFlag.TextWordWrap)
+    area = QRectF(rect).adjusted(8, 0, -8, 0)
+    parts = [(text, "text", ui_font(theme.scale, 1.1, 500)),
+             (detail, "muted", ui_font(theme.scale, 0.92))]  # fmt: skip
+    boxes = []
+    for words, token, font in parts:
+        painter.setFont(font)
+        high = painter.boundingRect(area, both, words).height() if words else 0.0
+        boxes.append((words, token, font, high))
+    top = area.center().y() - (sum(high for *_, high in boxes) + LINE_GAP_PX) / 2
+    for words, token, font, high in boxes:
+        if words:
+            painter.setFont(font)
+            painter.setPen(theme.tokens.colour(token))
+            painter.drawText(QRectF(area.left(), top, area.width(), high), both, words)
+            top += high + LINE_GAP_PX
+
+
+def draw_stale(
+    painter: QPainter, rect: QRectF, theme: Theme, age_s: float, into: QColor | None = None
+) -> None:
+    """Fade ``rect`` to half of ``into``, a picture to black, and date it."""
+    veil = QColor(0, 0, 0) if into is None else QColor(into)
+    veil.setAlpha(128)
+    painter.fillRect(rect, veil)
+    painter.setFont(ui_font(theme.scale, 1.0, 600))
+    text = f"STALE {age_s:.1f} s"
+    metrics = painter.fontMetrics()
+    width = metrics.horizontalAdvance(text) + 16
+    badge = QRectF(rect.center().x() - width / 2, rect.top() + 8, width, metrics.height() + 6)
+    painter.fillRect(badge, theme.tokens.colour("pill_yellow"))
+    painter.setPen(theme.tokens.colour("on_light"))
+    painter.drawText(badge, int(Qt.AlignmentFlag.AlignCenter), text)
+
+
+BYTES = 4 * 8
+"""A Qt line is four doubles: x1, y1, x2, y2."""
+
+
+class Strokes:
+    """Keeps its lines between pictures; only what they hold changes."""
+
+    def __init__(self) -> None:
+        self._memory: FloatArray = np.zeros((0, 4))
+        self._lines: list[QLineF] = []
+
+    def take(self, lines: FloatArray) -> None:
+        """Hold ``lines`` (n, 4) from now on, in pixels of the painter."""
+        if len(lines) > len(self._lines):
+            # The lines go first: they lie in the memory.
+            self._lines = []
+            self._memory = np.zeros((len(lines), 4))
+            start = self._memory.ctypes.data
+            places = range(start, start + BYTES * len(lines), BYTES)
+            self._lines = [cast("QLineF", Shiboken.wrapInstance(at, QLineF)) for at in places]
+        self._memory[: len(lines)] = lines
+
+    def draw(self, painter: QPainter, start: int, end: int) -> None:
+        """Draw the lines from ``start`` up to but without ``end``."""
+        if end > start:
+            painter.drawLines(self._lines[start:end])
+
+
+def draw_mm_grid(painter: QPainter, area: PlotArea, theme: Theme, count: int = 6) -> None:
+    """Draw about ``count`` lines each way, with figures outside and names inside of the square."""
+    t, rect = theme.tokens, area.rect
+    painter.fillRect(rect, t.colour("bg"))
+    height = painter.fontMetrics().height()
+    step = nice_step(area.x1 - area.x0, count)
+    for value in ticks(area.x0, area.x1, count):
+        x, y = area.x(value), area.y(value)
+        painter.setPen(QPen(t.colour("grid"), 1))
+        painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))
+        painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
+        painter.setPen(t.colour("muted"))
+        text = tick_text(value, step)
+        painter.drawText(QRectF(x - 30, rect.bottom() + 3, 60, height),
+                         int(Qt.AlignmentFlag.AlignHCenter), text)  # fmt: skip
+        painter.drawText(QRectF(rect.left() - 46, y - height / 2, 41, height),
+                         int(Qt.AlignmentFlag.AlignRight), text)  # fmt: skip
+    corner = rect.adjusted(6, 4, -6, -4)
+    low, right = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignRight
+    painter.drawText(corner, int(low | right), "x (mm)")
+    painter.drawText(corner, int(Qt.AlignmentFlag.AlignLeft), "y (mm)")

@@ -1,0 +1,251 @@
+"""Distribution of displacements."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap
+from PySide6.QtWidgets import QSizePolicy, QWidget
+
+from touchdown.backend.core import FloatArray
+from touchdown.widgets.base import MapName, Theme, colours, table, ui_font
+from touchdown.widgets.plots.axes import (
+    PlotArea,
+    draw_message,
+    draw_mm_grid,
+    nice_step,
+    tick_text,
+    ticks,
+)
+
+NEAR_PX = 12.0
+"""A click further from every dot than this chooses none."""
+DOT_PX = 7.0
+
+
+def _no_points() -> FloatArray:
+    return np.zeros((0, 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Bins:
+    """``counts`` (ny, nx) and whether each bin is ``possible``; bin (0, 0) is centred there."""
+
+    counts: NDArray[np.intp]
+    possible: NDArray[np.bool_]
+    first_mm: tuple[float, float]
+    bin_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class DistributionScene:
+    """``bottom`` (k, 2) contour; ``points_mm`` (n, 2) displacements with their ``values`` (n,).
+
+    ``refused`` (n,): no observation. ``flagged`` (n,). ``chosen``: index of a dot or -1.
+    ``reach_mm``: half width of the square that is drawn. With ``bins`` counts are drawn instead of
+    values. ``title``: what the colours mean, with its unit.
+    """
+
+    bottom: FloatArray = field(default_factory=_no_points)
+    points_mm: FloatArray = field(default_factory=_no_points)
+    values: FloatArray = field(default_factory=lambda: np.zeros(0))
+    refused: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    flagged: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    chosen: int = -1
+    reach_mm: float = 20.0
+    bins: Bins | None = None
+    title: str = ""
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Lowest and highest value of the colour scale; never empty."""
+        if self.bins is not None:
+            return 0.0, float(max(self.bins.counts.max(initial=0), 1))
+        known = self.values[np.isfinite(self.values) & ~self.refused]
+        if not len(known):
+            return 0.0, 1.0
+        low, high = float(known.min()), float(known.max())
+        return (low, high) if high > low else (low - 0.5, high + 0.5)
+
+
+class DistributionView(QWidget):
+    """Draws a ``DistributionScene``; ``choose`` is told the index of the dot that was clicked."""
+
+    def __init__(self, theme: Theme, name: str, choose: Callable[[int], None]) -> None:
+        super().__init__()
+        self._theme, self._choose = theme, choose
+        self.scene = DistributionScene()
+        self._map: MapName = "cividis"
+        self._picture: QPixmap | None = None
+        self._key: tuple[object, ...] = ()
+        self.setAccessibleName(name)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setMinimumSize(190, 180)
+        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
+
+    def sizeHint(self) -> QSize:
+        """Return nearly a square: the colour bar stands at the right."""
+        return QSize(320, 280)
+
+    def show_scene(self, scene: DistributionScene) -> None:
+        """Show other displacements, values or another choice."""
+        self.scene = scene
+        low, high = scene.span
+        said = f"{len(scene.points_mm)} displacements, {scene.title} {low:.3g} to {high:.3g}"
+        self.setAccessibleDescription(said)
+        self.update()
+
+    def area(self) -> PlotArea:
+        """Return the square that is drawn."""
+        em = self.fontMetrics().height()
+        left, bottom, edge = 2.2 * em, 1.4 * em, 0.9 * em
+        right = 3.6 * em
+        side = max(min(self.width() - left - right, self.height() - bottom - edge), 40.0)
+        x = left + (self.width() - left - right - side) / 2
+        y = edge + (self.height() - bottom - edge - side) / 2
+        reach = self.scene.reach_mm
+        return PlotArea(QRectF(x, y, side, side), -reach, reach, -reach, reach)
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Choose the nearest dot."""
+        points = self.scene.points_mm
+        if event.button() is not Qt.MouseButton.LeftButton or not len(points):
+            return
+        area, at = self.area(), event.position()
+        x, y = _pixels(area, points)
+        away = np.hypot(x - at.x(), y - at.y())
+        nearest = int(np.argmin(away))
+        if away[nearest] <= NEAR_PX:
+            self._choose(nearest)
+
+    # -- drawing ----------------------------------------------------------------------------------
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Copy the picture; it is drawn anew when anything in it changed."""
+        painter = QPainter(self)
+        if not len(self.scene.bottom):
+            painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
+            draw_message(painter, self.rect(), self._theme, "Nothing yet", "No pair is chosen.")
+            return
+        key = (id(self.scene), self.size().toTuple(), self._theme.tokens.name, self._theme.scale)
+        if self._picture is None or key != self._key:
+            self._key = key
+            ratio = self.devicePixelRatioF()
+            self._picture = QPixmap(self.size() * ratio)
+            self._picture.setDevicePixelRatio(ratio)
+            self._picture.fill(self._theme.tokens.colour("panel"))
+            inner = QPainter(self._picture)
+            inner.setRenderHint(QPainter.RenderHint.Antialiasing)
+            try:
+                self._draw(inner, self.area())
+            finally:
+                inner.end()
+        painter.drawPixmap(0, 0, self._picture)
+
+    def _draw(self, painter: QPainter, area: PlotArea) -> None:
+        painter.setFont(ui_font(self._theme.scale, 0.8))
+        draw_mm_grid(painter, area, self._theme, 6 if area.rect.width() > 260 else 4)
+        painter.save()
+        painter.setClipRect(area.rect)
+        if self.scene.bins is not None:
+            self._draw_bins(painter, area, self.scene.bins)
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        painter.setPen(QPen(self._theme.tokens.colour("text"), 2))
+        outline = self.scene.bottom
+        painter.drawPolygon(area.polygon(outline[:, 0], outline[:, 1]))
+        if self.scene.bins is None:
+            self._draw_dots(painter, area)
+        self._draw_chosen(painter, area)
+        painter.restore()
+        self._draw_scale(painter, area)
+
+    def _draw_bins(self, painter: QPainter, area: PlotArea, bins: Bins) -> None:
+        shades = colours(bins.counts / self.scene.span[1], self._map)
+        hole = QPen(self._theme.tokens.colour("border"), 1, Qt.PenStyle.DotLine)
+        size = bins.bin_mm
+        for row, column in np.argwhere(bins.possible | (bins.counts > 0)).tolist():
+            x0 = area.x(bins.first_mm[0] + (column - 0.5) * size)
+            y0 = area.y(bins.first_mm[1] + (row + 0.5) * size)
+            x1, y1 = (
+                area.x(bins.first_mm[0] + (column + 0.5) * size),
+                area.y(bins.first_mm[1] + (row - 0.5) * size),
+            )
+            box = QRectF(QPointF(x0, y0), QPointF(x1, y1)).adjusted(0.5, 0.5, -0.5, -0.5)
+            if bins.counts[row, column]:
+                painter.fillRect(box, QColor(*shades[row, column].tolist()))
+            else:
+                painter.setPen(hole)
+                painter.drawRect(box)
+
+    def _draw_dots(self, painter: QPainter, area: PlotArea) -> None:
+        scene, t = self.scene, self._theme.tokens
+        low, high = scene.span
+        shades = colours((scene.values - low) / (high - low), self._map)
+        x, y = _pixels(area, scene.points_mm)
+        rim = QPen(t.colour("border"), 1)
+        for k in range(len(x)):
+            at = QPointF(x[k], y[k])
+            if scene.refused[k]:
+                painter.setPen(QPen(t.colour("bad"), 1.6))
+                for arm in (QPointF(3, 3), QPointF(3, -3)):
+                    painter.drawLine(at - arm, at + arm)
+                continue
+            painter.setPen(rim)
+            painter.setBrush(QColor(*shades[k].tolist()))
+            painter.drawEllipse(at, DOT_PX / 2, DOT_PX / 2)
+            if scene.flagged[k]:
+                painter.setBrush(Qt.BrushStyle.NoBrush)
+                painter.setPen(QPen(t.colour("text"), 1.4))
+                painter.drawRect(QRectF(at.x() - 6, at.y() - 6, 12, 12))
+
+    def _draw_chosen(self, painter: QPainter, area: PlotArea) -> None:
+        if not 0 <= self.scene.chosen < len(self.scene.points_mm):
+            return
+        x, y = _pixels(area, self.scene.points_mm[self.scene.chosen][None])
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        for colour, width in (("bg", 4.0), ("focus", 2.0)):
+            painter.setPen(QPen(self._theme.tokens.colour(colour), width))
+            painter.drawEllipse(QPointF(x[0], y[0]), 9, 9)
+
+    def _draw_scale(self, painter: QPainter, area: PlotArea) -> None:
+        t, (low, high) = self._theme.tokens, self.scene.span
+        bar = QRectF(area.rect.right() + 10, area.rect.top(), 10, area.rect.height())
+        lut = table(self._map)
+        for k in range(int(bar.height())):
+            shade = lut[int(255 * (1.0 - k / bar.height()))]
+            painter.fillRect(QRectF(bar.left(), bar.top() + k, 10, 1.5), QColor(*shade.tolist()))
+        painter.setPen(QPen(t.colour("border"), 1))
+        painter.drawRect(bar)
+        whole = self.scene.bins is not None
+        step = max(nice_step(high - low, 4), 1.0 if whole else 0.0)
+        scale, height = PlotArea(bar, 0, 1, low, high), painter.fontMetrics().height()
+        painter.setPen(t.colour("muted"))
+        for value in ticks(low, high, 4):
+            if self.scene.bins is not None and value != round(value):
+                continue
+            box = QRectF(bar.right() + 4, scale.y(value) - height / 2, 60, height)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignVCenter), tick_text(value, step))
+
+
+def _pixels(area: PlotArea, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    scale = area.rect.width() / (area.x1 - area.x0)
+    x = area.rect.left() + (points[:, 0] - area.x0) * scale
+    y = area.rect.bottom() - (points[:, 1] - area.y0) * scale
+    return x, y
+
+
+def reach_of(bottom: FloatArray, points_mm: FloatArray) -> float:
+    """Return a half width, in whole 5 mm, in which the contour and all points lie."""
+    largest = max(
+        float(np.abs(part).max(initial=0.0)) for part in (bottom, points_mm[_finite(points_mm)])
+    )
+    return 5.0 * math.ceil((largest + 1.0) / 5.0)
+
+
+def _finite(points: FloatArray) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(points).all(axis=1))

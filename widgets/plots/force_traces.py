@@ -1,0 +1,285 @@
+"""Live plot of wrench and width."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from PySide6.QtCore import QPointF, QRectF, Qt
+from PySide6.QtGui import QPainter, QPaintEvent, QPen, QPixmap, QPolygonF, QResizeEvent, QStaticText
+from PySide6.QtWidgets import QSizePolicy, QWidget
+
+from touchdown.backend.core import FloatArray
+from touchdown.widgets.base import Age, Panel, Theme, tool, ui_font
+from touchdown.widgets.plots.axes import (
+    PlotArea,
+    TraceBuckets,
+    draw_message,
+    draw_stale,
+    nice_step,
+    polygon_of,
+    tick_text,
+    ticks,
+)
+
+AXES = ("x", "y", "z")
+LIMITS = (1.0, 2.0, 5.0)
+BUCKETS = 360
+ROW_EM = 1.4
+"""Distance of the read-outs, in their height."""
+SPANS_S = (10.0, 30.0, 60.0)
+
+
+class TracePlot(QWidget):
+    """Three traces with one unit. The range grows in round steps and shrinks only on ``fit``."""
+
+    def __init__(self, theme: Theme, name: str, symbol: str, unit: str, limit: float) -> None:
+        super().__init__()
+        self._theme, self._name, self._symbol, self._unit = theme, name, symbol, unit
+        self._least = self.limit = limit
+        self.buckets = TraceBuckets(3, buckets=BUCKETS)
+        self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
+        self._note = ""
+        self._ground: QPixmap | None = None
+        self._ground_key: tuple[object, ...] = ()
+        self.paints = 0
+        self.points_drawn = 0
+        self.setAccessibleName(f"{name} traces")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setMinimumSize(240, 110)
+        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
+
+    def add(self, t_s: FloatArray, values: FloatArray) -> None:
+        """Take samples: ``t_s`` (n,), ``values`` (n, 3)."""
+        self.buckets.add(t_s, values)
+        finite = values[np.isfinite(values)]
+        if len(finite):
+            self._grow(float(np.abs(finite).max()))
+        self.update()
+
+    def show_span(self, span_s: float) -> None:
+        """Show another length of time; what is shown is forgotten and has to be added anew."""
+        self.buckets = TraceBuckets(3, span_s, buckets=BUCKETS)
+        self._ground = None
+        self.update()
+
+    def clear(self) -> None:
+        """Forget the samples."""
+        self.buckets.clear()
+        self._age = Age.NEVER
+        self.update()
+
+    def fit(self) -> None:
+        """Set the range to what is shown now."""
+        self.limit = self._least / 100
+        self._grow(max(self.buckets.largest(), self._least / 10))
+        self.update()
+
+    def show_age(self, age: Age, age_s: float, reason: str) -> None:
+        """Say how old the newest sample is."""
+        if age is Age.FRESH and self._age is Age.FRESH:
+            return
+        self._age, self._age_s, self._reason = age, age_s, reason
+        self.update()
+
+    def show_note(self, note: str) -> None:
+        """Show a figure of the sensor beside the title, such as its drift."""
+        if note != self._note:
+            self._note, self._ground = note, None
+            self.update()
+
+    def summary(self) -> str:
+        """Return the newest values in words, for screen readers."""
+        if self.buckets.empty:
+            return f"{self._name}: waiting for data"
+        parts = (f"{self._symbol}{a} {v:.2f}" for a, v in zip(AXES, self.buckets.last, strict=True))
+        span = f"{self.buckets.span_s:.0f} s"
+        note = f"; {self._note}" if self._note else ""
+        largest = f"largest {self.buckets.largest():.2f} in {span}"
+        return f"{', '.join(parts)} {self._unit}; {largest}{note}"
+
+    def _grow(self, magnitude: float) -> None:
+        while magnitude * 1.05 > self.limit:
+            self.limit = _next_limit(self.limit)
+
+    def resizeEvent(self, _event: QResizeEvent) -> None:
+        """Forget the drawn background."""
+        self._ground = None
+
+    def area(self) -> PlotArea:
+        """Return where the traces are drawn."""
+        em = self.fontMetrics().height()
+        top = 1.7 * em
+        rect = QRectF(2.9 * em, top, self.width() - 8.9 * em, self.height() - top - 1.6 * em)
+        return PlotArea(rect, -self.buckets.span_s, 0.0, -self.limit, self.limit)
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the background from its copy, then the traces."""
+        self.paints += 1
+        painter = QPainter(self)
+        area = self.area()
+        painter.drawPixmap(0, 0, self._background(area))
+        if self.buckets.empty:
+            draw_message(painter, area.rect, self._theme, "Waiting for data", self._reason)
+            return
+        self._draw_traces(painter, area)
+        self._draw_end_labels(painter, area)
+        if self._age in (Age.STALE, Age.GONE):
+            panel = self._theme.tokens.colour("panel")
+            draw_stale(painter, area.rect, self._theme, self._age_s, panel)
+
+    def _draw_traces(self, painter: QPainter, area: PlotArea) -> None:
+        lines = _polylines(area, *thinned(*self.buckets.ordered(), int(area.rect.width())))
+        painter.setClipRect(area.rect)
+        self.points_drawn = 0
+        for name, stretches in zip(AXES, lines, strict=True):
+            painter.setPen(QPen(self._theme.tokens.colour(f"axis_{name}"), 1))
+            for line in stretches:
+                self.points_drawn = max(self.points_drawn, line.size())
+                painter.drawPolyline(line)
+        painter.setClipping(False)
+
+    def _draw_end_labels(self, painter: QPainter, area: PlotArea) -> None:
+        font = ui_font(self._theme.scale, 0.92, 500)
+        painter.setFont(font)
+        height = painter.fontMetrics().height()
+        # Read-outs: places that follow the curves would jump while they are being read.
+        top = area.rect.center().y() - (ROW_EM + 0.5) * height
+        decimals = 1 if self.limit >= 5 else 3
+        left, right = area.rect.right() + 8, self.width() - 2.0
+        for row, (name, value) in enumerate(zip(AXES, self.buckets.last.tolist(), strict=True)):
+            painter.setPen(self._theme.tokens.colour(f"axis_{name}"))
+            y = top + ROW_EM * height * row
+            symbol = _laid_out(f"{self._symbol}{name}", self._theme.scale)
+            text = _laid_out(f"{value:+.{decimals}f}", self._theme.scale)
+            painter.drawStaticText(QPointF(left, y), symbol)
+            painter.drawStaticText(QPointF(right - text.size().width(), y), text)
+
+    def _background(self, area: PlotArea) -> QPixmap:
+        key = (self.size().toTuple(), self.limit, self._theme.tokens.name, self._theme.scale)
+        if self._ground is None or key != self._ground_key:
+            ratio = self.devicePixelRatioF()
+            self._ground = QPixmap(self.size() * ratio)
+            self._ground.setDevicePixelRatio(ratio)
+            self._ground_key = key
+            painter = QPainter(self._ground)
+            try:
+                self._draw_background(painter, area)
+            finally:
+                painter.end()
+        return self._ground
+
+    def _draw_background(self, painter: QPainter, area: PlotArea) -> None:
+        t, rect = self._theme.tokens, area.rect
+        painter.fillRect(self.rect(), t.colour("panel"))
+        painter.fillRect(rect, t.colour("bg"))
+        painter.setFont(ui_font(self._theme.scale, 0.85))
+        height = painter.fontMetrics().height()
+        # No more numbers than there is room for: low plots name the middle and the ends.
+        count = 4 if rect.height() >= 7 * height else 2
+        step = nice_step(2 * self.limit, count)
+        for value in ticks(-self.limit, self.limit, count):
+            y = area.y(value)
+            painter.setPen(QPen(t.colour("border" if value == 0 else "grid"), 1))
+            painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
+            painter.setPen(t.colour("muted"))
+            # The lowest number would meet the first one of the time axis.
+            y = min(y, rect.bottom() - 0.35 * height)
+            box = QRectF(0, y - height / 2, rect.left() - 6, height)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
+        span = int(self.buckets.span_s)
+        widest = painter.fontMetrics().horizontalAdvance(f"{tick_text(-span, 1)} s")
+        for value in range(-span, 1, span // (5 if rect.width() >= 7 * widest else 2)):
+            x = area.x(value)
+            painter.setPen(QPen(t.colour("grid"), 1))
+            painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))
+            painter.setPen(t.colour("muted"))
+            box = QRectF(x - 3 * height, rect.bottom() + 3, 6 * height, height)
+            text = "now" if value == 0 else f"{tick_text(value, 1)} s"
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), text)
+        painter.setPen(t.colour("muted"))
+        painter.setFont(ui_font(self._theme.scale, 0.85, 500))
+        name = f"{self._name} ({self._unit})"
+        painter.drawText(QPointF(rect.left(), rect.top() - 0.5 * height), name)
+        painter.setFont(ui_font(self._theme.scale, 0.85))
+        left = painter.fontMetrics().horizontalAdvance(f"{name}   ")
+        note = painter.fontMetrics().elidedText(
+            self._note, Qt.TextElideMode.ElideRight, int(rect.width() - left)
+        )
+        width = painter.fontMetrics().horizontalAdvance(note)
+        painter.drawText(QPointF(rect.right() - width, rect.top() - 0.5 * height), note)
+
+
+def _next_limit(limit: float) -> float:
+    """Next of 1, 2, 5, 10 ... above ``limit``."""
+    power = 10.0 ** np.floor(np.log10(limit) + 1e-9)
+    for mantissa in (2.0, 5.0, 10.0):
+        if mantissa * power > limit * (1 + 1e-9):
+            return float(mantissa * power)
+    return limit * 2
+
+
+def thinned(
+    age_s: FloatArray, low: FloatArray, high: FloatArray, columns: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Merge neighbouring buckets until there are at most ``columns`` of them."""
+    factor = -(-len(age_s) // max(columns, 1))
+    if factor <= 1:
+        return age_s, low, high
+    starts = np.arange(0, len(age_s), factor)
+    return (
+        age_s[starts],
+        np.fmin.reduceat(low, starts, axis=0),
+        np.fmax.reduceat(high, starts, axis=0),
+    )
+
+
+def _polylines(
+    area: PlotArea, age_s: FloatArray, low: FloatArray, high: FloatArray
+) -> list[list[QPolygonF]]:
+    """Per axis one polyline per stretch without a gap; a bucket gives its low and high point."""
+    points = np.empty((low.shape[1], len(age_s), 2, 2))
+    points[..., 0] = area.columns(age_s)[:, None]
+    for end, values in enumerate((low, high)):
+        points[:, :, end, 1] = area.rows(np.clip(values, 2 * area.y0, 2 * area.y1)).T
+    good = np.isfinite(low)
+    if good.all():
+        return [[polygon_of(axis.reshape(-1, 2))] for axis in points]
+    edges = np.diff(np.pad(good, ((1, 1), (0, 0))).astype(np.int8), axis=0)
+    lines = []
+    for axis, edge in zip(points, edges.T, strict=True):
+        stretches = np.flatnonzero(edge).reshape(-1, 2).tolist()
+        lines.append([polygon_of(axis[start:end].reshape(-1, 2)) for start, end in stretches])
+    return lines
+
+
+@lru_cache(maxsize=1024)
+def _laid_out(text: str, scale: float) -> QStaticText:
+    """Return a read-out whose letters have their places; most values come again and again."""
+    made = QStaticText(text.replace("-", "\N{MINUS SIGN}"))
+    made.setTextFormat(Qt.TextFormat.PlainText)
+    made.prepare(font=ui_font(scale, 0.92, 500))
+    return made
+
+
+class TracesPanel(Panel):
+    """``tools`` stand in the header before *Fit*."""
+
+    def __init__(
+        self, title: str, force: TracePlot, moment: TracePlot, tools: Sequence[QWidget] = ()
+    ) -> None:
+        super().__init__(title)
+        self._plots = force, moment
+        self.column.setSpacing(2)
+        for plot in self._plots:
+            self.column.addWidget(plot, 1)
+        fit = tool("Fit", "Set both ranges to what is shown now (Ctrl+F)")
+        fit.clicked.connect(self.fit)
+        for widget in (*tools, fit):
+            self.header.addWidget(widget)
+
+    def fit(self) -> None:
+        """Fit the ranges of both plots."""
+        for plot in self._plots:
+            plot.fit()

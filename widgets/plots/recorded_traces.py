@@ -1,0 +1,430 @@
+"""Plots of recorded signals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QColor, QImage, QMouseEvent, QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import QSizePolicy, QWidget
+
+from touchdown.backend.core import FloatArray
+from touchdown.widgets.base import Theme, Tokens, ui_font
+from touchdown.widgets.plots.axes import PlotArea, draw_message, nice_step, tick_text, ticks
+
+LEAST = {"N": 1.0, "N·m": 0.02}
+POINTS_PER_COLUMN = 2
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchTrace:
+    """``t_s`` (n,) after the contact onset; ``values`` (n, 6): forces in N, moments in N·m."""
+
+    t_s: FloatArray
+    values: FloatArray
+
+
+def unit_of(channel: int) -> str:
+    """Return the unit of channel 0..5."""
+    return "N" if channel < 3 else "N·m"
+
+
+@dataclass(frozen=True, slots=True)
+class Paper:
+    """What a plot is drawn on: size and line height in px, device pixels per px, and the looks."""
+
+    width: int
+    height: int
+    ratio: float
+    em: int
+    tokens: Tokens
+    scale: float
+
+    def blank(self) -> QImage:
+        """Return an image of this size on the ground of a panel."""
+        size = round(self.width * self.ratio), round(self.height * self.ratio)
+        image = QImage(*size, QImage.Format.Format_RGB32)
+        image.setDevicePixelRatio(self.ratio)
+        image.fill(self.tokens.colour("panel"))
+        return image
+
+
+def paper_of(widget: QWidget, theme: Theme) -> Paper:
+    """Return what ``widget`` is drawn on now."""
+    return Paper(widget.width(), widget.height(), widget.devicePixelRatioF(),
+                 widget.fontMetrics().height(), theme.tokens, theme.scale)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class TraceSheet:
+    """Axes of the chosen ``channels`` for one ``trace``; sheets are equal if they look alike."""
+
+    paper: Paper
+    channels: tuple[int, ...]
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the chosen channels, left axis first."""
+        return tuple(dict.fromkeys(unit_of(c) for c in self.channels))
+
+    def colour(self, channel: int) -> QColor:
+        """Return the colour of the axis; of a pair each has its own, whatever its axis."""
+        pair = len(self.channels) == 2
+        axis = "xz"[self.channels.index(channel)] if pair else "xyz"[channel % 3]
+        return self.paper.tokens.colour(f"axis_{axis}")
+
+    def area(self, trace: WrenchTrace | None, unit: str) -> PlotArea:
+        """Where the curves of ``unit`` are drawn."""
+        em = self.paper.em
+        right = 3.4 * em if len(self.units) > 1 else 0.6 * em
+        rect = QRectF(3.0 * em, 1.5 * em, self.paper.width - 3.0 * em - right,
+                      self.paper.height - 2.9 * em)  # fmt: skip
+        if trace is None or not len(trace.t_s):
+            return PlotArea(rect, 0.0, 2.0, -1.0, 1.0)
+        low, high = self._range(trace, unit)
+        return PlotArea(rect, float(trace.t_s[0]), float(trace.t_s[-1]), low, high)
+
+    def _range(self, trace: WrenchTrace, unit: str) -> tuple[float, float]:
+        values = trace.values[:, [c for c in self.channels if unit_of(c) == unit]]
+        finite = values[np.isfinite(values)]
+        least = LEAST[unit]
+        low = min(float(finite.min()), -least) if len(finite) else -least
+        high = max(float(finite.max()), least) if len(finite) else least
+        room = 0.06 * (high - low)
+        return low - room, high + room
+
+    def draw(self, trace: WrenchTrace) -> QImage:
+        """Return axes and curves."""
+        image = self.paper.blank()
+        painter = QPainter(image)
+        try:
+            areas = {unit: self.area(trace, unit) for unit in self.units}
+            self._draw_axes(painter, areas)
+            self._draw_curves(painter, trace, areas)
+        finally:
+            painter.end()
+        return image
+
+    def _draw_axes(self, painter: QPainter, areas: dict[str, PlotArea]) -> None:
+        t, area = self.paper.tokens, areas[self.units[0]]
+        painter.fillRect(area.rect, t.colour("bg"))
+        painter.setFont(ui_font(self.paper.scale, 0.85))
+        height = painter.fontMetrics().height()
+        for side, unit in enumerate(self.units):
+            self._draw_scale(painter, areas[unit], unit, right=side == 1)
+        for value in ticks(area.x0, area.x1, 5):
+            x = area.x(value)
+            painter.setPen(QPen(t.colour("grid"), 1))
+            painter.drawLine(QPointF(x, area.rect.top()), QPointF(x, area.rect.bottom()))
+            painter.setPen(t.colour("muted"))
+            text = f"{tick_text(value, 0.5)} s"
+            painter.drawText(QRectF(x - 40, area.rect.bottom() + 2, 80, height),
+                             int(Qt.AlignmentFlag.AlignHCenter), text)  # fmt: skip
+
+    def _draw_scale(self, painter: QPainter, area: PlotArea, unit: str, *, right: bool) -> None:
+        t, rect = self.paper.tokens, area.rect
+        height = painter.fontMetrics().height()
+        # No more numbers than there is room for: low plots name two or three.
+        count = min(max(int(rect.height() / (1.4 * height)), 1), 4)
+        step = nice_step(area.y1 - area.y0, count)
+        for value in ticks(area.y0, area.y1, count):
+            y = area.y(value)
+            if not right:
+                painter.setPen(QPen(t.colour("border" if value == 0 else "grid"), 1))
+                painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
+            painter.setPen(t.colour("muted"))
+            text = tick_text(value, step)
+            if right:
+                painter.drawText(QPointF(rect.right() + 5, y + 0.35 * height), text)
+            else:
+                box = QRectF(0, y - height / 2, rect.left() - 5, height)
+                painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), text)
+        place = QRectF(0, rect.top() - height - 3, rect.left() - 5, height)
+        if right:
+            place.moveLeft(rect.right() + 5)
+        side = Qt.AlignmentFlag.AlignLeft if right else Qt.AlignmentFlag.AlignRight
+        painter.drawText(place, int(side), unit)
+
+    def _draw_curves(
+        self, painter: QPainter, trace: WrenchTrace, areas: dict[str, PlotArea]
+    ) -> None:
+        for channel in self.channels:
+            area = areas[unit_of(channel)]
+            painter.setClipRect(area.rect)
+            painter.setPen(QPen(self.colour(channel), 1))
+            t_s, values = extremes(trace.t_s, trace.values[:, channel], int(area.rect.width()))
+            good = np.isfinite(values)
+            edges = np.flatnonzero(np.diff(good.astype(np.int8), prepend=0, append=0))
+            for start, end in edges.reshape(-1, 2).tolist():
+                painter.drawPolyline(area.polygon(t_s[start:end], values[start:end]))
+        painter.setClipping(False)
+
+
+def extremes(t_s: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
+    """Return least and greatest of each group of samples: at most two points per pixel column."""
+    group = -(-len(t_s) // max(columns, 1))
+    if group <= POINTS_PER_COLUMN:
+        return t_s, values
+    starts = np.arange(0, len(t_s), group)
+    low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
+    both = np.stack([low, high], axis=1).ravel()
+    return np.repeat(t_s[starts], 2), both
+
+
+NAMES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+NOTHING = "No wrench was recorded"
+Drawn = tuple[TraceSheet, QImage]
+"""A sheet that was drawn ahead, and its picture."""
+
+FONTS, GAP_PX = (0.85, 0.75, 0.68), 8
+"""Sizes of the readings at the cursor: the first for which there is room."""
+
+
+class RecordedTraces(QWidget):
+    """Draws the chosen channels on one plot; ``seek`` is told the time that was clicked."""
+
+    def __init__(self, theme: Theme, channels: tuple[int, ...], seek: Callable[[float], None]):
+        super().__init__()
+        self._theme, self._seek = theme, seek
+        self.channels = channels
+        self.trace: WrenchTrace | None = None
+        self.cursor_s = 0.0
+        self._why_empty = NOTHING
+        self._drawn: Drawn | None = None
+        self.setAccessibleName("Force and moment of the probe")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setMinimumSize(200, 84)
+        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
+
+    def sizeHint(self) -> QSize:
+        """Return a flat rectangle."""
+        return QSize(420, 130)
+
+    def show_trace(
+        self, trace: WrenchTrace | None, drawn: Drawn | None = None, why: str = NOTHING
+    ) -> None:
+        """Show another probe, or ``why`` there is nothing; ``drawn`` is used if it fits."""
+        self.trace, self._drawn, self._why_empty = trace, drawn, why
+        self.update()
+
+    def sheet(self) -> TraceSheet:
+        """Return what is drawn on now."""
+        return TraceSheet(paper_of(self, self._theme), self.channels)
+
+    def show_channels(self, channels: tuple[int, ...]) -> None:
+        """Choose what is drawn."""
+        self.channels, self._drawn = channels, None
+        self.update()
+
+    def show_cursor(self, t_s: float) -> None:
+        """Move the cursor."""
+        self.cursor_s = t_s
+        self.setAccessibleDescription(self.summary())
+        self.update()
+
+    def at_cursor(self) -> FloatArray:
+        """(6,) newest sample not later than the cursor; NaN before the first."""
+        if self.trace is None:
+            return np.full(6, np.nan)
+        index = int(np.searchsorted(self.trace.t_s, self.cursor_s, side="right")) - 1
+        return self.trace.values[index] if index >= 0 else np.full(6, np.nan)
+
+    def summary(self) -> str:
+        """Return the values at the cursor in words."""
+        values = self.at_cursor()
+        return ", ".join(_reading(c, values[c]) for c in self.channels)
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Move the cursor to where the plot was pressed."""
+        self._go_to(event)
+
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:
+        """Move the cursor along."""
+        self._go_to(event)
+
+    def _go_to(self, event: QMouseEvent) -> None:
+        if self.trace is None or not event.buttons() & Qt.MouseButton.LeftButton:
+            return
+        area = self.area("N")
+        share = (event.position().x() - area.rect.left()) / area.rect.width()
+        self._seek(area.x0 + min(max(share, 0.0), 1.0) * (area.x1 - area.x0))
+
+    # -- drawing ----------------------------------------------------------------------------------
+
+    def units(self) -> tuple[str, ...]:
+        """Units of the chosen channels, left axis first."""
+        return self.sheet().units
+
+    def area(self, unit: str) -> PlotArea:
+        """Where the curves of ``unit`` are drawn."""
+        return self.sheet().area(self.trace, unit)
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Copy the curves, then draw cursor and readings."""
+        painter = QPainter(self)
+        if self.trace is None or len(self.trace.t_s) < 2:
+            painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
+            draw_message(painter, self.rect(), self._theme, self._why_empty)
+            return
+        sheet = self.sheet()
+        if self._drawn is None or self._drawn[0] != sheet:
+            self._drawn = sheet, sheet.draw(self.trace)
+        painter.drawImage(0, 0, self._drawn[1])
+        self._draw_cursor(painter, sheet, self.trace)
+
+    def _draw_cursor(self, painter: QPainter, sheet: TraceSheet, trace: WrenchTrace) -> None:
+        t, area = self._theme.tokens, sheet.area(trace, sheet.units[0])
+        x = area.x(min(max(self.cursor_s, area.x0), area.x1))
+        painter.setPen(QPen(t.colour("text"), 1))
+        painter.drawLine(QPointF(x, area.rect.top()), QPointF(x, area.rect.bottom()))
+        values, left = self.at_cursor(), area.rect.left()
+        texts = [_reading(channel, values[channel]) for channel in self.channels]
+        room = self.width() - left - GAP_PX * len(texts)
+        for size in FONTS:
+            painter.setFont(ui_font(self._theme.scale, size, 500))
+            if sum(painter.fontMetrics().horizontalAdvance(text) for text in texts) <= room:
+                break
+        for channel, text in zip(self.channels, texts, strict=True):
+            painter.setPen(sheet.colour(channel))
+            painter.drawText(QPointF(left, area.rect.top() - 5), text)
+            left += painter.fontMetrics().horizontalAdvance(text) + GAP_PX
+
+
+def _reading(channel: int, value: float) -> str:
+    if math.isnan(value):
+        return f"{NAMES[channel]} none"
+    decimals = 1 if channel < 3 else 3
+    text = f"{value:+.{decimals}f}".replace("-", "\N{MINUS SIGN}")
+    return f"{NAMES[channel]} {text}"
+
+
+LEAST_NM = 0.02
+MOST_POINTS = 400
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseSheet:
+    """The drawn part: axes, and the whole path faintly; by any thread."""
+
+    paper: Paper
+
+    def area(self, trace: WrenchTrace | None) -> PlotArea:
+        """Return the square that is drawn, centred on the path."""
+        em = self.paper.em
+        side = max(min(self.paper.width - 3.2 * em, self.paper.height - 3.0 * em), 30.0)
+        rect = QRectF(2.9 * em, 1.4 * em, side, side)
+        if trace is None:
+            return PlotArea(rect, -1.0, 1.0, -1.0, 1.0)
+        moments = trace.values[:, 3:5]
+        moments = moments[np.isfinite(moments).all(axis=1)]
+        low, high = moments.min(axis=0), moments.max(axis=0)
+        half = 0.55 * max(float((high - low).max()), LEAST_NM)
+        x, y = ((low + high) / 2).tolist()
+        return PlotArea(rect, x - half, x + half, y - half, y + half)
+
+    def draw(self, trace: WrenchTrace) -> QImage:
+        """Return axes and path of a trace with moments."""
+        image, area = self.paper.blank(), self.area(trace)
+        painter = QPainter(image)
+        try:
+            self._draw_axes(painter, area)
+            painter.setClipRect(area.rect)
+            painter.setPen(QPen(self.paper.tokens.colour("border"), 1))
+            step = step_of(trace)
+            painter.drawPolyline(area.polygon(trace.values[::step, 3], trace.values[::step, 4]))
+        finally:
+            painter.end()
+        return image
+
+    def _draw_axes(self, painter: QPainter, area: PlotArea) -> None:
+        t, rect = self.paper.tokens, area.rect
+        painter.fillRect(rect, t.colour("bg"))
+        painter.setFont(ui_font(self.paper.scale, 0.8))
+        height = painter.fontMetrics().height()
+        step = nice_step(area.x1 - area.x0, 4)
+        painter.setPen(t.colour("muted"))
+        for value in ticks(area.x0, area.x1, 4):
+            box = QRectF(area.x(value) - 30, rect.bottom() + 2, 60, height)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), tick_text(value, step))
+        for value in ticks(area.y0, area.y1, 4):
+            box = QRectF(0, area.y(value) - height / 2, rect.left() - 5, height)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
+        above = QRectF(0, rect.top() - height - 3, self.paper.width, height)
+        painter.drawText(above, int(Qt.AlignmentFlag.AlignLeft), "Ty over Tx (N·m)")
+
+
+PhaseDrawn = tuple[PhaseSheet, QImage]
+
+
+def has_moments(trace: WrenchTrace) -> bool:
+    """Whether there is a path to draw."""
+    return bool(np.isfinite(trace.values[:, 3:5]).all(axis=1).any())
+
+
+def step_of(trace: WrenchTrace) -> int:
+    """Return which samples are drawn: every so many."""
+    return max(len(trace.t_s) // MOST_POINTS, 1)
+
+
+class PhasePlot(QWidget):
+    """Draws the path of (Tx, Ty) up to the cursor strongly, the rest faintly."""
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__()
+        self._theme = theme
+        self._trace: WrenchTrace | None = None
+        self._cursor_s = 0.0
+        self._why_empty = "No moments"
+        self._drawn: PhaseDrawn | None = None
+        self.setAccessibleName("Moment Tx over moment Ty")
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
+        self.setMinimumSize(140, 110)
+        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
+
+    def sizeHint(self) -> QSize:
+        """Return a square."""
+        return QSize(150, 150)
+
+    def show_trace(
+        self, trace: WrenchTrace | None, drawn: PhaseDrawn | None = None, why: str = "No moments"
+    ) -> None:
+        """Show another probe, or ``why`` there is nothing; ``drawn`` is used if it fits."""
+        self._trace, self._drawn, self._why_empty = trace, drawn, why
+        self.update()
+
+    def sheet(self) -> PhaseSheet:
+        """Return what is drawn on now."""
+        return PhaseSheet(paper_of(self, self._theme))
+
+    def show_cursor(self, t_s: float) -> None:
+        """Move the cursor."""
+        self._cursor_s = t_s
+        self.update()
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Copy axes and path, then draw what was until now and the present place."""
+        painter = QPainter(self)
+        trace = self._trace
+        if trace is None or not has_moments(trace):
+            painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
+            draw_message(painter, self.rect(), self._theme, self._why_empty)
+            return
+        sheet = self.sheet()
+        if self._drawn is None or self._drawn[0] != sheet:
+            self._drawn = sheet, sheet.draw(trace)
+        painter.drawImage(0, 0, self._drawn[1])
+        area = sheet.area(trace)
+        painter.setClipRect(area.rect)
+        until = int(np.searchsorted(trace.t_s, self._cursor_s, side="right"))
+        x, y, step = trace.values[:, 3], trace.values[:, 4], step_of(trace)
+        t = self._theme.tokens
+        painter.setPen(QPen(t.colour("axis_x"), 1))
+        painter.drawPolyline(area.polygon(x[:until:step], y[:until:step]))
+        if until:
+            painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+            painter.setPen(QPen(t.colour("text"), 2))
+            painter.setBrush(t.colour("bg"))
+            painter.drawEllipse(QPointF(area.x(x[until - 1]), area.y(y[until - 1])), 4, 4)

@@ -1,0 +1,323 @@
+"""Plots of a training."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPaintEvent, QPen, QPolygonF
+from PySide6.QtWidgets import QSizePolicy, QWidget
+
+from touchdown.backend.core import FloatArray
+from touchdown.widgets.base import Theme, colours, ui_font
+from touchdown.widgets.plots.axes import PlotArea, draw_message, nice_step, spread, tick_text, ticks
+from touchdown.widgets.views import on_black
+
+LEAST_EPOCHS = 4
+WIDEST_ENDING = "valid. 0.000"
+"""Room for this beside all curves: those below each other end in line."""
+TOKENS = ("axis_x", "axis_z", "axis_y")
+"""Colours of the compared runs A, B, C; each line also carries its letter."""
+Points = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One curve: its name at the right end, its points (x rising), a colour token, its style."""
+
+    name: str
+    points: Points
+    token: str
+    dashed: bool = False
+
+
+class _Plot(QWidget):
+    """Axes and lines; small enough to be drawn whole."""
+
+    def __init__(self, theme: Theme, name: str) -> None:
+        super().__init__()
+        self._theme, self._name = theme, name
+        self.lines: tuple[Line, ...] = ()
+        self.setAccessibleName(name)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setMinimumSize(130, 96)
+
+    def sizeHint(self) -> QSize:
+        """Return room for a readable plot."""
+        return QSize(280, 170)
+
+    def _area(self, x: tuple[float, float], y: tuple[float, float], right: float) -> PlotArea:
+        em = self.fontMetrics().height()
+        top = 1.6 * em
+        width, height = self.width() - 2.6 * em - right, self.height() - top - 1.5 * em
+        return PlotArea(QRectF(2.6 * em, top, max(width, 20), max(height, 20)), *x, *y)
+
+    def _beside(self, endings: Iterable[str] = ()) -> float:
+        """Return the room at the right that the words there take."""
+        metrics = QFontMetrics(ui_font(self._theme.scale, 0.82, 500))
+        return 12.0 + max(metrics.horizontalAdvance(text) for text in (WIDEST_ENDING, *endings))
+
+    def _draw_axes(self, painter: QPainter, area: PlotArea, *, whole: bool) -> None:
+        t, rect = self._theme.tokens, area.rect
+        painter.fillRect(rect, t.colour("bg"))
+        painter.setFont(ui_font(self._theme.scale, 0.82))
+        height = painter.fontMetrics().height()
+        rows = max(2, int(rect.height() / (1.7 * height)))
+        step = nice_step(area.y1 - area.y0, rows)
+        for value in ticks(area.y0, area.y1, rows):
+            y = area.y(value)
+            painter.setPen(QPen(t.colour("grid"), 1))
+            painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
+            painter.setPen(t.colour("muted"))
+            box = QRectF(0, y - height / 2, rect.left() - 5, height)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
+        count = max(2, int(rect.width() / (1.8 * height)))
+        step = nice_step(area.x1 - area.x0, count)
+        step = max(step, 1.0) if whole else step
+        for value in ticks(area.x0, area.x1, count):
+            if whole and value != round(value):
+                continue
+            painter.setPen(t.colour("muted"))
+            box = QRectF(area.x(value) - 2 * height, rect.bottom() + 2, 4 * height, height)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), tick_text(value, step))
+        painter.setFont(ui_font(self._theme.scale, 0.85, 500))
+        head = QRectF(rect.left(), 0, self.width() - rect.left(), rect.top() - 3)
+        align = Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignLeft
+        painter.drawText(head, int(align), self._name)
+
+    def _draw_line(self, painter: QPainter, area: PlotArea, line: Line) -> None:
+        pen = QPen(self._theme.tokens.colour(line.token), 1.6)
+        if line.dashed:
+            pen.setStyle(Qt.PenStyle.DashLine)
+        painter.setPen(pen)
+        points = [QPointF(area.x(x), area.y(y)) for x, y in line.points if math.isfinite(y)]
+        if len(points) == 1:
+            painter.drawEllipse(points[0], 2.5, 2.5)
+        painter.drawPolyline(QPolygonF(points))
+
+
+class CurvePlot(_Plot):
+    """Values over epochs. ``best`` is marked; ``top`` limits the range (1 for shares)."""
+
+    def __init__(self, theme: Theme, name: str, top: float | None = None) -> None:
+        super().__init__(theme, name)
+        self._top = top
+        self.best = self.epochs = 0
+
+    def show_lines(self, lines: Sequence[Line], epochs: int, best: int = 0) -> None:
+        """Show curves up to ``epochs``; ``best``: an epoch to mark, 0 for none."""
+        if (tuple(lines), epochs, best) == (self.lines, self.epochs, self.best):
+            return
+        self.lines, self.epochs, self.best = tuple(lines), epochs, best
+        ends = [f"{one.name} {one.points[-1][1]:.3f}" for one in lines if one.points]
+        self.setAccessibleDescription(", ".join(ends) or "no epoch yet")
+        self.update()
+
+    def area(self) -> PlotArea:
+        """Return where the curves are drawn, in epochs and values."""
+        values = [y for one in self.lines for _, y in one.points if math.isfinite(y)]
+        low, high = (min(values), max(values)) if values else (0.0, 1.0)
+        gap = max(0.08 * (high - low), 0.01)
+        low, high = max(low - gap, 0.0), high + gap
+        if self._top is not None:
+            high = min(high, self._top)
+        room = self._beside(_ending(one) for one in self.lines if one.points)
+        return self._area((1.0, float(max(self.epochs, LEAST_EPOCHS))), (low, high), room)
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw axes, curves, and their names where they end."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        area = self.area()
+        self._draw_axes(painter, area, whole=True)
+        drawn = [one for one in self.lines if one.points]
+        if not drawn:
+            draw_message(painter, area.rect, self._theme, "", "No epoch yet")
+            return
+        if self.best:
+            painter.setPen(QPen(self._theme.tokens.colour("muted"), 1, Qt.PenStyle.DotLine))
+            x = area.x(self.best)
+            painter.drawLine(QPointF(x, area.rect.top()), QPointF(x, area.rect.bottom()))
+        for one in drawn:
+            self._draw_line(painter, area, one)
+        painter.setFont(ui_font(self._theme.scale, 0.82, 500))
+        height = painter.fontMetrics().height()
+        wanted = [area.y(one.points[-1][1]) for one in drawn]
+        places = spread(wanted, height, area.rect.top(), area.rect.bottom())
+        for one, y in zip(drawn, places, strict=True):
+            painter.setPen(self._theme.tokens.colour(one.token))
+            box = QRectF(area.rect.right() + 5, y - height / 2, self.width(), height)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), _ending(one))
+
+
+class ReliabilityPlot(_Plot):
+    """How often points are in contact that are given a probability; exact ones lie on the line."""
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__(theme, "Share in contact over predicted p")
+
+    def show_lines(self, lines: Sequence[Line]) -> None:
+        """Show one line per run: (mean predicted probability, share in contact)."""
+        if tuple(lines) != self.lines:
+            self.lines = tuple(lines)
+            self.setAccessibleDescription(", ".join(one.name for one in lines) or "no epoch yet")
+            self.update()
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the diagonal and the bins."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        area = self._area((0.0, 1.0), (0.0, 1.0), 14.0)
+        self._draw_axes(painter, area, whole=False)
+        painter.setPen(QPen(self._theme.tokens.colour("muted"), 1, Qt.PenStyle.DotLine))
+        painter.drawLine(area.rect.bottomLeft(), area.rect.topRight())
+        if not any(one.points for one in self.lines):
+            draw_message(painter, area.rect, self._theme, "", "No epoch yet")
+            return
+        painter.setFont(ui_font(self._theme.scale, 0.82, 500))
+        height = painter.fontMetrics().height()
+        for row, one in enumerate(self.lines):
+            self._draw_line(painter, area, one)
+            painter.setBrush(self._theme.tokens.colour(one.token))
+            for x, y in one.points:
+                painter.drawEllipse(QPointF(area.x(x), area.y(y)), 2.2, 2.2)
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            box = area.rect.adjusted(6, 2 + row * height, 0, 0)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), one.name)
+
+
+def _ending(line: Line) -> str:
+    return f"{line.name} {line.points[-1][1]:.3f}".strip()
+
+
+GAP = 8
+CAPTION_LINES = 2
+LEAST_EM, MOST_EM = 4.6, 9.0
+"""Side of a tile, in heights of the base font."""
+
+
+@dataclass(frozen=True, slots=True)
+class SampleScene:
+    """One sample: face points (N, 2) mm on a lattice of ``pitch_mm``, both patches (N,), words."""
+
+    points_mm: FloatArray
+    probability: FloatArray
+    truth: NDArray[np.bool_]
+    caption: str
+    detail: str
+    pitch_mm: float = 1.0
+
+
+class SampleStrip(QWidget):
+    """As many samples as there is room for, from the best to the worst."""
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__()
+        self._theme = theme
+        self.scenes: tuple[SampleScene, ...] = ()
+        self._why = "Choose a finished run."
+        self.setAccessibleName("Sample predictions beside the truth")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setMinimumSize(200, 110)
+
+    def sizeHint(self) -> QSize:
+        """Return room for two rows."""
+        return QSize(520, 240)
+
+    def show_scenes(self, scenes: Sequence[SampleScene], why: str = "") -> None:
+        """Show these samples; ``why`` there are none."""
+        self.scenes, self._why = tuple(scenes), why
+        words = [f"{scene.caption}, {scene.detail}" for scene in self.shown()]
+        self.setAccessibleDescription("; ".join(words) or why)
+        self.update()
+
+    def _grid(self) -> tuple[int, int, float]:
+        """Return (columns, rows, side) that cover the most; captions need ``LEAST_EM``."""
+        em = self.fontMetrics().height()
+        best, covered = (1, 1, LEAST_EM * em), 0.0
+        for columns in range(1, 9):
+            for rows in range(1, 4):
+                side = min((self.width() + GAP) / columns, (self.height() + GAP) / rows - 2 * em)
+                side = min(side - GAP, MOST_EM * em)
+                count = min(columns * rows, len(self.scenes))
+                if side >= LEAST_EM * em and count * side**2 > covered:
+                    best, covered = (columns, rows, side), count * side**2
+        return best
+
+    def shown(self) -> list[SampleScene]:
+        """Return what there is room for, evenly from the best to the worst."""
+        if not self.scenes:
+            return []
+        columns, rows, _ = self._grid()
+        count = min(columns * rows, len(self.scenes))
+        places = np.linspace(0, len(self.scenes) - 1, count).round().astype(int)
+        return [self.scenes[k] for k in places.tolist()]
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the tiles."""
+        painter = QPainter(self)
+        if not self.scenes:
+            draw_message(painter, self.rect(), self._theme, "No samples", self._why)
+            return
+        columns, _, side = self._grid()
+        em = self.fontMetrics().height()
+        for place, scene in enumerate(self.shown()):
+            row, column = divmod(place, columns)
+            x, y = column * (side + GAP), row * (side + GAP + CAPTION_LINES * em)
+            self._tile(painter, QRectF(x, y, side, side), scene)
+
+    def _tile(self, painter: QPainter, box: QRectF, scene: SampleScene) -> None:
+        t = self._theme.tokens
+        painter.fillRect(box, t.colour("bg"))
+        reach = float(np.abs(scene.points_mm).max()) + scene.pitch_mm
+        scale = box.width() / (2 * reach)
+        cell = scene.pitch_mm * scale
+        painter.setPen(Qt.PenStyle.NoPen)
+        rgb = colours(scene.probability, "cividis")
+        centres = scene.points_mm * (scale, -scale) + (box.center().x(), box.center().y())
+        for (x, y), colour in zip(centres.tolist(), rgb.tolist(), strict=True):
+            painter.fillRect(QRectF(x - cell / 2, y - cell / 2, cell + 0.5, cell + 0.5),
+                             QColor(*colour))  # fmt: skip
+        edges = _edges(scene.points_mm[scene.truth], scene.pitch_mm)
+        lines = edges * (scale, -scale) + (box.center().x(), box.center().y())
+
+        def stroke() -> None:
+            for (x0, y0), (x1, y1) in lines.tolist():
+                painter.drawPolyline(QPolygonF([QPointF(x0, y0), QPointF(x1, y1)]))
+
+        on_black(painter, 1.4, Qt.PenStyle.SolidLine, stroke)
+        self._words(painter, box, scene)
+
+    def _words(self, painter: QPainter, box: QRectF, scene: SampleScene) -> None:
+        em = self.fontMetrics().height()
+        mode = Qt.TextElideMode.ElideRight
+        for row, (text, token, size) in enumerate(
+            ((scene.caption, "text", 0.88), (scene.detail, "muted", 0.82))
+        ):
+            painter.setFont(ui_font(self._theme.scale, size, 500 if row == 0 else 400))
+            painter.setPen(QPen(self._theme.tokens.colour(token)))
+            line = QRectF(box.left(), box.bottom() + 1 + 0.92 * em * row, box.width() + GAP - 2, em)
+            shown = painter.fontMetrics().elidedText(text, mode, int(line.width()))
+            painter.drawText(line, int(Qt.AlignmentFlag.AlignLeft), shown)
+
+
+def _edges(points_mm: FloatArray, pitch_mm: float) -> FloatArray:
+    """Return (k, 2, 2) the sides of the lattice cells of ``points_mm`` that no two cells share."""
+    cells = {(round(x / pitch_mm), round(y / pitch_mm)) for x, y in points_mm.tolist()}
+    half = pitch_mm / 2
+    found = []
+    for i, j in sorted(cells):
+        x, y = i * pitch_mm, j * pitch_mm
+        for di, dj in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            if (i + di, j + dj) in cells:
+                continue
+            mid = (x + di * half, y + dj * half)
+            along = (abs(dj) * half, abs(di) * half)
+            found.append(
+                ((mid[0] - along[0], mid[1] - along[1]), (mid[0] + along[0], mid[1] + along[1]))
+            )
+    return np.asarray(found, dtype=np.float64).reshape(-1, 2, 2)

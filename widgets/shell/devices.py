@@ -1,0 +1,235 @@
+"""Device chips and inspector."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from PySide6.QtCore import QPoint, QPointF, QRectF, QSize, Qt, Signal
+from PySide6.QtGui import QColor, QFontMetrics, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import (
+    QDialog,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QSizePolicy,
+    QVBoxLayout,
+    QWidget,
+)
+
+from touchdown.widgets.base import Theme, Tokens, label, rule, ui_font
+from touchdown.widgets.shell.state import Colour, Shape, draw_shape
+
+ChipState = Literal["ready", "connecting", "degraded", "stale", "fault", "closed"]
+_LOOK: dict[ChipState, tuple[Shape, Colour]] = {
+    "ready": ("disc", "green"),
+    "connecting": ("ring", "blue"),
+    "degraded": ("triangle", "yellow"),
+    "stale": ("triangle", "yellow"),
+    "fault": ("square", "red"),
+    "closed": ("ring", "grey"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ChipValue:
+    """``detail`` is the second line, such as "25.0 Hz, 12 ms"; ``lost`` samples so far."""
+
+    state: ChipState
+    detail: str
+    lost: int = 0
+    tip: str = ""
+
+
+def mark_colours(state: ChipState, tokens: Tokens) -> tuple[QColor, QColor | None]:
+    """Return ink and rim of the mark of a state; the rim where the ink is hardly seen on a chip."""
+    colour = _LOOK[state][1]
+    named = {"green": "good", "red": "bad", "grey": "muted", "blue": "text"}
+    if colour != "yellow":
+        return tokens.colour(named[colour]), None
+    return tokens.colour("pill_yellow"), tokens.colour("text") if tokens.name == "light" else None
+
+
+class DeviceChip(QWidget):
+    """Two lines: name and figures, beside a state mark. ``short`` leaves out the figures.
+
+    A click, or Return while it has the focus, asks for more with ``clicked``.
+    """
+
+    clicked = Signal()
+
+    def __init__(self, theme: Theme, name: str) -> None:
+        super().__init__()
+        self.short = False
+        self._theme, self._name = theme, name
+        self.value = ChipValue("closed", "no data")
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+        self.setAccessibleName(f"{name}: closed")
+        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.setCursor(Qt.CursorShape.PointingHandCursor)
+        self.setAttribute(Qt.WidgetAttribute.WA_Hover)
+
+    def show_value(self, value: ChipValue) -> None:
+        """Show another value."""
+        if value == self.value:
+            return
+        self.value = value
+        self.setToolTip(value.tip)
+        self.setAccessibleName(f"{self._name}: {value.state}, {value.detail}")
+        self.update()
+
+    def sizeHint(self) -> QSize:
+        """Return room for the usual figures, or just for the name."""
+        figures = QFontMetrics(ui_font(self._theme.scale, 0.86))
+        name = QFontMetrics(ui_font(self._theme.scale, 0.86, 600))
+        width = name.horizontalAdvance(self._name)
+        if not self.short:
+            lost = name.horizontalAdvance("  10 lost") if "actile" in self._name else 0
+            width = max(figures.horizontalAdvance("1000 Hz, 00 ms"), width + lost)
+        return QSize(width + self._left_px() + 10, 2 * figures.height() + 8)
+
+    def _left_px(self) -> int:
+        """Return where the words begin: the mark before them grows with the text."""
+        return round(12 + 10 * max(self._theme.scale, 1.0))
+
+    def minimumSizeHint(self) -> QSize:
+        """Return the size hint: the bar, not the chip, decides what to leave out."""
+        return self.sizeHint()
+
+    def show_short(self, short: bool) -> None:
+        """Leave the figures to the tool tip, or show them."""
+        if short != self.short:
+            self.short = short
+            self.updateGeometry()
+            self.update()
+
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:
+        """Ask for more if the button was let go on the chip."""
+        if event.button() is Qt.MouseButton.LeftButton and self.rect().contains(
+            event.position().toPoint()
+        ):
+            self.clicked.emit()
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Return asks for more (Space may mean STOP)."""
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and not event.isAutoRepeat():
+            self.clicked.emit()
+        else:
+            super().keyPressEvent(event)
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw mark, name and figures."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        t = self._theme.tokens
+        focused = self.hasFocus()
+        painter.setPen(QPen(t.colour("focus" if focused else "hairline"), 2 if focused else 1))
+        painter.setBrush(t.colour("hover" if self.underMouse() else "raised"))
+        painter.drawRoundedRect(QRectF(self.rect()).adjusted(0.5, 0.5, -0.5, -0.5), 6, 6)
+        ink, rim = mark_colours(self.value.state, t)
+        size = (self._left_px() - 12) / 2
+        place = QPointF(8 + size, self.height() / 2)
+        draw_shape(painter, _LOOK[self.value.state][0], place, ink, size, rim)
+        self._draw_text(painter)
+
+    def _draw_text(self, painter: QPainter) -> None:
+        t = self._theme.tokens
+        left = self._left_px()
+        middle, width = self.height() / 2, self.width() - left - 4
+        painter.setPen(t.colour("text"))
+        painter.setFont(ui_font(self._theme.scale, 0.86, 600))
+        low = int(Qt.AlignmentFlag.AlignBottom)
+        if self.short:
+            painter.drawText(QRectF(left, 0, width, self.height()),
+                             int(Qt.AlignmentFlag.AlignVCenter), self._name)  # fmt: skip
+            return
+        painter.drawText(QRectF(left, 3, width, middle - 2), low, self._name)
+        if self.value.lost:
+            painter.setFont(ui_font(self._theme.scale, 0.8, 500))
+            painter.drawText(QRectF(left, 3, width - 4, middle - 2),
+                             low | int(Qt.AlignmentFlag.AlignRight),
+                             f"{self.value.lost} lost")  # fmt: skip
+        painter.setPen(t.colour("muted"))
+        painter.setFont(ui_font(self._theme.scale, 0.8))
+        detail = painter.fontMetrics().elidedText(
+            self.value.detail, Qt.TextElideMode.ElideRight, int(width)
+        )
+        painter.drawText(QRectF(left, middle, width, middle - 3), int(Qt.AlignmentFlag.AlignTop),
+                         detail)  # fmt: skip
+
+
+Rows = Sequence[tuple[str, str]]
+
+
+class DeviceInspector(QDialog):
+    """A table of (field, value) that follows one device."""
+
+    def __init__(self, parent: QWidget, on_reconnect: Callable[[], None]) -> None:
+        super().__init__(parent)
+        self.setModal(False)
+        self.key = ""
+        self.reconnect = QPushButton("Reconnect")
+        self.reconnect.setToolTip("Close the connection and open it again; nothing is let go")
+        self.reconnect.clicked.connect(on_reconnect)
+        self._head = label("", "head")
+        self._grid = QGridLayout()
+        self._grid.setHorizontalSpacing(28)
+        self._grid.setVerticalSpacing(6)
+        self._grid.setColumnStretch(1, 1)
+        self._values: dict[str, QLabel] = {}
+        self._close = QPushButton("Close")
+        self._close.clicked.connect(self.close)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(18, 14, 18, 14)
+        column.setSpacing(10)
+        column.addWidget(self._head)
+        column.addLayout(self._grid)
+        column.addStretch(1)
+        column.addWidget(rule())
+        buttons = QHBoxLayout()
+        buttons.addWidget(self.reconnect)
+        buttons.addStretch(1)
+        buttons.addWidget(self._close)
+        column.addLayout(buttons)
+        self.setMinimumWidth(300)
+
+    def open_at(self, key: str, title: str, rows: Rows, below: QPoint) -> None:
+        """Show device ``key`` with its upper left corner at ``below`` (global)."""
+        self.key = key
+        self.setWindowTitle(f"{title}: raw fields")
+        self._head.setText(title)
+        self.reconnect.setAccessibleName(f"Reconnect {title}")
+        self._build(rows)
+        self.adjustSize()
+        self.move(below)
+        self.show()
+        self.raise_()
+
+    def show_rows(self, rows: Rows) -> None:
+        """Show new values; the table is built anew only if the fields changed."""
+        if [field for field, _ in rows] != list(self._values):
+            self._build(rows)
+            return
+        for field, value in rows:
+            if self._values[field].text() != value:
+                self._values[field].setText(value)
+
+    def rows(self) -> dict[str, str]:
+        """Return what is shown, by field."""
+        return {field: value.text() for field, value in self._values.items()}
+
+    def _build(self, rows: Rows) -> None:
+        while (item := self._grid.takeAt(0)) is not None:
+            old = item.widget()
+            if old is not None:
+                old.deleteLater()
+        self._values.clear()
+        for row, (field, value) in enumerate(rows):
+            shown = label(value)
+            shown.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+            shown.setAccessibleName(field)
+            self._values[field] = shown
+            self._grid.addWidget(label(field, "muted"), row, 0)
+            self._grid.addWidget(shown, row, 1)

@@ -1,0 +1,417 @@
+"""Fault cards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from PySide6.QtCore import QEvent, QObject
+from PySide6.QtGui import QGuiApplication
+from PySide6.QtWidgets import (
+    QFrame,
+    QHBoxLayout,
+    QPlainTextEdit,
+    QPushButton,
+    QSizePolicy,
+    QVBoxLayout,
+    QWidget,
+)
+
+from touchdown.widgets.base import ElidedLabel, bring_in_sight, label, set_property
+
+MAX_CARDS = 4
+STOPPED = "STOPPED"
+"""Code of the card of a stop: always on top."""
+
+
+@dataclass(frozen=True, slots=True)
+class CardText:
+    """One card. ``reset``: it belongs to the stop latch, only Reset removes it.
+
+    ``passing``: an order was refused; the next one that is carried out removes it. ``notice``: said
+    once; another wording under the same code is another card, and none makes room unread.
+    ``obstacle``: a run waits until it is removed; the card goes when the run goes on. ``offer``:
+    the next step as a button of its own, and what it does.
+    """
+
+    code: str
+    what: str
+    consequence: str
+    next_step: str
+    details: str = ""
+    reset: bool = True
+    at: str = ""
+    passing: bool = False
+    notice: bool = False
+    obstacle: bool = False
+    offer: tuple[str, Callable[[], None]] | None = None
+
+    @property
+    def role(self) -> str:
+        """Return how the card looks: a fault, or a word that stops nothing or only waits."""
+        return "notice" if self.notice or self.obstacle or self.passing else "fault"
+
+    @property
+    def key(self) -> str:
+        """Return what makes two cards the same one."""
+        return f"{self.code} {self.what}" if self.notice else self.code
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A question asked without blocking anything: text and (label, action) per answer."""
+
+    text: str
+    answers: tuple[tuple[str, Callable[[], None]], ...]
+
+
+class FaultCard(QFrame):
+    """One card; the same code again only counts."""
+
+    def __init__(
+        self, text: CardText, on_button: Callable[[CardText], None], on_fold: Callable[[], None]
+    ) -> None:
+        super().__init__()
+        self.text, self.count = text, 1
+        self.setProperty("role", text.role)
+        self._title = label("", "head", wrap=True)
+        self._foot = label("", "small")
+        self._details = QPlainTextEdit(text.details or self._plain())
+        self._details.setReadOnly(True)
+        self._details.setAccessibleName("Details of the fault")
+        self._details.setMaximumHeight(140)
+        self._details.hide()
+        self._on_button = on_button
+        self.more = QPushButton()
+        self.more.hide()
+        self.fold = self._button("Fold", on_fold)
+        self.fold.setToolTip("Make it small, to see the page below")
+        self._arrange()
+        self._show_count()
+
+    def again(self, text: CardText) -> None:
+        """Count a repetition and show the newest wording."""
+        before, self.text = self.text, text
+        self.count += 1
+        if (text.details or text) != (before.details or before):
+            # Laid out anew each time, which takes its time where it comes in every frame.
+            self._details.setPlainText(text.details or self._plain())
+        self._show_count()
+
+    def _show_count(self) -> None:
+        times = f" (\N{MULTIPLICATION SIGN}{self.count})" if self.count > 1 else ""
+        self._title.setText(self.text.what + times)
+        self._foot.setText(f"[{self.text.code}]  {self.text.at}")
+        self.setAccessibleName(self._plain())
+
+    def _plain(self) -> str:
+        t = self.text
+        return f"{t.what} {t.consequence} {t.next_step} [{t.code}]"
+
+    def _arrange(self) -> None:
+        words = QVBoxLayout()
+        words.setSpacing(2)
+        words.addWidget(self._title)
+        then = f"{self.text.consequence} {self.text.next_step}".strip()
+        if then:
+            words.addWidget(label(then, wrap=True))
+        words.addWidget(self._foot)
+        row = QHBoxLayout()
+        row.addLayout(words, 1)
+        row.addWidget(self.more)
+        row.addWidget(self.fold)
+        row.addWidget(self._button("Details", self._toggle))
+        row.addWidget(self._button("Copy", self._copy))
+        if self.text.offer is not None:
+            offer = self._button(self.text.offer[0], self._accept)
+            offer.setProperty("role", "primary")
+            row.addWidget(offer)
+        last = "Reset" if self.text.reset else "Dismiss"
+        end = self._button(last, self._act)
+        if self.text.reset:
+            end.setProperty("role", "reset")
+            end.setToolTip("Clear the latched faults and the stop. Nothing moves by itself.")
+        row.addWidget(end)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(12, 8, 10, 8)
+        column.addLayout(row)
+        column.addWidget(self._details)
+
+    def _button(self, text: str, slot: Callable[[], None]) -> QPushButton:
+        button = QPushButton(text)
+        button.setAccessibleName(f"{text}: {self.text.what}")
+        button.clicked.connect(slot)
+        return button
+
+    def _toggle(self) -> None:
+        self._details.setVisible(self._details.isHidden())
+
+    def _copy(self) -> None:
+        QGuiApplication.clipboard().setText(f"{self._plain()}\n{self._details.toPlainText()}")
+
+    def _accept(self) -> None:
+        assert self.text.offer is not None
+        act = self.text.offer[1]
+        self._act()
+        act()
+
+    def _act(self) -> None:
+        self._on_button(self.text)
+
+
+class FoldedCards(QFrame):
+    """The cards folded into one line: the first one's words, and how to have them back.
+
+    It stands in the foot of the window, where it covers nothing.
+    """
+
+    def __init__(
+        self, parent: QWidget, on_show: Callable[[], None], on_reset: Callable[[], None]
+    ) -> None:
+        super().__init__(parent)
+        self.setProperty("role", "fault")
+        self._words = ElidedLabel("title")
+        self._words.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Preferred)
+        self.show_all, self.reset = QPushButton("Show"), QPushButton("Reset")
+        self.reset.setProperty("role", "reset")
+        for button in (self.show_all, self.reset):
+            button.setProperty("low", "yes")
+        self.show_all.clicked.connect(on_show)
+        self.reset.clicked.connect(on_reset)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(8, 0, 0, 0)
+        row.addWidget(self._words, 1)
+        for button in (self.show_all, self.reset):
+            row.addWidget(button)
+        self.hide()
+
+    def show_first(self, text: CardText, count: int) -> None:
+        """Show the first of ``count`` cards."""
+        self._words.setText(f"{text.what} (+{count - 1})" if count > 1 else text.what)
+        self._words.setToolTip(text.what)
+        self.show_all.setAccessibleName(f"Show: {text.what}")
+        self.reset.setAccessibleName(f"Reset: {text.what}")
+        self.reset.setVisible(text.reset)
+        set_property(self, "role", text.role)
+        self.show()
+
+
+class _Answer(QPushButton):
+    """One answer: withdraws the question, then acts."""
+
+    def __init__(self, text: str, withdraw: Callable[[], None], action: Callable[[], None]) -> None:
+        super().__init__(text)
+        self._withdraw, self._action = withdraw, action
+        self.clicked.connect(self._give)
+
+    def _give(self) -> None:
+        self._withdraw()
+        self._action()
+
+
+class FaultCards(QWidget):
+    """The cards and at most one question; takes no room while there is none."""
+
+    def __init__(self, on_reset: Callable[[], None]) -> None:
+        super().__init__()
+        self._on_reset = on_reset
+        self._cards: dict[str, FaultCard] = {}
+        self._question: QFrame | None = None
+        self.asks: Question | None = None
+        """The question that stands."""
+        self._unfolded = False
+        self.folded = False
+        """Whether they are one line in the foot of the window: nothing is covered."""
+        self.strip = FoldedCards(self, self._unfold_line, on_reset)
+        self._column = QVBoxLayout(self)
+        self._column.setContentsMargins(10, 8, 10, 0)
+        self._column.setSpacing(6)
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
+        self.hide()
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """Codes of the cards shown, oldest first."""
+        return tuple(card.text.code for card in self._cards.values())
+
+    @property
+    def obstacles(self) -> tuple[str, ...]:
+        """Codes of the cards of what a run waits for."""
+        return tuple(card.text.code for card in self._cards.values() if card.text.obstacle)
+
+    def card(self, code: str) -> FaultCard:
+        """Return the newest card of ``code``; raises KeyError."""
+        for card in reversed(self._cards.values()):
+            if card.text.code == code:
+                return card
+        raise KeyError(code)
+
+    def show_card(self, text: CardText) -> None:
+        """Add a card, or count a repetition of the same code."""
+        if text.key in self._cards:
+            card = self._cards[text.key] = self._cards.pop(text.key)
+            card.again(text)
+        else:
+            old = [card.text.key for card in self._ranked() if not card.text.notice]
+            if len(old) >= MAX_CARDS:
+                self._remove(old[-1])
+            # What is new has to be read.
+            self.folded = False
+            card = FaultCard(text, self._pressed, self.fold)
+            card.more.clicked.connect(self._unfold)
+            self._cards[text.key] = card
+        self._lay_out()
+
+    def ask(self, question: Question) -> None:
+        """Show a question; the former one is withdrawn, its focus goes to the first answer."""
+        focus = QGuiApplication.focusObject()
+        focused = self._question is not None and focus in self._question.children()
+        self.withdraw()
+        frame = QFrame()
+        frame.setProperty("role", "question")
+        row = QHBoxLayout(frame)
+        row.addWidget(label(question.text, "title", wrap=True), 1)
+        for text, action in question.answers:
+            answer = _Answer(text, self.withdraw, action)
+            answer.setAccessibleName(f"{text}: {question.text}")
+            row.addWidget(answer)
+        self._question, self.asks = frame, question
+        self.folded = False
+        self._lay_out()
+        self._column.insertWidget(0, frame)
+        self.show()
+        if focused:
+            frame.findChildren(QPushButton)[0].setFocus()
+
+    def withdraw(self) -> None:
+        """Remove the question."""
+        if self._question is not None:
+            self._question.hide()
+            self._question.deleteLater()
+            self._question = self.asks = None
+        self._lay_out()
+
+    def fold(self) -> None:
+        """Make all cards one line in the foot of the window."""
+        self.folded = True
+        self._lay_out()
+
+    def pass_on(self) -> None:
+        """Remove the cards of refused orders: a later one was carried out."""
+        self.clear([card.text.code for card in self._cards.values() if card.text.passing])
+
+    def clear(self, codes: Sequence[str] | None = None) -> None:
+        """Remove the latched cards (or those of ``codes``)."""
+        for key, card in list(self._cards.items()):
+            if card.text.reset if codes is None else card.text.code in codes:
+                self._remove(key)
+        self._lay_out()
+
+    def _pressed(self, text: CardText) -> None:
+        if text.reset:
+            self._on_reset()
+        else:
+            self._remove(text.key)
+            self._lay_out()
+
+    def _remove(self, key: str) -> None:
+        card = self._cards.pop(key)
+        self._column.removeWidget(card)
+        card.hide()
+        card.deleteLater()
+
+    def _ranked(self) -> list[FaultCard]:
+        """Return the cards as they lie: STOP, then what else waits for Reset, then the newest."""
+        newest = reversed(self._cards.values())
+        return sorted(newest, key=lambda c: (c.text.code != STOPPED, not c.text.reset))
+
+    def _unfold(self) -> None:
+        self._unfolded = not self._unfolded
+        self._lay_out()
+
+    def _unfold_line(self) -> None:
+        self.folded = False
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Show the first card, or all in their order while unfolded; or one line."""
+        ranked = self._ranked()
+        self._unfolded = self._unfolded and len(ranked) > 1
+        self.folded = self.folded and bool(ranked)
+        if self.folded:
+            self.strip.show_first(ranked[0].text, len(ranked))
+        else:
+            self.strip.hide()
+        for place, card in enumerate(ranked):
+            self._column.removeWidget(card)
+            self._column.addWidget(card)
+            card.setVisible(not self.folded and (place == 0 or self._unfolded))
+            card.more.setVisible(place == 0 and len(ranked) > 1)
+        if len(ranked) > 1:
+            text = "Fewer" if self._unfolded else f"{len(ranked) - 1} more"
+            ranked[0].more.setText(text)
+            ranked[0].more.setAccessibleName(f"{text}: the other cards")
+        shown = bool(ranked) and not self.folded
+        self.setVisible(shown or self._question is not None)
+
+
+class UnsavedBanner(QFrame):
+    """Shown only while something is unsaved."""
+
+    def __init__(self, again: Callable[[], None], discard: Callable[[], None]) -> None:
+        super().__init__()
+        self.setProperty("role", "fault")
+        self.setAccessibleName("Unsaved label")
+        self.text = label("", wrap=True)
+        self.again, self.discard = QPushButton("Save again (Enter)"), QPushButton("Discard (Esc)")
+        row = QHBoxLayout(self)
+        row.setContentsMargins(12, 8, 10, 8)
+        row.addWidget(self.text, 1)
+        row.addWidget(self.again)
+        row.addWidget(self.discard)
+        self.again.clicked.connect(again)
+        self.discard.clicked.connect(discard)
+        self.hide()
+
+    def show_trouble(self, what: str, *, waits: bool = False) -> None:
+        """Say why; "" hides the banner. ``waits``: it is tried again without anybody's doing."""
+        self.text.setText(f"Not saved: {what}" if what else "")
+        for button in (self.again, self.discard):
+            button.setVisible(not waits)
+        appears = bool(what) and self.isHidden()
+        self.setVisible(bool(what))
+        if appears:
+            bring_in_sight(self)
+
+
+_CHANGED = frozenset({QEvent.Type.LayoutRequest, QEvent.Type.Show})
+
+
+class OnTop(QObject):
+    """``cover`` is as wide as ``base`` and as high as it needs."""
+
+    def __init__(self, cover: QWidget, base: QWidget) -> None:
+        super().__init__(base)
+        self._cover, self._base = cover, base
+        cover.setParent(base)
+        base.installEventFilter(self)
+        cover.installEventFilter(self)
+        cover.setVisible(False)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Follow the base, and the content of the cover."""
+        kind = event.type()
+        if (watched is self._base and kind is QEvent.Type.Resize) or (
+            watched is self._cover and kind in _CHANGED
+        ):
+            self._place()
+        return False
+
+    def _place(self) -> None:
+        cover, width = self._cover, self._base.width()
+        layout = cover.layout()
+        high = cover.sizeHint().height()
+        if layout is not None and layout.hasHeightForWidth():
+            high = layout.totalHeightForWidth(width)
+        cover.setGeometry(0, 0, width, min(high, self._base.height()))
+        cover.raise_()

@@ -1,0 +1,353 @@
+"""Command palette and key sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+from PySide6.QtCore import QEvent, QKeyCombination, QModelIndex, QObject, QPersistentModelIndex, Qt
+from PySide6.QtGui import QColor, QKeyEvent, QKeySequence, QPainter, QPalette
+from PySide6.QtWidgets import (
+    QDialog,
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QLineEdit,
+    QListWidget,
+    QListWidgetItem,
+    QPushButton,
+    QScrollArea,
+    QStyle,
+    QStyledItemDelegate,
+    QStyleOptionViewItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from touchdown.widgets.base import label, rule
+
+SHOWN = 200
+NAME, CHOICE = Qt.ItemDataRole.UserRole, Qt.ItemDataRole.UserRole + 1
+INSET_PX, GAP_PX = 10, 12
+FAINT = 0.72
+"""How strongly the workspace of a command is written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One entry. ``where`` is the workspace, ``key`` its key or ""."""
+
+    name: str
+    where: str
+    text: str
+    key: str
+
+
+def score(query: str, text: str) -> float | None:
+    """Return how well ``query`` fits (lower is better), None if its letters do not occur in order.
+
+    Letters at the beginning of words and letters that follow each other count most.
+    """
+    wanted, given = query.casefold().replace(" ", ""), text.casefold()
+    at, gaps, last = 0, 0.0, -1
+    for letter in wanted:
+        found = given.find(letter, at)
+        # The beginning of a word is a better place for a letter than the middle of one.
+        word = given.find(f" {letter}", max(at - 1, 0))
+        if word >= 0 and found >= 0 and word + 1 != found and found != last + 1:
+            found = word + 1
+        if found < 0:
+            return None
+        starts_word = found == 0 or given[found - 1] == " "
+        gaps += 0.0 if found == last + 1 else 0.5 if starts_word else 1.0 + 0.02 * (found - last)
+        last, at = found, found + 1
+    return gaps + 0.001 * len(given)
+
+
+def best(query: str, choices: Sequence[Choice]) -> list[Choice]:
+    """Return the choices that fit, best first; all in their order for an empty query."""
+    scored = []
+    for order, choice in enumerate(choices):
+        fits = score(query, f"{choice.text} {choice.where}")
+        if fits is not None:
+            scored.append((fits if query else 0.0, order, choice))
+    return [choice for _, _, choice in sorted(scored, key=lambda row: row[:2])][:SHOWN]
+
+
+class _Entry(QStyledItemDelegate):
+    """Writes what is done at the left, where it acts beside it, and the key at the right."""
+
+    def paint(
+        self,
+        painter: QPainter,
+        option: QStyleOptionViewItem,
+        index: QModelIndex | QPersistentModelIndex,
+    ) -> None:
+        choice = index.data(CHOICE)
+        self.initStyleOption(option, index)
+        option.text = ""
+        widget: QWidget = option.widget
+        widget.style().drawControl(QStyle.ControlElement.CE_ItemViewItem, option, painter, widget)
+        chosen = bool(option.state & QStyle.StateFlag.State_Selected)
+        role = QPalette.ColorRole.HighlightedText if chosen else QPalette.ColorRole.Text
+        ink = widget.palette().color(role)
+        faint = QColor(ink)
+        faint.setAlphaF(1.0 if chosen else FAINT)
+        box = option.rect.adjusted(INSET_PX, 0, -INSET_PX, 0)
+        metrics, middle = painter.fontMetrics(), Qt.AlignmentFlag.AlignVCenter
+        room = box.width() - (metrics.horizontalAdvance(choice.key) + GAP_PX if choice.key else 0)
+        text = metrics.elidedText(choice.text, Qt.TextElideMode.ElideRight, room)
+        painter.setPen(ink)
+        painter.drawText(box, int(middle), text)
+        painter.drawText(box, int(middle | Qt.AlignmentFlag.AlignRight), choice.key)
+        used = metrics.horizontalAdvance(text) + GAP_PX
+        if used < room:
+            where = metrics.elidedText(choice.where, Qt.TextElideMode.ElideRight, room - used)
+            painter.setPen(faint)
+            painter.drawText(box.adjusted(used, 0, 0, 0), int(middle), where)
+
+
+TAKES = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
+"""Keys that take the entry, whatever they mean on the page."""
+
+
+class CommandPalette(QDialog):
+    """A text field over a list. Return takes the chosen one, Esc goes away; not modal."""
+
+    def __init__(self, parent: QWidget, on_choice: Callable[[str], None]) -> None:
+        super().__init__(parent)
+        self._window, self._on_choice = parent, on_choice
+        self._choices: Sequence[Choice] = ()
+        self.setWindowTitle("Commands")
+        self.setModal(False)
+        self.field, self.list = QLineEdit(), QListWidget()
+        self.field.setPlaceholderText("What do you want to do?")
+        self.field.setAccessibleName("Find a command")
+        self.list.setAccessibleName("Commands that fit")
+        self.list.setItemDelegate(_Entry(self.list))
+        self.list.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.field.textChanged.connect(self._filter)
+        self.list.itemClicked.connect(self._clicked)
+        self.field.installEventFilter(self)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(12, 12, 12, 12)
+        column.setSpacing(8)
+        column.addWidget(self.field)
+        column.addWidget(self.list, 1)
+
+    def open_with(self, choices: Sequence[Choice]) -> None:
+        """Show all of ``choices`` with an empty field."""
+        self._choices = choices
+        self.field.clear()
+        self._filter("")
+        em = self.fontMetrics().height()
+        room = self._window.size()
+        self.resize(min(44 * em, room.width() - 40), min(28 * em, room.height() - 80))
+        self.show()
+        self.raise_()
+        self.activateWindow()
+        self.field.setFocus()
+
+    def shown(self) -> list[str]:
+        """Return the names in the list, best first."""
+        rows = (self.list.item(row) for row in range(self.list.count()))
+        return [str(item.data(NAME)) for item in rows]
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Let the arrows walk in the list and Return take the entry while the text is edited."""
+        if isinstance(event, QKeyEvent) and event.type() is QEvent.Type.ShortcutOverride:
+            # Return has a meaning on some pages: here it takes the entry.
+            if event.key() in TAKES:
+                event.accept()
+            return False
+        if not isinstance(event, QKeyEvent) or event.type() is not QEvent.Type.KeyPress:
+            return False
+        steps = {Qt.Key.Key_Down: 1, Qt.Key.Key_Up: -1, Qt.Key.Key_PageDown: 8,
+                 Qt.Key.Key_PageUp: -8}  # fmt: skip
+        step = steps.get(Qt.Key(event.key()))
+        if step is not None and self.list.count():
+            row = self.list.currentRow() + step
+            self.list.setCurrentRow(min(max(row, 0), self.list.count() - 1))
+            self._describe()
+            return True
+        if event.key() in TAKES:
+            self._take(self.list.currentItem() if self.list.count() else None)
+            return True
+        return False
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _filter(self, query: str) -> None:
+        self.list.clear()
+        for choice in best(query, self._choices):
+            key = f"   {choice.key}" if choice.key else ""
+            item = QListWidgetItem(f"{choice.text}   ({choice.where}){key}")
+            item.setData(NAME, choice.name)
+            item.setData(CHOICE, choice)
+            self.list.addItem(item)
+        self.list.setCurrentRow(0)
+        self._describe()
+
+    def _describe(self) -> None:
+        """Tell a screen reader, which follows the field, what Return would do."""
+        text = self.list.currentItem().text() if self.list.count() else "Nothing fits"
+        self.field.setAccessibleDescription(text)
+
+    def _clicked(self, item: QListWidgetItem) -> None:
+        self._take(item)
+
+    def _take(self, item: QListWidgetItem | None) -> None:
+        if item is not None:
+            self.close()
+            self._on_choice(str(item.data(NAME)))
+
+
+Row = tuple[str, str, str]
+"""Where the key acts, the key, what it does."""
+Groups = list[tuple[str, list[Row]]]
+COLUMN_EM = 34
+TOP_EM = 8
+"""Left free above and below, all together: the bar with STOP stays in sight."""
+
+
+class KeySheet(QDialog):
+    """Keys, grouped by where they act, in two columns where they fit; scrolls if it must."""
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent)
+        self._window = parent
+        self.setWindowTitle("Keys")
+        self.setModal(False)
+        self._scroll = QScrollArea()
+        self._scroll.setWidgetResizable(True)
+        self._scroll.setFrameShape(QFrame.Shape.NoFrame)
+        self._scroll.setAccessibleName("Keys and what they do")
+        close = QPushButton("Close")
+        close.clicked.connect(self.close)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(20, 16, 20, 16)
+        column.setSpacing(12)
+        column.addWidget(self._scroll, 1)
+        column.addWidget(rule())
+        column.addWidget(close, 0, Qt.AlignmentFlag.AlignRight)
+
+    def show_rows(self, rows: Sequence[Row]) -> None:
+        """Show the keys as they are now; a command without a key is left to the palette."""
+        groups = [(title, [row for row in group if row[1]])
+                  for title, group in groupby(rows, key=lambda row: row[0])]  # fmt: skip
+        em = self.fontMetrics().height()
+        columns = 2 if 2 * COLUMN_EM * em < self._window.width() else 1
+        body = QWidget()
+        row = QHBoxLayout(body)
+        row.setSpacing(round(1.5 * em))
+        for part in _shared_out(groups, columns):
+            row.addLayout(_table(part), 1)
+        self._scroll.setWidget(body)
+        most = self._window.height() - round(TOP_EM * em)
+        high = body.heightForWidth(columns * COLUMN_EM * em) + 110
+        self.resize(columns * COLUMN_EM * em, min(high, most))
+        self.show()
+        self.raise_()
+
+
+def _shared_out(groups: Groups, columns: int) -> list[Groups]:
+    """Share whole groups out to columns of about the same height."""
+    lengths = [1 + len(rows) for _, rows in groups]
+    parts: list[Groups] = [[] for _ in range(columns)]
+    before = 0
+    for group, length in zip(groups, lengths, strict=True):
+        middle = (before + length / 2) / max(sum(lengths), 1)
+        parts[min(int(columns * middle), columns - 1)].append(group)
+        before += length
+    return [part for part in parts if part]
+
+
+def _table(groups: Groups) -> QGridLayout:
+    """Return the rows of some groups, each below its title."""
+    grid = QGridLayout()
+    grid.setHorizontalSpacing(24)
+    grid.setVerticalSpacing(7)
+    grid.setColumnStretch(1, 1)
+    line = 0
+    for title, rows in groups:
+        grid.addWidget(label(title, "head"), line, 0, 1, 2)
+        for _, key, text in rows:
+            line += 1
+            grid.addWidget(label(key, "title"), line, 0, Qt.AlignmentFlag.AlignTop)
+            grid.addWidget(label(text, wrap=True), line, 1)
+        line += 1
+    grid.setRowStretch(line, 1)
+    return grid
+
+
+_ALONE = frozenset({Qt.Key.Key_Control, Qt.Key.Key_Shift, Qt.Key.Key_Alt, Qt.Key.Key_Meta,
+                    Qt.Key.Key_AltGr})  # fmt: skip
+
+
+class KeyAsker(QDialog):
+    """``change`` tries a key ("" for none) and returns "" or why it cannot be had."""
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent)
+        self._change: Callable[[str], str] = str
+        self.setWindowTitle("Change a key")
+        self.setModal(False)
+        self.head, self.said = label("", "head", wrap=True), label("", wrap=True)
+        none, close = QPushButton("No key"), QPushButton("Close")
+        none.setToolTip("The command stays in the palette")
+        for button in (none, close):
+            button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        none.clicked.connect(self._take_none)
+        close.clicked.connect(self.close)
+        row = QHBoxLayout()
+        row.addStretch(1)
+        row.addWidget(none)
+        row.addWidget(close)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(18, 14, 18, 14)
+        column.setSpacing(10)
+        column.addWidget(self.head)
+        column.addWidget(self.said)
+        column.addLayout(row)
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+
+    def ask(self, text: str, key: str, change: Callable[[str], str]) -> None:
+        """Ask for a key for the command ``text``, which has ``key`` now."""
+        self._change = change
+        self.head.setText(text)
+        self.said.setText(f"Its key is {key}. Press another." if key else "Press a key for it.")
+        self.setMinimumWidth(26 * self.fontMetrics().height())
+        self.show()
+        self.activateWindow()
+        self.setFocus()
+
+    def event(self, event: QEvent) -> bool:
+        """Have every key for itself, also those that are shortcuts of the window."""
+        if event.type() is QEvent.Type.ShortcutOverride:
+            event.accept()
+            return True
+        return super().event(event)
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Try the key that was pressed."""
+        key = Qt.Key(event.key())
+        if key in _ALONE or event.isAutoRepeat():
+            return
+        if key is Qt.Key.Key_Escape and not event.modifiers().value:
+            self.close()
+            return
+        modifiers = event.modifiers() & ~Qt.KeyboardModifier.KeypadModifier
+        pressed = QKeySequence(QKeyCombination(modifiers, key))
+        self._try(pressed.toString(QKeySequence.SequenceFormat.PortableText))
+
+    def _take_none(self) -> None:
+        self._try("")
+
+    def _try(self, key: str) -> None:
+        reason = self._change(key)
+        if reason:
+            self.said.setText(reason)
+        else:
+            self.said.setText(f"The key is {key} now." if key else "It has no key now.")

@@ -1,0 +1,277 @@
+"""Top bar of the window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt, QTimer
+from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF, QResizeEvent
+from PySide6.QtWidgets import (
+    QFrame,
+    QHBoxLayout,
+    QPushButton,
+    QSizePolicy,
+    QSpinBox,
+    QVBoxLayout,
+    QWidget,
+)
+
+from touchdown.widgets.base import Theme, fit_icon, icon, label, ui_font
+from touchdown.widgets.shell.devices import DeviceChip
+from touchdown.widgets.shell.state import StatePill
+
+
+class BenchBanner(QWidget):
+    """Diagonal stripes with the word on a plain ground; without stripes for real devices."""
+
+    def __init__(self, theme: Theme, word: str = "SIMULATED BENCH") -> None:
+        super().__init__()
+        self._theme, self._word, self._striped = theme, word, True
+        self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
+        self.show_bench(word, "No hardware is connected. Everything you see is computed.", True)
+
+    def show_bench(self, word: str, tip: str, striped: bool) -> None:
+        """Call the bench ``word``; ``striped``: no hardware moves."""
+        self._word, self._striped = word, striped
+        self.setAccessibleName(f"{word}: {tip}")
+        self.setToolTip(tip)
+        self.updateGeometry()
+        self.update()
+
+    def sizeHint(self) -> QSize:
+        """Return room for the word and some stripes on either side."""
+        self.setFont(ui_font(self._theme.scale, 0.86, 600))
+        metrics = self.fontMetrics()
+        return QSize(metrics.horizontalAdvance(self._word) + 84, metrics.height() + 6)
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw stripes and word."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        t = self._theme.tokens
+        painter.setFont(ui_font(self._theme.scale, 0.86, 600))
+        if not self._striped:
+            painter.setPen(QPen(t.colour("border")))
+            painter.drawRect(self.rect().adjusted(0, 0, -1, -1))
+            painter.setPen(QPen(t.colour("text")))
+            painter.drawText(self.rect(), int(Qt.AlignmentFlag.AlignCenter), self._word)
+            return
+        painter.fillRect(self.rect(), t.colour("pill_yellow"))
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(t.colour("on_light"))
+        height = self.height()
+        for x in range(-height, self.width() + height, 14):
+            xs = ((x, height), (x + 7, height), (x + 7 + height, 0), (x + height, 0))
+            painter.drawPolygon(QPolygonF([QPointF(*corner) for corner in xs]))
+        plate = QRectF(30, 2, self.width() - 60, height - 4)
+        painter.setBrush(t.colour("pill_yellow"))
+        painter.drawRect(plate)
+        painter.setPen(QPen(t.colour("on_light")))
+        painter.drawText(plate, int(Qt.AlignmentFlag.AlignCenter), self._word)
+
+
+HELD_MS = 1000
+ON_TIP = "The motors are on. A press switches them off: whatever moves ends."
+OFF_TIP = "The motors are off. Hold for 1 s to switch them on."
+
+
+class ServoButton(QPushButton):
+    """``ordered`` is called with what is wanted."""
+
+    def __init__(self) -> None:
+        super().__init__("\N{EN DASH}")
+        self.setProperty("role", "compact")
+        self.ordered: Callable[[bool], None] = _nothing
+        self._on: bool | None = None
+        self._held = QTimer(self)
+        self._held.setSingleShot(True)
+        self._held.setInterval(HELD_MS)
+        self._held.timeout.connect(self._switch_on)
+        self.pressed.connect(self._press)
+        self.released.connect(self._held.stop)
+        self.show_state(None)
+        self.setAccessibleName("Servo: unknown")
+
+    def show_state(self, on: bool | None, *, busy: bool = False) -> None:
+        """Show on, off, or that nobody knows."""
+        word = "\N{EN DASH}" if on is None else "..." if busy else "on" if on else "off"
+        self._on = on
+        if self.text() != word or self.isEnabled() == (on is None or busy):
+            self.setText(word)
+            self.setEnabled(on is not None and not busy)
+            self.setToolTip("" if on is None else ON_TIP if on else OFF_TIP)
+            self.setAccessibleName(f"Servo: {'unknown' if on is None else word}")
+            self.setAccessibleDescription(self.toolTip())
+
+    def _press(self) -> None:
+        if self._on:
+            self.ordered(False)
+        else:
+            self._held.start()
+
+    def _switch_on(self) -> None:
+        if self.isDown() and self._on is False:
+            self.ordered(True)
+
+
+def _nothing(_on: bool) -> None:
+    """Nobody listens yet."""
+
+
+MARGIN, GAP, CHIP_GAP = 8, 8, 4
+OVERRIDE_PAD_PX = 20
+"""Frame and padding of the override beside its figures."""
+OVERRIDE = (10, 100)
+"""Percent, least and most."""
+USUAL_MODE = "Robot: Program"
+CHIPS = (
+    ("arm", "Arm"),
+    ("gripper", "Gripper"),
+    ("force_torque", "F/T"),
+    ("tactile_left", "Tactile L"),
+    ("tactile_right", "Tactile R"),
+)
+
+
+class TopBar(QFrame):
+    """One row, or two where there is little room; ``on_stop`` is called on the press."""
+
+    def __init__(self, theme: Theme, on_stop: Callable[[], None]) -> None:
+        super().__init__()
+        self.setProperty("role", "bar")
+        self.pill = StatePill(theme)
+        self._robot = label("Robot: unknown", "small")
+        self._safety = label("Safety: unknown", "small")
+        self.chips = {key: DeviceChip(theme, name) for key, name in CHIPS}
+        self.override = QSpinBox()
+        self.override.setRange(*OVERRIDE)
+        self.override.setValue(OVERRIDE[1])
+        self.override.setSingleStep(10)
+        self.override.setSuffix(" %")
+        self.override.setKeyboardTracking(False)
+        self.override.setAccessibleName("Speed override")
+        self.override.setToolTip(
+            "OVRD: share of the speed of every move in air, by hand and in runs. "
+            "A press keeps its own speed."
+        )
+        self.override.setProperty("role", "compact")
+        self._override_title = label("OVRD", "small")
+        self._override_title.setBuddy(self.override)
+        self.servo = ServoButton()
+        self._servo_title = label("Servo", "small")
+        self._servo_title.setBuddy(self.servo)
+        self._estop_title = label("HW E-stop", "small")
+        self._estop = label("unknown", "small")
+        self.stop = QPushButton("STOP motion (software)")
+        self.stop.setProperty("role", "stop")
+        self.stop.setIcon(icon("stop", QColor("#FFFFFF")))
+        self.stop.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.stop.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Preferred)
+        self.stop.setAccessibleName("STOP motion, software stop")
+        self.stop.setToolTip(
+            "Stops arm and gripper at once and ends the run; the grip is kept. F12 anywhere, "
+            "Space while something moves. This is not the robot's emergency stop."
+        )
+        self.stop.pressed.connect(on_stop)
+        self._least_px = 0
+        self._arrange()
+
+    def _arrange(self) -> None:
+        column = QVBoxLayout(self)
+        column.setContentsMargins(MARGIN, 7, MARGIN, 7)
+        column.setSpacing(6)
+        row = self._row = QHBoxLayout()
+        row.setSpacing(GAP)
+        row.addWidget(self.pill)
+        row.addLayout(_two(self._robot, self._safety))
+        row.addStretch(1)
+        row.addLayout(_two(self._estop_title, self._estop))
+        row.addWidget(self.stop)
+        column.addLayout(row)
+        self._devices = QWidget()
+        chips = QHBoxLayout(self._devices)
+        chips.setContentsMargins(0, 0, 0, 0)
+        chips.setSpacing(CHIP_GAP)
+        for chip in self.chips.values():
+            chips.addWidget(chip)
+        chips.addSpacing(GAP - CHIP_GAP)
+        chips.addLayout(_two(self._override_title, self.override))
+        chips.addSpacing(GAP - CHIP_GAP)
+        chips.addLayout(_two(self._servo_title, self.servo))
+        row.insertWidget(2, self._devices)
+        self._second = QHBoxLayout()
+        column.addLayout(self._second)
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+
+    def minimumSizeHint(self) -> QSize:
+        """Return the width without the chips: those go to a second row where there is no room."""
+        return QSize(self._least_px, super().minimumSizeHint().height())
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Show as much of the chips as there is room for."""
+        super().resizeEvent(event)
+        self.fit()
+
+    def fit(self) -> None:
+        """Whole chips, else names only, else whole chips on a row of their own."""
+        chips, room = tuple(self.chips.values()), self.width()
+        fit_icon(self.stop)
+        # Room for the usual words, so that the chips do not jump when the arm starts.
+        self._robot.setMinimumWidth(self._robot.fontMetrics().horizontalAdvance(USUAL_MODE))
+        figures = self.override.fontMetrics().horizontalAdvance("100 %")
+        self.override.setFixedWidth(figures + OVERRIDE_PAD_PX)
+        for short in (False, True):
+            for chip in chips:
+                chip.show_short(short)
+            one_row = self._needed(chips) <= room
+            if one_row:
+                break
+        else:
+            for chip in chips:
+                chip.show_short(False)
+        if one_row and self._second.count():
+            self._second.removeWidget(self._devices)
+            self._second.takeAt(0)
+            self._row.insertWidget(2, self._devices)
+        elif not one_row and not self._second.count():
+            self._row.removeWidget(self._devices)
+            self._second.addWidget(self._devices)
+            self._second.addStretch(1)
+        self._least_px = self._needed(())
+        self.updateGeometry()
+
+    def _needed(self, chips: tuple[DeviceChip, ...]) -> int:
+        modes = max(self._robot.sizeHint().width(), self._safety.sizeHint().width())
+        estop = max(self._estop_title.sizeHint().width(), self._estop.sizeHint().width())
+        fixed = self.pill.sizeHint().width() + modes + estop + self.stop.sizeHint().width()
+        if chips:
+            override = (self._override_title.sizeHint().width(), self.override.width())
+            fixed += GAP + max(override)
+            fixed += GAP + max(self._servo_title.sizeHint().width(), self.servo.sizeHint().width())
+        return fixed + sum(c.sizeHint().width() + CHIP_GAP for c in chips) + 5 * GAP + 2 * MARGIN
+
+    def show_modes(self, robot: str, safety: str) -> None:
+        """Show both status words of the arm."""
+        texts = (f"Robot: {robot}", f"Safety: {safety}")
+        if texts != (self._robot.text(), self._safety.text()):
+            self._robot.setText(texts[0])
+            self._safety.setText(texts[1])
+            self.fit()
+
+    def show_hardware_stop(self, text: str) -> None:
+        """Show what the controller says of the hardware emergency stop; unknown is unknown."""
+        if text == self._estop.text():
+            return
+        self._estop.setText(text)
+        self._estop.setAccessibleName(f"Hardware emergency stop: {text}")
+        self.fit()
+
+
+def _two(upper: QWidget, lower: QWidget) -> QVBoxLayout:
+    column = QVBoxLayout()
+    column.setSpacing(0)
+    column.addStretch(1)
+    column.addWidget(upper)
+    column.addWidget(lower)
+    column.addStretch(1)
+    return column

@@ -1,0 +1,155 @@
+"""Card of the tour."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from PySide6.QtCore import QEvent, QPoint, QRect, QSize, Qt
+from PySide6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QPen, QRegion
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+
+from touchdown.widgets.base import Theme, label
+
+DIM = 110
+MARGIN_PX, RING_PX = 12, 4
+ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
+
+
+@dataclass(frozen=True, slots=True)
+class TourStop:
+    """``workspace`` is brought to the front ("": any); ``place`` returns what stands out there.
+
+    It is asked once the workspace is in front: before, its page may not have been made.
+    """
+
+    workspace: str
+    place: Callable[[], QWidget]
+    title: str
+    text: str
+
+
+class Spotlight(QWidget):
+    """Dims the window but for one rectangle and its cards; the mouse goes through it."""
+
+    def __init__(self, theme: Theme, window: QWidget) -> None:
+        super().__init__(window)
+        self._theme, self._window = theme, window
+        self.hole, self._cards = QRect(), QRect()
+        self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.hide()
+
+    def show_hole(self, hole: QRect, cards: QRect) -> None:
+        """Light ``hole`` with a ring; ``cards`` stay bright as well, an empty one is none."""
+        self.hole, self._cards = hole, cards
+        self.setGeometry(self._window.rect())
+        self.show()
+        self.raise_()
+        self.update()
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw shade and ring."""
+        painter = QPainter(self)
+        painter.save()
+        bright = QRegion(self.hole).united(QRegion(self._cards))
+        painter.setClipRegion(QRegion(self.rect()).subtracted(bright))
+        painter.fillRect(self.rect(), QColor(0, 0, 0, DIM))
+        painter.restore()
+        if not self._cards.isEmpty():
+            painter.setClipRegion(QRegion(self.rect()).subtracted(QRegion(self._cards)))
+        painter.setPen(QPen(self._theme.tokens.colour("focus"), 3))
+        painter.drawRect(self.hole.adjusted(-1, -1, 1, 1))
+
+
+class TourCard(QFrame):
+    """What the place is for, with Back, Next and End."""
+
+    def __init__(
+        self, window: QWidget, turn: Callable[[int], None], end: Callable[[], None]
+    ) -> None:
+        super().__init__(window)
+        self.setProperty("role", "question")
+        self._window, self._end = window, end
+        self.title, self.text = label("", "head", wrap=True), label("", wrap=True)
+        self.count = label("", "small")
+        self.back, self.next = QPushButton("Back"), QPushButton("Next")
+        self.end = QPushButton("End the tour")
+        self.next.setProperty("role", "primary")
+        self.back.clicked.connect(lambda: turn(-1))
+        self.next.clicked.connect(lambda: turn(1))
+        self.end.clicked.connect(end)
+        self.end.setToolTip("It comes back from the palette: Ctrl+K, tour (Esc)")
+        row = QHBoxLayout()
+        row.addWidget(self.count)
+        row.addStretch(1)
+        for button in (self.end, self.back, self.next):
+            row.addWidget(button)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(14, 10, 12, 12)
+        column.setSpacing(8)
+        for words in (self.title, self.text):
+            column.addWidget(words)
+        column.addLayout(row)
+        self.hide()
+
+    def show_stop(self, stop: TourStop, at: int, count: int) -> None:
+        """Show the words of stop ``at`` of ``count``."""
+        self.title.setText(stop.title)
+        self.text.setText(stop.text)
+        self.count.setText(f"{at + 1} of {count}")
+        self.back.setEnabled(at > 0)
+        self.next.setText("Done" if at == count - 1 else "Next")
+        self.setAccessibleName(f"Tour: {stop.title}. {stop.text}")
+        self.show()
+        self.raise_()
+        self.next.setFocus()
+
+    def fit(self, hole: QRect, top: int = 0) -> None:
+        """Stand beside the lit rectangle, inside of the window and below ``top`` of it."""
+        em = self.fontMetrics().height()
+        width = min(24 * em, self._window.width() - 2 * MARGIN_PX)
+        self.setFixedWidth(width)
+        high = max(self.heightForWidth(width), self.minimumSizeHint().height())
+        self.resize(width, high)
+        corner = beside(hole, self.size(), self._window.rect())
+        lowest = self._window.height() - high - MARGIN_PX
+        self.move(corner.x(), min(max(corner.y(), top + MARGIN_PX if top else 0), lowest))
+
+    def event(self, event: QEvent) -> bool:
+        """Keep Enter and Esc from the shortcuts of the page below: here they are its own."""
+        mine = (*ENTER, Qt.Key.Key_Escape)
+        if (
+            event.type() is QEvent.Type.ShortcutOverride
+            and isinstance(event, QKeyEvent)
+            and event.key() in mine
+        ):
+            event.accept()
+            return True
+        return super().event(event)
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """End with Esc; Enter presses the button that has the focus."""
+        focus = self.focusWidget()
+        if event.key() == Qt.Key.Key_Escape:
+            self._end()
+        elif event.key() in ENTER and isinstance(focus, QPushButton):
+            focus.click()
+        else:
+            super().keyPressEvent(event)
+
+
+def beside(hole: QRect, card: QSize, window: QRect) -> QPoint:
+    """Return where a card stands next to ``hole``: right, left, below or above; else inside it."""
+    gap = MARGIN_PX
+    y = min(max(hole.top(), gap), window.height() - card.height() - gap)
+    x = min(max(hole.left(), gap), window.width() - card.width() - gap)
+    for corner in (
+        QPoint(hole.right() + gap, y),
+        QPoint(hole.left() - gap - card.width(), y),
+        QPoint(x, hole.bottom() + gap),
+        QPoint(x, hole.top() - gap - card.height()),
+    ):
+        if window.contains(QRect(corner, card)):
+            return corner
+    return QPoint(x, y)

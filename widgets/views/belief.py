@@ -1,0 +1,415 @@
+"""Belief map over the piece and its support."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import (
+    QColor,
+    QFontMetrics,
+    QImage,
+    QPainter,
+    QPaintEvent,
+    QPen,
+    QPixmap,
+    QPolygonF,
+    QResizeEvent,
+)
+from PySide6.QtWidgets import QSizePolicy, QWidget
+
+from touchdown.backend.core import BeliefMap, FloatArray, Stability
+from touchdown.widgets.base import MapName, Theme, colours, ui_font
+from touchdown.widgets.plots import PlotArea, draw_message, nice_step, tick_text, ticks
+
+ENTRIES = (
+    ("plus", "centre of mass"),
+    ("line", "hull p > 0.9"),
+    ("dots", "face"),
+    ("arrow", "step"),
+    ("ring", "target"),
+)
+TRUTH = ("dashes", "true overlap")
+
+
+class BeliefLegend(QWidget):
+    """A wrapping row of mark and word."""
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__()
+        self._theme = theme
+        self._truth = False
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.setAccessibleName("Legend of the belief map")
+
+    def show_truth(self, shown: bool) -> None:
+        """Add or leave out the true overlap."""
+        if shown != self._truth:
+            self._truth = shown
+            self.updateGeometry()
+            self.update()
+
+    def resizeEvent(self, _event: QResizeEvent) -> None:
+        """Ask for another row where the entries do not fit."""
+        self.updateGeometry()
+
+    def sizeHint(self) -> QSize:
+        """Return the rows that the present width needs."""
+        rows = 1 + max((row for _, _, _, row in self._places()), default=0)
+        return QSize(300, rows * self._line())
+
+    def minimumSizeHint(self) -> QSize:
+        """Return the same as the size hint."""
+        return self.sizeHint()
+
+    def _line(self) -> int:
+        return self.fontMetrics().height() + 2
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the entries, row by row."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.setFont(ui_font(self._theme.scale, 0.88))
+        line = self._line()
+        for kind, text, x, row in self._places():
+            y = row * line
+            painter.setPen(QPen(self._theme.tokens.colour("text"), 1.6))
+            _mark(painter, kind, QPointF(x + 9, y + line / 2))
+            painter.setPen(self._theme.tokens.colour("muted"))
+            box = QRectF(x + 22, y, self.width(), line)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignVCenter), text)
+
+    def _places(self) -> list[tuple[str, str, float, int]]:
+        """Return (mark, text, x, row) of every entry."""
+        metrics = QFontMetrics(ui_font(self._theme.scale, 0.88))
+        x, row, places = 0.0, 0, []
+        for kind, text in (*ENTRIES, TRUTH) if self._truth else ENTRIES:
+            width = 22 + metrics.horizontalAdvance(text) + 12
+            if x > 0 and x + width - 12 > self.width():
+                x, row = 0.0, row + 1
+            places.append((kind, text, x, row))
+            x += width
+        return places
+
+
+def _mark(painter: QPainter, kind: str, at: QPointF) -> None:
+    left, right = at - QPointF(8, 0), at + QPointF(8, 0)
+    pen = painter.pen()
+    if kind == "plus":
+        painter.drawLine(at - QPointF(5, 0), at + QPointF(5, 0))
+        painter.drawLine(at - QPointF(0, 5), at + QPointF(0, 5))
+    elif kind == "ring":
+        painter.drawEllipse(at, 5, 5)
+    elif kind == "arrow":
+        painter.drawLine(left, right)
+        painter.drawLine(right, right + QPointF(-5, -4))
+        painter.drawLine(right, right + QPointF(-5, 4))
+    else:
+        styles = {"dots": Qt.PenStyle.DotLine, "dashes": Qt.PenStyle.DashLine}
+        pen.setStyle(styles.get(kind, Qt.PenStyle.SolidLine))
+        painter.setPen(pen)
+        painter.drawLine(left, right)
+
+
+LEAST_HALF_MM = 10.0
+NO_PROBE = "No probe in this trial yet", "The map fills in with the first press."
+
+
+@dataclass(frozen=True, slots=True)
+class BeliefScene:
+    """One look at the belief map, in the frame ``O``, mm.
+
+    ``path``: face centres of the probes so far, oldest first. ``face``: (k, 2) outline of the
+    piece around its face centre. ``truth``: (k, 2) outline of the true overlap, set only after
+    the trial on a simulated bench. ``empty``: what stands in place of a map, and why.
+    """
+
+    belief: BeliefMap | None = None
+    stability: Stability | None = None
+    path: tuple[tuple[float, float], ...] = ()
+    step_mm: tuple[float, float] | None = None
+    target_mm: tuple[float, float] | None = None
+    clipped: bool = False
+    face: FloatArray | None = None
+    truth: FloatArray | None = None
+    delta: float = 0.9
+    empty: tuple[str, str] = NO_PROBE
+
+    def frame_mm(self) -> tuple[float, float, float]:
+        """Centre x, y and half width of the square worth showing: covered cells and the path."""
+        points = [np.array(self.path).reshape(-1, 2)]
+        if self.belief is not None:
+            points.append(self.belief.cell_centres_mm()[self.belief.covered])
+        shown = np.concatenate(points)
+        if len(shown) == 0:
+            return 0.0, 0.0, LEAST_HALF_MM
+        low, high = shown.min(axis=0), shown.max(axis=0)
+        centre = (low + high) / 2
+        half = max(LEAST_HALF_MM, float((high - low).max()) / 2 + 2.0)
+        return float(centre[0]), float(centre[1]), half
+
+
+WHITE, BLACK = QColor("#FFFFFF"), QColor("#000000")
+Draw = Callable[[], None]
+
+
+def draw_all(
+    painter: QPainter, area: PlotArea, scene: BeliefScene, theme: Theme, *, small: bool
+) -> None:
+    """Draw every mark of the scene; ``small`` leaves out what a thumbnail cannot carry."""
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+    if scene.face is not None and scene.path and not small:
+        _outline(painter, area, scene.face, scene.path[-1], Qt.PenStyle.DotLine, 1.0)
+    if scene.truth is not None:
+        _outline(painter, area, scene.truth, (0.0, 0.0), Qt.PenStyle.DashLine, 1.6)
+    if scene.stability is not None and len(scene.stability.hull_mm):
+        _outline(painter, area, scene.stability.hull_mm, (0.0, 0.0), Qt.PenStyle.SolidLine,
+                 1.4 if small else 2.0)  # fmt: skip
+    if not small:
+        _path(painter, area, scene, theme)
+    if scene.stability is not None:
+        centre = scene.stability.centre_mm
+        if all(map(math.isfinite, centre)):
+            if scene.step_mm is not None and not small and scene.step_mm != (0.0, 0.0):
+                _step(painter, area, centre, scene)
+            plus(painter, QPointF(area.x(centre[0]), area.y(centre[1])), 4 if small else 8)
+
+
+def on_black(painter: QPainter, width: float, style: Qt.PenStyle, draw: Draw) -> None:
+    """Stroke twice: black two pixels wider below, white above."""
+    for colour, extra in ((BLACK, 2.0), (WHITE, 0.0)):
+        pen = QPen(colour, width + extra)
+        if style is not Qt.PenStyle.SolidLine and colour is WHITE:
+            pen.setStyle(style)
+        pen.setJoinStyle(Qt.PenJoinStyle.RoundJoin)
+        painter.setPen(pen)
+        draw()
+
+
+def plus(painter: QPainter, at: QPointF, size: float) -> None:
+    """Draw the centre of mass: a plus."""
+
+    def stroke() -> None:
+        painter.drawLine(at - QPointF(size, 0), at + QPointF(size, 0))
+        painter.drawLine(at - QPointF(0, size), at + QPointF(0, size))
+
+    on_black(painter, 2.6, Qt.PenStyle.SolidLine, stroke)
+
+
+def _outline(
+    painter: QPainter,
+    area: PlotArea,
+    points: FloatArray,
+    shift: tuple[float, float],
+    style: Qt.PenStyle,
+    width: float,
+) -> None:
+    polygon = QPolygonF(
+        [QPointF(area.x(x + shift[0]), area.y(y + shift[1])) for x, y in points.tolist()]
+    )
+    on_black(painter, width, style, lambda: painter.drawPolygon(polygon))
+
+
+def _path(painter: QPainter, area: PlotArea, scene: BeliefScene, theme: Theme) -> None:
+    points = [QPointF(area.x(x), area.y(y)) for x, y in scene.path]
+    on_black(painter, 1.0, Qt.PenStyle.SolidLine, lambda: painter.drawPolyline(QPolygonF(points)))
+    painter.setFont(ui_font(theme.scale, 0.8, 600))
+    # The newest probe carries the plus of the centre of mass instead of a number.
+    for number, point in enumerate(points[:-1], start=1):
+        ring = QRectF(point.x() - 8, point.y() - 8, 16, 16)
+        painter.setPen(QPen(WHITE, 1.5))
+        painter.setBrush(BLACK)
+        painter.drawEllipse(ring)
+        painter.setPen(WHITE)
+        painter.drawText(ring, int(Qt.AlignmentFlag.AlignCenter), str(number))
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+
+
+def _step(
+    painter: QPainter, area: PlotArea, start: tuple[float, float], scene: BeliefScene
+) -> None:
+    step = scene.step_mm or (0.0, 0.0)
+    tail = QPointF(area.x(start[0]), area.y(start[1]))
+    tip = QPointF(area.x(start[0] + step[0]), area.y(start[1] + step[1]))
+    if scene.target_mm is not None and all(map(math.isfinite, scene.target_mm)):
+        target = QPointF(area.x(scene.target_mm[0]), area.y(scene.target_mm[1]))
+        if scene.clipped:
+            on_black(painter, 1.0, Qt.PenStyle.DotLine, lambda: painter.drawLine(tip, target))
+        on_black(painter, 1.6, Qt.PenStyle.SolidLine, lambda: painter.drawEllipse(target, 6, 6))
+    along = tip - tail
+    length = math.hypot(along.x(), along.y())
+    if length < 1:
+        return
+    unit, across = along / length, QPointF(-along.y(), along.x()) / length
+
+    def stroke() -> None:
+        painter.drawLine(tail, tip)
+        painter.drawLine(tip, tip - unit * 10 + across * 5)
+        painter.drawLine(tip, tip - unit * 10 - across * 5)
+
+    on_black(painter, 2.2, Qt.PenStyle.SolidLine, stroke)
+
+
+class BeliefView(QWidget):
+    """Draws a ``BeliefScene``; redrawn only when the scene, size or theme changes."""
+
+    def __init__(self, theme: Theme, *, thumbnail: bool = False) -> None:
+        super().__init__()
+        self._theme, self._thumbnail = theme, thumbnail
+        self.scene = BeliefScene()
+        self.map_name: MapName = "cividis"
+        self._drawn: QPixmap | None = None
+        self._key: tuple[object, ...] = ()
+        self.paints = self.renders = 0
+        self.setAccessibleName("Belief map")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setMinimumSize(*((40, 40) if thumbnail else (240, 200)))
+
+    def sizeHint(self) -> QSize:
+        """Return a square."""
+        return QSize(480, 480)
+
+    def show_scene(self, scene: BeliefScene) -> None:
+        """Show another scene."""
+        self.scene = scene
+        self._drawn = None
+        self.setAccessibleDescription(describe(scene))
+        self.update()
+
+    def show_map(self, name: MapName) -> None:
+        """Choose the colour map."""
+        self.map_name = name
+        self._drawn = None
+        self.update()
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Blit the drawing; draw it anew if something changed."""
+        self.paints += 1
+        key = (self.size().toTuple(), self._theme.tokens.name, self._theme.scale, self.map_name)
+        if self._drawn is None or key != self._key:
+            self._key = key
+            ratio = self.devicePixelRatioF()
+            self._drawn = QPixmap(self.size() * ratio)
+            self._drawn.setDevicePixelRatio(ratio)
+            self._drawn.fill(self._theme.tokens.colour("panel"))
+            inner = QPainter(self._drawn)
+            inner.setRenderHint(QPainter.RenderHint.Antialiasing)
+            try:
+                self._draw(inner)
+            finally:
+                # Qt aborts the process if a picture dies while it is painted.
+                inner.end()
+            self.renders += 1
+        painter = QPainter(self)
+        painter.drawPixmap(0, 0, self._drawn)
+
+    def side_px(self, size: QSize) -> float:
+        """Return the side of the square that is drawn in a view of this size."""
+        left, top, right, bottom = self._margins()
+        return max(min(size.width() - left - right, size.height() - top - bottom), 10.0)
+
+    def _margins(self) -> tuple[float, float, float, float]:
+        """Return the room of axes and colour bar: left, top, right, bottom."""
+        if self._thumbnail:
+            return 1.0, 1.0, 1.0, 1.0
+        em = self.fontMetrics().height()
+        return 2.2 * em, 0.4 * em, 3.4 * em, 1.5 * em
+
+    def area(self) -> PlotArea:
+        """Return the square in which the map is drawn."""
+        left, top, right, bottom = self._margins()
+        side = self.side_px(self.size())
+        x = left + (self.width() - left - right - side) / 2
+        y = top + (self.height() - top - bottom - side) / 2
+        cx, cy, half = self.scene.frame_mm()
+        return PlotArea(QRectF(x, y, side, side), cx - half, cx + half, cy - half, cy + half)
+
+    def _draw(self, painter: QPainter) -> None:
+        area, t = self.area(), self._theme.tokens
+        painter.fillRect(area.rect, t.colour("bg"))
+        if not self._thumbnail:
+            self._draw_axes(painter, area)
+        belief = self.scene.belief
+        if belief is None:
+            if not self._thumbnail:
+                draw_message(painter, area.rect, self._theme, *self.scene.empty)
+            return
+        painter.save()
+        painter.setClipRect(area.rect)
+        self._draw_cells(painter, area, belief)
+        draw_all(painter, area, self.scene, self._theme, small=self._thumbnail)
+        painter.restore()
+        if not self._thumbnail:
+            self._draw_colour_bar(painter, area)
+
+    def _draw_cells(self, painter: QPainter, area: PlotArea, belief: BeliefMap) -> None:
+        ny, nx = belief.log_odds.shape
+        rgba = np.zeros((ny, nx, 4), dtype=np.uint8)
+        rgba[..., :3] = colours(belief.probability, self.map_name)
+        rgba[..., 3] = np.where(belief.covered, 255, 0)
+        rgba = np.ascontiguousarray(rgba[::-1])
+        image = QImage(rgba.data, nx, ny, 4 * nx, QImage.Format.Format_RGBA8888)
+        half = belief.pitch_mm / 2
+        x0, y0 = belief.origin_mm[0] - half, belief.origin_mm[1] - half
+        x1, y1 = x0 + nx * belief.pitch_mm, y0 + ny * belief.pitch_mm
+        target = QRectF(QPointF(area.x(x0), area.y(y1)), QPointF(area.x(x1), area.y(y0)))
+        painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform, False)
+        painter.drawImage(target, image)
+
+    def _draw_axes(self, painter: QPainter, area: PlotArea) -> None:
+        t, rect = self._theme.tokens, area.rect
+        painter.setFont(ui_font(self._theme.scale, 0.85))
+        height = painter.fontMetrics().height()
+        step = nice_step(area.x1 - area.x0, 6)
+        for value in ticks(area.x0, area.x1, 6):
+            x, text = area.x(value), tick_text(value, step)
+            painter.setPen(QPen(t.colour("grid"), 1))
+            painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))
+            painter.setPen(t.colour("muted"))
+            painter.drawText(QRectF(x - 30, rect.bottom() + 3, 60, height),
+                             int(Qt.AlignmentFlag.AlignHCenter), text)  # fmt: skip
+        for value in ticks(area.y0, area.y1, 6):
+            y, text = area.y(value), tick_text(value, step)
+            painter.setPen(QPen(t.colour("grid"), 1))
+            painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
+            painter.setPen(t.colour("muted"))
+            box = QRectF(rect.left() - 46, y - height / 2, 40, height)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), text)
+        corner = rect.adjusted(6, 4, -6, -4)
+        low, right = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignRight
+        painter.drawText(corner, int(low | right), "x (mm)")
+        painter.drawText(corner, int(Qt.AlignmentFlag.AlignLeft), "y (mm)")
+
+    def _draw_colour_bar(self, painter: QPainter, area: PlotArea) -> None:
+        t, rect = self._theme.tokens, area.rect
+        bar = QRectF(rect.right() + 10, rect.top(), 10, rect.height())
+        ramp = np.ascontiguousarray(colours(np.linspace(1, 0, 128)[:, None], self.map_name))
+        painter.drawImage(bar, QImage(ramp.data, 1, 128, 3, QImage.Format.Format_RGB888))
+        painter.setFont(ui_font(self._theme.scale, 0.85))
+        height = painter.fontMetrics().height()
+        painter.setPen(t.colour("muted"))
+        for value in (0.0, 0.25, 0.5, 0.75, 1.0):
+            y = bar.bottom() - value * bar.height()
+            y_text = min(max(y - height / 2, bar.top() - 3), bar.bottom() - height + 3)
+            painter.drawText(QPointF(bar.right() + 5, y_text + painter.fontMetrics().ascent()),
+                             f"{value:g}")  # fmt: skip
+        y = bar.bottom() - self.scene.delta * bar.height()
+        painter.setPen(QPen(QColor("#000000"), 3))
+        painter.drawLine(QPointF(bar.left(), y), QPointF(bar.right(), y))
+        painter.setPen(QPen(QColor("#FFFFFF"), 1))
+        painter.drawLine(QPointF(bar.left(), y), QPointF(bar.right(), y))
+
+
+def describe(scene: BeliefScene) -> str:
+    """Return the scene in one sentence, for screen readers."""
+    if scene.belief is None:
+        return scene.empty[0]
+    text = (
+        f"{scene.belief.probes} probes fused, largest support {scene.belief.probability.max():.2f}"
+    )
+    if scene.stability is not None:
+        text += f", {scene.stability.support.value}, margin {scene.stability.margin_mm:.1f} mm"
+    return text

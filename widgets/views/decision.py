@@ -1,0 +1,272 @@
+"""Decision of the policy, in numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from PySide6.QtCore import QEvent, Qt
+from PySide6.QtGui import QKeyEvent
+from PySide6.QtWidgets import (
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QLineEdit,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from touchdown.backend.core import Outcome, PlaceAction, Stability, SupportKind
+from touchdown.widgets.base import Panel, Theme, label, set_property
+from touchdown.widgets.views.offset import OffsetScene, OffsetView
+
+OUTCOMES: tuple[tuple[Outcome, str, str], ...] = (
+    (Outcome.PLACED, "Stands  1", "The piece stands by itself"),
+    (Outcome.FELL, "Fell  2", "The piece fell or leans"),
+    (Outcome.KNOCKED_OVER, "Disturbed  3", "The bottom was moved or knocked over"),
+    (Outcome.ABORTED, "Void\N{HORIZONTAL ELLIPSIS}  4", "It says nothing: write why, then press"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TrialLook:
+    """One question. ``scene``: where the face starts over the bottom, None for no picture.
+
+    ``yes``: text of its button, "" where an outcome is asked for; ``proposed`` stands out.
+    """
+
+    title: str
+    text: str
+    yes: str = ""
+    scene: OffsetScene | None = None
+    proposed: Outcome | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TrialIntents:
+    """What the operator can answer; ``judge`` gets the outcome and the reason that was written."""
+
+    answer: Callable[[bool], None]
+    judge: Callable[[Outcome, str], None]
+    photo: Callable[[], None]
+
+
+class _Reason(QLineEdit):
+    """A line whose Enter is its own, whatever Enter does on the page."""
+
+    def event(self, event: QEvent) -> bool:
+        """Claim Enter before a shortcut does."""
+        if isinstance(event, QKeyEvent) and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            event.accept()
+        return super().event(event)
+
+
+class TrialPanel(Panel):
+    """Hidden while nothing is asked."""
+
+    def __init__(self, theme: Theme, intents: TrialIntents) -> None:
+        super().__init__("Your turn")
+        self._intents = intents
+        self.text = label("", wrap=True)
+        self.picture = OffsetView(theme, _stay, _drop)
+        self.picture.editable = False
+        self.picture.setAccessibleName("Start of the trial, seen from above")
+        self.yes, self.no = QPushButton("Ready"), QPushButton("Not now")
+        self.yes.setProperty("role", "primary")
+        self.outcomes = {outcome: QPushButton(text) for outcome, text, _ in OUTCOMES}
+        self.reason = _Reason()
+        self.reason.setPlaceholderText("Why (a void trial needs it)")
+        self.reason.setAccessibleName("Why")
+        self.reason.setMaxLength(200)
+        self.photo = QPushButton("Photo\N{HORIZONTAL ELLIPSIS}")
+        self.photo.setToolTip("Keep a picture of the bench with this trial")
+        self._ready, self._judging = QWidget(), QWidget()
+        self._arrange()
+        self._wire()
+        self.show_look(None)
+
+    def show_look(self, look: TrialLook | None) -> None:
+        """Show a question; None: nothing is asked."""
+        self.setVisible(look is not None)
+        if look is None:
+            self.reason.clear()
+            return
+        self.rename(look.title)
+        self.setAccessibleDescription(look.text)
+        self.text.setText(look.text)
+        self.picture.setVisible(look.scene is not None)
+        if look.scene is not None:
+            self.picture.show_scene(look.scene)
+        self._ready.setVisible(bool(look.yes))
+        self.yes.setText(look.yes)
+        self._judging.setVisible(not look.yes)
+        for outcome, button in self.outcomes.items():
+            set_property(button, "role", "primary" if outcome is look.proposed else "")
+
+    def judge(self, outcome: Outcome) -> None:
+        """Give this outcome; a void trial without a reason asks for one."""
+        reason = self.reason.text().strip()
+        if outcome is Outcome.ABORTED and not reason:
+            self.reason.setFocus()
+        else:
+            self._intents.judge(outcome, reason)
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _arrange(self) -> None:
+        ready = QHBoxLayout(self._ready)
+        ready.setContentsMargins(0, 0, 0, 0)
+        ready.addStretch(1)
+        ready.addWidget(self.no)
+        ready.addWidget(self.yes)
+        judging = QGridLayout(self._judging)
+        judging.setContentsMargins(0, 0, 0, 0)
+        judging.setSpacing(6)
+        for column, (outcome, _, tip) in enumerate(OUTCOMES):
+            self.outcomes[outcome].setToolTip(tip)
+            judging.addWidget(self.outcomes[outcome], 0, column)
+        judging.addWidget(self.reason, 1, 0, 1, 3)
+        judging.addWidget(self.photo, 1, 3)
+        self.column.addWidget(self.text)
+        self.column.addWidget(self.picture, 1)
+        self.column.addWidget(self._ready)
+        self.column.addWidget(self._judging)
+
+    def _wire(self) -> None:
+        self.yes.clicked.connect(lambda: self._intents.answer(True))
+        self.no.clicked.connect(lambda: self._intents.answer(False))
+        self.photo.clicked.connect(self._intents.photo)
+        self.no.setToolTip("End the run; nothing has moved")
+        self.yes.setToolTip("Go on (Y)")
+        self.reason.returnPressed.connect(lambda: self.judge(Outcome.ABORTED))
+        for outcome, button in self.outcomes.items():
+            button.clicked.connect(_judged(self, outcome))
+
+
+def _judged(panel: TrialPanel, outcome: Outcome) -> Callable[[], None]:
+    return lambda: panel.judge(outcome)
+
+
+def _stay(_at_mm: tuple[float, float]) -> None:
+    """Do nothing: the start is drawn by the run."""
+
+
+def _drop() -> None:
+    """Do nothing: nothing is dragged."""
+
+
+MINUS = "\N{MINUS SIGN}"
+ESTIMATED, TRUE = "estimated margin", "true margin"
+
+
+@dataclass(frozen=True, slots=True)
+class DecisionText:
+    """What the panel says. ``tone``: "good", "bad" or "" (no verdict).
+
+    ``caption`` says what the margin is: estimated during a trial, true after a simulated one.
+    """
+
+    verdict: str
+    tone: str
+    margin: str
+    text: str
+    caption: str = ESTIMATED
+
+
+NOTHING_YET = DecisionText("No verdict yet", "", "", "Press Start stacking to let the piece probe.")
+
+
+def signed_mm(value: float) -> str:
+    """Write a signed length with a true minus; infinite and NaN in words."""
+    if math.isnan(value):
+        return "no estimate"
+    if math.isinf(value):
+        return "no support"
+    return f"{value:+.1f} mm".replace("-", MINUS)
+
+
+def decide_in_words(stability: Stability | None, action: PlaceAction | None) -> DecisionText:
+    """Put verdict and margin into words; the reason with its numbers is the backend's."""
+    if stability is None:
+        return NOTHING_YET
+    if stability.support is SupportKind.NO_ESTIMATE or math.isnan(stability.margin_mm):
+        verdict, tone = "? No estimate", ""
+    elif stability.stable:
+        verdict, tone = "\N{CHECK MARK} Would stand", "good"
+    else:
+        verdict, tone = "\N{MULTIPLICATION X} Would fall", "bad"
+    reason = action.reason if action is not None else ""
+    return DecisionText(verdict, tone, signed_mm(stability.margin_mm), reason)
+
+
+class DecisionPanel(QFrame):
+    """Verdict and margin on one line, the reason below, and the question if there is one."""
+
+    def __init__(self, on_approve: Callable[[], None], on_decline: Callable[[], None]) -> None:
+        super().__init__()
+        self.setProperty("role", "card")
+        self.setAccessibleName("Decision")
+        self._verdict = label("", "figure")
+        self._margin = label("", "figure")
+        self._caption = label(ESTIMATED, "small")
+        self._text = label("", wrap=True)
+        self._text.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+        self._text.setMinimumHeight(2 * self.fontMetrics().lineSpacing() + 4)
+        self.approve = QPushButton("Approve  A")
+        self.approve.setProperty("role", "primary")
+        self.approve.setToolTip("Carry out this move (A; N in step mode)")
+        self.approve.clicked.connect(on_approve)
+        self.decline = QPushButton("Decline")
+        self.decline.setToolTip("Do not carry it out: the trial ends, the piece stays held")
+        self.decline.clicked.connect(on_decline)
+        self._asking = QWidget()
+        self._arrange()
+        self.show_text(NOTHING_YET)
+        self.show_question("")
+
+    def _arrange(self) -> None:
+        top = QHBoxLayout()
+        top.addWidget(self._verdict)
+        top.addStretch(1)
+        top.addWidget(self._caption, 0, Qt.AlignmentFlag.AlignBottom)
+        top.addWidget(self._margin)
+        asking = QHBoxLayout(self._asking)
+        asking.setContentsMargins(0, 0, 0, 0)
+        self._ask_text = label("", "title", wrap=True)
+        asking.addWidget(self._ask_text, 1)
+        asking.addWidget(self.decline)
+        asking.addWidget(self.approve)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(12, 8, 12, 8)
+        column.setSpacing(4)
+        column.addLayout(top)
+        column.addWidget(self._text)
+        column.addWidget(self._asking)
+
+    def show_text(self, text: DecisionText) -> None:
+        """Show a decision."""
+        self._verdict.setText(text.verdict)
+        self._margin.setText(text.margin)
+        self._caption.setText(text.caption)
+        self._caption.setVisible(bool(text.margin))
+        self._text.setText(text.text)
+        self._text.setToolTip(text.text)
+        for part in (self._verdict, self._margin):
+            set_property(part, "tone", text.tone)
+        margin = f"{text.caption} {text.margin}. " if text.margin else ""
+        self.setAccessibleDescription(f"{text.verdict}. {margin}{text.text}")
+
+    def keep_room(self, asks: bool) -> None:
+        """Keep the place of the question where one will come: the views below stay put."""
+        policy = self._asking.sizePolicy()
+        if policy.retainSizeWhenHidden() != asks:
+            policy.setRetainSizeWhenHidden(asks)
+            self._asking.setSizePolicy(policy)
+
+    def show_question(self, text: str, button: str = "Approve  A") -> None:
+        """Ask for approval; the empty text withdraws the question."""
+        self._ask_text.setText(text)
+        self.approve.setText(button)
+        self._asking.setVisible(bool(text))

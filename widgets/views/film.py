@@ -1,0 +1,294 @@
+"""Recorded film with its time line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from PySide6.QtCore import QElapsedTimer, QPointF, QRectF, QSize, Qt, QTimer, Signal
+from PySide6.QtGui import QMouseEvent, QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import QGridLayout, QSizePolicy, QWidget
+
+from touchdown.backend.core import (
+    FINGERS,
+    Finger,
+    FloatArray,
+    ImageArray,
+    MarkerField,
+    TactileFrame,
+)
+from touchdown.widgets.base import Age, Theme, blend, label, ui_font
+from touchdown.widgets.plots import PlotArea, nice_step, tick_text, ticks
+from touchdown.widgets.views.tactile import IMAGE_H, IMAGE_W, TactileView
+
+TICK_MS = 33
+UNSEEN = "No picture recorded"
+GROUND = 40
+"""Grey of a frame whose picture was not kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilmTrack:
+    """One finger: ``picture_t_s`` (n,) and how to get picture i; ``fields`` in order of time.
+
+    All times are after the contact onset. Without pictures the arrows stand on a plain ground.
+    """
+
+    picture_t_s: FloatArray
+    picture: Callable[[int], ImageArray]
+    field_t_s: FloatArray
+    fields: Sequence[MarkerField]
+
+
+Reel = Mapping[Finger, FilmTrack]
+
+
+def latest(t_s: FloatArray, cursor_s: float) -> int:
+    """Return the index of the newest sample not later than the cursor, -1 before the first."""
+    return int(np.searchsorted(t_s, cursor_s + 1e-9, side="right")) - 1
+
+
+class Film(QWidget):
+    """Shows a reel; ``seek`` is told where playing or stepping moves the cursor.
+
+    ``ran`` tells that it plays (True) or stands still.
+    """
+
+    ran = Signal(bool)
+
+    def __init__(self, theme: Theme, seek: Callable[[float], None]) -> None:
+        super().__init__()
+        self._seek = seek
+        self._reel: Reel = {}
+        self._span_s = (0.0, 2.0)
+        self.cursor_s = 0.0
+        self.views = {finger: TactileView(theme, finger) for finger in FINGERS}
+        for view in self.views.values():
+            view.never = view.gone = UNSEEN
+        self.notes = {finger: label("", "small") for finger in FINGERS}
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 0)
+        grid.setSpacing(4)
+        for column, finger in enumerate(FINGERS):
+            grid.addWidget(self.notes[finger], 0, column)
+            grid.addWidget(self.views[finger], 1, column)
+            grid.setColumnStretch(column, 1)
+        self._clock = QElapsedTimer()
+        self._from_s = 0.0
+        self._timer = QTimer(self)
+        self._timer.setInterval(TICK_MS)
+        self._timer.timeout.connect(self._turn)
+
+    @property
+    def playing(self) -> bool:
+        """Whether the film runs."""
+        return self._timer.isActive()
+
+    def show_reel(self, reel: Reel, span_s: tuple[float, float], cursor_s: float) -> None:
+        """Show another probe, which lasts from ``span_s[0]`` to ``span_s[1]``."""
+        self.take_reel(reel, span_s)
+        self.show_cursor(cursor_s)
+
+    def show_none(self) -> None:
+        """Show that there is no probe: neither that it has no pictures."""
+        self.take_reel({}, (0.0, 2.0))
+        for finger, view in self.views.items():
+            self.notes[finger].setText("")
+            view.gone = view.never = ""
+            view.show_age(Age.GONE, 0.0, "")
+
+    def limit_height(self, limit_px: int) -> None:
+        """Let no picture grow taller than ``limit_px``: what stands below needs its room."""
+        for view in self.views.values():
+            view.limit_height(limit_px)
+
+    def take_reel(self, reel: Reel, span_s: tuple[float, float]) -> None:
+        """Take another probe; the next cursor shows it."""
+        self.stop()
+        self._reel, self._span_s = reel, span_s
+        for view in self.views.values():
+            view.never = view.gone = UNSEEN
+
+    def show_cursor(self, t_s: float) -> None:
+        """Show what each finger saw last at this time."""
+        self.cursor_s = t_s
+        for finger in FINGERS:
+            self._show_finger(finger, self._reel.get(finger))
+
+    def play_or_pause(self) -> None:
+        """Play from the cursor, from the start if it is at the end; or pause."""
+        if self._timer.isActive():
+            self.stop()
+            return
+        at_end = self.cursor_s >= self._span_s[1] - 1e-6
+        self._from_s = self._span_s[0] if at_end else self.cursor_s
+        self._clock.start()
+        self._timer.start()
+        self.ran.emit(True)
+
+    def stop(self) -> None:
+        """Stand still."""
+        self._timer.stop()
+        self.ran.emit(False)
+
+    def step(self, by: int) -> None:
+        """Move the cursor to the next (1) or former (-1) frame of any finger."""
+        self.stop()
+        stamps = np.unique([t_s for track in self._reel.values() for t_s in _stamps(track)])
+        later, earlier = (
+            stamps[stamps > self.cursor_s + 1e-9],
+            stamps[stamps < self.cursor_s - 1e-9],
+        )
+        found = later[:1] if by > 0 else earlier[-1:]
+        if len(found):
+            self._seek(float(found[0]))
+
+    def _turn(self) -> None:
+        at_s = self._from_s + self._clock.elapsed() * 1e-3
+        if at_s >= self._span_s[1]:
+            self.stop()
+        self._seek(min(at_s, self._span_s[1]))
+
+    def _show_finger(self, finger: Finger, track: FilmTrack | None) -> None:
+        view, note = self.views[finger], self.notes[finger]
+        field = None
+        if track is not None:
+            at = latest(track.field_t_s, self.cursor_s)
+            field = track.fields[at] if at >= 0 else None
+        index = latest(track.picture_t_s, self.cursor_s) if track is not None else -1
+        if track is None or (field is None and index < 0):
+            view.show_age(Age.GONE, 0.0, "Nothing was recorded at this time.")
+            note.setText(finger)
+            return
+        view.show_age(Age.FRESH, 0.0, "")
+        if index >= 0:
+            image, t_s = track.picture(index), float(track.picture_t_s[index])
+            note.setText(f"{finger}, frame {index + 1} of {len(track.picture_t_s)}")
+        else:
+            image = np.full((IMAGE_H, IMAGE_W, 3), GROUND, dtype=np.uint8)
+            t_s = self.cursor_s
+            kept = len(track.picture_t_s) > 0
+            note.setText(f"{finger}, {'before the first picture' if kept else 'no picture kept'}")
+        view.show_frame(TactileFrame(finger, index, t_s, image), field)
+
+
+def _stamps(track: FilmTrack) -> FloatArray:
+    return track.picture_t_s if len(track.picture_t_s) else track.field_t_s
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Something that happened; ``strong`` ones are a full line with their word."""
+
+    t_s: float
+    word: str
+    strong: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class TimeScene:
+    """Span of the line, where signals were recorded, and what happened, in order of time."""
+
+    span_s: tuple[float, float] = (0.0, 0.0)
+    recorded_s: tuple[tuple[float, float], ...] = ()
+    marks: tuple[Mark, ...] = ()
+
+
+class TimeLine(QWidget):
+    """Draws a ``TimeScene``; ``seek`` is told the time that was pressed or dragged to."""
+
+    def __init__(self, theme: Theme, seek: Callable[[float], None]) -> None:
+        super().__init__()
+        self._theme, self._seek = theme, seek
+        self.scene, self.cursor_s = TimeScene(), 0.0
+        self.setAccessibleName("Time line")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
+
+    def sizeHint(self) -> QSize:
+        """Return three lines of text."""
+        return QSize(400, round(3.6 * self.fontMetrics().height()))
+
+    def show_scene(self, scene: TimeScene) -> None:
+        """Show another span."""
+        self.scene = scene
+        self.update()
+
+    def show_cursor(self, t_s: float) -> None:
+        """Move the cursor."""
+        self.cursor_s = t_s
+        self.setAccessibleDescription(f"{t_s:.2f} s of {self.scene.span_s[1]:.2f} s")
+        self.update()
+
+    def area(self) -> PlotArea:
+        """Where times are drawn; a span without length gets one second."""
+        em = self.fontMetrics().height()
+        low, high = self.scene.span_s
+        rect = QRectF(10, 1.3 * em, max(self.width() - 20.0, 10.0), self.height() - 2.6 * em)
+        return PlotArea(rect, low, max(high, low + 1.0), 0.0, 1.0)
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Move the cursor to where the line was pressed."""
+        self._go_to(event)
+
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:
+        """Move the cursor along."""
+        self._go_to(event)
+
+    def _go_to(self, event: QMouseEvent) -> None:
+        if event.buttons() & Qt.MouseButton.LeftButton:
+            area, (low, high) = self.area(), self.scene.span_s
+            share = (event.position().x() - area.rect.left()) / area.rect.width()
+            self._seek(min(max(area.x0 + share * (area.x1 - area.x0), low), high))
+
+    # -- drawing ----------------------------------------------------------------------------------
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw recorded spans, marks with the words that fit, times, and the cursor."""
+        painter, t, area = QPainter(self), self._theme.tokens, self.area()
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.fillRect(self.rect(), t.colour("panel"))
+        painter.setFont(ui_font(self._theme.scale, 0.8))
+        painter.fillRect(area.rect, t.colour("bg"))
+        shade = blend(t.colour("bg"), t.colour("axis_x"), 0.4)
+        for start, end in self.scene.recorded_s:
+            left = area.x(start)
+            painter.fillRect(
+                QRectF(left, area.rect.top(), max(area.x(end) - left, 2.0), area.rect.height()),
+                shade,
+            )
+        painter.setPen(QPen(t.colour("border"), 1))
+        painter.drawRect(area.rect)
+        self._draw_marks(painter, area)
+        self._draw_times(painter, area)
+        x = area.x(self.cursor_s)
+        painter.setPen(QPen(t.colour("focus"), 2.5))
+        painter.drawLine(QPointF(x, area.rect.top() - 5), QPointF(x, area.rect.bottom() + 5))
+
+    def _draw_marks(self, painter: QPainter, area: PlotArea) -> None:
+        t, free = self._theme.tokens, area.rect.left() - 1.0
+        metrics = painter.fontMetrics()
+        for mark in self.scene.marks:
+            x, half = area.x(mark.t_s), 0.5 * area.rect.height()
+            painter.setPen(QPen(t.colour("text" if mark.strong else "muted"), 1.4))
+            top = area.rect.top() if mark.strong else area.rect.top() + half
+            painter.drawLine(QPointF(x, top), QPointF(x, area.rect.bottom()))
+            width = metrics.horizontalAdvance(mark.word) + 4.0
+            left = min(max(x - width / 2, area.rect.left()), area.rect.right() - width)
+            if mark.strong and left >= free:
+                free = left + width + 4
+                box = QRectF(left, 0, width, area.rect.top() - 1)
+                painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), mark.word)
+
+    def _draw_times(self, painter: QPainter, area: PlotArea) -> None:
+        painter.setPen(self._theme.tokens.colour("muted"))
+        step = nice_step(area.x1 - area.x0, 8)
+        top, height = area.rect.bottom() + 2, painter.fontMetrics().height()
+        for value in ticks(area.x0, area.x1, 8):
+            text = f"{tick_text(value, step)} s"
+            width = painter.fontMetrics().horizontalAdvance(text) + 2.0
+            # The outermost times stay whole inside the widget.
+            left = min(max(area.x(value) - width / 2, 0.0), self.width() - width)
+            box = QRectF(left, top, width, height)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), text)

@@ -1,0 +1,385 @@
+"""Offset of the piece over the bottom."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap, QPolygonF
+from PySide6.QtWidgets import QSizePolicy, QWidget
+
+from touchdown.backend.core import FloatArray, SupportKind
+from touchdown.widgets.base import Theme, blend, ui_font
+from touchdown.widgets.plots import PlotArea, draw_message, draw_mm_grid
+from touchdown.widgets.views.belief import plus
+
+GhostKind = Literal["commanded", "measured", "scene", "model"]
+Point = tuple[float, float]
+EDGE_MM, REACH_STEP_MM = 2.0, 6.0
+"""Room round what is drawn; the square grows in such steps, not with every nudge."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ghost:
+    """Where another source puts the face; ``sigma_mm`` is its standard uncertainty, 0: not told."""
+
+    kind: GhostKind
+    offset_mm: Point
+    sigma_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class OffsetScene:
+    """The grasped face over the bottom face, in the frame ``O``, mm.
+
+    ``bottom`` and ``face``: (k, 2) outlines, each round its own centre. ``offset_mm`` is None while
+    nobody has said where the face is. ``points_mm`` (N, 2), ``touching`` (N,), ``hull_mm`` (k, 2),
+    ``centre_mm``, ``margin_mm`` and ``support`` follow from it. ``sigma_mm``: of the label.
+    ``names``: of bottom and face, written into them; none while there is more to see.
+    """
+
+    bottom: FloatArray
+    face: FloatArray
+    offset_mm: Point | None = None
+    yaw_rad: float = 0.0
+    points_mm: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    touching: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    hull_mm: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    centre_mm: Point = (math.nan, math.nan)
+    margin_mm: float = math.nan
+    support: SupportKind = SupportKind.NO_ESTIMATE
+    too_close: bool = False
+    sigma_mm: float = 0.0
+    ghosts: tuple[Ghost, ...] = ()
+    names: tuple[str, str] | None = None
+
+    @property
+    def reach_mm(self) -> float:
+        """Half width of the square that holds all that is drawn.
+
+        The same for every label whose centre lies over the bottom, so that episodes compare.
+        """
+        face = float(np.hypot(*self.face.T).max() if self.yaw_rad else np.abs(self.face).max())
+        usual = float(np.abs(self.bottom).max()) + face + EDGE_MM
+        placed = [(ghost.offset_mm, ghost.sigma_mm) for ghost in self.ghosts]
+        if self.offset_mm is not None:
+            placed.append((self.offset_mm, self.sigma_mm))
+        far = max((max(map(abs, at)) + max(face, sigma) for at, sigma in placed), default=0.0)
+        more = max(far + EDGE_MM - usual, 0.0)
+        return usual + REACH_STEP_MM * math.ceil(more / REACH_STEP_MM)
+
+
+def verdict_in_words(scene: OffsetScene) -> str:
+    """Return whether the piece would stand, and by how much."""
+    if scene.offset_mm is None:
+        return "No displacement yet"
+    if scene.support is not SupportKind.AREA:
+        return "No contact: it would fall" if not scene.touching.any() else (
+            f"Would fall: {scene.support.value}"
+        )  # fmt: skip
+    side = "inside" if scene.margin_mm >= 0 else "outside"
+    distance = f"centre of mass {abs(scene.margin_mm):.1f} mm {side} the hull"
+    if scene.too_close:
+        return f"Too close to call: {distance}"
+    return f"Would {'stand' if scene.margin_mm >= 0 else 'fall'}: {distance}"
+
+
+def offset_in_words(offset_mm: Point | None, sigma_mm: float = 0.0) -> str:
+    """Write a displacement as "x +1.50, y +0.25 mm", with its uncertainty."""
+    if offset_mm is None:
+        return "no displacement"
+    x, y = (f"{v:+.2f}".replace("-", "\N{MINUS SIGN}") for v in offset_mm)
+    spread = f" \N{PLUS-MINUS SIGN} {sigma_mm:.2f}" if sigma_mm else ""
+    return f"x {x}, y {y} mm{spread}"
+
+
+LINES: dict[GhostKind, Qt.PenStyle] = {
+    "commanded": Qt.PenStyle.DashLine,
+    "measured": Qt.PenStyle.DotLine,
+    "scene": Qt.PenStyle.DashDotDotLine,
+    "model": Qt.PenStyle.DashDotLine,
+}
+AT: dict[GhostKind, float] = {"commanded": 2.1, "measured": 3.9, "scene": 1.0, "model": -0.6}
+"""Where on its outline a source is named (rad)."""
+SCALE_BAR_MM = 5.0
+THICKEN_PX = 0.3
+
+
+def draw_scale_bar(painter: QPainter, area: PlotArea, theme: Theme) -> None:
+    """Draw a bar of 5 mm at the lower left."""
+    length = SCALE_BAR_MM * area.rect.width() / (area.x1 - area.x0)
+    left, y = area.rect.left() + 10, area.rect.bottom() - 10
+    painter.setPen(QPen(theme.tokens.colour("text"), 2))
+    painter.drawLine(QPointF(left, y), QPointF(left + length, y))
+    for x in (left, left + length):
+        painter.drawLine(QPointF(x, y - 4), QPointF(x, y + 4))
+    painter.drawText(QPointF(left, y - 8), f"{SCALE_BAR_MM:g} mm")
+
+
+def draw_bottom(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
+    """Draw the bottom face, filled, with its centre."""
+    t = theme.tokens
+    painter.setPen(QPen(t.colour("border"), 2))
+    painter.setBrush(blend(t.colour("bg"), t.colour("border"), 0.22))
+    painter.drawPolygon(_placed(area, scene.bottom, (0.0, 0.0), 0.0))
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+    painter.setPen(QPen(t.colour("muted"), 1))
+    centre = QPointF(area.x(0.0), area.y(0.0))
+    for arm in (QPointF(4, 0), QPointF(0, 4)):
+        painter.drawLine(centre - arm, centre + arm)
+
+
+def legend_left(scene: OffsetScene) -> bool:
+    """Whether sources are named at the upper left: where the face is not."""
+    return scene.offset_mm is not None and scene.offset_mm[0] > 0
+
+
+def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
+    """Draw where other sources put the face: outline, uncertainty, and the name of the source."""
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+    painter.setFont(ui_font(theme.scale, 0.85, 500))
+    height = painter.fontMetrics().height()
+    for row, ghost in enumerate(scene.ghosts):
+        pen = QPen(theme.tokens.colour("muted"), 1)
+        pen.setStyle(LINES[ghost.kind])
+        painter.setPen(pen)
+        outline = _placed(area, scene.face, ghost.offset_mm, scene.yaw_rad)
+        # Twice a thin line: one that is wider than 1 px takes ten times as long to be dashed.
+        painter.drawPolygon(outline)
+        painter.drawPolygon(outline.translated(THICKEN_PX, THICKEN_PX))
+        _sigma_circle(painter, area, ghost.offset_mm, ghost.sigma_mm)
+        _legend_line(painter, area, ghost, row, height, left=legend_left(scene))
+        _letters(painter, area, scene, ghost)
+
+
+def _letters(painter: QPainter, area: PlotArea, scene: OffsetScene, ghost: Ghost) -> None:
+    """Write the source beside its outline, each source at another side of it."""
+    turn = AT[ghost.kind]
+    radius = float(np.hypot(*scene.face.T).max())
+    x = area.x(ghost.offset_mm[0] + radius * math.cos(turn))
+    y = area.y(ghost.offset_mm[1] + radius * math.sin(turn))
+    outwards = QPointF(9 * math.cos(turn), -9 * math.sin(turn))
+    box = QRectF(x - 20, y - 10, 40, 20).translated(outwards)
+    painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), ghost.kind[:2].capitalize())
+
+
+def _legend_line(
+    painter: QPainter, area: PlotArea, ghost: Ghost, row: int, height: float, *, left: bool
+) -> None:
+    """Name line and letters in an upper corner; at the left below the name of the axis."""
+    text = f"{ghost.kind[:2].capitalize()}  {ghost.kind}"
+    width = painter.fontMetrics().horizontalAdvance(text)
+    y = area.rect.top() + 4 + (row + (1.5 if left else 0.5)) * (height + 2)
+    at = area.rect.left() + 42 if left else area.rect.right() - 8 - width
+    box = QRectF(at, y - height / 2, width, height)
+    painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), text)
+    painter.drawLine(QPointF(box.left() - 34, y), QPointF(box.left() - 6, y))
+
+
+def draw_face(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
+    """Draw the face where the label puts it, with all that follows."""
+    if scene.offset_mm is None:
+        return
+    t = theme.tokens
+    _points(painter, area, scene.points_mm[~scene.touching], t.colour("muted"), 2.0)
+    _points(painter, area, scene.points_mm[scene.touching], t.colour("axis_x"), 4.5)
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+    if len(scene.hull_mm):
+        painter.setPen(QPen(t.colour("good" if scene.margin_mm >= 0 else "bad"), 2))
+        painter.drawPolygon(_placed(area, scene.hull_mm, (0.0, 0.0), 0.0))
+    painter.setPen(QPen(t.colour("text"), 2))
+    painter.drawPolygon(_placed(area, scene.face, scene.offset_mm, scene.yaw_rad))
+    painter.setPen(QPen(t.colour("text"), 1))
+    _sigma_circle(painter, area, scene.offset_mm, scene.sigma_mm)
+    plus(painter, QPointF(area.x(scene.centre_mm[0]), area.y(scene.centre_mm[1])), 8)
+
+
+def draw_names(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
+    """Write what bottom and face are, each where the other is not, and the way between them."""
+    if scene.names is None or scene.offset_mm is None:
+        return
+    away = np.array(scene.offset_mm)
+    length = float(np.hypot(*away))
+    way = away / length if length > 0 else np.array([1.0, 0.0])
+    centre = QPointF(area.x(0.0), area.y(0.0))
+    face = QPointF(area.x(scene.offset_mm[0]), area.y(scene.offset_mm[1]))
+    painter.setPen(QPen(theme.tokens.colour("text"), 1, Qt.PenStyle.DotLine))
+    painter.drawLine(centre, face)
+    plus(painter, face, 6)
+    painter.setPen(theme.tokens.colour("text"))
+    painter.setFont(ui_font(theme.scale, 1.0, 600))
+    reach = [0.55 * float(np.hypot(*outline.T).max()) for outline in (scene.bottom, scene.face)]
+    places = (-reach[0] * way, away + reach[1] * way)
+    for (x, y), name in zip(places, scene.names, strict=True):
+        box = QRectF(area.x(float(x)) - 80, area.y(float(y)) - 12, 160, 24)
+        painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), name)
+
+
+def _points(
+    painter: QPainter, area: PlotArea, points: FloatArray, colour: QColor, size: float
+) -> None:
+    """Draw squares: round points take seven times as long."""
+    pen = QPen(colour, size)
+    pen.setCapStyle(Qt.PenCapStyle.SquareCap)
+    painter.setPen(pen)
+    painter.drawPoints(area.polygon(points[:, 0], points[:, 1]))
+
+
+def _sigma_circle(painter: QPainter, area: PlotArea, at_mm: Point, sigma_mm: float) -> None:
+    if sigma_mm > 0:
+        scale = area.rect.width() / (area.x1 - area.x0)
+        radius = sigma_mm * scale
+        painter.drawEllipse(QPointF(area.x(at_mm[0]), area.y(at_mm[1])), radius, radius)
+
+
+def _placed(area: PlotArea, outline: FloatArray, at_mm: Point, yaw_rad: float) -> QPolygonF:
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    x = outline[:, 0] * c - outline[:, 1] * s + at_mm[0]
+    y = outline[:, 0] * s + outline[:, 1] * c + at_mm[1]
+    return area.polygon(x, y)
+
+
+Moved = Callable[[Point], None]
+
+
+class OffsetView(QWidget):
+    """Draws an ``OffsetScene``; what a nudge does not change is drawn once."""
+
+    def __init__(self, theme: Theme, moved: Moved, dropped: Callable[[], None]) -> None:
+        super().__init__()
+        self._theme, self._moved, self._dropped = theme, moved, dropped
+        self.scene: OffsetScene | None = None
+        self.editable = True
+        self._held_mm: Point | None = None
+        self._grasped: PlotArea | None = None
+        """The scale at which the face was taken: one that grows meanwhile moves no face."""
+        self._reach_mm = 1.0
+        self._ground: QPixmap | None = None
+        self._behind: QPixmap | None = None
+        self._ground_key: tuple[object, ...] = ()
+        self._pair: tuple[object, object] | None = None
+        """Kept, so that no other outline gets the identity by which the ground is known."""
+        self._behind_key: tuple[object, ...] = ()
+        self.paints = 0
+        self.setAccessibleName("Displacement of the grasped face")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setMinimumSize(240, 140)
+        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
+
+    def sizeHint(self) -> QSize:
+        """Return a square."""
+        return QSize(460, 460)
+
+    def show_scene(self, scene: OffsetScene | None) -> None:
+        """Show another displacement or another episode."""
+        self.scene = scene
+        if scene is None:
+            self._held_mm = self._grasped = None
+            self.setAccessibleDescription("No episode")
+        else:
+            self._reach_mm = scene.reach_mm
+            words = offset_in_words(scene.offset_mm, scene.sigma_mm)
+            self.setAccessibleDescription(f"{words}. {verdict_in_words(scene)}.")
+        self.update()
+
+    def area(self) -> PlotArea:
+        """Return the square that is drawn; needs a scene."""
+        em = self.fontMetrics().height()
+        left, bottom, edge = 2.4 * em, 1.5 * em, 0.4 * em
+        side = max(min(self.width() - left - edge, self.height() - bottom - edge), 60.0)
+        x = left + (self.width() - left - edge - side) / 2
+        y = edge + (self.height() - bottom - edge - side) / 2
+        reach = self._reach_mm
+        return PlotArea(QRectF(x, y, side, side), -reach, reach, -reach, reach)
+
+    # -- dragging ---------------------------------------------------------------------------------
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Take hold of the face, or call it to the place that was pressed."""
+        scene = self.scene
+        if scene is None or not self.editable or event.button() is not Qt.MouseButton.LeftButton:
+            return
+        self._grasped = self.area()
+        at = self._at_mm(event.position())
+        offset = scene.offset_mm or at
+        self._held_mm = (at[0] - offset[0], at[1] - offset[1])
+        if scene.offset_mm is None:
+            self._moved(at)
+
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:
+        """Report where the face was dragged to."""
+        if self._held_mm is not None and event.buttons() & Qt.MouseButton.LeftButton:
+            at = self._at_mm(event.position())
+            self._moved((at[0] - self._held_mm[0], at[1] - self._held_mm[1]))
+
+    def mouseReleaseEvent(self, _event: QMouseEvent) -> None:
+        """One drag is one step."""
+        if self._held_mm is not None:
+            self._held_mm = self._grasped = None
+            self._dropped()
+
+    def _at_mm(self, at: QPointF) -> Point:
+        area = self._grasped or self.area()
+        x = area.x0 + (at.x() - area.rect.left()) / area.rect.width() * (area.x1 - area.x0)
+        y = area.y1 - (at.y() - area.rect.top()) / area.rect.height() * (area.y1 - area.y0)
+        return x, y
+
+    # -- drawing ----------------------------------------------------------------------------------
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Copy the ground, then draw the face, its points, the hull and the centre of mass."""
+        self.paints += 1
+        painter = QPainter(self)
+        if self.scene is None:
+            painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
+            draw_message(painter, self.rect(), self._theme, "No episode")
+            return
+        area = self.area()
+        painter.drawPixmap(0, 0, self._background(self.scene, area))
+        painter.setClipRect(area.rect)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        draw_face(painter, area, self.scene, self._theme)
+        draw_names(painter, area, self.scene, self._theme)
+
+    def _background(self, scene: OffsetScene, area: PlotArea) -> QPixmap:
+        """Return the ground with the ghosts: drawn once per episode."""
+        side = legend_left(scene)
+        key = (self._fitting_ground(scene, area), scene.yaw_rad, scene.ghosts, side)
+        if self._behind is None or key != self._behind_key:
+            assert self._ground is not None
+            self._behind, self._behind_key = QPixmap(self._ground), key
+            painter = QPainter(self._behind)
+            painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+            painter.setClipRect(area.rect)
+            try:
+                draw_ghosts(painter, area, scene, self._theme)
+            finally:
+                painter.end()
+        return self._behind
+
+    def _fitting_ground(self, scene: OffsetScene, area: PlotArea) -> tuple[object, ...]:
+        """Have grid and bottom drawn, once per pair of faces; return what they depend on."""
+        key = (self.size().toTuple(), self._theme.tokens.name, self._theme.scale,
+               id(scene.bottom), id(scene.face), self._reach_mm)  # fmt: skip
+        if self._ground is None or key != self._ground_key:
+            ratio = self.devicePixelRatioF()
+            self._ground, self._ground_key = QPixmap(self.size() * ratio), key
+            self._pair = scene.bottom, scene.face
+            self._ground.setDevicePixelRatio(ratio)
+            self._ground.fill(self._theme.tokens.colour("panel"))
+            painter = QPainter(self._ground)
+            painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+            painter.setFont(ui_font(self._theme.scale, 0.85))
+            try:
+                draw_mm_grid(painter, area, self._theme)
+                painter.setClipRect(area.rect)
+                draw_bottom(painter, area, scene, self._theme)
+                draw_scale_bar(painter, area, self._theme)
+            finally:
+                painter.end()
+        return key

@@ -1,0 +1,253 @@
+"""Small belief maps of the probes of a trial."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from PySide6.QtCore import QRectF, QSize, Qt
+from PySide6.QtGui import QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QResizeEvent
+from PySide6.QtWidgets import QBoxLayout, QScrollArea, QSizePolicy, QVBoxLayout, QWidget
+
+from touchdown.backend.core import Stability
+from touchdown.widgets.base import MAPS, MapName, Panel, Theme, chooser, label, rule
+from touchdown.widgets.plots import draw_message
+from touchdown.widgets.views.belief import BeliefLegend, BeliefScene, BeliefView, describe
+from touchdown.widgets.views.decision import signed_mm
+
+SIDE_PX = 62
+NO_PROBES = ("No probes yet", "Each press adds a small map; click one to look back.")
+
+
+class Thumbnail(QWidget):
+    """One probe: map and one line of text."""
+
+    def __init__(self, theme: Theme, index: int, on_click: Callable[[int], None]) -> None:
+        super().__init__()
+        self._theme, self.index, self._on_click = theme, index, on_click
+        self.chosen = False
+        self.view = BeliefView(theme, thumbnail=True)
+        self.view.setFixedSize(SIDE_PX, SIDE_PX)
+        self.view.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self.caption = label("", "small")
+        self.caption.setAlignment(Qt.AlignmentFlag.AlignHCenter)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(4, 4, 4, 2)
+        column.setSpacing(1)
+        column.addWidget(self.view, 0, Qt.AlignmentFlag.AlignHCenter)
+        column.addWidget(self.caption, 0, Qt.AlignmentFlag.AlignHCenter)
+        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.setCursor(Qt.CursorShape.PointingHandCursor)
+
+    def show_probe(self, scene: BeliefScene, caption: str) -> None:
+        """Show the state after this probe."""
+        self.view.show_scene(scene)
+        self.caption.setText(caption)
+        self.setAccessibleName(f"Probe {self.index + 1}: {describe(scene)}")
+        said = caption.replace("\n", ", ")
+        self.setToolTip(f"Probe {said} (estimated margin). Click to look back.")
+
+    def show_chosen(self, chosen: bool) -> None:
+        """Mark this as the one shown large."""
+        self.chosen = chosen
+        self.update()
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the frame of the chosen or focused one."""
+        if self.chosen or self.hasFocus():
+            painter = QPainter(self)
+            token = "focus" if self.hasFocus() else "text"
+            painter.setPen(QPen(self._theme.tokens.colour(token), 2))
+            painter.drawRoundedRect(QRectF(self.rect()).adjusted(1, 1, -1, -1), 4, 4)
+
+    def mousePressEvent(self, _event: QMouseEvent) -> None:
+        """Choose this probe."""
+        self._on_click(self.index)
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Choose this probe by Return."""
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            self._on_click(self.index)
+        else:
+            super().keyPressEvent(event)
+
+
+class ProbeStrip(QWidget):
+    """A row of thumbnails, or a column while upright, scrolled to the newest."""
+
+    def __init__(self, theme: Theme, on_choose: Callable[[int], None]) -> None:
+        super().__init__()
+        self._theme, self._on_choose = theme, on_choose
+        self.thumbnails: list[Thumbnail] = []
+        self._lines, self.upright = 1, False
+        self._map: MapName = "cividis"
+        self._empty = NO_PROBES
+        self._inner = QWidget()
+        self._row = QBoxLayout(QBoxLayout.Direction.LeftToRight, self._inner)
+        self._row.setContentsMargins(0, 0, 0, 0)
+        self._row.setSpacing(4)
+        self._row.addStretch(1)
+        self._scroll = QScrollArea()
+        self._scroll.setWidget(self._inner)
+        self._scroll.setWidgetResizable(True)
+        self._scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self._scroll.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addWidget(self._scroll)
+        self._scroll.hide()
+        self.setAccessibleName("Probes of this trial")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+
+    def row_px(self) -> int:
+        """Return the height of a row and its scroll bar."""
+        return SIDE_PX + self._lines * self.fontMetrics().height() + 20
+
+    def column_px(self) -> int:
+        """Return the width of a column and its scroll bar: the longest usual caption."""
+        return self.fontMetrics().horizontalAdvance("10: est. +10.0 mm") + 16
+
+    def sizeHint(self) -> QSize:
+        """Return room for one row or column and its scroll bar."""
+        return QSize(self.column_px(), 300) if self.upright else QSize(300, self.row_px())
+
+    def minimumSizeHint(self) -> QSize:
+        """Return little along the thumbnails: the strip scrolls."""
+        return QSize(self.column_px(), 120) if self.upright else QSize(120, self.row_px())
+
+    def show_upright(self, upright: bool) -> None:
+        """Stand the thumbnails below each other, or in a row."""
+        self.upright = upright
+        direction, policy = QBoxLayout.Direction, QSizePolicy.Policy
+        self._row.setDirection(direction.TopToBottom if upright else direction.LeftToRight)
+        along, across = policy.Expanding, policy.Fixed
+        self.setSizePolicy(*((across, along) if upright else (along, across)))
+        off, needed = Qt.ScrollBarPolicy.ScrollBarAlwaysOff, Qt.ScrollBarPolicy.ScrollBarAsNeeded
+        self._scroll.setVerticalScrollBarPolicy(needed if upright else off)
+        self._scroll.setHorizontalScrollBarPolicy(off if upright else needed)
+        self.updateGeometry()
+
+    def show_map(self, name: MapName) -> None:
+        """Choose the colour map of all thumbnails."""
+        self._map = name
+        for thumbnail in self.thumbnails:
+            thumbnail.view.show_map(name)
+
+    def show_probes(
+        self,
+        probes: list[tuple[BeliefScene, str]],
+        chosen: int,
+        empty: tuple[str, str] = NO_PROBES,
+    ) -> None:
+        """Show these probes and mark one; without any, say ``empty``: what is so, and why."""
+        self._empty = empty
+        while len(self.thumbnails) > len(probes):
+            gone = self.thumbnails.pop()
+            self._row.removeWidget(gone)
+            gone.hide()
+            gone.deleteLater()
+        while len(self.thumbnails) < len(probes):
+            fresh = Thumbnail(self._theme, len(self.thumbnails), self._on_choose)
+            fresh.view.show_map(self._map)
+            self.thumbnails.append(fresh)
+            self._row.insertWidget(len(self.thumbnails) - 1, fresh)
+        for thumbnail, (scene, caption) in zip(self.thumbnails, probes, strict=True):
+            if thumbnail.view.scene is not scene:
+                thumbnail.show_probe(scene, caption)
+            thumbnail.show_chosen(thumbnail.index == chosen)
+        lines = max((caption.count("\n") + 1 for _, caption in probes), default=1)
+        if lines != self._lines:
+            self._lines = lines
+            self.updateGeometry()
+        self._scroll.setVisible(bool(probes))
+        scroll = self._scroll
+        bar = scroll.verticalScrollBar() if self.upright else scroll.horizontalScrollBar()
+        if chosen == len(probes) - 1:
+            bar.setValue(bar.maximum())
+
+    def mark(self, chosen: int) -> None:
+        """Mark another probe."""
+        for thumbnail in self.thumbnails:
+            thumbnail.show_chosen(thumbnail.index == chosen)
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Say that there is no probe yet."""
+        if not self.thumbnails:
+            draw_message(QPainter(self), self.rect(), self._theme, *self._empty)
+
+
+def caption_of(probe: int, stability: Stability | None) -> str:
+    """Return the line below a thumbnail; it says that its margin is the estimate, not the truth."""
+    if stability is None:
+        return f"{probe}"
+    mark = "est. " if math.isfinite(stability.margin_mm) else ""
+    return f"{probe}: {mark}{signed_mm(stability.margin_mm)}"
+
+
+GAIN = 1.15
+"""The small maps go beside the map where it grows at least so many times by it."""
+
+
+class MapAndStrip(QWidget):
+    """The legend stays below the map."""
+
+    def __init__(self, view: BeliefView, legend: BeliefLegend, strip: ProbeStrip) -> None:
+        super().__init__()
+        self._view, self._legend, self._strip, self._line = view, legend, strip, rule()
+        self._views = QVBoxLayout()
+        self._views.setSpacing(6)
+        self._views.addWidget(view, 1)
+        self._views.addWidget(legend)
+        self._box = QBoxLayout(QBoxLayout.Direction.TopToBottom, self)
+        self._box.setContentsMargins(0, 0, 0, 0)
+        self._box.setSpacing(6)
+        self._box.addLayout(self._views, 1)
+        self._box.addWidget(self._line)
+        self._box.addWidget(strip)
+
+    @property
+    def beside(self) -> bool:
+        """Whether the small maps stand beside the map now."""
+        return self._box.direction() is QBoxLayout.Direction.LeftToRight
+
+    def minimumSizeHint(self) -> QSize:
+        """Return room for the arrangement below: what is asked for does not follow the room."""
+        legend = self._legend.minimumSizeHint().height()
+        high = self._view.minimumHeight() + legend + self._strip.row_px() + 20
+        return QSize(self._strip.column_px() + 120, high)
+
+    def resizeEvent(self, _event: QResizeEvent) -> None:
+        """Stand the small maps where they leave the map more room."""
+        width, high = self.width(), self.height() - self._legend.sizeHint().height() - 6
+        below = self._view.side_px(QSize(width, high - self._strip.row_px() - 14))
+        aside = self._view.side_px(QSize(width - self._strip.column_px() - 6, high))
+        self._stand(aside >= GAIN * below)
+
+    def _stand(self, beside: bool) -> None:
+        if beside == self.beside:
+            return
+        direction = QBoxLayout.Direction
+        self._box.setDirection(direction.LeftToRight if beside else direction.TopToBottom)
+        self._line.setVisible(not beside)
+        self._strip.show_upright(beside)
+
+
+class BeliefPanel(Panel):
+    """``strip``: the probes as small maps, which follow the choice of the colour map."""
+
+    def __init__(self, theme: Theme, title: str, strip: ProbeStrip | None = None) -> None:
+        super().__init__(title)
+        self.view, self.legend, self._strip = BeliefView(theme), BeliefLegend(theme), strip
+        if strip is None:
+            self.column.addWidget(self.view, 1)
+            self.column.addWidget(self.legend)
+        else:
+            self.column.addWidget(MapAndStrip(self.view, self.legend, strip), 1)
+        self.maps = chooser(list(MAPS), "Colour map of the belief")
+        self.maps.currentIndexChanged.connect(self._choose)
+        self.header.addWidget(self.maps)
+
+    def _choose(self, index: int) -> None:
+        for view in (self.view, self._strip):
+            if view is not None:
+                view.show_map(MAPS[index])

@@ -1,0 +1,314 @@
+"""Pages of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from PySide6.QtCore import QEvent, QModelIndex, QPersistentModelIndex, QRect, QSize, Qt
+from PySide6.QtGui import QFont, QFontMetrics, QImage, QPainter, QPixmap, QResizeEvent
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QAbstractItemView,
+    QDialog,
+    QFrame,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QListWidget,
+    QPushButton,
+    QScrollArea,
+    QStyle,
+    QStyledItemDelegate,
+    QStyleOptionViewItem,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from touchdown.widgets.base import ElidedLabel, Theme, WrappedItems, label, ui_font
+
+GAP = 10
+PARTS_PX = 220
+
+
+@dataclass(frozen=True, slots=True)
+class ReportIntents:
+    """What can be asked for here; ``part`` is told the number of the part that was chosen."""
+
+    part: Callable[[int], None]
+    folder: Callable[[], None]
+    browser: Callable[[], None]
+    other: Callable[[], None]
+
+
+class PictureCard(QWidget):
+    """A picture of known size, which may come later, between its title and its note."""
+
+    def __init__(self, title: str, note: str, name: str, size: QSize) -> None:
+        super().__init__()
+        self.picture = QLabel()
+        self.picture.setFixedSize(size)
+        self.picture.setAccessibleName(name)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(4)
+        if title:
+            column.addWidget(label(title, "muted"))
+        column.addWidget(self.picture)
+        if note:
+            words = label(note, "small", wrap=True)
+            words.setFixedWidth(size.width())
+            column.addWidget(words)
+        column.addStretch(1)
+
+    def show_picture(self, image: QImage) -> None:
+        """Show it, drawn at the size that was said."""
+        self.picture.setPixmap(QPixmap.fromImage(image))
+
+
+class Flow(QWidget):
+    """Cards side by side, as many to a line as there is room for."""
+
+    def __init__(self, cards: Sequence[PictureCard]) -> None:
+        super().__init__()
+        self.cards = list(cards)
+        for card in cards:
+            card.setParent(self)
+
+    def resizeEvent(self, _event: object) -> None:
+        """Stand anew in lines."""
+        self.setFixedHeight(self._stand(self.width()))
+
+    def event(self, event: QEvent) -> bool:
+        """Stand anew where a card got another size."""
+        if event.type() == QEvent.Type.LayoutRequest:
+            self.setFixedHeight(self._stand(self.width()))
+        return super().event(event)
+
+    def _stand(self, width: int) -> int:
+        """Place the cards; return how high they are together."""
+        x = y = line = 0
+        for card in self.cards:
+            size = card.sizeHint()
+            if x and x + size.width() > width:
+                x, y, line = 0, y + line + GAP, 0
+            card.setGeometry(QRect(x, y, size.width(), size.height()))
+            x, line = x + size.width() + GAP, max(line, size.height())
+        return y + line
+
+
+class ReportSheet(QDialog):
+    """Not modal: the bench goes on, and STOP is where it was."""
+
+    def __init__(self, parent: QWidget, intents: ReportIntents) -> None:
+        super().__init__(parent)
+        self._window = parent
+        self.setModal(False)
+        self.setWindowTitle("Report of experiments")
+        self.head, self.banner = label("", "head", wrap=True), label("", "title", wrap=True)
+        self.banner.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self.file = ElidedLabel("small")
+        self.parts = QListWidget()
+        self.parts.setAccessibleName("Parts of the report")
+        self.parts.setFixedWidth(PARTS_PX)
+        WrappedItems(self.parts)
+        self.parts.currentRowChanged.connect(intents.part)
+        self.room = QScrollArea()
+        self.room.setWidgetResizable(True)
+        self.room.setFrameShape(QFrame.Shape.NoFrame)
+        self.room.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.trace = ElidedLabel("small")
+        self.folder = _button("Open run folder", "The folder that this cell was made from")
+        self.browser = _button("Open in browser", "The same report as a page")
+        self.other = _button("Open another", "Choose another report")
+        for button, act in (
+            (self.folder, intents.folder),
+            (self.browser, intents.browser),
+            (self.other, intents.other),
+        ):
+            button.clicked.connect(act)
+        self.show_trace("", can_open=False)
+        self._arrange()
+
+    def _arrange(self) -> None:
+        close = _button("Close", "")
+        close.clicked.connect(self.close)
+        top, middle, foot = QHBoxLayout(), QHBoxLayout(), QHBoxLayout()
+        top.addWidget(self.head, 1)
+        top.addWidget(self.banner, 1)
+        middle.setSpacing(GAP)
+        middle.addWidget(self.parts)
+        middle.addWidget(self.room, 1)
+        foot.addWidget(self.trace, 1)
+        for button in (self.folder, self.browser, self.other, close):
+            foot.addWidget(button)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(14, 12, 14, 12)
+        column.setSpacing(8)
+        column.addLayout(top)
+        column.addWidget(self.file)
+        column.addLayout(middle, 1)
+        column.addLayout(foot)
+
+    def open_large(self) -> None:
+        """Show it over most of its window."""
+        room = self._window.size()
+        self.resize(min(1400, room.width() - 60), min(900, room.height() - 60))
+        self.show()
+        self.raise_()
+        self.activateWindow()
+
+    def show_head(self, title: str, banner: str, file: str, parts: Sequence[str]) -> None:
+        """Show what the report is, and the names of its parts; the first is chosen."""
+        self.head.setText(title)
+        self.banner.setText(banner)
+        self.file.setText(file)
+        self.parts.blockSignals(True)
+        self.parts.clear()
+        self.parts.addItems(list(parts))
+        self.parts.blockSignals(False)
+        self.parts.setCurrentRow(0)
+
+    def show_part(self, widgets: Sequence[QWidget]) -> None:
+        """Show one part, from its top."""
+        body = QWidget()
+        body.setObjectName("frame")
+        column = QVBoxLayout(body)
+        column.setContentsMargins(2, 0, GAP, 0)
+        column.setSpacing(GAP)
+        for widget in widgets:
+            column.addWidget(widget)
+        column.addStretch(1)
+        self.room.setWidget(body)
+        self.room.verticalScrollBar().setValue(0)
+
+    def show_trace(self, words: str, *, can_open: bool) -> None:
+        """Say where the chosen cell comes from, and whether its folder is here."""
+        self.trace.setText(words or "Choose a cell to see where it comes from.")
+        self.folder.setEnabled(can_open)
+
+
+def _button(text: str, tip: str) -> QPushButton:
+    button = QPushButton(text)
+    button.setAutoDefault(False)
+    button.setToolTip(tip)
+    return button
+
+
+Index = QModelIndex | QPersistentModelIndex
+PAD_X, PAD_Y = 9, 6
+
+
+@dataclass(frozen=True, slots=True)
+class CellLook:
+    """``value``, then ``lines`` below it; ``trace`` says where it comes from."""
+
+    value: str
+    lines: tuple[str, ...] = ()
+    trace: str = ""
+
+
+class ReportGrid(QTableWidget):
+    """As high as its rows; wider than its room it scrolls. ``chosen`` is told row and column."""
+
+    def __init__(
+        self,
+        theme: Theme,
+        name: str,
+        columns: Sequence[str],
+        rows: Sequence[tuple[str, Sequence[CellLook]]],
+        chosen: Callable[[int, int], None],
+    ) -> None:
+        super().__init__(len(rows), len(columns))
+        self.setAccessibleName(name)
+        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        self.setHorizontalScrollMode(QAbstractItemView.ScrollMode.ScrollPerPixel)
+        self.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setTabKeyNavigation(False)
+        self.setWordWrap(False)
+        # Kept here: a view does not own what draws its cells.
+        self._painter = _CellPainter(theme, self)
+        self.setItemDelegate(self._painter)
+        self.setHorizontalHeaderLabels(list(columns))
+        self.setVerticalHeaderLabels([title for title, _ in rows])
+        left = Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter
+        self.verticalHeader().setDefaultAlignment(left)
+        for row, (title, cells) in enumerate(rows):
+            for column, look in enumerate(cells):
+                self.setItem(row, column, _item(look, title, columns[column]))
+        for header in (self.horizontalHeader(), self.verticalHeader()):
+            header.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
+            header.setHighlightSections(False)
+            header.setSectionsClickable(False)
+        corner = self.findChild(QAbstractButton)
+        if corner is not None:
+            # It selects all, which is no use here, and has a look of its own.
+            corner.hide()
+        self.fit_to_theme()
+        self.currentCellChanged.connect(lambda row, column, *_: chosen(row, column))
+
+    def fit_to_theme(self) -> None:
+        """Take the sizes of another font scale."""
+        self.resizeColumnsToContents()
+        self.resizeRowsToContents()
+        self._be_high()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Leave room for the bar below where the columns are wider than the room."""
+        super().resizeEvent(event)
+        self._be_high()
+
+    def _be_high(self) -> None:
+        across, down = self.horizontalHeader(), self.verticalHeader()
+        high = across.sizeHint().height() + down.length() + 2 * self.frameWidth()
+        if across.length() + down.sizeHint().width() + 2 * self.frameWidth() > self.width():
+            high += self.horizontalScrollBar().sizeHint().height()
+        self.setFixedHeight(high)
+
+
+def _item(look: CellLook, row: str, column: str) -> QTableWidgetItem:
+    item = QTableWidgetItem(", ".join(filter(None, (look.value, *look.lines))))
+    item.setData(Qt.ItemDataRole.UserRole, look)
+    item.setToolTip(look.trace)
+    words = f"{row}, {column.replace(chr(10), ' ')}: {item.text() or 'nothing'}"
+    item.setData(Qt.ItemDataRole.AccessibleTextRole, words)
+    return item
+
+
+class _CellPainter(QStyledItemDelegate):
+    def __init__(self, theme: Theme, parent: ReportGrid) -> None:
+        super().__init__(parent)
+        self._theme = theme
+
+    def sizeHint(self, option: QStyleOptionViewItem, index: Index) -> QSize:
+        look: CellLook = index.data(Qt.ItemDataRole.UserRole)
+        value, small = (QFontMetrics(font) for font in self._fonts())
+        wide = [value.horizontalAdvance(look.value)]
+        wide += [small.horizontalAdvance(line) for line in look.lines]
+        high = value.height() + len(look.lines) * small.height()
+        return QSize(max(wide) + 2 * PAD_X, high + 2 * PAD_Y)
+
+    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: Index) -> None:
+        look: CellLook = index.data(Qt.ItemDataRole.UserRole)
+        tokens = self._theme.tokens
+        on = bool(option.state & QStyle.StateFlag.State_Selected)
+        painter.save()
+        if on:
+            painter.fillRect(option.rect, tokens.colour("selection"))
+        room = QRect(option.rect).adjusted(PAD_X, PAD_Y, -PAD_X, -PAD_Y)
+        right = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop
+        for k, text in enumerate((look.value, *look.lines)):
+            font = self._fonts()[min(k, 1)]
+            painter.setFont(font)
+            ink = "selection_text" if on else "muted" if k else "text"
+            painter.setPen(tokens.colour(ink))
+            painter.drawText(room, int(right), text)
+            room.setTop(room.top() + QFontMetrics(font).height())
+        painter.restore()
+
+    def _fonts(self) -> tuple[QFont, QFont]:
+        scale = self._theme.scale
+        return ui_font(scale, weight=600), ui_font(scale, 0.85)

@@ -1,0 +1,126 @@
+"""Picture of the scene camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QColor, QImage, QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import QSizePolicy, QWidget
+
+from touchdown.backend.core import FloatArray, ImageArray
+from touchdown.widgets.base import Theme, ui_font
+from touchdown.widgets.plots import draw_message, polygon_of
+
+OutlineKind = Literal["bottom", "label", "scene"]
+LOOKS: dict[OutlineKind, tuple[str, Qt.PenStyle]] = {
+    "bottom": ("#FFFFFF", Qt.PenStyle.SolidLine),
+    "label": ("#F0E442", Qt.PenStyle.SolidLine),
+    "scene": ("#7CF2FF", Qt.PenStyle.DotLine),
+}
+"""Colours for a photograph, in every theme; each outline also differs by its line."""
+UNSEEN, RESTS_ON = "No scene picture", "The label rests on the arm, the grasp and whoever set it."
+GAP = 4
+ROOM = 1.8
+"""The part of the picture that is shown is so many times as large as the outlines."""
+SHADOW = QColor(0, 0, 0, 150)
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """``points_px`` (n, 2) in the picture."""
+
+    kind: OutlineKind
+    points_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class SceneShot:
+    """``image`` (h, w, 3) BGR and what is drawn over it."""
+
+    image: ImageArray
+    outlines: tuple[Outline, ...]
+
+
+class SceneShotView(QWidget):
+    """Shows pictures side by side: the same part of each, round the outlines of the first."""
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__()
+        self._theme = theme
+        self.shots: tuple[SceneShot, ...] = ()
+        self._why_empty = UNSEEN
+        self.setAccessibleName("Pictures of the scene camera")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setMinimumSize(240, 120)
+        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
+
+    def sizeHint(self) -> QSize:
+        """Return the room of two pictures."""
+        return QSize(480, 180)
+
+    def show_shots(self, shots: Sequence[SceneShot], why: str = UNSEEN) -> None:
+        """Show another episode, or another label of it, or ``why`` there is nothing."""
+        self.shots, self._why_empty = tuple(shots), why
+        kinds = ", ".join(o.kind for shot in self.shots[:1] for o in shot.outlines)
+        self.setAccessibleDescription(f"{len(self.shots)} pictures, outlines: {kinds or 'none'}")
+        self.update()
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw pictures and outlines."""
+        painter = QPainter(self)
+        painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
+        if not self.shots:
+            text = RESTS_ON if self._why_empty == UNSEEN else ""
+            draw_message(painter, self.rect(), self._theme, self._why_empty, text)
+            return
+        painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        width = (self.width() - GAP * (len(self.shots) - 1)) / len(self.shots)
+        part = part_of(self.shots[0], width / max(self.height(), 1))
+        for number, shot in enumerate(self.shots):
+            place = QRectF(number * (width + GAP), 0, width, self.height())
+            self._draw(painter, place, shot, part)
+
+    def _draw(self, painter: QPainter, target: QRectF, shot: SceneShot, part: QRectF) -> None:
+        height, width = shot.image.shape[:2]
+        image = QImage(shot.image.data, width, height, 3 * width, QImage.Format.Format_BGR888)
+        painter.save()
+        painter.setClipRect(target)
+        painter.drawImage(target, image, part)
+        scale, left, top = target.width() / part.width(), target.left(), target.top()
+        shift = np.array([left - scale * part.left(), top - scale * part.top()])
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        painter.setFont(ui_font(self._theme.scale, 0.85, 500))
+        line = painter.fontMetrics().height()
+        for row, outline in enumerate(shot.outlines):
+            colour, style = LOOKS[outline.kind]
+            polygon = polygon_of(scale * outline.points_px + shift)
+            painter.setPen(QPen(SHADOW, 3))
+            painter.drawPolygon(polygon)
+            painter.setPen(QPen(QColor(colour), 1.5, style))
+            painter.drawPolygon(polygon)
+            at = QPointF(left + 6, top + 4 + (row + 0.8) * line)
+            painter.setPen(SHADOW)
+            painter.drawText(at + QPointF(1, 1), outline.kind)
+            painter.setPen(QColor(colour))
+            painter.drawText(at, outline.kind)
+        painter.restore()
+
+
+def part_of(shot: SceneShot, aspect: float) -> QRectF:
+    """Return the part of the picture to show, width over height ``aspect``, inside the picture."""
+    height, width = shot.image.shape[:2]
+    corners = np.array([[0.0, 0.0], [width, height]])
+    points = np.concatenate([o.points_px for o in shot.outlines] or [corners])
+    low, high = points.min(axis=0), points.max(axis=0)
+    across, down = (ROOM * (high - low)).tolist()
+    across = min(max(across, aspect * down), width, aspect * height)
+    down = across / aspect
+    x, y = ((low + high) / 2).tolist()
+    left = min(max(x - across / 2, 0.0), width - across)
+    top = min(max(y - down / 2, 0.0), height - down)
+    return QRectF(left, top, across, down)

@@ -1,0 +1,302 @@
+"""Scores of a run and of compared strategies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import (
+    QComboBox,
+    QDialog,
+    QHBoxLayout,
+    QPushButton,
+    QSizePolicy,
+    QSpinBox,
+    QVBoxLayout,
+    QWidget,
+)
+
+from touchdown.backend.core import Outcome
+from touchdown.widgets.base import Panel, Theme, label, set_property
+from touchdown.widgets.forms import inset
+from touchdown.widgets.views.belief import BeliefScene, BeliefView
+
+MOST_VOID = 3
+WORDS: dict[Outcome, str] = {
+    Outcome.PLACED: "placed",
+    Outcome.FELL: "fell",
+    Outcome.KNOCKED_OVER: "knocked over",
+    Outcome.GAVE_UP: "gave up",
+    Outcome.ABORTED: "aborted",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Outcomes so far, trials planned, and the Wilson interval of the success rate (0..1).
+
+    ``excused``: so many of the aborted ones are not counted in the rate; ``last`` says why.
+    ``void``: a line for each trial that came to nothing.
+    """
+
+    outcomes: tuple[Outcome, ...]
+    trials: int
+    interval: tuple[float, float] | None
+    last: str = ""
+    excused: int = 0
+    void: tuple[str, ...] = ()
+
+    @property
+    def counted(self) -> int:
+        """How many trials the rate is of."""
+        return len(self.outcomes) - self.excused
+
+
+class OutcomeMarks(QWidget):
+    """One mark per trial: tick, cross, dash or a hollow place still to come."""
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__()
+        self._theme = theme
+        self._outcomes: Sequence[Outcome] = ()
+        self._trials = 0
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+
+    def show_outcomes(self, outcomes: Sequence[Outcome], trials: int) -> None:
+        """Show the outcomes so far and the places left."""
+        self._outcomes, self._trials = outcomes, max(trials, len(outcomes))
+        self.setAccessibleName(
+            ", ".join(WORDS[o] for o in outcomes) if outcomes else "No trial finished"
+        )
+        self.update()
+
+    def sizeHint(self) -> QSize:
+        """Return one row of marks."""
+        return QSize(200, 24)
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the marks, the newest ones if there is not room for all."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        room = max(int(self.width() // 22), 1)
+        first = max(0, min(len(self._outcomes) - room + 1, self._trials - room))
+        for place, index in enumerate(range(first, min(first + room, self._trials))):
+            at = QPointF(11 + 22 * place, self.height() / 2)
+            outcome = self._outcomes[index] if index < len(self._outcomes) else None
+            _mark(painter, self._theme, at, outcome)
+
+
+def _mark(painter: QPainter, theme: Theme, at: QPointF, outcome: Outcome | None) -> None:
+    t = theme.tokens
+    painter.setPen(QPen(t.colour("border"), 1))
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+    box = QRectF(at.x() - 9, at.y() - 9, 18, 18)
+    if outcome is None:
+        painter.drawRoundedRect(box, 4, 4)
+        return
+    good = outcome is Outcome.PLACED
+    fallen = outcome in (Outcome.FELL, Outcome.KNOCKED_OVER)
+    painter.setBrush(t.colour("pill_green" if good else "pill_red" if fallen else "pill_grey"))
+    painter.drawRoundedRect(box, 4, 4)
+    painter.setPen(QPen(t.colour("on_light" if good else "on_dark"), 2))
+    if good:
+        painter.drawPolyline([at + QPointF(-4.5, 0.5), at + QPointF(-1, 4), at + QPointF(5, -4)])
+    elif fallen:
+        painter.drawLine(at + QPointF(-4, -4), at + QPointF(4, 4))
+        painter.drawLine(at + QPointF(-4, 4), at + QPointF(4, -4))
+    else:
+        painter.drawLine(at + QPointF(-4, 0), at + QPointF(4, 0))
+
+
+class ScorePanel(Panel):
+    """Placed k of n, the rate with its 95 % interval, and the marks."""
+
+    def __init__(self, theme: Theme, title: str = "Trials") -> None:
+        super().__init__(title)
+        self._count = label("0 of 0 placed", "figure")
+        self._rate = label("", "small")
+        self._marks = OutcomeMarks(theme)
+        self._last = label("", "small", wrap=True)
+        self.column.addWidget(self._count)
+        self.column.addWidget(self._marks)
+        self.column.addWidget(self._rate)
+        self.column.addWidget(self._last)
+        self._void = label("", "small", wrap=True)
+        self._void.hide()
+        self.column.addWidget(self._void)
+        self.column.addStretch(1)
+        self.show_score(Score((), 0, None))
+
+    def show_score(self, score: Score) -> None:
+        """Show the score."""
+        placed = sum(o is Outcome.PLACED for o in score.outcomes)
+        count = f"{placed} of {score.counted} placed" if score.outcomes else "No trial yet"
+        self._count.setText(count)
+        done = f"{len(score.outcomes)} of {score.trials}" if score.trials else ""
+        aborted = sum(o is Outcome.ABORTED for o in score.outcomes)
+        # Beside a button of the header there is room for few words.
+        last = f"{done}, {aborted} aborted" if aborted else f"{done} done"
+        self.detail.setText(last if done else "")
+        rate = rate_words(score)
+        self._rate.setText(rate)
+        self._rate.setVisible(bool(rate))
+        self._marks.show()
+        self._marks.show_outcomes(score.outcomes, score.trials)
+        self._last.setText(score.last or "Every trial ends with one mark.")
+        # The newest lines: a run of a hundred would fill the page.
+        self._void.setText("\n".join(score.void[-MOST_VOID:]))
+        self._void.setToolTip("\n".join(score.void))
+        self._void.setVisible(bool(score.void))
+
+    @property
+    def words(self) -> str:
+        """What is shown, line by line."""
+        shown = (self._count, self._rate, self._last, self._void)
+        return "\n".join(one.text() for one in shown if one.text() and not one.isHidden())
+
+    def show_facts(self, headline: str, text: str) -> None:
+        """Show what a recording without trials is: one line large, the others small."""
+        self._count.setText(headline)
+        self.detail.setText("")
+        self._marks.hide()
+        self._rate.hide()
+        self._void.hide()
+        self._last.setText(text)
+
+
+def rate_words(score: Score) -> str:
+    """Return the success rate with its interval, "" before the first trial that counts."""
+    if score.interval is None:
+        return ""
+    low, high = (100 * bound for bound in score.interval)
+    share = 100 * sum(o is Outcome.PLACED for o in score.outcomes) / score.counted
+    return f"{share:.0f} % success, 95 % interval {low:.0f} to {high:.0f} %"
+
+
+@dataclass(frozen=True, slots=True)
+class RivalLook:
+    """One strategy. ``count``: placed of tried; ``rate``: success with its interval, in words;
+    ``trial``: how the chosen trial went.
+    """
+
+    title: str
+    outcomes: tuple[Outcome, ...] = ()
+    trials: int = 0
+    count: str = "Not run yet"
+    rate: str = ""
+    trial: str = ""
+    good: bool | None = None
+    scene: BeliefScene = field(default_factory=BeliefScene)
+
+
+class RivalPanel(Panel):
+    """One column of the comparison."""
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__("")
+        self.count, self.marks = label("", "figure"), OutcomeMarks(theme)
+        self.rate = label("", "small", wrap=True)
+        self.trial = label("", wrap=True)
+        self.belief = BeliefView(theme)
+        for widget in (self.count, self.marks, self.rate, self.trial):
+            self.column.addWidget(widget)
+        self.column.addWidget(self.belief, 1)
+
+    def show_look(self, look: RivalLook) -> None:
+        """Show how a strategy did."""
+        self.rename(look.title)
+        self.count.setText(look.count)
+        self.rate.setText(look.rate)
+        self.rate.setVisible(bool(look.rate))
+        self.marks.show_outcomes(look.outcomes, look.trials)
+        self.trial.setText(look.trial)
+        set_property(self.trial, "tone", {True: "good", False: "bad", None: ""}[look.good])
+        if self.belief.scene is not look.scene:
+            self.belief.show_scene(look.scene)
+
+
+class ComparisonSheet(QDialog):
+    """``run`` asks for what is missing; ``choose`` is told the trial (from 1), ``against`` the
+    strategy on the right. Not modal.
+    """
+
+    def __init__(
+        self,
+        parent: QWidget,
+        theme: Theme,
+        run: Callable[[], None],
+        choose: Callable[[int], None],
+        against: Callable[[str], None],
+    ) -> None:
+        super().__init__(parent)
+        self._window = parent
+        self.setWindowTitle("Strategies on the same seed")
+        self.setModal(False)
+        self.head = label("", "head", wrap=True)
+        self.panels = RivalPanel(theme), RivalPanel(theme)
+        self.trial = QSpinBox()
+        self.trial.setRange(1, 1)
+        inset(self.trial)
+        self.trial.setAccessibleName("Trial")
+        self.trial.setToolTip("The trial that is shown on both sides")
+        self.trial.valueChanged.connect(choose)
+        self.against = QComboBox()
+        self.against.setAccessibleName("Strategy to compare with")
+        self.against.setToolTip("The strategy on the right")
+        self.against.activated.connect(lambda at: against(self.against.itemData(at)))
+        self.run = QPushButton("Run both")
+        self.run.setProperty("role", "primary")
+        self.run.setAutoDefault(False)
+        self.run.clicked.connect(run)
+        self._arrange()
+
+    def _arrange(self) -> None:
+        close = QPushButton("Close")
+        close.clicked.connect(self.close)
+        top, columns = QHBoxLayout(), QHBoxLayout()
+        buddy = label("Trial", "muted")
+        buddy.setBuddy(self.trial)
+        versus = label("Against", "muted")
+        versus.setBuddy(self.against)
+        top.addWidget(self.head, 1)
+        top.addWidget(versus)
+        top.addWidget(self.against)
+        top.addWidget(buddy)
+        top.addWidget(self.trial)
+        columns.setSpacing(8)
+        for panel in self.panels:
+            columns.addWidget(panel, 1)
+        foot = QHBoxLayout()
+        foot.addStretch(1)
+        foot.addWidget(close)
+        foot.addWidget(self.run)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(14, 12, 14, 12)
+        column.setSpacing(8)
+        column.addLayout(top)
+        column.addLayout(columns, 1)
+        column.addLayout(foot)
+
+    def offer(self, rivals: Sequence[tuple[str, str]], chosen: str) -> None:
+        """Offer these strategies (key, title) for the right side."""
+        self.against.clear()
+        for key, title in rivals:
+            self.against.addItem(title, key)
+        self.against.setCurrentIndex(self.against.findData(chosen))
+
+    def open_large(self) -> None:
+        """Show it over most of its window."""
+        room = self._window.size()
+        self.resize(min(1040, room.width() - 120), min(640, room.height() - 120))
+        self.show()
+        self.raise_()
+        self.activateWindow()
+
+    def show_run(self, text: str, why_not: str) -> None:
+        """Offer to run what is missing, or say why not; "" for ``text``: nothing is missing."""
+        self.run.setVisible(bool(text))
+        self.run.setText(text)
+        self.run.setEnabled(not why_not)
+        self.run.setToolTip(why_not or "One after the other, with the same seed")

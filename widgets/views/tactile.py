@@ -1,0 +1,343 @@
+"""Tactile image with markers and arrows."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import (
+    QColor,
+    QFont,
+    QFontMetrics,
+    QImage,
+    QPainter,
+    QPaintEvent,
+    QPen,
+    QPixmap,
+    QResizeEvent,
+)
+from PySide6.QtWidgets import QSizePolicy, QWidget
+
+from touchdown.backend.core import (
+    Finger,
+    FloatArray,
+    ImageArray,
+    MarkerField,
+    MarkerState,
+    TactileFrame,
+)
+from touchdown.widgets.base import Age, MapName, Theme, colours, table, ui_font
+from touchdown.widgets.plots import Strokes, draw_message, draw_stale
+
+
+class DimmedPicture:
+    """Draws one picture after the other."""
+
+    def __init__(self) -> None:
+        self._dimmed: ImageArray = np.empty((0, 0, 3), np.uint8)
+        self._padded: ImageArray = np.empty((0, 0, 4), np.uint8)
+        self._scaled: ImageArray = np.empty((0, 0, 4), np.uint8)
+
+    def draw(
+        self, painter: QPainter, target: QRectF, image: ImageArray, ratio: float, bright: float
+    ) -> None:
+        """Draw ``image`` (BGR) over ``target``; ``ratio``: device pixels per pixel.
+
+        Dimmed while it is small, and enlarged with the fourth channel that Qt wants: a quarter of
+        the time of the other order.
+        """
+        width = max(round(target.width() * ratio), 1)
+        height = max(round(target.height() * ratio), 1)
+        if self._dimmed.shape != image.shape:
+            self._dimmed = np.empty(image.shape, np.uint8)
+            self._padded = np.empty((*image.shape[:2], 4), np.uint8)
+        if self._scaled.shape[:2] != (height, width):
+            self._scaled = np.empty((height, width, 4), np.uint8)
+        cv2.convertScaleAbs(image, self._dimmed, alpha=bright)
+        cv2.cvtColor(self._dimmed, cv2.COLOR_BGR2BGRA, self._padded)
+        cv2.resize(self._padded, (width, height), self._scaled, interpolation=cv2.INTER_LINEAR)
+        drawn = QImage(self._scaled.data, width, height, 4 * width, QImage.Format.Format_RGB32)
+        drawn.setDevicePixelRatio(ratio)
+        painter.drawImage(target.topLeft(), drawn)
+
+
+MM_PER_PX = 18.6 / 320.0
+"""The sensor sees 18.6 mm over 320 px (its maker's data)."""
+GAIN = 3.0
+"""Arrows are drawn this many times longer than the displacement, in all views."""
+BIN_EDGES_PX = np.array([0.5, 1.5, 3.0, 5.0, 8.0])
+"""Displacement at which the next of the six colours begins."""
+BIN_COLOURS = ("#E76E5A", "#F1834B", "#F99A3D", "#FDB32F", "#FCCD25", "#F5EA26")
+"""plasma 0.60 to 1.00: contrast at least 3.1 : 1 on the dark gel; length repeats the meaning."""
+HEAD_SHARE, HEAD_MIN_PX, HEAD_MAX_PX = 0.35, 2.0, 7.0
+
+
+def bins_of(displacement_px: FloatArray) -> NDArray[np.intp]:
+    """(n,) colour bin 0..5 of (n, 2) displacements."""
+    return np.asarray(np.digitize(np.hypot(*displacement_px.T), BIN_EDGES_PX))
+
+
+def segments(rest_px: FloatArray, displacement_px: FloatArray) -> FloatArray:
+    """(n, 3, 4) shaft and two head strokes (x1 y1 x2 y2) of n arrows from their rest positions."""
+    vector = displacement_px * GAIN
+    tip = rest_px + vector
+    length = np.hypot(vector[:, 0], vector[:, 1])[:, None]
+    direction = np.divide(vector, length, out=np.zeros_like(vector), where=length > 1e-9)
+    head = np.clip(HEAD_SHARE * length, HEAD_MIN_PX, HEAD_MAX_PX) * (length > 1e-9)
+    across = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    strokes = np.empty((len(rest_px), 3, 4))
+    strokes[:, 0, :2], strokes[:, :, 2:] = rest_px, tip[:, None, :]
+    strokes[:, 1, :2] = tip - head * direction + 0.5 * head * across
+    strokes[:, 2, :2] = tip - head * direction - 0.5 * head * across
+    return strokes
+
+
+ROWS, COLUMNS = 7, 9
+FULL_PX = 12.0
+"""A displacement of this size (0.7 mm) has the last colour of the map."""
+IMAGE_W, IMAGE_H = 320, 240
+SCALE_PX = 64
+
+
+def magnitude_px(field: MarkerField) -> FloatArray:
+    """Return (7, 9) displacement sizes; a lost marker takes the mean of the others.
+
+    So no false peak is drawn where nothing is known.
+    """
+    size = np.hypot(*field.displacement_px.T)
+    unknown = ~np.isfinite(size) | (field.state == MarkerState.LOST)
+    known = size[~unknown]
+    filled = np.where(unknown, float(known.mean()) if len(known) else 0.0, size)
+    return np.asarray(filled.reshape(ROWS, COLUMNS))
+
+
+def magnitude_picture(field: MarkerField, map_name: MapName) -> ImageArray:
+    """Return (240, 320, 3) BGR, bilinear between rest positions, level beyond the outer ones."""
+    rest = (field.position_px - field.displacement_px).reshape(ROWS, COLUMNS, 2)
+    across, down = np.nanmean(rest[:, :, 0], axis=0), np.nanmean(rest[:, :, 1], axis=1)
+    u = np.interp(np.arange(IMAGE_W), across, np.arange(COLUMNS)).astype(np.float32)
+    v = np.interp(np.arange(IMAGE_H), down, np.arange(ROWS)).astype(np.float32)
+    grid = np.clip(magnitude_px(field) / FULL_PX, 0.0, 1.0).astype(np.float32)
+    smooth = cv2.remap(grid, *np.meshgrid(u, v), cv2.INTER_LINEAR)
+    picture = colours(np.asarray(smooth, dtype=np.float64), map_name)
+    return np.ascontiguousarray(picture[:, :, ::-1])
+
+
+def magnitude_scale(font: QFont, ratio: float, map_name: MapName = "cividis") -> QPixmap:
+    """Return a bar of the colours with its ends in mm; ``ratio``: device pixels per pixel."""
+    metrics = QFontMetrics(font)
+    low, high = "0", f"{FULL_PX * MM_PER_PX:.1f} mm"
+    left, tall = metrics.horizontalAdvance(low) + 12, max(metrics.height() + 6, 22)
+    size = QSize(left + SCALE_PX + metrics.horizontalAdvance(high) + 12, tall)
+    drawn = QPixmap(size * ratio)
+    drawn.setDevicePixelRatio(ratio)
+    drawn.fill(QColor(0, 0, 0, 150))
+    painter = QPainter(drawn)
+    try:
+        shades = table(map_name)
+        for at in range(SCALE_PX):
+            shade = QColor(*shades[255 * at // (SCALE_PX - 1)].tolist())
+            painter.fillRect(QRectF(left + at, tall / 2 - 4, 1.5, 8), shade)
+        painter.setFont(font)
+        painter.setPen(QColor("#FFFFFF"))
+        middle = Qt.AlignmentFlag.AlignVCenter
+        painter.drawText(QRectF(6, 0, left, tall), int(middle), low)
+        painter.drawText(QRectF(left + SCALE_PX + 6, 0, size.width(), tall), int(middle), high)
+    finally:
+        painter.end()
+    return drawn
+
+
+LEAST = QSize(160, 120)
+BRIGHTNESS = 0.7
+"""Dark marker blobs under the arrow tails would hide small motion on an undimmed picture."""
+PENS = tuple(QPen(QColor(colour), 2) for colour in BIN_COLOURS)
+
+
+Look = Literal["both", "image", "arrows", "magnitude"]
+LOOKS: tuple[tuple[Look, str], ...] = (
+    ("both", "Both"),
+    ("image", "Image"),
+    ("arrows", "Arrows"),
+    ("magnitude", "Magnitude"),
+)
+
+
+class TactileView(QWidget):
+    """Shows the newest frame of one finger and its marker field."""
+
+    def __init__(self, theme: Theme, finger: Finger) -> None:
+        super().__init__()
+        self._theme = theme
+        self._frame: TactileFrame | None = None
+        self._field: MarkerField | None = None
+        self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
+        self._picture, self._strokes = DimmedPicture(), Strokes()
+        self._legend: QPixmap | None = None
+        self._legend_key: tuple[object, ...] = ()
+        self.look: Look = "both"
+        self.paints = 0
+        self.setAccessibleName(f"Tactile image, {finger} finger")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
+        self.setMinimumSize(LEAST)
+        self._limit_px = self.maximumHeight()
+        self.never, self.gone = "No camera yet", "No live picture"
+        """What is said where there is nothing to show."""
+        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
+
+    def sizeHint(self) -> QSize:
+        """Return the image's own size."""
+        return QSize(IMAGE_W, IMAGE_H)
+
+    def limit_height(self, limit_px: int) -> None:
+        """Grow no taller than ``limit_px``: a very wide window must leave room below."""
+        self._limit_px = limit_px
+        self._fit_height()
+
+    def resizeEvent(self, _event: QResizeEvent) -> None:
+        """Follow every change of width, also those that no resize of the window caused."""
+        self._fit_height()
+
+    def _fit_height(self) -> None:
+        height = max(min(self.width() * IMAGE_H // IMAGE_W, self._limit_px), LEAST.height())
+        if height != self.minimumHeight() or height != self.maximumHeight():
+            self.setFixedHeight(height)
+
+    def show_frame(self, frame: TactileFrame, field: MarkerField | None) -> None:
+        """Show this frame and, if there is one, the newest marker field."""
+        self._frame = frame
+        self._field = field
+        self.update()
+
+    def show_look(self, look: Look) -> None:
+        """Choose what is drawn."""
+        self.look = look
+        self.update()
+
+    def show_age(self, age: Age, age_s: float, reason: str) -> None:
+        """Say how old the picture is; beyond 2 s the picture is removed and ``reason`` shown."""
+        if age is Age.FRESH and self._age is Age.FRESH:
+            return
+        tenth = f"{age_s:.1f}" != f"{self._age_s:.1f}"
+        if age is not self._age or reason != self._reason or tenth:
+            self._age, self._age_s, self._reason = age, age_s, reason
+            self.update()
+
+    def seen(self) -> tuple[int, int]:
+        """Return (markers seen, markers)."""
+        if self._field is None:
+            return 0, 0
+        return int((self._field.state == MarkerState.SEEN).sum()), len(self._field.state)
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw image, arrows, legend and age."""
+        self.paints += 1
+        painter = QPainter(self)
+        painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
+        if self._frame is None or self._age in (Age.NEVER, Age.GONE):
+            text = self.never if self._frame is None else self.gone
+            draw_message(painter, self.rect(), self._theme, text, self._reason)
+            return
+        target = self._target()
+        self._draw_picture(painter, target, self._frame)
+        painter.save()
+        painter.setClipRect(target)
+        painter.translate(target.topLeft())
+        scale = target.width() / IMAGE_W
+        if self._field is not None and self.look in ("both", "arrows"):
+            _draw_markers(painter, self._field, scale, self._strokes)
+        painter.restore()
+        if self.look != "image":
+            self._draw_legend(painter, target)
+        if self._age is Age.STALE:
+            draw_stale(painter, target, self._theme, self._age_s)
+
+    def _draw_picture(self, painter: QPainter, target: QRectF, frame: TactileFrame) -> None:
+        """Draw what is under the arrows: the gel, dimmed under arrows; nothing; or sizes."""
+        ratio = self.devicePixelRatioF()
+        if self.look == "arrows":
+            # The arrows' colours are made for the dark gel, in every theme.
+            painter.fillRect(target, QColor("#14181C"))
+        elif self.look == "magnitude" and self._field is not None:
+            sizes = magnitude_picture(self._field, "cividis")
+            self._picture.draw(painter, target, sizes, ratio, 1.0)
+        else:
+            bright = BRIGHTNESS if self.look == "both" else 1.0
+            self._picture.draw(painter, target, frame.image, ratio, bright)
+
+    def _draw_legend(self, painter: QPainter, target: QRectF) -> None:
+        sizes, ratio = self.look == "magnitude", self.devicePixelRatioF()
+        key = (target.width(), self._theme.scale, ratio, sizes)
+        if self._legend is None or key != self._legend_key:
+            font = ui_font(self._theme.scale, 0.85)
+            drawn = magnitude_scale(font, ratio) if sizes else _legend(target.width(), font, ratio)
+            self._legend, self._legend_key = drawn, key
+        size = self._legend.deviceIndependentSize()
+        at = target.bottomRight() - QPointF(size.width() + 4, size.height() + 4)
+        painter.drawPixmap(at, self._legend)
+
+    def _target(self) -> QRectF:
+        scale = min(self.width() / IMAGE_W, self.height() / IMAGE_H)
+        width, height = IMAGE_W * scale, IMAGE_H * scale
+        return QRectF((self.width() - width) / 2, (self.height() - height) / 2, width, height)
+
+
+def _draw_markers(painter: QPainter, field: MarkerField, scale: float, strokes: Strokes) -> None:
+    displacement, state = field.displacement_px, field.state
+    both = field.position_px + displacement
+    finite: NDArray[np.bool_] = np.asarray(np.isfinite(both).all(axis=1), dtype=np.bool_)
+    rest = field.position_px - displacement
+    shown = np.flatnonzero(finite & (state != MarkerState.LOST))
+    bins = bins_of(displacement[shown])
+    order = np.argsort(bins, kind="stable")
+    shown, bins = shown[order], bins[order]
+    strokes.take((segments(rest[shown], displacement[shown]) * scale).reshape(-1, 4))
+    ends = (3 * np.searchsorted(bins, np.arange(len(PENS) + 1))).tolist()
+    for pen, start, end in zip(PENS, ends[:-1], ends[1:], strict=True):
+        if end > start:
+            painter.setPen(pen)
+            strokes.draw(painter, start, end)
+    if (state != MarkerState.SEEN).any():
+        _draw_uncertain(painter, field, rest * scale, finite)
+
+
+def _draw_uncertain(
+    painter: QPainter, field: MarkerField, rest: FloatArray, finite: NDArray[np.bool_]
+) -> None:
+    """Inferred markers: a hollow ring on the rest position; lost ones: a cross."""
+    painter.setPen(QPen(QColor("#FFFFFF"), 1))
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+    for x, y in rest[finite & (field.state == MarkerState.INFERRED)].tolist():
+        painter.drawEllipse(QPointF(x, y), 5, 5)
+    for x, y in rest[finite & (field.state == MarkerState.LOST)].tolist():
+        painter.drawLine(QPointF(x - 4, y - 4), QPointF(x + 4, y + 4))
+        painter.drawLine(QPointF(x - 4, y + 4), QPointF(x + 4, y - 4))
+
+
+def _legend(width_px: float, font: QFont, ratio: float) -> QPixmap:
+    """Draw the arrow of 1 mm and its name for an image of this width."""
+    scale = width_px / IMAGE_W
+    length = GAIN / MM_PER_PX * scale
+    metrics = QFontMetrics(font)
+    text, high = metrics.horizontalAdvance("1 mm") + 14, max(metrics.height() + 6, 22)
+    size = QSize(round(length) + text + 8, high)
+    drawn = QPixmap(size * ratio)
+    drawn.setDevicePixelRatio(ratio)
+    drawn.fill(QColor(0, 0, 0, 150))
+    painter = QPainter(drawn)
+    try:
+        painter.setPen(QPen(QColor("#FFFFFF"), 2))
+        start = np.array([[text, high / 2]]) / scale
+        stroke = np.array([[length, 0.0]]) / scale / GAIN
+        lines = Strokes()
+        lines.take((segments(start, stroke) * scale).reshape(-1, 4))
+        lines.draw(painter, 0, 3)
+        painter.setFont(font)
+        flags = Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignLeft
+        painter.drawText(QRectF(6, 0, size.width(), high), int(flags), "1 mm")
+    finally:
+        painter.end()
+    return drawn

@@ -1,4 +1,7 @@
-"""The command line: ``touchdown VERB``."""
+"""Command line: ``touchdown <verb>``.
+
+Exit codes: 0 done, 1 the run failed or the piece fell, 2 bad input, 130 interrupted.
+"""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from tests.backend.runs.test_calibrated import SEEN
 from touchdown.app.calibrate.presenter import CalibratePresenter
 from touchdown.app.connect.devices import DevicesPresenter
 from touchdown.app.connect.presenter import ConnectPresenter
-from touchdown.backend.bench.lab import calibrations_of, otherwise_named
+from touchdown.backend.bench.laboratory import calibrations_of, otherwise_named
 from touchdown.backend.calibration.records import CalibrationStore, DeviceName
 from touchdown.backend.config.bench_description import BenchDescription
 from touchdown.backend.config.lab import load_lab
@@ -32,9 +32,9 @@ from touchdown.backend.core.events import (
 )
 from touchdown.backend.core.faults import Fault
 from touchdown.backend.core.values import Outcome
-from touchdown.backend.devices.jog import Room, axes_of
+from touchdown.backend.devices.jog import JogRange, axes_of
 from touchdown.backend.learning.training_runs import RecordedTraining, TrainingRequest
-from touchdown.backend.rig.connection import Connection
+from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.outcome import outcome_from_signals
 from touchdown.backend.runs.recorder import CONSEQUENCE, NEXT_STEP
 from touchdown.backend.runs.requests import RunState
@@ -80,9 +80,9 @@ class Hand:
     switching = False
 
     def __init__(self) -> None:
-        rooms = {f"{sign}{axis}": Room(24.0 if axis in "xyz" else 0.26)
+        rooms = {f"{sign}{axis}": JogRange(24.0 if axis in "xyz" else 0.26)
                  for sign in "+-" for axis in axes_of("XYZ")}  # fmt: skip
-        rooms["-z"] = Room(0.0, "DRAGGING")
+        rooms["-z"] = JogRange(0.0, "DRAGGING")
         self.jog = SimpleNamespace(
             active=False,
             state=SimpleNamespace(order=None, speed=0.0, slow=""),
@@ -275,7 +275,7 @@ def _connecting(stage: Stage, folder: Path) -> Iterator[str]:
     main, bench = stage.main, stage.bench
     devices, _ = scripted()
     devices["gripper"].fails_at = "configure"
-    connection = Connection(devices)
+    connection = BenchConnection(devices)
     panel = ConnectPresenter(bench, connection, main.window, main.cards, main.panels.limits)
     panel.open()
     yield "connect-closed"

@@ -14,7 +14,7 @@ from touchdown.backend.core.events import (
     RunStarted,
     TrialStarted,
 )
-from touchdown.backend.devices.supervision import Degraded
+from touchdown.backend.devices.supervision import DegradedDevice
 from touchdown.backend.runs.calibrations import drift_notice
 from touchdown.backend.runs.engine import Engine
 from touchdown.backend.runs.plan import CancelledError, PausePoint, Plan, Wait
@@ -68,7 +68,7 @@ def _of_the_wrist(stage: Stage) -> Iterator[str]:
     bench = stage.bench
     wrist = bench.devices["force_torque"]
     wrist.rate_hz, usual_hz = 300.0, wrist.rate_hz
-    bench.degraded = (Degraded("force_torque", "slow", bench.clock_s() - 12.0),)
+    bench.degraded = (DegradedDevice("force_torque", "slow", bench.clock_s() - 12.0),)
     _look_at_once(stage)
     yield "state-degraded"
     wrist.rate_hz, bench.degraded = usual_hz, ()

@@ -40,13 +40,6 @@ def test_examples_name_what_exists(path):
                 assert [a.name for a in node.names if not hasattr(module, a.name)] == []
 
 
-def test_paths_named_for_contributors_exist():
-    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
-    named = re.findall(r"`((?:app|backend|docs|resources|tests|widgets)/[\w./-]+)`", text)
-    assert len(named) >= 20
-    assert [path for path in named if not (ROOT / path).exists()] == []
-
-
 def test_json_examples_are_json():
     blocks = _blocks(COMMANDS, "json")
     assert len(blocks) >= 5

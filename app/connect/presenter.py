@@ -14,8 +14,8 @@ from touchdown.app.connect.limits import LimitsPresenter
 from touchdown.app.connect.sheet import ConnectSheet, Intents, RowLook, SheetLook
 from touchdown.app.shell import Link, busy, refusal_card
 from touchdown.backend.core import RefusedError
-from touchdown.backend.devices import STEPS
-from touchdown.backend.rig import Connection, DeviceLine
+from touchdown.backend.devices import CONNECTION_STEPS
+from touchdown.backend.rig import BenchConnection, DeviceStatus
 from touchdown.widgets.base import Theme
 from touchdown.widgets.shell import CHIPS, FaultCards
 
@@ -31,7 +31,7 @@ class ConnectPresenter:
     def __init__(
         self,
         link: Link,
-        connection: Connection,
+        connection: BenchConnection,
         window: QWidget,
         cards: FaultCards,
         limits: LimitsPresenter,
@@ -43,7 +43,7 @@ class ConnectPresenter:
             self._connect, connection.cancel, self._disconnect, self._row, self._extra,
             limits.open, self.devices.open,
         )  # fmt: skip
-        self.sheet = ConnectSheet(window, STEPS, intents)
+        self.sheet = ConnectSheet(window, CONNECTION_STEPS, intents)
         self._drawn_s = float("-inf")
 
     def open(self) -> None:
@@ -123,7 +123,7 @@ class ConnectPresenter:
             f"{self._link.name} ({kind})", self._text(lines), rows, connection.busy, can
         )
 
-    def _text(self, lines: tuple[DeviceLine, ...]) -> str:
+    def _text(self, lines: tuple[DeviceStatus, ...]) -> str:
         ready = sum(line.state == "ready" for line in lines)
         trouble = self._connection.trouble
         if trouble is not None:
@@ -137,14 +137,14 @@ class ConnectPresenter:
         return f"{ready} of {len(lines)} connected. {NOTHING_MOVES}"
 
 
-def row_of(line: DeviceLine, *, can: bool) -> RowLook:
+def row_of(line: DeviceStatus, *, can: bool) -> RowLook:
     """Return the look of one device."""
     failed = line.state == "failed"
     marks = [
         "done" if step < line.steps else "open" if step > line.steps else _at(line)
-        for step in range(len(STEPS))
+        for step in range(len(CONNECTION_STEPS))
     ]
-    if failed and line.steps == len(STEPS):
+    if failed and line.steps == len(CONNECTION_STEPS):
         # It was connected and is lost: what is missing is its samples.
         marks[-1] = "failed"
     text = ""
@@ -162,7 +162,7 @@ def row_of(line: DeviceLine, *, can: bool) -> RowLook:
     )  # fmt: skip
 
 
-def _at(line: DeviceLine) -> str:
+def _at(line: DeviceStatus) -> str:
     """Return the mark of the step that is next."""
     return {"connecting": "now", "failed": "failed"}.get(line.state, "open")
 

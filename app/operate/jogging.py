@@ -33,7 +33,7 @@ from touchdown.backend.devices import (
     Gripper,
     GripStatus,
     JogOrder,
-    Room,
+    JogRange,
     turns,
 )
 from touchdown.backend.runs import ManualControl, SceneChoice, SetRequest
@@ -257,7 +257,7 @@ class HandPresenter:
         return math.radians(jog.speed.value()) if jog.turning else jog.speed.value()
 
 
-def _room_words(what: str, room: Room) -> str:
+def _room_words(what: str, room: JogRange) -> str:
     """Return what a pad says below its name."""
     if room.why:
         return SHORT.get(room.why, "refused")

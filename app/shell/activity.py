@@ -10,7 +10,8 @@ from PySide6.QtWidgets import QWidget
 
 from touchdown.app.shell.bench_link import Link
 from touchdown.backend.core import FaultError, Refused, Said
-from touchdown.backend.devices import NAMES, Device, RobotMode, reconnect
+from touchdown.backend.devices import NAMES, Device, RobotMode
+from touchdown.backend.rig import reconnect
 from touchdown.backend.runs import RunState
 from touchdown.widgets.shell import CHIPS, DeviceInspector, TopBar
 

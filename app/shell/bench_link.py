@@ -19,10 +19,10 @@ from touchdown.backend.core import (
     Stream,
     TactileFrame,
 )
-from touchdown.backend.devices import Degraded, Device, Interlock, Limits
+from touchdown.backend.devices import DegradedDevice, Device, Interlock, Limits
 from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.learning import ModelCard
-from touchdown.backend.rig import Connection
+from touchdown.backend.rig import BenchConnection
 from touchdown.backend.runs import ManualControl, OperatorPrompt, Request, RunStatus, SceneChoice
 from touchdown.backend.sensing import WrenchDrift
 
@@ -51,7 +51,7 @@ class Link(Protocol):
     limits_source: str
     usual: SceneChoice
     """What is on the bench as far as nobody says otherwise: of a lab what its file says."""
-    connection: Connection | None
+    connection: BenchConnection | None
     """How the devices are connected, where that is done by hand."""
     hub: EventBus
     interlock: Interlock
@@ -97,7 +97,7 @@ class Link(Protocol):
         """What reads the probes of the present scene; None where no model does."""
 
     @property
-    def degraded(self) -> tuple[Degraded, ...]:
+    def degraded(self) -> tuple[DegradedDevice, ...]:
         """Sensors that are late or slow now."""
 
     @property

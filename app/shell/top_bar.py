@@ -13,7 +13,7 @@ from touchdown.app.shell.workspace import Command
 from touchdown.backend.core import RefusedError
 from touchdown.backend.devices import (
     Arm,
-    Degraded,
+    DegradedDevice,
     Device,
     DeviceState,
     Health,
@@ -21,7 +21,7 @@ from touchdown.backend.devices import (
     signed_name,
     turns,
 )
-from touchdown.backend.rig import Connection
+from touchdown.backend.rig import BenchConnection
 from touchdown.backend.runs import RunState, RunStatus
 from touchdown.widgets.base import Age, Freshness
 from touchdown.widgets.shell import (
@@ -94,7 +94,7 @@ def _of_run(note: str, status: RunStatus) -> PillState:
     return PillState(word, shape, colour, _with(note, status))
 
 
-def _which(degraded: tuple[Degraded, ...], now_s: float) -> str:
+def _which(degraded: tuple[DegradedDevice, ...], now_s: float) -> str:
     """Return which sensor is late or slow, and for how long."""
     first, *others = degraded
     for_s, more = now_s - first.since_s, f" +{len(others)}" if others else ""
@@ -102,7 +102,7 @@ def _which(degraded: tuple[Degraded, ...], now_s: float) -> str:
     return f"{dict(CHIPS)[first.device]} {first.how} {lasted}{more}"
 
 
-def _standing(connection: Connection) -> PillState | None:
+def _standing(connection: BenchConnection) -> PillState | None:
     """Return how far the devices of a lab are connected, None if all are."""
     missing, count = connection.missing(), len(connection.devices)
     if connection.busy:
@@ -179,7 +179,9 @@ class ChipsPresenter:
             return "none"
         return "active" if safety is SafetyMode.HW_STOP else "unknown"
 
-    def _chip(self, key: str, device: Device, now_s: float, degraded: Degraded | None) -> ChipValue:
+    def _chip(
+        self, key: str, device: Device, now_s: float, degraded: DegradedDevice | None
+    ) -> ChipValue:
         health, fresh = device.health, self._fresh[key]
         drift = self._link.drift if key == "force_torque" else None
         fresh.note(health.received, now_s)

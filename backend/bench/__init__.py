@@ -8,10 +8,9 @@ if TYPE_CHECKING:
     from touchdown.backend.bench import (
         assembly,
         emulated,
-        emulated_bench,
-        gelsight_emulator,
-        lab,
-        serving,
+        emulated_scene,
+        emulator_registry,
+        laboratory,
         session,
     )
 

@@ -4,35 +4,33 @@ from .assembly import model_in_use as model_in_use
 from .assembly import shipped_model as shipped_model
 from .assembly import simulated_session as simulated_session
 from .emulated import EmulatedBench as EmulatedBench
-from .emulated_bench import PRIORITY as PRIORITY
-from .emulated_bench import JoinedScene as JoinedScene
-from .emulated_bench import lab_toml as lab_toml
-from .emulated_bench import serve_bench as serve_bench
-from .emulated_bench import take_short_turns as take_short_turns
-from .gelsight_emulator import SERIAL as SERIAL
-from .lab import LabChoice as LabChoice
-from .lab import lab_session as lab_session
-from .lab import otherwise_named as otherwise_named
-from .serving import SUFFERS as SUFFERS
-from .serving import Choice as Choice
-from .serving import Emulation as Emulation
-from .serving import Wrench as Wrench
-from .serving import bench_toml as bench_toml
-from .serving import emulate as emulate
+from .emulated_scene import PRIORITY as PRIORITY
+from .emulated_scene import EmulatedScene as EmulatedScene
+from .emulated_scene import lab_toml as lab_toml
+from .emulated_scene import serve_bench as serve_bench
+from .emulated_scene import take_short_turns as take_short_turns
+from .emulator_registry import FAULT_DEVICES as FAULT_DEVICES
+from .emulator_registry import Emulation as Emulation
+from .emulator_registry import EmulationChoice as EmulationChoice
+from .emulator_registry import WrenchFunction as WrenchFunction
+from .emulator_registry import bench_toml as bench_toml
+from .emulator_registry import emulate as emulate
+from .laboratory import LabChoice as LabChoice
+from .laboratory import lab_session as lab_session
+from .laboratory import otherwise_named as otherwise_named
 from .session import Session as Session
 
 __all__ = [
+    "FAULT_DEVICES",
     "PRIORITY",
-    "SERIAL",
-    "SUFFERS",
-    "Choice",
     "EmulatedBench",
+    "EmulatedScene",
     "Emulation",
-    "JoinedScene",
+    "EmulationChoice",
     "LabChoice",
     "Session",
     "SimulatedBenchChoice",
-    "Wrench",
+    "WrenchFunction",
     "bench_toml",
     "emulate",
     "lab_session",

@@ -1,4 +1,4 @@
-"""Assembly of a session on the simulated bench."""
+"""Assembly of a session on the simulated bench from names, settings."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class SimulatedBenchChoice:
         return SimulationSettings.model_validate({"preset": name})
 
 
-class KnownTruth(Protocol):
+class KnownScene(Protocol):
     """A scene of which the truth is known."""
 
     @property
@@ -98,7 +98,7 @@ class KnownTruth(Protocol):
 class SimulatedScoring:
     """The truth of one scene, handed to scoring and display, never to the method."""
 
-    bench: KnownTruth
+    bench: KnownScene
     longest_step_mm: float
     animate: bool
 
@@ -152,7 +152,7 @@ def shipped_model(piece: str) -> Path:
     return path
 
 
-class Models:
+class BenchModels:
     """The trained models of a bench: each file is read once for a piece.
 
     Without a file in the choice it is the model in use of ``registry``, else the one that ships;
@@ -299,7 +299,7 @@ def simulated_session(
     catalogue = load_pieces(choice.pieces)
     method = method or StackSettings()
     facts = describe_simulation(settings)
-    models = Models(registry, facts, method.belief.pitch_mm)
+    models = BenchModels(registry, facts, method.belief.pitch_mm)
 
     def _estimator(bench: SimulatedBench, choice: SceneChoice) -> PatchEstimator:
         if estimate is not None:

@@ -1,4 +1,8 @@
-"""Session on emulated devices."""
+"""Session on the emulated bench: real drivers on real wires, simulated physics.
+
+The same scenes and seeds as on the simulated bench; time is the wall clock, connecting takes
+seconds.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +15,13 @@ from pathlib import Path
 from types import TracebackType
 
 from touchdown.backend.bench.assembly import (
-    Models,
+    BenchModels,
     SimulatedBenchChoice,
     SimulatedScoring,
     make_scene,
 )
-from touchdown.backend.bench.command_log import Witnessed
-from touchdown.backend.bench.emulated_bench import BENCH_FILE, RemoteTruth
-from touchdown.backend.bench.emulated_process import EmulatedProcess
+from touchdown.backend.bench.emulated_child import EmulatedProcess
+from touchdown.backend.bench.emulated_scene import BENCH_FILE, DriverObservations, TruthClient
 from touchdown.backend.bench.session import Session
 from touchdown.backend.config import (
     HardwareSettings,
@@ -30,7 +33,7 @@ from touchdown.backend.core import BenchClock, Pose
 from touchdown.backend.emulation import FaultPlan
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.learning import ModelRegistry
-from touchdown.backend.rig import LATE_S, FlightRecorder, WiredDevices
+from touchdown.backend.rig import LATE_S, BenchDevices, FlightRecorder
 from touchdown.backend.runs import NoEstimator, RecordingOptions, SceneChoice, SceneDevices
 from touchdown.backend.sensing import RawStreams, gripper_payload
 from touchdown.backend.simulation import Scene, start_command_mm
@@ -58,7 +61,7 @@ class EmulatedBench:
         self._method = method or StackSettings()
         self._clock = BenchClock()
         facts = describe_simulation(self._settings)
-        self._models = Models(registry, facts, self._method.belief.pitch_mm)
+        self._models = BenchModels(registry, facts, self._method.belief.pitch_mm)
         self._present = ExitStack()
         self._process = EmulatedProcess(lambda fault: self.session.interlock.raise_fault(fault))
         self.session = Session(
@@ -69,8 +72,8 @@ class EmulatedBench:
             keep=keep or RecordingOptions(),
             facts=facts,
         )
-        self._wired: WiredDevices | None = None
-        self._truth: RemoteTruth | None = None
+        self._wired: BenchDevices | None = None
+        self._truth: TruthClient | None = None
         recorder = FlightRecorder(
             lambda: None if self._wired is None else self._wired.link.memory,
             lambda: self.session.run_folder,
@@ -84,7 +87,7 @@ class EmulatedBench:
         self._present.close()
         self._process.close()
 
-    def witnessed(self) -> Witnessed | None:
+    def witnessed(self) -> DriverObservations | None:
         """Return what the devices of the present scene have seen of their driver; None before.
 
         Raises ``OSError`` if they are gone.
@@ -111,9 +114,9 @@ class EmulatedBench:
             address = self._process.set_scene(
                 choice, self._settings, self.plan, folder, self._pieces
             )
-            self._truth = truth = RemoteTruth(scene, address)
+            self._truth = truth = TruthClient(scene, address)
             hardware = read_settings(HardwareSettings, folder / BENCH_FILE)
-            self._wired = wired = WiredDevices(
+            self._wired = wired = BenchDevices(
                 hardware,
                 self._clock.now_s,
                 raw.frames,

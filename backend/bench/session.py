@@ -1,4 +1,10 @@
-"""Session on a bench: runs, events, stop."""
+"""Session on one bench: its streams, its engine, its time.
+
+Streams, event bus, interlock and engine live as long as the session; the scene behind them
+(devices, world, clock) is built for every trial, so that a trial depends on nothing but its seed.
+``run`` drives the bench as fast as it computes; ``open`` paces the same bench against the wall
+clock on one thread. Both give the same events.
+"""
 
 from __future__ import annotations
 
@@ -28,12 +34,12 @@ from touchdown.backend.core import (
     blocking_section,
 )
 from touchdown.backend.devices import (
-    Around,
-    Degraded,
+    DegradedDevice,
     Device,
     GuardedArm,
     GuardedGripper,
     Interlock,
+    JogSurroundings,
     Limits,
     Supervision,
     refuse_degraded,
@@ -41,7 +47,7 @@ from touchdown.backend.devices import (
 from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.learning import ModelCard
 from touchdown.backend.placement import Estimator, SupportTower
-from touchdown.backend.rig import Connection
+from touchdown.backend.rig import BenchConnection
 from touchdown.backend.runs import (
     SET_S,
     Bench,
@@ -116,7 +122,7 @@ class Session:
         self._settings, self.facts = settings, facts
         self.simulated, self.name = facts.mode == "simulated", ""
         self.limits_source, self.usual = "the program itself", SceneChoice()
-        self.connection: Connection | None = None
+        self.connection: BenchConnection | None = None
         """Devices that outlive every scene (None: each scene has its own)."""
         self.hub, self.interlock, self.gate = EventBus(), Interlock(), OperatorPrompt()
         self.hush = RepaintHold()
@@ -183,7 +189,7 @@ class Session:
         return estimator.card if isinstance(estimator, Estimator) else None
 
     @property
-    def degraded(self) -> tuple[Degraded, ...]:
+    def degraded(self) -> tuple[DegradedDevice, ...]:
         """Sensors of the present scene that are late or slow now."""
         return () if self._scene is None else self._supervision.degraded
 
@@ -245,7 +251,7 @@ class Session:
         """Set a scene without starting a run, so that a live view has something to show."""
         self._set_scene(choice)
 
-    def join(self, connection: Connection, name: str, limits: Limits, source: str) -> None:
+    def join(self, connection: BenchConnection, name: str, limits: Limits, source: str) -> None:
         """Take the devices of lab ``name``, which outlive every scene; STOP reaches them now."""
         self.connection, self.name, self.limits_source = connection, name, source
         self.interlock.change_limits(limits, self.clock_s())
@@ -413,7 +419,7 @@ class Session:
 
         arm = GuardedArm(stage.arm, self.interlock, now_s, press_n, surface_mm)
         gripper = GuardedGripper(stage.gripper, self.interlock, now_s)
-        around = Around(now_s, self._wall_s, press_n, surface_mm, lambda: self.engine.busy)
+        around = JogSurroundings(now_s, self._wall_s, press_n, surface_mm, lambda: self.engine.busy)
         hand = ManualControl(
             ManualDevices(arm, gripper, sensing), self.interlock, around, self.hub.publish
         )

@@ -23,7 +23,7 @@ from touchdown.backend.config import PLACEHOLDERS, Lab, LabSettings, Settings, l
 if TYPE_CHECKING:
     from touchdown.backend.bench import Session
     from touchdown.backend.core import FloatArray, SampleStream, Stream, TactileFrame
-    from touchdown.backend.rig import Newest, Since, Timing
+    from touchdown.backend.rig import NewestStamp, SensorTiming, StampsSince
 
 
 NAME = "bench"
@@ -166,18 +166,18 @@ def _connect(file: Path, screen: VerbOutput) -> int:
     return 1 if away else 0
 
 
-def _watched(session: Session) -> list[Timing]:
+def _watched(session: Session) -> list[SensorTiming]:
     """Return how the sensors go together in time while everything stands."""
-    from touchdown.backend.rig import watch
+    from touchdown.backend.rig import measure_timing
 
     raw = session.raw
-    sensors: dict[str, tuple[Newest, Since]] = {
+    sensors: dict[str, tuple[NewestStamp, StampsSince]] = {
         name: (partial(_newest_s, stream), partial(_since_s, stream))
         for name, stream in (("force_torque", raw.samples), ("arm", raw.poses))
     }
     for finger, frames in raw.frames.items():
         sensors[f"tactile_{finger}"] = (partial(_frame_s, frames), partial(_frames_s, frames))
-    return watch(sensors, session.clock_s, threading.Event().wait, WATCHED_S)
+    return measure_timing(sensors, session.clock_s, threading.Event().wait, WATCHED_S)
 
 
 def _newest_s(stream: SampleStream) -> float:
@@ -198,7 +198,7 @@ def _frames_s(frames: Stream[TactileFrame], t_s: float) -> FloatArray:
     return np.array([frame.t_s for frame in frames.between(t_s, math.inf)])
 
 
-def _timing_table(timings: Sequence[Timing]) -> Table:
+def _timing_table(timings: Sequence[SensorTiming]) -> Table:
     table = Table(title=f"Time, {WATCHED_S:.0f} s at rest, all on this computer's clock")
     table.add_column("sensor", min_width=len("tactile_right"))
     # Short words: a terminal of 80 columns would cut the last figure, which is then another one.

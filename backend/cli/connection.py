@@ -37,7 +37,7 @@ from touchdown.backend.runs import (
 if TYPE_CHECKING:
     from touchdown.backend.bench import LabChoice, Session
     from touchdown.backend.config import StackSettings
-    from touchdown.backend.rig import Connection, DeviceLine
+    from touchdown.backend.rig import BenchConnection, DeviceStatus
     from touchdown.backend.runs import RecordingOptions
 
 
@@ -145,7 +145,7 @@ def open_lab_bench(
 
 
 def report_devices(
-    connection: Connection, say: Callable[[str], None], names: Container[str] | None = None
+    connection: BenchConnection, say: Callable[[str], None], names: Container[str] | None = None
 ) -> None:
     """Say each device (of ``names``) as it becomes ready or fails, until the work is done."""
     said: dict[str, str] = {}
@@ -161,12 +161,12 @@ def report_devices(
                 say(f"  {text}")
 
 
-def line_text(line: DeviceLine) -> str:
+def line_text(line: DeviceStatus) -> str:
     """Return one line of a device for people."""
-    from touchdown.backend.devices import STEPS
+    from touchdown.backend.devices import CONNECTION_STEPS
 
     if line.fault is not None:
-        at = STEPS[min(line.steps, len(STEPS) - 1)]
+        at = CONNECTION_STEPS[min(line.steps, len(CONNECTION_STEPS) - 1)]
         return f"{line.name}: {line.fault.what} ({at}) {line.fault.next_step}".rstrip()
     who = line.identity
     named = "" if who is None else f", {who.maker} {who.model}, {who.serial}".replace(",  ", ", ")
@@ -175,7 +175,7 @@ def line_text(line: DeviceLine) -> str:
     return f"{line.name}: {line.state}{named}{needs}{notice}"
 
 
-def require_usable(connection: Connection) -> None:
+def require_usable(connection: BenchConnection) -> None:
     """Raise the first fault of a device, or what the operator has to do first."""
     for line in connection.lines():
         if line.fault is not None:

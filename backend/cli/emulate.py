@@ -25,13 +25,12 @@ from rich.table import Table
 from rich.text import Text
 
 from touchdown.backend.bench import (
+    FAULT_DEVICES,
     PRIORITY,
-    SERIAL,
-    SUFFERS,
-    Choice,
+    EmulatedScene,
     Emulation,
-    JoinedScene,
-    Wrench,
+    EmulationChoice,
+    WrenchFunction,
     bench_toml,
     emulate,
     lab_toml,
@@ -41,7 +40,15 @@ from touchdown.backend.bench import (
 from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels
 from touchdown.backend.config import first_error_message
 from touchdown.backend.core import FINGERS, InputError, round_robin_priority
-from touchdown.backend.emulation import AMOUNTS, FaultPlan, Front, hanging, load_faults, noisy
+from touchdown.backend.devices.gelsight import SERIAL
+from touchdown.backend.emulation import (
+    AMOUNTS,
+    DeviceServer,
+    FaultPlan,
+    add_noise,
+    hanging_gripper,
+    load_faults,
+)
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.runs import SceneChoice
 
@@ -55,7 +62,7 @@ USAGE = (
 class FaultPrompt:
     """Lines of ``source`` as they are typed; a source that cannot be waited on gives none."""
 
-    def __init__(self, fronts: Sequence[Front], source: TextIO | None = None) -> None:
+    def __init__(self, fronts: Sequence[DeviceServer], source: TextIO | None = None) -> None:
         self._fronts, self._typed = fronts, b""
         self._source: TextIO | None = sys.stdin if source is None else source
         try:
@@ -120,7 +127,9 @@ BENCH = "bench"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("kind", choices=[*SUFFERS, BENCH], help="which device, or all of a bench")
+    parser.add_argument(
+        "kind", choices=[*FAULT_DEVICES, BENCH], help="which device, or all of a bench"
+    )
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
     parser.add_argument("--port", type=_port, help="port (default: a free one)")
     parser.add_argument(
@@ -187,7 +196,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def _serve(
-    args: argparse.Namespace, screen: VerbOutput, world: JoinedScene | None, emulation: Emulation
+    args: argparse.Namespace, screen: VerbOutput, world: EmulatedScene | None, emulation: Emulation
 ) -> int:
     end = threading.Event()
     begun_s = time.monotonic()
@@ -229,14 +238,14 @@ def _serve(
 
 
 def _device(args: argparse.Namespace) -> Emulation:
-    wrench: Wrench = noisy(args.load or hanging)
+    wrench: WrenchFunction = add_noise(args.load or hanging_gripper)
     part_mm = args.part if args.part > 0 else None
-    wire = Choice(args.kind, args.host, args.port, args.tty, _plan(args), wrench, part_mm)
+    wire = EmulationChoice(args.kind, args.host, args.port, args.tty, _plan(args), wrench, part_mm)
     camera = {"finger": args.finger, "serial": args.serial, "folder": args.folder}
     return emulate(replace(wire, **camera, text=args.text, film=args.film))
 
 
-def _bench(args: argparse.Namespace) -> tuple[JoinedScene, Emulation]:
+def _bench(args: argparse.Namespace) -> tuple[EmulatedScene, Emulation]:
     """Make a whole bench and write its bench file."""
     if args.folder is None:
         raise InputError(
@@ -282,7 +291,7 @@ def _watch(
                 screen.say(said)
 
 
-def _table(fronts: Sequence[Front]) -> Table:
+def _table(fronts: Sequence[DeviceServer]) -> Table:
     """Return what went over each wire so far, and which faults are on."""
     table = Table()
     table.add_column("wire")
@@ -303,7 +312,7 @@ def _port(text: str) -> int:
     return int(text)
 
 
-def _wrench(text: str) -> Wrench:
+def _wrench(text: str) -> WrenchFunction:
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:

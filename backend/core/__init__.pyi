@@ -78,6 +78,7 @@ from .scheduling import set_realtime_priority as set_realtime_priority
 from .streams import Samples as Samples
 from .streams import SampleStream as SampleStream
 from .streams import Stream as Stream
+from .streams import Thinned as Thinned
 from .values import CHANNELS as CHANNELS
 from .values import FINGERS as FINGERS
 from .values import GRID_COLS as GRID_COLS
@@ -187,6 +188,7 @@ __all__ = [
     "Stream",
     "SupportKind",
     "TactileFrame",
+    "Thinned",
     "ThreadStallDetector",
     "TouchdownError",
     "TrialFinished",

@@ -5,6 +5,7 @@ The newest sample wins, and every loss is counted.
 
 from __future__ import annotations
 
+import math
 import threading
 from bisect import bisect_left, bisect_right
 from collections import deque
@@ -165,3 +166,17 @@ class SampleStream:
             for ring in (self._t_s, self._values)
         )
         return Samples(t_s, values, self._count, lost)
+
+
+class Thinned:
+    """Takes so many samples a second of those that come: the first of each period."""
+
+    def __init__(self) -> None:
+        self._period: int | None = None
+
+    def takes(self, t_s: float, rate_hz: float) -> bool:
+        """Return whether the sample stamped ``t_s`` is one of ``rate_hz`` a second."""
+        # A stamp on the border of two periods belongs to the later one.
+        period = math.floor(t_s * rate_hz + 1e-6)
+        taken, self._period = period != self._period, period
+        return taken

@@ -6,12 +6,10 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from touchdown.backend.devices import (
-        connection,
-        force_torque_registry,
-        guarded,
+        discovery,
+        guarded_devices,
         interlock,
         jog,
-        jog_limits,
         protocols,
         registry,
         supervision,

@@ -1,76 +1,77 @@
-from .connection import choices as choices
-from .connection import reconnect as reconnect
-from .connection import refuse_unknown_drivers as refuse_unknown_drivers
-from .connection import require_serial as require_serial
-from .force_torque_registry import make_force_torque as make_force_torque
-from .guarded import GuardedArm as GuardedArm
-from .guarded import GuardedGripper as GuardedGripper
+from .discovery import choices as choices
+from .discovery import make_tactile as make_tactile
+from .discovery import refuse_unknown_drivers as refuse_unknown_drivers
+from .guarded_devices import GuardedArm as GuardedArm
+from .guarded_devices import GuardedGripper as GuardedGripper
 from .interlock import LEASE_S as LEASE_S
 from .interlock import MAX_WIDTH_CHANGE_MM as MAX_WIDTH_CHANGE_MM
-from .interlock import RETREAT_MM as RETREAT_MM
-from .interlock import RETREAT_MM_S as RETREAT_MM_S
 from .interlock import STATIONARY_MM as STATIONARY_MM
 from .interlock import UNLOADED_N as UNLOADED_N
+from .interlock import ByHand as ByHand
 from .interlock import Interlock as Interlock
 from .interlock import JigEvidence as JigEvidence
 from .interlock import Limits as Limits
+from .interlock import ReleaseAuthorisation as ReleaseAuthorisation
 from .interlock import ReleaseEvidence as ReleaseEvidence
-from .interlock import Retreating as Retreating
 from .interlock import jig_refusal as jig_refusal
+from .interlock import recent_positions_mm as recent_positions_mm
+from .interlock import refuse_outside as refuse_outside
 from .interlock import release_refusal as release_refusal
+from .interlock import travelled_mm as travelled_mm
 from .jog import FRAMES as FRAMES
 from .jog import STEPS_DEG as STEPS_DEG
 from .jog import STEPS_MM as STEPS_MM
-from .jog import Around as Around
 from .jog import Axis as Axis
 from .jog import Frame as Frame
 from .jog import Jog as Jog
 from .jog import JogOrder as JogOrder
-from .jog import Room as Room
+from .jog import JogRange as JogRange
+from .jog import JogSurroundings as JogSurroundings
 from .jog import signed_name as signed_name
 from .jog import turns as turns
-from .jog_limits import refuse_outside as refuse_outside
-from .protocols import STEPS as STEPS
+from .protocols import CONNECTION_STEPS as CONNECTION_STEPS
+from .protocols import RETREAT_MM as RETREAT_MM
+from .protocols import RETREAT_MM_S as RETREAT_MM_S
 from .protocols import STILL as STILL
-from .protocols import TRACE as TRACE
+from .protocols import TRACE_NAMES as TRACE_NAMES
 from .protocols import TURN_RAD_S as TURN_RAD_S
 from .protocols import VOID_PRESS as VOID_PRESS
 from .protocols import Arm as Arm
 from .protocols import ArmStatus as ArmStatus
-from .protocols import ByHand as ByHand
 from .protocols import CommandedMotion as CommandedMotion
+from .protocols import ConnectionSteps as ConnectionSteps
 from .protocols import Device as Device
 from .protocols import DeviceState as DeviceState
 from .protocols import ForceTorqueSensor as ForceTorqueSensor
 from .protocols import Gripper as Gripper
 from .protocols import GripStatus as GripStatus
 from .protocols import Health as Health
-from .protocols import Homing as Homing
+from .protocols import HomingGripper as HomingGripper
 from .protocols import Identity as Identity
 from .protocols import Joints as Joints
 from .protocols import Motion as Motion
 from .protocols import PressCommand as PressCommand
-from .protocols import Right as Right
+from .protocols import ReportsConnectionSteps as ReportsConnectionSteps
+from .protocols import RetreatingArm as RetreatingArm
 from .protocols import RobotMode as RobotMode
 from .protocols import SafetyMode as SafetyMode
-from .protocols import Steps as Steps
-from .protocols import Stepwise as Stepwise
-from .protocols import Traced as Traced
+from .protocols import TracedArm as TracedArm
 from .protocols import Vector as Vector
-from .protocols import last_places_mm as last_places_mm
 from .protocols import replaced_fault as replaced_fault
 from .protocols import servo_off_fault as servo_off_fault
 from .protocols import stopped_fault as stopped_fault
-from .protocols import travelled_mm as travelled_mm
 from .registry import make_arm as make_arm
+from .registry import make_force_torque as make_force_torque
+from .registry import make_gripper as make_gripper
 from .supervision import NAMES as NAMES
-from .supervision import Arrivals as Arrivals
-from .supervision import Degraded as Degraded
+from .supervision import ArrivalMonitor as ArrivalMonitor
+from .supervision import DegradedDevice as DegradedDevice
+from .supervision import ReportsSlowness as ReportsSlowness
 from .supervision import Supervision as Supervision
-from .supervision import TellsSlow as TellsSlow
 from .supervision import refuse_degraded as refuse_degraded
 
 __all__ = [
+    "CONNECTION_STEPS",
     "FRAMES",
     "LEASE_S",
     "MAX_WIDTH_CHANGE_MM",
@@ -78,22 +79,21 @@ __all__ = [
     "RETREAT_MM",
     "RETREAT_MM_S",
     "STATIONARY_MM",
-    "STEPS",
     "STEPS_DEG",
     "STEPS_MM",
     "STILL",
-    "TRACE",
+    "TRACE_NAMES",
     "TURN_RAD_S",
     "UNLOADED_N",
     "VOID_PRESS",
     "Arm",
     "ArmStatus",
-    "Around",
-    "Arrivals",
+    "ArrivalMonitor",
     "Axis",
     "ByHand",
     "CommandedMotion",
-    "Degraded",
+    "ConnectionSteps",
+    "DegradedDevice",
     "Device",
     "DeviceState",
     "ForceTorqueSensor",
@@ -103,40 +103,40 @@ __all__ = [
     "GuardedArm",
     "GuardedGripper",
     "Health",
-    "Homing",
+    "HomingGripper",
     "Identity",
     "Interlock",
     "JigEvidence",
     "Jog",
     "JogOrder",
+    "JogRange",
+    "JogSurroundings",
     "Joints",
     "Limits",
     "Motion",
     "PressCommand",
+    "ReleaseAuthorisation",
     "ReleaseEvidence",
-    "Retreating",
-    "Right",
+    "ReportsConnectionSteps",
+    "ReportsSlowness",
+    "RetreatingArm",
     "RobotMode",
-    "Room",
     "SafetyMode",
-    "Steps",
-    "Stepwise",
     "Supervision",
-    "TellsSlow",
-    "Traced",
+    "TracedArm",
     "Vector",
     "choices",
     "jig_refusal",
-    "last_places_mm",
     "make_arm",
     "make_force_torque",
-    "reconnect",
+    "make_gripper",
+    "make_tactile",
+    "recent_positions_mm",
     "refuse_degraded",
     "refuse_outside",
     "refuse_unknown_drivers",
     "release_refusal",
     "replaced_fault",
-    "require_serial",
     "servo_off_fault",
     "signed_name",
     "stopped_fault",

@@ -1,4 +1,8 @@
-"""Framing of byte streams: checksums, length prefixes, text lines, wrenches in counts."""
+"""Framing shared by the byte protocols of all makes.
+
+Check values of the checksums over ``123456789``: X-25 906E, MODBUS 4B37 (catalogue of R. Williams
+and G. Cook).
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ from touchdown.backend.core import TouchdownError
 Message = TypeVar("Message")
 
 
-class WireError(TouchdownError):
+class ProtocolError(TouchdownError):
     """Bytes, or a message, that the protocol does not allow.
 
     ``what`` is one word such as "length" or "crc"; ``where`` names message and field; ``offset``
@@ -25,7 +29,7 @@ class WireError(TouchdownError):
         self.what, self.where, self.offset = what, where, offset
 
 
-class Step(NamedTuple, Generic[Message]):
+class FrameStep(NamedTuple, Generic[Message]):
     """What was found at one place: ``length`` bytes are a message, refused, or noise."""
 
     length: int
@@ -33,14 +37,14 @@ class Step(NamedTuple, Generic[Message]):
     refused: bool = False
 
 
-Take = Callable[[bytes, int], Step[Message] | None]
+TakeFrame = Callable[[bytes, int], FrameStep[Message] | None]
 """(bytes, place) -> what is found there, or None while the bytes do not suffice to tell."""
 
-Overtake = Callable[[Take[Message], bytes, int], bool]
+SkipUnfinished = Callable[[TakeFrame[Message], bytes, int], bool]
 """(take, bytes, place of an unfinished message) -> whether to go on without it."""
 
 
-def two_in_a_row(take: Take[Message], data: bytes, at: int) -> bool:
+def two_in_a_row(take: TakeFrame[Message], data: bytes, at: int) -> bool:
     """Return whether two whole messages lie end to end behind ``at``.
 
     So a false header whose length field promises much does not hold up the stream.
@@ -60,7 +64,9 @@ def two_in_a_row(take: Take[Message], data: bytes, at: int) -> bool:
 class FrameStream(Generic[Message]):
     """The stream decoder of a protocol, given how to ``take`` one message from a place."""
 
-    def __init__(self, take: Take[Message], overtake: Overtake[Message] = two_in_a_row) -> None:
+    def __init__(
+        self, take: TakeFrame[Message], overtake: SkipUnfinished[Message] = two_in_a_row
+    ) -> None:
         self._take, self._overtake = take, overtake
         self._rest = b""
         self.bad_frames = self.bad_in_a_row = self.discarded = 0
@@ -80,7 +86,7 @@ class FrameStream(Generic[Message]):
                 if not self._overtake(self._take, rest, at):
                     break
                 # As where all of it has come and is none: the same however the stream is cut.
-                step = Step(1, refused=True)
+                step = FrameStep(1, refused=True)
             at += step.length
             self._count(step)
             if step.message is not None:
@@ -92,7 +98,7 @@ class FrameStream(Generic[Message]):
         """Forget the bytes of an unfinished message; the counts stay."""
         self._rest = b""
 
-    def _count(self, step: Step[Message]) -> None:
+    def _count(self, step: FrameStep[Message]) -> None:
         if step.message is None:
             self.discarded += step.length
         elif not step.refused:
@@ -102,18 +108,18 @@ class FrameStream(Generic[Message]):
             self.bad_in_a_row += 1
 
 
-def expect_length(data: bytes, length: int, where: str) -> None:
+def require_length(data: bytes, length: int, where: str) -> None:
     """Raise ``WireError`` unless ``data`` is exactly ``length`` bytes."""
     if len(data) != length:
-        raise WireError("length", where, min(len(data), length))
+        raise ProtocolError("length", where, min(len(data), length))
 
 
-def noise_until(data: bytes, at: int, starts: bytes) -> Step[Message]:
+def noise_until(data: bytes, at: int, starts: bytes) -> FrameStep[Message]:
     """Return the step over all bytes up to the next that may start a message, at least one."""
     end = at + 1
     while end < len(data) and data[end] not in starts:
         end += 1
-    return Step(end - at)
+    return FrameStep(end - at)
 
 
 def _table(polynomial: int, reflected: bool) -> tuple[int, ...]:
@@ -219,9 +225,9 @@ class LineStream(Generic[Message]):
             return
         try:
             if skipping or len(line) > self._longest:
-                raise WireError("length", "line", self._longest)
+                raise ProtocolError("length", "line", self._longest)
             messages.append(self._parse(line))
-        except WireError:
+        except ProtocolError:
             self.discarded += len(line)
             self.bad_frames += 1
             self.bad_in_a_row += 1
@@ -229,14 +235,14 @@ class LineStream(Generic[Message]):
             self.bad_in_a_row = 0
 
 
-Three = tuple[float, float, float]
+Vector3 = tuple[float, float, float]
 
 
 class Wrench(NamedTuple):
     """Force (N) and torque (N·m) in the axes and with the sign of the sensor."""
 
-    force_n: Three
-    torque_nm: Three
+    force_n: Vector3
+    torque_nm: Vector3
 
 
 NO_WRENCH = Wrench((math.nan, math.nan, math.nan), (math.nan, math.nan, math.nan))
@@ -246,6 +252,6 @@ NO_WRENCH = Wrench((math.nan, math.nan, math.nan), (math.nan, math.nan, math.nan
 def wrench_of(values: Sequence[float]) -> Wrench:
     """Return the wrench of six values, forces first; raises ``WireError`` for another number."""
     if len(values) != 6:
-        raise WireError("length", "wrench", len(values))
+        raise ProtocolError("length", "wrench", len(values))
     fx, fy, fz, mx, my, mz = values
     return Wrench((fx, fy, fz), (mx, my, mz))

@@ -1,4 +1,11 @@
-"""Jogging of the arm on a lease."""
+"""Jogging of the arm under a lease that the pressed button renews.
+
+A renewal is accepted only if its number is greater than the last and it is younger than the lease.
+There is no queue: a newer renewal replaces the older. ``tick`` runs on the bench clock and orders
+motion for ``REPEAT_S`` at a time, never for so long that the arm would still brake when the lease
+expires. Every limit gives its reason when it refuses. Speeds are in mm/s along axes, rad/s for
+turns.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +29,11 @@ from touchdown.backend.core import (
     rotation_from_vector,
     rotation_vector,
 )
-from touchdown.backend.devices.guarded import GuardedArm
-from touchdown.backend.devices.interlock import LEASE_S, Interlock
-from touchdown.backend.devices.jog_limits import (
-    Way,
+from touchdown.backend.devices.guarded_devices import GuardedArm
+from touchdown.backend.devices.interlock import (
+    LEASE_S,
+    Direction,
+    Interlock,
     falls_mm,
     fastest_mm_s,
     refuse_forced,
@@ -43,12 +51,12 @@ AXES: tuple[Axis, ...] = ("x", "y", "z")
 TURNS: tuple[Axis, ...] = ("rx", "ry", "rz")
 JOINTS: tuple[Axis, ...] = ("j1", "j2", "j3", "j4", "j5", "j6")
 FRAMES: tuple[Frame, ...] = ("XYZ", "TOOL", "JOINT")
-TOOL_SIGNS: Way = (1.0, -1.0, -1.0)
+TOOL_SIGNS: Direction = (1.0, -1.0, -1.0)
 """The tool's axes in the bench frame while the hand points down: z is the direction of approach."""
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
+class JogRange:
     """How far a jog may go: mm, or rad for what turns. ``why`` it may not go at all: a reason."""
 
     left: float
@@ -65,7 +73,9 @@ def turns(axis: Axis) -> bool:
     return axis not in AXES
 
 
-def way_of(axis: Axis, frame: Frame, signed: float, turn: FloatArray = IDENTITY_ROTATION) -> Way:
+def direction_of(
+    axis: Axis, frame: Frame, signed: float, turn: FloatArray = IDENTITY_ROTATION
+) -> Direction:
     """Return the unit vector in the bench frame for a signed value along or about an axis.
 
     ``turn`` (3, 3) of the hand: the axes of TOOL turn with it.
@@ -105,7 +115,7 @@ POSE_AGE_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Around:
+class JogSurroundings:
     """What a jog must know of the bench; NaN is unknown.
 
     ``press_n``: press force. ``surface_mm``: height of ``G`` at which a held piece touches the
@@ -120,10 +130,10 @@ class Around:
     busy: Callable[[], bool]
 
 
-class Permit:
+class JogPermission:
     """Asks the arm where it is and the interlock what it allows; moves nothing."""
 
-    def __init__(self, arm: GuardedArm, interlock: Interlock, around: Around) -> None:
+    def __init__(self, arm: GuardedArm, interlock: Interlock, around: JogSurroundings) -> None:
         self._arm, self._interlock, self._around = arm, interlock, around
         self._joint_rooms: tuple[tuple[float, ...], dict[tuple[Axis, int], float]] = ((), {})
 
@@ -134,9 +144,9 @@ class Permit:
         except StaleSampleError as error:
             raise RefusedError("NO-POSE", "The position of the arm is not known.") from error
 
-    def way(self, axis: Axis, frame: Frame, signed: float) -> Way:
+    def way(self, axis: Axis, frame: Frame, signed: float) -> Direction:
         """Return the unit vector of a way from here, in the bench frame."""
-        return way_of(axis, frame, signed, pose_rotation(self.here()))
+        return direction_of(axis, frame, signed, pose_rotation(self.here()))
 
     def refuse(self, axis: Axis, frame: Frame, signed: float) -> None:
         """Raise ``RefusedError`` if force, recovery or height forbid this way."""
@@ -172,7 +182,7 @@ class Permit:
             room = min(room, falls_mm(here, self._around.surface_mm(), limits) / -way[2])
         return room
 
-    def rooms(self, frame: Frame) -> dict[str, Room]:
+    def rooms(self, frame: Frame) -> dict[str, JogRange]:
         """Return what is left each way of a frame, by names such as "+x" and "-j4"."""
         found = {}
         for axis in axes_of(frame):
@@ -181,9 +191,9 @@ class Permit:
             for sign, signed in (("+", 1.0), ("-", -1.0)):
                 try:
                     self.refuse(axis, frame, signed)
-                    room = Room(self.left(axis, frame, signed))
+                    room = JogRange(self.left(axis, frame, signed))
                 except RefusedError as error:
-                    room = Room(0.0, error.reason)
+                    room = JogRange(0.0, error.reason)
                 found[sign + axis] = room
         return found
 
@@ -326,7 +336,7 @@ class Jog:
         self,
         arm: GuardedArm,
         interlock: Interlock,
-        around: Around,
+        around: JogSurroundings,
         tell: Callable[[RefusedError], None],
     ) -> None:
         self._arm, self._interlock, self._around, self._tell = arm, interlock, around, tell
@@ -334,9 +344,9 @@ class Jog:
         self._order: JogOrder | None = None
         self._taken_s = self._ticked_s = self._late_s = 0.0
         self._ended = 0
-        self._step: tuple[Motion, _Going] | None = None
+        self._step: tuple[Motion, _JogStep] | None = None
         self._held: Motion | None = None
-        self._permit = Permit(arm, interlock, around)
+        self._permit = JogPermission(arm, interlock, around)
         self.state = JogState()
         interlock.on_stop(self._stopped)
 
@@ -345,7 +355,7 @@ class Jog:
         """Whether the arm moves by hand."""
         return self._order is not None or self._step is not None
 
-    def rooms(self, frame: Frame) -> dict[str, Room]:
+    def rooms(self, frame: Frame) -> dict[str, JogRange]:
         """Return how far each way of a frame goes from here, by names such as "+x" and "-j4"."""
         return self._permit.rooms(frame)
 
@@ -398,13 +408,13 @@ class Jog:
         if abs(distance) > left:
             raise RefusedError("LIMIT", left_words(axis, frame, distance, left))
         self._interlock.renew_lease(self._around.now_s())
-        going = _Going(axis, frame, distance)
+        going = _JogStep(axis, frame, distance)
         self._step = (self._stepped(going, abs(speed)), going)
 
     def level(self, speed_rad_s: float) -> None:
         """Turn the hand back to straight down, where it stands; raises ``RefusedError``."""
         self._refuse_taken_or_moving()
-        here, going = self._permit.here(), _Going("rz", "XYZ", 1.0)
+        here, going = self._permit.here(), _JogStep("rz", "XYZ", 1.0)
         self._permit.refuse(going.axis, going.frame, going.signed)
         self._interlock.renew_lease(self._around.now_s())
         target = Pose(here.x_mm, here.y_mm, here.z_mm)
@@ -461,7 +471,7 @@ class Jog:
             return self._arm.jog(STILL, for_s, (x, y, z))
         return self._arm.jog((x, y, z), for_s)
 
-    def _stepped(self, going: _Going, speed: float) -> Motion:
+    def _stepped(self, going: _JogStep, speed: float) -> Motion:
         arm, here, size = self._arm, self._permit.here(), abs(going.signed)
         if going.axis in JOINTS:
             speed = self._permit.joint_most(going.axis, speed if going.signed > 0 else -speed)
@@ -479,7 +489,7 @@ class Jog:
         most = self._permit.line_zone()[0] / self._interlock.override
         return arm.move_to(target, min(speed, most))
 
-    def _watch_step(self, motion: Motion, going: _Going) -> None:
+    def _watch_step(self, motion: Motion, going: _JogStep) -> None:
         """Keep the permission to move as long as a step lasts, and the limits let it go on."""
         if motion.done:
             self._step = None
@@ -528,7 +538,7 @@ class Jog:
 
 
 @dataclass(frozen=True, slots=True)
-class _Going:
+class _JogStep:
     """Which way a step goes, and how far: mm, or rad for what turns."""
 
     axis: Axis

@@ -1,4 +1,9 @@
-"""Protocols that every device implements, with their values and states."""
+"""Interfaces that simulated, emulated and real devices satisfy.
+
+Protocols, not base classes: one contract test suite holds all implementations. Plans and windows
+never hold an unguarded arm or gripper: see ``interlock``. ``CommandedMotion`` is the future that
+every driver returns for an order.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +14,17 @@ from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Literal, Protocol, runtime_checkable
 
-import numpy as np
-
 from touchdown.backend.core import (
     Fault,
     FaultError,
     Finger,
     FloatArray,
     Pose,
+    RefusedError,
     SampleStream,
     Stream,
     TactileFrame,
 )
-from touchdown.backend.devices.interlock import JigEvidence, ReleaseEvidence
 
 Vector = tuple[float, float, float]
 STILL: Vector = (0.0, 0.0, 0.0)
@@ -299,6 +302,100 @@ class Gripper(Device, Protocol):
         """Stop where it is; keeps the grip."""
 
 
+ConnectionStep = Literal["reach", "identify", "configure", "first sample"]
+CONNECTION_STEPS: tuple[ConnectionStep, ...] = ("reach", "identify", "configure", "first sample")
+"""The wire is open; the device is the one that was meant; it is set up; it delivers."""
+
+
+class ConnectionSteps:
+    """Written by whoever connects, read by anyone."""
+
+    def __init__(self) -> None:
+        self.done = 0
+        """So many of ``STEPS`` are done."""
+
+    def begin(self) -> None:
+        """Start anew."""
+        self.done = 0
+
+    def reached(self, step: ConnectionStep) -> None:
+        """Count ``step`` as done, and all before it."""
+        self.done = max(self.done, CONNECTION_STEPS.index(step) + 1)
+
+
+@runtime_checkable
+class ReportsConnectionSteps(Protocol):
+    """A device that says how far its connection has come."""
+
+    @property
+    def steps(self) -> ConnectionSteps:
+        """The steps of the present connection."""
+
+
+@runtime_checkable
+class HomingGripper(Gripper, Protocol):
+    """A gripper that finds its origin on the operator's word.
+
+    ``lost_holding``: a piece was held when the connection was lost, so that a fast stop waits for
+    the operator, also in the next connection.
+    """
+
+    lost_holding: bool
+
+    @property
+    def homed(self) -> bool:
+        """Whether it knows where its jaws are."""
+
+    @property
+    def fault(self) -> Fault | None:
+        """What has to be acknowledged, or why the connection was lost."""
+
+    def home(self) -> Motion:
+        """Find the origin, with empty jaws only."""
+
+    def acknowledge(self) -> None:
+        """Take a fast stop or fault as seen."""
+
+
+TRACE_NAMES = (
+    *(f"command_{axis}_mm" for axis in "xyz"),
+    *(f"measured_{axis}_mm" for axis in "xyz"),
+    *(f"sent_j{n}_rad" for n in range(1, 7)),
+    *(f"measured_j{n}_rad" for n in range(1, 7)),
+    *("phase", "missed", "holds", "moving", "press_n"),
+)
+"""Names of the values that ``trace`` returns; ``phase`` is the place in the life of the stream."""
+
+
+@runtime_checkable
+class TracedArm(Protocol):
+    """An arm whose stream can be looked into while it runs."""
+
+    @property
+    def press_n(self) -> float:
+        """Felt press force by the zero of the contact law; NaN without contact."""
+
+    def trace(self) -> tuple[float, ...]:
+        """Return the values of ``TRACE`` as they are now."""
+
+
+RETREAT_MM, RETREAT_MM_S = 2.0, 10.0
+RETREAT_FAULTS = frozenset({"FT-TRIP", "FT-OVERLOAD", "CONTACT-STIFF", "CONTACT-SWINGS"})
+"""Codes of faults at which an arm that can draws back from the contact; at all others it stops."""
+
+
+@runtime_checkable
+class RetreatingArm(Protocol):
+    """An arm that does so by itself, once it is told."""
+
+    def retreat(self) -> None:
+        """Rise by ``RETREAT_MM`` from where the arm is, then stand; the motion under way ends.
+
+        From any thread, waits for nothing; where nothing can be driven it is a stop. A press that
+        draws back already goes on with that.
+        """
+
+
 VOID_PRESS = "PRESS-VOID"
 """Code of a press during which the arm stood still for a moment: what was felt does not count."""
 
@@ -368,116 +465,44 @@ def servo_off_fault(device: str) -> Fault:
     )
 
 
-Step = Literal["reach", "identify", "configure", "first sample"]
-STEPS: tuple[Step, ...] = ("reach", "identify", "configure", "first sample")
-"""The wire is open; the device is the one that was meant; it is set up; it delivers."""
+ARM = "arm"
+HELD = "The arm stands still; the gripper was not opened."
+NOTHING_MOVED = "Nothing was moved."
 
 
-class Steps:
-    """Written by whoever connects, read by anyone."""
+class ArmPress(CommandedMotion):
+    """A press with its contact times on the bench clock."""
 
-    def __init__(self) -> None:
-        self.done = 0
-        """So many of ``STEPS`` are done."""
-
-    def begin(self) -> None:
-        """Start anew."""
-        self.done = 0
-
-    def reached(self, step: Step) -> None:
-        """Count ``step`` as done, and all before it."""
-        self.done = max(self.done, STEPS.index(step) + 1)
+    detected_s: float | None = None
+    onset_s: float | None = None
 
 
-@runtime_checkable
-class Stepwise(Protocol):
-    """A device that says how far its connection has come."""
-
-    @property
-    def steps(self) -> Steps:
-        """The steps of the present connection."""
-
-
-@runtime_checkable
-class Homing(Gripper, Protocol):
-    """A gripper that finds its origin on the operator's word.
-
-    ``lost_holding``: a piece was held when the connection was lost, so that a fast stop waits for
-    the operator, also in the next connection.
-    """
-
-    lost_holding: bool
-
-    @property
-    def homed(self) -> bool:
-        """Whether it knows where its jaws are."""
-
-    @property
-    def fault(self) -> Fault | None:
-        """What has to be acknowledged, or why the connection was lost."""
-
-    def home(self) -> Motion:
-        """Find the origin, with empty jaws only."""
-
-    def acknowledge(self) -> None:
-        """Take a fast stop or fault as seen."""
-
-
-STILL_S = 0.2
-"""So long an arm has stood before jaws may open."""
-TOLD_S = 0.8
-"""An arm whose controller holds it by a program of its own tells its place some ten times a second,
-and later while variables are written: then the last two places of this time count."""
-
-
-def last_places_mm(poses: SampleStream, now_s: float) -> FloatArray:
-    """Return the places (n, 3) of the last ``STILL_S``, mm; the last two at least, or none."""
-    told = poses.window(now_s - TOLD_S, now_s)
-    recent = int((told.t_s >= now_s - STILL_S).sum())
-    count = len(told.t_s)
-    return told.values[count - max(recent, 2) :] if count >= 2 else np.empty((0, 3))
-
-
-def travelled_mm(places_mm: FloatArray) -> float:
-    """Return the largest travel on one axis between ``places_mm`` (n, 3); NaN of fewer than two."""
-    return float(np.ptp(places_mm, axis=0).max()) if len(places_mm) > 1 else math.nan
-
-
-@dataclass(frozen=True, slots=True)
-class ByHand:
-    """The operator's own order, confirmed by them."""
-
-    confirmed: bool
-
-
-Right = ReleaseEvidence | JigEvidence | ByHand
-
-
-@runtime_checkable
-class OpensByRight(Protocol):
-    """A gripper that looks at its own sensors before it opens on a held piece."""
-
-    def open_held(self, right: Right, width_mm: float, speed_mm_s: float) -> Motion:
-        """Open to ``width_mm`` if ``right`` and what is measured now allow it; ``RefusedError``."""
-
-
-TRACE = (
-    *(f"command_{axis}_mm" for axis in "xyz"),
-    *(f"measured_{axis}_mm" for axis in "xyz"),
-    *(f"sent_j{n}_rad" for n in range(1, 7)),
-    *(f"measured_j{n}_rad" for n in range(1, 7)),
-    *("phase", "missed", "holds", "moving", "press_n"),
+STOPPED = Fault(
+    "STOPPED", "The motion was stopped.", HELD, "Look at the bench, then press Reset.", ARM
 )
-"""Names of the values that ``trace`` returns; ``phase`` is the place in the life of the stream."""
+REPLACED = Fault(
+    "REPLACED",
+    "Another command took the place of this motion.",
+    "The arm follows the newer command.",
+    "Wait for a motion to end before the next command.",
+    ARM,
+)
+NOT_CONNECTED = Fault(
+    "NOT-CONNECTED",
+    "The device 'arm' is not connected.",
+    NOTHING_MOVED,
+    "Connect the device first.",
+    ARM,
+)
+NO_WRENCH = Fault(
+    "FT-STALE",
+    "No force was measured within the last second.",
+    NOTHING_MOVED,
+    "Check the force/torque sensor, then press again.",
+    ARM,
+)
 
 
-@runtime_checkable
-class Traced(Protocol):
-    """An arm whose stream can be looked into while it runs."""
-
-    @property
-    def press_n(self) -> float:
-        """Felt press force by the zero of the contact law; NaN without contact."""
-
-    def trace(self) -> tuple[float, ...]:
-        """Return the values of ``TRACE`` as they are now."""
+def refused_fault(error: RefusedError) -> Fault:
+    """Return the fault of a motion whose next command may not go out."""
+    return Fault(error.reason, error.detail, HELD, "Choose another way or place.", ARM)

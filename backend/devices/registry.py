@@ -1,45 +1,46 @@
-"""Registry of the makes of arms and of plug-ins from other packages."""
+"""Registry of the drivers for arm, gripper, wrist sensor by the name in a bench file.
+
+Shipped drivers first, then those that installed packages offer by entry point. A shipped driver
+cannot be replaced. The real-time process loads this module: it must not import cameras, OpenCV or
+emulators.
+"""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import entry_points
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.core import InputError, SampleStream
-from touchdown.backend.devices.bota import Boot, Frame, incoming
-from touchdown.backend.devices.dynpick import Command as protocol_Command
-from touchdown.backend.devices.dynpick import Record, records
-from touchdown.backend.devices.ft300 import FIRMWARE_REGISTER, Read, Registers
-from touchdown.backend.devices.ft300 import Sample as protocol_Sample
-from touchdown.backend.devices.ft300 import encode as protocol_encode
-from touchdown.backend.devices.ft300 import incoming as protocol_incoming_2
-from touchdown.backend.devices.leptrino import Command as protocol_Command_2
-from touchdown.backend.devices.leptrino import Info, Plain, Sample, encode, packets
-from touchdown.backend.devices.melfa import MelfaArm, SocketWires
-from touchdown.backend.devices.optoforce import Frame as protocol_Frame
-from touchdown.backend.devices.optoforce import incoming as protocol_incoming
-from touchdown.backend.devices.protocols import Arm
-from touchdown.backend.devices.ur import UrArm
-from touchdown.backend.devices.wsg import (
-    Assignment,
-    Command,
-    Query,
-    Reply,
-    Request,
-    encode_request,
-    lines,
-    replies,
+from touchdown.backend.devices.bota import BotaDriver
+from touchdown.backend.devices.dynpick import DynpickDriver
+from touchdown.backend.devices.force_torque import (
+    LATE_S,
+    ForceTorqueReader,
+    SensorLink,
+    WrenchDriver,
+    open_link,
 )
-from touchdown.backend.devices.wsg import encode as protocol_gcl_encode
+from touchdown.backend.devices.ft300 import Ft300Driver
+from touchdown.backend.devices.leptrino import LeptrinoDriver
+from touchdown.backend.devices.melfa import (
+    MelfaArm,
+    MelfaWrenchDriver,
+    SocketLinks,
+    monitor_address,
+)
+from touchdown.backend.devices.netft import NetFtDriver
+from touchdown.backend.devices.optoforce import OptoforceDriver
+from touchdown.backend.devices.protocols import Arm, Gripper
+from touchdown.backend.devices.ur import SCHEME, UrArm, UrWrenchDriver, open_rtde
+from touchdown.backend.devices.wsg import BinaryProtocol, GclProtocol, GripperProtocol, WsgGripper
 
 Maker = TypeVar("Maker")
 
 
-def find_offered(group: str, name: str, shipped: Mapping[str, Maker], where: str) -> Maker:
+def find_driver(group: str, name: str, shipped: Mapping[str, Maker], where: str) -> Maker:
     """Return what makes the driver ``name``; raises ``InputError`` for one nobody offers.
 
     A package offers a driver as ``name = "module:callable"`` under the entry points ``group``; one
@@ -49,7 +50,7 @@ def find_offered(group: str, name: str, shipped: Mapping[str, Maker], where: str
         return shipped[name]
     offered = {point.name: point for point in entry_points(group=group)}
     if name not in offered:
-        raise no_driver(name, where, [*shipped, *sorted(offered)])
+        raise unknown_driver_error(name, where, [*shipped, *sorted(offered)])
     try:
         maker: Maker = offered[name].load()
     except (ImportError, AttributeError) as error:
@@ -59,7 +60,7 @@ def find_offered(group: str, name: str, shipped: Mapping[str, Maker], where: str
     return maker
 
 
-def no_driver(name: str, where: str, known: Sequence[str]) -> InputError:
+def unknown_driver_error(name: str, where: str, known: Sequence[str]) -> InputError:
     """Return the error of a driver that none of the installed packages offers."""
     return InputError(
         f"There is no driver '{name}'.",
@@ -68,7 +69,7 @@ def no_driver(name: str, where: str, known: Sequence[str]) -> InputError:
     )
 
 
-GROUP = "touchdown.arm"
+ARM_ENTRY_POINTS = "touchdown.arm"
 """Entry points: name -> callable(settings, now_s, wrench, poses) that returns an ``Arm``."""
 
 ArmMaker = Callable[[HardwareSettings, Callable[[], float], SampleStream, SampleStream], Arm]
@@ -86,7 +87,7 @@ def make_arm(
     measures of ``G``.
     """
     shipped: dict[str, ArmMaker] = {"melfa": _melfa, "ur": _ur}
-    maker = find_offered(GROUP, settings.melfa.driver, shipped, "melfa.driver")
+    maker = find_driver(ARM_ENTRY_POINTS, settings.melfa.driver, shipped, "melfa.driver")
     return maker(settings, now_s, wrench, poses)
 
 
@@ -96,7 +97,7 @@ def _melfa(
     wrench: SampleStream,
     poses: SampleStream,
 ) -> MelfaArm:
-    return MelfaArm(SocketWires(settings.melfa, now_s), wrench, settings.melfa, now_s, poses)
+    return MelfaArm(SocketLinks(settings.melfa, now_s), wrench, settings.melfa, now_s, poses)
 
 
 def _ur(
@@ -108,86 +109,69 @@ def _ur(
     return UrArm(settings.ur, now_s, wrench, poses)
 
 
-LISTEN_S = 0.15
-"""So long for what comes of itself, and for each answer."""
-READ_S = 0.02
+WRIST_SENSOR_ENTRY_POINTS = "touchdown.force_torque"
+"""Entry points: name -> callable(settings, address) that returns a ``Language``."""
+
+WristSensorMaker = Callable[[HardwareSettings, str], WrenchDriver]
+WRIST_SENSOR_DRIVERS: dict[str, WristSensorMaker] = {
+    "dynpick": DynpickDriver,
+    "leptrino": LeptrinoDriver,
+    "ft300": Ft300Driver,
+    "bota": BotaDriver,
+    "optoforce": OptoforceDriver,
+    "netft": NetFtDriver,
+    "melfa": MelfaWrenchDriver,
+    "ur": UrWrenchDriver,
+}
 
 
-class _Decoder(Protocol):
-    def feed(self, data: bytes) -> Sequence[object]: ...
+def make_force_torque(
+    settings: HardwareSettings,
+    now_s: Callable[[], float],
+    samples: SampleStream | None = None,
+) -> ForceTorqueReader:
+    """Return the driver of ``ft.driver`` at ``ft.address``; raises ``InputError``."""
+    address = settings.ft.address
+    if not address and settings.ft.driver == "melfa":
+        address = monitor_address(settings)
+    if not address and settings.ft.driver == "ur":
+        address = SCHEME + settings.ur.host
+    if not address:
+        raise InputError(
+            "The sensor has no address.", "ft.address", "Name its serial port or host."
+        )
+    language = find_driver(
+        WRIST_SENSOR_ENTRY_POINTS, settings.ft.driver, WRIST_SENSOR_DRIVERS, "ft.driver"
+    )
+    maker = partial(language, settings, address)
+    maker()  # what the settings lack is told now, not at the first connection
+
+    def link(language: WrenchDriver) -> SensorLink:
+        if address.startswith(SCHEME):
+            return open_rtde(settings, address)
+        return open_link(address, baud=language.baud, chunk=language.chunk)
+
+    late_s = LATE_S if "://" in address else max(LATE_S, 1e-3 * settings.serial.latency_ms)
+    return ForceTorqueReader(maker, link, settings.ft, now_s, samples, late_s)
 
 
-@dataclass(frozen=True, slots=True)
-class Kind:
-    """One protocol: its name in bench files, the device in words, and how it is known.
+GRIPPER_ENTRY_POINTS = "touchdown.gripper"
+"""Entry points: name -> callable(settings, now_s) that returns a ``Gripper``."""
 
-    ``request`` only reads, and no other device here moves or changes by its bytes; empty where
-    the device speaks of itself. ``messages`` are the types that no noise is taken for, ``least``
-    how many of them there must be.
-    """
-
-    name: str
-    words: str
-    request: bytes
-    decoder: Callable[[], _Decoder]
-    messages: tuple[type, ...]
-    least: int = 1
+GripperMaker = Callable[[HardwareSettings, Callable[[], float]], Gripper]
 
 
-KINDS: Sequence[Kind] = (
-    Kind(
-        "binary", "a WSG gripper that speaks its binary protocol",
-        encode_request(Request(Command.SYSTEM_STATE, (0, 0))),
-        replies, (Reply,),
-    ),
-    Kind(
-        "gcl", "a WSG gripper that speaks its text protocol",
-        b"\n" + protocol_gcl_encode(Query("GRIPSTATE")), lines, (Assignment,),
-    ),
-    Kind(
-        "leptrino", "a Leptrino force/torque sensor",
-        encode(Plain(protocol_Command_2.INFO)),
-        packets, (Info, Sample), 1,
-    ),
-    Kind(
-        "ft300", "a Robotiq FT300 force/torque sensor",
-        protocol_encode(Read(FIRMWARE_REGISTER, 3)),
-        protocol_incoming_2, (Registers, protocol_Sample),
-    ),
-    Kind(
-        "dynpick", "a Dynpick force/torque sensor", 2 * protocol_Command.READ.value,
-        records, (Record,), 2,
-    ),
-    Kind("bota", "a Bota force/torque sensor", b"", incoming, (Boot, Frame), 2),
-    Kind(
-        "optoforce", "an OptoForce force/torque sensor", b"", protocol_incoming,
-        (protocol_Frame,), 2,
-    ),
-)  # fmt: skip
+def make_gripper(settings: HardwareSettings, now_s: Callable[[], float]) -> Gripper:
+    """Return the driver of ``wsg.driver``; raises ``InputError``."""
+    shipped: dict[str, GripperMaker] = {"wsg": _wsg}
+    return find_driver(GRIPPER_ENTRY_POINTS, settings.wsg.driver, shipped, "wsg.driver")(
+        settings, now_s
+    )
 
 
-def who_answers(
-    send: Callable[[bytes], None], receive: Callable[[float], bytes], expected: str
-) -> str:
-    """Return who is at the other end, in words; nothing if nobody known, or ``expected`` itself.
-
-    ``receive`` waits at most so many seconds; both may raise ``OSError``: then nobody is known.
-    """
-    heard = [(kind, kind.decoder()) for kind in KINDS]
-    known = {kind.name: 0 for kind in KINDS}
-    try:
-        for request in (b"", *(kind.request for kind in KINDS if kind.request)):
-            if request:
-                send(request)
-            end_s = time.monotonic() + LISTEN_S
-            while (left_s := end_s - time.monotonic()) > 0:
-                data = receive(min(left_s, READ_S))
-                for kind, decoder in heard if data else ():
-                    known[kind.name] += sum(
-                        isinstance(m, kind.messages) for m in decoder.feed(data)
-                    )
-                    if known[kind.name] >= kind.least:
-                        return "" if kind.name == expected else kind.words
-    except OSError:
-        pass
-    return ""
+def _wsg(settings: HardwareSettings, now_s: Callable[[], float]) -> WsgGripper:
+    wsg = settings.wsg
+    language: Callable[[], GripperProtocol] = BinaryProtocol
+    if wsg.protocol == "gcl":
+        language = partial(GclProtocol, wsg)
+    return WsgGripper(wsg.host, wsg.port, wsg, now_s, language)

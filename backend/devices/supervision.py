@@ -1,4 +1,14 @@
-"""Supervision of running devices: age, force, grip."""
+"""Supervision of device data while the bench moves: silence, slow delivery, loss of the grip.
+
+Called once per advance of the bench, with the bench clock; limits come from the interlock
+(reliability S6, G1, sections 3.3, 4.7, 6). A late or slow device is ``degraded`` first: no new
+motion starts, by hand the arm only moves away from contact. Continued silence becomes a fault.
+Slowness is measured from one arrival to the next, never up to now: a batch that a busy computer
+delayed does not count.
+
+Jaws that stop holding without an order have lost their piece; jaws that move while they hold, or
+whose force falls, are losing it. A width that is not finite or impossible is no reading.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +34,91 @@ from touchdown.backend.core import (
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.protocols import Device, DeviceState, Gripper
 
+LATE_SHARE = {"force_torque": 1 / 3, "tactile_left": 0.24, "tactile_right": 0.24}
+"""Late at this share of the age that is a fault: 100 of 300 ms, pictures 120 of 500 ms."""
+GRIP_LATE_S, GRIP_LOST_S = 0.3, 1.0
+"""A gripper that holds a piece is late, and a fault, after this long without a reading."""
+SLOW_RATE_SHARE = 0.5
+"""Slow below this share of the usual rate, or of the best that the sensor had so far."""
+RATE_WINDOW_S = 1.0
+NAMES = {
+    "force_torque": "wrist sensor",
+    "tactile_left": "left tactile camera",
+    "tactile_right": "right tactile camera",
+    "gripper": "gripper",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class DegradedDevice:
+    """``device`` is silent or slow since ``since_s`` of the bench clock."""
+
+    device: str
+    how: Literal["silent", "slow"]
+    since_s: float
+
+    def what(self, now_s: float) -> str:
+        """Say which device, how, and for how long at ``now_s`` of the bench clock."""
+        name, for_s = NAMES[self.device], f"{now_s - self.since_s:.1f} s"
+        if self.how == "silent":
+            return f"The {name} has been silent for {for_s}."
+        return f"The {name} has delivered less than half of its samples for {for_s}."
+
+
+class RateMonitor:
+    """Samples per second of a sensor by their own stamps, beside the best it had."""
+
+    def __init__(self) -> None:
+        self._best_hz = 0.0
+        self._begun_s: float | None = None
+        self._count = 0
+        self.slow_since_s: float | None = None
+        """When the sensor became slow; None while it is not."""
+
+    def begin(self) -> None:
+        """Count anew: what came before is of another scene. The best rate is kept."""
+        self._begun_s, self._count, self.slow_since_s = None, 0, None
+
+    def note(
+        self, newest_s: float, count: int, usual_hz: Callable[[], float] = lambda: 0.0
+    ) -> None:
+        """Take ``count`` samples, the newest stamped ``newest_s``; judged once a second.
+
+        ``usual_hz``: the rate that the sensor itself tells, 0 where it tells none.
+        """
+        if self._begun_s is None:
+            self._begun_s = newest_s
+            return
+        self._count += count
+        span_s = newest_s - self._begun_s
+        if span_s < RATE_WINDOW_S:
+            return
+        rate_hz = self._count / span_s
+        self._best_hz = max(self._best_hz, rate_hz)
+        if rate_hz >= SLOW_RATE_SHARE * max(self._best_hz, usual_hz()):
+            self.slow_since_s = None
+        elif self.slow_since_s is None:
+            self.slow_since_s = self._begun_s
+        self._begun_s, self._count = newest_s, 0
+
+
+def refuse_degraded(degraded: tuple[DegradedDevice, ...], now_s: float) -> None:
+    """Raise ``RefusedError`` while a device is degraded: nothing new begins on it."""
+    for one in degraded:
+        raise RefusedError("DEGRADED", f"{one.what(now_s)} Start again once it delivers.")
+
+
+def pause_fault(degraded: DegradedDevice, now_s: float) -> Fault:
+    """Return what to say of a run that pauses because of ``degraded``."""
+    return Fault(
+        "DEGRADED",
+        degraded.what(now_s),
+        "The run is paused, the arm stands lifted; every probe so far is safe.",
+        "Check the device and its cable; resume (P) once the state is no longer DEGRADED.",
+        degraded.device,
+    )
+
+
 MOVED_MM = 0.3
 """So much the width may change while a piece is held."""
 WEAK_SHARE, WEAK_S = 0.5, 0.1
@@ -35,21 +130,21 @@ LEAST_MM, MOST_MM = -1.0, 1000.0
 
 
 @runtime_checkable
-class Ordered(Protocol):
+class ReportsGripOrders(Protocol):
     """A gripper that knows what it was ordered: how often to grip, and whether to let go since."""
 
     grips: int
     letting_go: bool
 
 
-class GripWatch:
+class GripMonitor:
     """Watches one gripper from the moment at which it holds something."""
 
     def __init__(self, gripper: Gripper | None = None) -> None:
         self._gripper = gripper
         # Asked once: in every step it takes as long as the rest of the watch.
         asked: object = gripper
-        self._ordered = asked if isinstance(asked, Ordered) else None
+        self._ordered = asked if isinstance(asked, ReportsGripOrders) else None
         self._grips = 0
         self._since_s: float | None = None
         self._width_mm = self._force_n = 0.0
@@ -124,92 +219,7 @@ def _lost(what: str) -> Fault:
     )
 
 
-LATE_SHARE = {"force_torque": 1 / 3, "tactile_left": 0.24, "tactile_right": 0.24}
-"""Late at this share of the age that is a fault: 100 of 300 ms, pictures 120 of 500 ms."""
-GRIP_LATE_S, GRIP_LOST_S = 0.3, 1.0
-"""A gripper that holds a piece is late, and a fault, after this long without a reading."""
-SLOW_SHARE = 0.5
-"""Slow below this share of the usual rate, or of the best that the sensor had so far."""
-RATE_WINDOW_S = 1.0
-NAMES = {
-    "force_torque": "wrist sensor",
-    "tactile_left": "left tactile camera",
-    "tactile_right": "right tactile camera",
-    "gripper": "gripper",
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Degraded:
-    """``device`` is silent or slow since ``since_s`` of the bench clock."""
-
-    device: str
-    how: Literal["silent", "slow"]
-    since_s: float
-
-    def what(self, now_s: float) -> str:
-        """Say which device, how, and for how long at ``now_s`` of the bench clock."""
-        name, for_s = NAMES[self.device], f"{now_s - self.since_s:.1f} s"
-        if self.how == "silent":
-            return f"The {name} has been silent for {for_s}."
-        return f"The {name} has delivered less than half of its samples for {for_s}."
-
-
-class Rate:
-    """Samples per second of a sensor by their own stamps, beside the best it had."""
-
-    def __init__(self) -> None:
-        self._best_hz = 0.0
-        self._begun_s: float | None = None
-        self._count = 0
-        self.slow_since_s: float | None = None
-        """When the sensor became slow; None while it is not."""
-
-    def begin(self) -> None:
-        """Count anew: what came before is of another scene. The best rate is kept."""
-        self._begun_s, self._count, self.slow_since_s = None, 0, None
-
-    def note(
-        self, newest_s: float, count: int, usual_hz: Callable[[], float] = lambda: 0.0
-    ) -> None:
-        """Take ``count`` samples, the newest stamped ``newest_s``; judged once a second.
-
-        ``usual_hz``: the rate that the sensor itself tells, 0 where it tells none.
-        """
-        if self._begun_s is None:
-            self._begun_s = newest_s
-            return
-        self._count += count
-        span_s = newest_s - self._begun_s
-        if span_s < RATE_WINDOW_S:
-            return
-        rate_hz = self._count / span_s
-        self._best_hz = max(self._best_hz, rate_hz)
-        if rate_hz >= SLOW_SHARE * max(self._best_hz, usual_hz()):
-            self.slow_since_s = None
-        elif self.slow_since_s is None:
-            self.slow_since_s = self._begun_s
-        self._begun_s, self._count = newest_s, 0
-
-
-def refuse_degraded(degraded: tuple[Degraded, ...], now_s: float) -> None:
-    """Raise ``RefusedError`` while a device is degraded: nothing new begins on it."""
-    for one in degraded:
-        raise RefusedError("DEGRADED", f"{one.what(now_s)} Start again once it delivers.")
-
-
-def pause_fault(degraded: Degraded, now_s: float) -> Fault:
-    """Return what to say of a run that pauses because of ``degraded``."""
-    return Fault(
-        "DEGRADED",
-        degraded.what(now_s),
-        "The run is paused, the arm stands lifted; every probe so far is safe.",
-        "Check the device and its cable; resume (P) once the state is no longer DEGRADED.",
-        degraded.device,
-    )
-
-
-ARRIVALS_SLOW_SHARE, WELL_SHARE = 0.5, 0.6
+SLOW_ARRIVAL_SHARE, WELL_SHARE = 0.5, 0.6
 """Slow below this share of the usual rate, until it is above the other."""
 WINDOW_S = 0.05
 LEAST_PERIODS = 6
@@ -221,7 +231,7 @@ WAIT_S, WAIT_PERIODS = 0.021, 5.0
 
 
 @runtime_checkable
-class TellsSlow(Protocol):
+class ReportsSlowness(Protocol):
     """A sensor that knows by itself since when it has been slow."""
 
     @property
@@ -229,7 +239,7 @@ class TellsSlow(Protocol):
         """Bench time; None while it is not slow."""
 
 
-class Arrivals:
+class ArrivalMonitor:
     """Of one connection, to a sensor with the usual period ``period_s``."""
 
     def __init__(self, period_s: float) -> None:
@@ -255,11 +265,7 @@ class Arrivals:
         if self._judged or now_s - self._came[-1][0] <= APART * self._period_s:
             return
         self._judged = True
-        if (
-            self.slow_since_s is None
-            and self._share() < ARRIVALS_SLOW_SHARE
-            and not self._held_up()
-        ):
+        if self.slow_since_s is None and self._share() < SLOW_ARRIVAL_SHARE and not self._held_up():
             self.slow_since_s = self._came[0][0]
 
     def _held_up(self) -> bool:
@@ -302,13 +308,13 @@ class Supervision:
         self._cursor = wrench.count
         self._begun_s = 0.0
         self._finite_s = 0.0
-        self._repeats = {finger: _Repeats(frames[finger]) for finger in FINGERS}
-        self._rates = {device: Rate() for device in LATE_SHARE}
+        self._repeats = {finger: _RepeatedPictures(frames[finger]) for finger in FINGERS}
+        self._rates = {device: RateMonitor() for device in LATE_SHARE}
         self._counts = {finger: frames[finger].count for finger in FINGERS}
         self._wrist: Device | None = None
         self._gripper: Gripper | None = None
-        self._grip = GripWatch()
-        self.degraded: tuple[Degraded, ...] = ()
+        self._grip = GripMonitor()
+        self.degraded: tuple[DegradedDevice, ...] = ()
         """Devices that are late or slow now; for any thread."""
         self._now_s = 0.0
 
@@ -321,10 +327,10 @@ class Supervision:
         ``usual_hz``.
         """
         self._gripper, self._wrist = gripper, wrist
-        self._grip = GripWatch(gripper)
+        self._grip = GripMonitor(gripper)
         self._begun_s = self._finite_s = now_s
         self._cursor = self._wrench.count
-        self._repeats = {finger: _Repeats(self._frames[finger]) for finger in FINGERS}
+        self._repeats = {finger: _RepeatedPictures(self._frames[finger]) for finger in FINGERS}
         self._counts = {finger: self._frames[finger].count for finger in FINGERS}
         for rate in self._rates.values():
             rate.begin()
@@ -395,7 +401,7 @@ class Supervision:
         return device.startswith("tactile_") and device in told
 
     def _check_ages(self, now_s: float) -> None:
-        limits, late = self._interlock.limits, list[Degraded]()
+        limits, late = self._interlock.limits, list[DegradedDevice]()
         ages = [("force_torque", self._finite_s, limits.wrench_age_s)]
         for finger in FINGERS:
             newest = self._frames[finger].newest()
@@ -406,18 +412,18 @@ class Supervision:
                 self._rates[f"tactile_{finger}"].note(newest.t_s, self._counts[finger] - seen)
         for device, last_s, limit_s in ages:
             slow_s = self._rates[device].slow_since_s
-            if device == "force_torque" and isinstance(self._wrist, TellsSlow):
+            if device == "force_torque" and isinstance(self._wrist, ReportsSlowness):
                 slow_s = slow_s if self._wrist.slow_since_s is None else self._wrist.slow_since_s
             if slow_s is not None:
-                late.append(Degraded(device, "slow", slow_s))
+                late.append(DegradedDevice(device, "slow", slow_s))
             elif now_s - last_s > LATE_SHARE[device] * limit_s:
-                late.append(Degraded(device, "silent", last_s))
+                late.append(DegradedDevice(device, "silent", last_s))
             if now_s - last_s > limit_s and not self._is_explained(device):
                 self._interlock.raise_fault(_stale(device, now_s - last_s))
         late.extend(self._check_grip(now_s))
         self._show(tuple(late), now_s)
 
-    def _check_grip(self, now_s: float) -> list[Degraded]:
+    def _check_grip(self, now_s: float) -> list[DegradedDevice]:
         """Return the gripper if it holds a piece and is late; a fault if it stays silent.
 
         One that tells no width is as good as silent.
@@ -428,9 +434,9 @@ class Supervision:
         last_s = max(self._begun_s, min(now_s - gripper.health.age_s, self._grip.seen_s))
         if now_s - last_s > GRIP_LOST_S:
             self._interlock.raise_fault(_stale("gripper", now_s - last_s))
-        return [Degraded("gripper", "silent", last_s)] if now_s - last_s > GRIP_LATE_S else []
+        return [DegradedDevice("gripper", "silent", last_s)] if now_s - last_s > GRIP_LATE_S else []
 
-    def _show(self, late: tuple[Degraded, ...], now_s: float) -> None:
+    def _show(self, late: tuple[DegradedDevice, ...], now_s: float) -> None:
         self.degraded = late
         self._interlock.degraded = late[0].what(now_s) if late else ""
 
@@ -446,7 +452,7 @@ def _stale(device: str, age_s: float) -> Fault:
     return Fault("CAMERA-STALE", what, _KEPT, _LOOK, device)
 
 
-class _Repeats:
+class _RepeatedPictures:
     """Counts equal pictures in a row of one camera."""
 
     def __init__(self, frames: Stream[TactileFrame]) -> None:

@@ -8,9 +8,7 @@ if TYPE_CHECKING:
     from touchdown.backend.emulation import (
         disturbances,
         fault_plan,
-        loads,
-        pace,
-        servers,
+        server,
     )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,39 +1,37 @@
 from .disturbances import DisturbanceScript as DisturbanceScript
-from .disturbances import RateLimiter as RateLimiter
 from .disturbances import parse_script as parse_script
 from .fault_plan import AMOUNTS as AMOUNTS
 from .fault_plan import FaultPlan as FaultPlan
 from .fault_plan import Faults as Faults
+from .fault_plan import SampleSchedule as SampleSchedule
+from .fault_plan import add_noise as add_noise
+from .fault_plan import apply_faults as apply_faults
+from .fault_plan import hanging_gripper as hanging_gripper
 from .fault_plan import load_faults as load_faults
-from .loads import hanging as hanging
-from .loads import noisy as noisy
-from .loads import suffering as suffering
-from .pace import Pace as Pace
-from .servers import CHUNK as CHUNK
-from .servers import UNPLUGGED_S as UNPLUGGED_S
-from .servers import Emulated as Emulated
-from .servers import Front as Front
-from .servers import PtyFront as PtyFront
-from .servers import TcpFront as TcpFront
-from .servers import UdpFront as UdpFront
+from .server import CHUNK as CHUNK
+from .server import UNPLUGGED_S as UNPLUGGED_S
+from .server import DeviceServer as DeviceServer
+from .server import EmulatedDevice as EmulatedDevice
+from .server import PtyServer as PtyServer
+from .server import TcpServer as TcpServer
+from .server import UdpServer as UdpServer
 
 __all__ = [
     "AMOUNTS",
     "CHUNK",
     "UNPLUGGED_S",
+    "DeviceServer",
     "DisturbanceScript",
-    "Emulated",
+    "EmulatedDevice",
     "FaultPlan",
     "Faults",
-    "Front",
-    "Pace",
-    "PtyFront",
-    "RateLimiter",
-    "TcpFront",
-    "UdpFront",
-    "hanging",
+    "PtyServer",
+    "SampleSchedule",
+    "TcpServer",
+    "UdpServer",
+    "add_noise",
+    "apply_faults",
+    "hanging_gripper",
     "load_faults",
-    "noisy",
     "parse_script",
-    "suffering",
 ]

@@ -89,20 +89,6 @@ class DisturbanceScript:
         )
 
 
-class RateLimiter:
-    """Takes so many samples a second of those that come: the first of each period."""
-
-    def __init__(self) -> None:
-        self._period: int | None = None
-
-    def takes(self, t_s: float, rate_hz: float) -> bool:
-        """Return whether the sample stamped ``t_s`` is one of ``rate_hz`` a second."""
-        # A stamp on the border of two periods belongs to the later one.
-        period = math.floor(t_s * rate_hz + 1e-6)
-        taken, self._period = period != self._period, period
-        return taken
-
-
 def parse_disturbance(text: str) -> Disturbance:
     """Return the disturbance that ``text`` describes; raises ``InputError``."""
     match = _FORM.fullmatch(text.strip())

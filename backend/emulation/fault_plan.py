@@ -1,17 +1,29 @@
-"""Fault plans of emulated devices."""
+"""Planned faults of emulated devices, applied to their wires, signals, sample rates.
+
+A fault plan is TOML::
+
+    seed = 7
+    [[fault]]
+    at_s = 2.0
+    device = "force_torque"
+    kind = "flip"
+    for_s = 1.5       # without it: until the end
+    share = 0.1       # of the messages; default all
+"""
 
 from __future__ import annotations
 
 import math
 import random
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from touchdown.backend.config import NonNegative, Positive, Settings, read_settings
+from touchdown.backend.core import Thinned
 
 WIRE_KINDS = ("lost", "flip", "garbage", "cut", "duplicate", "late", "silent", "unplug")
 """lost: a message is missing; flip: one bit of it is wrong; garbage: random bytes before it; cut:
@@ -37,8 +49,8 @@ AMOUNTS = {
 }
 """What must be told of a fault, and of no other."""
 
-Share = Annotated[float, Field(gt=0, le=1)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+FaultShare = Annotated[float, Field(gt=0, le=1)]
+FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
 LONGEST_GARBAGE = 64
 
 
@@ -49,10 +61,10 @@ class PlannedFault(Settings):
     device: str
     kind: str
     for_s: Positive | None = None
-    share: Share = 1.0
+    share: FaultShare = 1.0
     by_s: Positive = 0.1
     hz: Positive | None = None
-    n_per_s: Finite | None = None
+    n_per_s: FiniteFloat | None = None
 
     @model_validator(mode="after")
     def _known(self) -> PlannedFault:
@@ -179,3 +191,93 @@ class Faults:
 
     def _since(self, now_s: float) -> float:
         return now_s - self._begun_s if self._begun_s is not None else -1.0
+
+
+NOISE = (0.1, 0.1, 0.1, 0.004, 0.004, 0.004)
+"""Standard deviation of one sample, N and N·m."""
+GRIPPER_N = -14.7
+"""A gripper of 1.5 kg hangs below the sensor."""
+BEYOND = 1e5
+"""A load no sensor can tell, N and N·m."""
+
+
+def add_noise(
+    wrench: Callable[[float], Sequence[float]],
+    noise: Sequence[float] = NOISE,
+    seed: int = 0,
+) -> Callable[[float], tuple[float, ...]]:
+    """Return ``wrench`` with independent noise on every sample."""
+    rng = random.Random(seed)  # noqa: S311
+
+    def felt(now_s: float) -> tuple[float, ...]:
+        pairs = zip(wrench(now_s), noise, strict=True)
+        return tuple(rng.gauss(value, sigma) for value, sigma in pairs)
+
+    return felt
+
+
+def hanging_gripper(now_s: float, swing_n: float = 0.3, period_s: float = 4.0) -> tuple[float, ...]:
+    """Return the wrench of a gripper that sways slowly: six values, N and N·m."""
+    sway_n = swing_n * math.sin(2 * math.pi * now_s / period_s)
+    return sway_n, 0.5 * sway_n, GRIPPER_N, 0.0, 0.05 * sway_n, 0.0
+
+
+def apply_faults(
+    wrench: Callable[[float], Sequence[float]], faults: Faults
+) -> Callable[[float], tuple[float, ...]]:
+    """Return ``wrench`` as a sensor with these faults feels it: freeze, saturate, drift."""
+    last: tuple[float, ...] | None = None
+
+    def felt(now_s: float) -> tuple[float, ...]:
+        nonlocal last
+        if faults.active("saturate", now_s):
+            return (BEYOND,) * 6
+        if last is None or not faults.active("freeze", now_s):
+            x, y, z, *moments = wrench(now_s)
+            last = (x, y, z + faults.drift_n(now_s), *moments)
+        return last
+
+    return felt
+
+
+MOST_DUE = 200
+"""Samples sent at once after a pause; older ones are lost, as in the buffer of an adapter."""
+
+
+class SampleSchedule:
+    """Counts the samples of one stream; not begun, or ended, nothing is due."""
+
+    def __init__(self) -> None:
+        self._start_s: float | None = None
+        self._period_s = 1.0
+        self._sent = 0
+        self._thinned = Thinned()
+        self.faults: Faults | None = None
+        """Of the sensor: the kind ``slow`` makes fewer samples due, which it numbers as usual."""
+
+    @property
+    def running(self) -> bool:
+        """Whether samples go out of themselves."""
+        return self._start_s is not None
+
+    def begin(self, now_s: float, period_s: float) -> None:
+        """Start anew: the first sample is due now."""
+        self._start_s, self._period_s, self._sent = now_s, period_s, 0
+
+    def end(self) -> None:
+        """No more samples."""
+        self._start_s = None
+
+    def due(self, now_s: float) -> tuple[int, list[float]]:
+        """Return how many samples were lost, and the times of those due up to now."""
+        if self._start_s is None:
+            return 0, []
+        end = math.floor((now_s - self._start_s) / self._period_s + 1e-6) + 1
+        late = max(0, end - self._sent - MOST_DUE)
+        first, self._sent = self._sent + late, max(end, self._sent)
+        times_s = [self._start_s + k * self._period_s for k in range(first, end)]
+        return late, [t_s for t_s in times_s if self._taken(t_s)]
+
+    def _taken(self, t_s: float) -> bool:
+        slow = None if self.faults is None else self.faults.find("slow", t_s)
+        return slow is None or slow.hz is None or self._thinned.takes(t_s, slow.hz)

@@ -7,9 +7,10 @@ import lazy_loader
 if TYPE_CHECKING:
     from touchdown.backend.rig import (
         connection,
+        diagnostics,
         flight_recorder,
         link,
-        timing,
+        remote_devices,
     )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

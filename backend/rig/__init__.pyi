@@ -1,27 +1,29 @@
-from .connection import Connection as Connection
-from .connection import DeviceLine as DeviceLine
-from .connection import Finding as Finding
-from .connection import WiredDevices as WiredDevices
-from .connection import examine as examine
+from .connection import BenchConnection as BenchConnection
+from .connection import DeviceStatus as DeviceStatus
 from .connection import fault_of as fault_of
+from .connection import reconnect as reconnect
+from .diagnostics import DeviceFinding as DeviceFinding
+from .diagnostics import NewestStamp as NewestStamp
+from .diagnostics import SensorTiming as SensorTiming
+from .diagnostics import StampsSince as StampsSince
+from .diagnostics import examine_devices as examine_devices
+from .diagnostics import measure_timing as measure_timing
 from .flight_recorder import FlightRecorder as FlightRecorder
 from .link import LATE_S as LATE_S
-from .timing import Newest as Newest
-from .timing import Since as Since
-from .timing import Timing as Timing
-from .timing import watch as watch
+from .remote_devices import BenchDevices as BenchDevices
 
 __all__ = [
     "LATE_S",
-    "Connection",
-    "DeviceLine",
-    "Finding",
+    "BenchConnection",
+    "BenchDevices",
+    "DeviceFinding",
+    "DeviceStatus",
     "FlightRecorder",
-    "Newest",
-    "Since",
-    "Timing",
-    "WiredDevices",
-    "examine",
+    "NewestStamp",
+    "SensorTiming",
+    "StampsSince",
+    "examine_devices",
     "fault_of",
-    "watch",
+    "measure_timing",
+    "reconnect",
 ]

@@ -1,42 +1,59 @@
-"""Connection of all devices of a laboratory."""
+"""Connection of the devices of a bench, one by one in the safe order.
+
+Nothing moves: the arm is switched on last and stands still. All orders return at once; one thread
+works. A reconnected device must have the same serial number.
+"""
 
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-from touchdown.backend.config import HardwareSettings
-from touchdown.backend.core import (
-    FINGERS,
-    Fault,
-    FaultError,
-    Finger,
-    InputError,
-    RefusedError,
-    SampleStream,
-    Stream,
-    TactileFrame,
-    TouchdownError,
-)
+from touchdown.backend.core import Fault, FaultError, InputError, RefusedError, TouchdownError
 from touchdown.backend.devices import (
-    STEPS,
+    CONNECTION_STEPS,
     Device,
     DeviceState,
-    Homing,
+    HomingGripper,
     Identity,
-    Interlock,
-    Stepwise,
-    require_serial,
+    ReportsConnectionSteps,
 )
-from touchdown.backend.devices.cameras import make_tactile
-from touchdown.backend.devices.melfa import PLACE_LATE_S, MelfaArm
-from touchdown.backend.rig.link import RigLink
-from touchdown.backend.rig.process import make_devices
-from touchdown.backend.rig.remote import RigArm, RigForceTorque, RigGripper
+
+
+def reconnect(device: Device, timeout_s: float, cancel: threading.Event) -> None:
+    """Close and connect; raises ``FaultError`` if it fails or another serial number answers.
+
+    After a replug two cameras may have changed places: what was measured before belongs to the
+    serial number, so another one is closed again.
+    """
+    before = device.identity
+    device.close()
+    device.connect(timeout_s, cancel)
+    require_serial(device, "" if before is None else before.serial)
+
+
+def require_serial(device: Device, serial: str) -> None:
+    """Close ``device`` and raise ``FaultError`` if another number than ``serial`` answers.
+
+    "" is any; a device that tells none is taken as it is.
+    """
+    now = device.identity
+    if not serial or now is None or now.serial == serial:
+        return
+    device.close()
+    raise FaultError(
+        Fault(
+            "OTHER-DEVICE",
+            f"Serial number {now.serial} answers instead of {serial}.",
+            "The connection was closed again.",
+            "Put the device back into its place, or start anew with the other one.",
+            device.name,
+        )
+    )
+
 
 CONNECT_S = 10.0
 JOIN_S = 15.0
@@ -48,7 +65,7 @@ LINK_LOST = ("WSG-LINK", "CONTROL-LOST")
 
 
 @dataclass(frozen=True, slots=True)
-class DeviceLine:
+class DeviceStatus:
     """How one device stands: ``steps`` of ``STEPS`` are done; ``fault`` says why it failed.
 
     ``needs``: what the operator has to do at a device that is connected; ``notice``: what to know
@@ -64,7 +81,7 @@ class DeviceLine:
     notice: str = ""
 
 
-class Connection:
+class BenchConnection:
     """``devices`` by name, in the order in which they are connected: the arm last.
 
     ``serials``: numbers that must answer, from the start. Later the first one that answered must
@@ -108,7 +125,7 @@ class Connection:
         """Whether every device is ready."""
         return all(device.state is DeviceState.READY for device in self.devices.values())
 
-    def lines(self) -> tuple[DeviceLine, ...]:
+    def lines(self) -> tuple[DeviceStatus, ...]:
         """Return how each device stands, in the order of connecting."""
         return tuple(self._line(name, device) for name, device in self.devices.items())
 
@@ -219,7 +236,7 @@ class Connection:
             self._faults.pop(name, None)
             self._told(name, self.devices[name].close)
 
-    def _home(self, gripper: Homing) -> None:
+    def _home(self, gripper: HomingGripper) -> None:
         def home() -> None:
             motion, waited_s = gripper.home(), 0.0
             while not motion.done and waited_s < HOME_S and not self._cancel.wait(0.02):
@@ -244,31 +261,33 @@ class Connection:
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _line(self, name: str, device: Device) -> DeviceLine:
-        done = device.steps.done if isinstance(device, Stepwise) else 0
+    def _line(self, name: str, device: Device) -> DeviceStatus:
+        done = device.steps.done if isinstance(device, ReportsConnectionSteps) else 0
         state, fault = device.state, self._faults.get(name)
         if name == self._present:
-            return DeviceLine(name, "connecting", done)
+            return DeviceStatus(name, "connecting", done)
         if state is DeviceState.READY:
             needs = _needs(device)
             own = str(device.describe().get("notice", ""))
             notice = ". ".join(filter(None, (own, self.notices.get(name, ""))))
-            return DeviceLine(name, "ready", len(STEPS), device.identity, fault, needs, notice)
+            return DeviceStatus(
+                name, "ready", len(CONNECTION_STEPS), device.identity, fault, needs, notice
+            )
         if name in self._waiting:
-            return DeviceLine(name, "waiting", 0)
+            return DeviceStatus(name, "waiting", 0)
         if state is DeviceState.FAULT:
             fault = fault_of(device) or fault
-            return DeviceLine(name, "failed", done, device.identity, fault, _needs(device))
+            return DeviceStatus(name, "failed", done, device.identity, fault, _needs(device))
         word: LineState = "failed" if fault is not None else "closed"
-        return DeviceLine(name, word, done if fault is not None else 0, None, fault)
+        return DeviceStatus(name, word, done if fault is not None else 0, None, fault)
 
     def _is_away(self, name: str) -> bool:
         device = self.devices.get(name)
         return device is not None and device.state is not DeviceState.READY
 
-    def _gripper(self) -> Homing:
+    def _gripper(self) -> HomingGripper:
         gripper = self.devices.get("gripper")
-        if not isinstance(gripper, Homing):
+        if not isinstance(gripper, HomingGripper):
             raise RefusedError("NO-HOMING", "This gripper is not homed from here.")
         return gripper
 
@@ -290,7 +309,7 @@ def _driver_fault(name: str, error: Exception) -> Fault:
 
 
 def _needs(device: Device) -> Literal["", "home", "acknowledge"]:
-    if not isinstance(device, Homing):
+    if not isinstance(device, HomingGripper):
         return ""
     if device.fault is not None and device.fault.code not in LINK_LOST:
         return "acknowledge"
@@ -315,121 +334,3 @@ NOT_HOMED = Fault(
     "Look at the jaws, then home again.",
     "gripper",
 )
-
-
-WAIT_S = 0.01
-
-
-class WiredDevices:
-    """Drivers by a bench file; they put what they sense into the given streams.
-
-    ``now_s`` runs in step with the computer's own monotonic clock. ``interlock`` permits motion:
-    its lease, its latch and its limits reach the rig. Raises ``InputError`` for bad settings.
-    """
-
-    def __init__(
-        self,
-        settings: HardwareSettings,
-        now_s: Callable[[], float],
-        frames: Mapping[Finger, Stream[TactileFrame]],
-        samples: SampleStream,
-        poses: SampleStream,
-        interlock: Interlock,
-    ) -> None:
-        make_devices(settings, now_s)  # what the settings lack is told now, not in the rig
-        self.link = RigLink(settings, now_s, samples, poses, interlock)
-        open_ones: set[str] = set()
-        self.force_torque = RigForceTorque("force_torque", self.link, now_s, open_ones)
-        self.gripper = RigGripper("gripper", self.link, now_s, open_ones)
-        self.tactile = {
-            finger: make_tactile(finger, settings, now_s, frames[finger]) for finger in FINGERS
-        }
-        self.arm = RigArm("arm", self.link, now_s, open_ones)
-        if settings.melfa.stiffness_mode == "controller":
-            self.arm.place_late_s = PLACE_LATE_S
-
-    @property
-    def devices(self) -> Mapping[str, Device]:
-        """All five by name, sensors first and the arm last: as they are connected."""
-        cameras = {camera.name: camera for camera in self.tactile.values()}
-        ordered: dict[str, Device] = {"force_torque": self.force_torque, **cameras}
-        return {**ordered, "gripper": self.gripper, "arm": self.arm}
-
-    def connect(
-        self,
-        cancel: threading.Event,
-        tell: Callable[[str], None] = lambda name: None,
-        limit_s: float = CONNECT_S,
-    ) -> None:
-        """Connect all, each within ``limit_s``; ``tell`` hears the name of each before.
-
-        Raises the first ``FaultError``.
-
-        The arm moves on what the wrist feels, so it comes last; what is connected stays so.
-        """
-        for name, device in self.devices.items():
-            tell(name)
-            device.connect(limit_s, cancel)
-
-    def home(self) -> None:
-        """Home the gripper if it needs it; raises ``FaultError``.
-
-        On the operator's word only: with a piece between the jaws the origin would be wrong.
-        """
-        if self.gripper.homed:
-            return
-        motion, never = self.gripper.home(), threading.Event()
-        while not motion.done:
-            never.wait(WAIT_S)
-        motion.result()
-
-    def close(self) -> None:
-        """Close all, the arm first, then the rig process."""
-        for device in reversed(tuple(self.devices.values())):
-            device.close()
-        self.link.close()
-
-
-LIMIT_S = 5.0
-LISTEN_S = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """What a device answered; ``fix`` says what to do where it did not."""
-
-    device: str
-    ok: bool
-    detail: str
-    fix: str
-
-
-def examine(settings: HardwareSettings) -> Iterator[Finding]:
-    """Yield a finding per device; each is closed again. Raises ``InputError`` for bad settings."""
-    made = make_devices(settings, time.monotonic)
-    cameras = [
-        make_tactile(finger, settings, time.monotonic, Stream(f"tactile_{finger}", 8))
-        for finger in FINGERS
-    ]
-    for device in (made.force_torque, *cameras, made.gripper, made.arm):
-        name = device.name
-        try:
-            detail = _asked(device)
-        except FaultError as error:
-            yield Finding(name, False, error.fault.what, error.fault.next_step)
-        else:
-            yield Finding(name, True, detail, "")
-
-
-def _asked(device: Device) -> str:
-    if isinstance(device, MelfaArm):
-        who = device.examine()
-        return f"{who.maker} {who.model}, {who.firmware}; not switched on"
-    try:
-        device.connect(LIMIT_S, threading.Event())
-        threading.Event().wait(LISTEN_S)
-        identity, health = device.identity, device.health
-    finally:
-        device.close()
-    named = "" if identity is None else f"{identity.maker} {identity.model}, {identity.serial}; "
-    return f"{named}{health.received / LISTEN_S:.0f} Hz"

@@ -1,4 +1,9 @@
-"""Flight recorder of the last seconds before a fault."""
+"""Flight recorder: the last 5 s of the real-time process, written after a fault.
+
+The rig keeps them in shared memory and writes no files; the backend does, also after the rig's
+death. Disk space for one file is reserved while a run lasts, as an unnamed file (Linux): the fault
+may be that the disk is full.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +24,11 @@ from touchdown.backend.core import (
     sync_folder,
     write_atomically,
 )
-from touchdown.backend.devices import TRACE
+from touchdown.backend.devices import TRACE_NAMES
 from touchdown.backend.rig.memory import SharedMemory
 
 
-class Reserve:
+class ReservedFile:
     """At most one room at a time; not thread-safe."""
 
     def __init__(self) -> None:
@@ -106,7 +111,7 @@ class FlightRecorder:
         self, memory: Callable[[], SharedMemory | None], folder: Callable[[], Path | None]
     ) -> None:
         self._memory, self._folder = memory, folder
-        self._reserve = Reserve()
+        self._reserve = ReservedFile()
 
     def note(self, fact: Event) -> None:
         """Write the last seconds if ``fact`` is a fault and a run is kept."""
@@ -135,7 +140,7 @@ class FlightRecorder:
 
 def lines(memory: SharedMemory, t_s: float, fault: Fault) -> Iterator[str]:
     """Yield the lines of a recording: what it is of, then all that was kept in order of time."""
-    head = {"fault": asdict(fault), "t_s": t_s, "round": TRACE, "wrench": NAMES}
+    head = {"fault": asdict(fault), "t_s": t_s, "round": TRACE_NAMES, "wrench": NAMES}
     yield json.dumps(head, ensure_ascii=False) + "\n"
     found: list[tuple[float, str, object]] = []
     for name, ring in (("round", memory.rounds), ("wrench", memory.wrench)):

@@ -1,55 +1,39 @@
-"""Host of devices in the real-time process."""
+"""Host of arm, gripper and wrist sensor in the real-time process.
+
+``round`` is called every 4 ms by the owner of the time: the rig process, or a test with its own
+clock. ``take`` receives messages on another thread. Orders that may last wait on one thread per
+device; STOP never waits.
+"""
 
 from __future__ import annotations
 
-import math
+import queue
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
 
 import numpy as np
 
-from touchdown.backend.core import (
-    Fault,
-    FaultError,
-    Pose,
-    RefusedError,
-    Samples,
-    SampleStream,
-    TouchdownError,
-)
+from touchdown.backend.core import Fault, FaultError, Samples, SampleStream, TouchdownError
 from touchdown.backend.devices import (
-    MAX_WIDTH_CHANGE_MM,
-    STATIONARY_MM,
-    UNLOADED_N,
     Arm,
-    ByHand,
     Device,
     DeviceState,
     ForceTorqueSensor,
     Gripper,
-    Homing,
-    JigEvidence,
+    HomingGripper,
     Limits,
     Motion,
-    PressCommand,
-    ReleaseEvidence,
-    Retreating,
-    Right,
-    Traced,
-    jig_refusal,
-    last_places_mm,
-    refuse_outside,
-    release_refusal,
+    ReleaseAuthorisation,
+    RetreatingArm,
+    TracedArm,
+    recent_positions_mm,
     travelled_mm,
 )
-from touchdown.backend.rig.core import Inbox, Outbox, RigCore
 from touchdown.backend.rig.memory import RIG_BEAT, Ring, SharedMemory
 from touchdown.backend.rig.messages import (
     Message,
     Row,
-    Workers,
     arm_row,
     error_row,
     failed,
@@ -58,196 +42,58 @@ from touchdown.backend.rig.messages import (
     sensor_row,
     slow_row,
 )
-
-Arguments = Mapping[str, Any]
-RIGHTS: dict[str, type[ReleaseEvidence] | type[JigEvidence] | type[ByHand]] = {
-    right.__name__: right for right in (ReleaseEvidence, JigEvidence, ByHand)
-}
-MOVES = frozenset(
-    {"arm.move_to", "arm.jog", "arm.jog_joints", "arm.move_joints", "arm.press", "arm.unload"}
+from touchdown.backend.rig.safety import (
+    JAWS,
+    MOVES,
+    DriverOrders,
+    Failsafe,
+    FailsafeInput,
+    FailsafeOutput,
+    RigMeasurement,
+    refuse_opening,
 )
-"""What moves the arm: only with a lease, without latch, beside a wrist sensor that is felt."""
-JAWS = frozenset({"gripper.grip", "gripper.open_to", "gripper.open_held"})
-"""What moves the jaws in a run: only with a lease and without latch."""
 
 
-@dataclass(frozen=True, slots=True)
-class Orders:
-    """What arm and gripper can be told; ``open_held`` asks the release table first."""
+class DeviceWorkers:
+    """``carry_out`` is called for one order after the other, on the thread of its device."""
 
-    arm: Arm
-    gripper: Gripper
-    may_open: Callable[[Right], None]
+    def __init__(self, names: Iterable[str], carry_out: Callable[[Message], None]) -> None:
+        self._carry_out, self._gone = carry_out, False
+        self._waiting: dict[str, queue.SimpleQueue[Message | None]] = {}
+        self._threads: dict[str, threading.Thread] = {}
+        for name in names:
+            self._waiting[name] = queue.SimpleQueue()
+            self._threads[name] = threading.Thread(
+                target=self._work, args=(self._waiting[name],), name=f"rig {name}", daemon=True
+            )
+            self._threads[name].start()
 
-    def give(self, name: str, arguments: Arguments, limits: Limits) -> Motion | list[float] | None:
-        """Carry order ``name`` out; return its motion, a value, or None."""
-        known = {
-            "arm.servo": self._servo,
-            "arm.move_to": self._move_to,
-            "arm.jog": self._jog,
-            "arm.jog_joints": self._jog_joints,
-            "arm.move_joints": self._move_joints,
-            "arm.press": self._press,
-            "arm.unload": self._unload,
-            "arm.halt": self._halt,
-            "arm.place_of": self._place_of,
-            "gripper.home": self._home,
-            "gripper.acknowledge": self._acknowledge,
-            "gripper.grip": self._grip,
-            "gripper.open_to": self._open_to,
-            "gripper.open_held": self._open_held,
-        }
-        if name not in known:
-            raise ValueError(f"there is no order {name!r}")
-        return known[name](arguments, limits)
+    def give(self, name: str, order: Message) -> bool:
+        """Let the thread of a device do this next; False if there is no such device."""
+        if name not in self._waiting:
+            return False
+        self._waiting[name].put(order)
+        return True
 
-    # -- arm --------------------------------------------------------------------------------------
+    def leave(self) -> None:
+        """Begin nothing more: what is under way is the last."""
+        self._gone = True
+        for waiting in self._waiting.values():
+            waiting.put(None)
 
-    def _servo(self, given: Arguments, limits: Limits) -> None:
-        self.arm.servo(bool(given["on"]))
+    def idle(self, name: str, limit_s: float) -> bool:
+        """After ``leave``: wait until nobody is at work with a device; False if it takes longer."""
+        self._threads[name].join(limit_s)
+        return not self._threads[name].is_alive()
 
-    def _move_to(self, given: Arguments, limits: Limits) -> Motion:
-        target = Pose(*given["target"])
-        refuse_outside(target, limits)
-        _refuse_fast("SPEED", given["speed_mm_s"], limits.speed_mm_s)
-        _refuse_fast("TURN-SPEED", given["turn_rad_s"], limits.turn_rad_s)
-        return self.arm.move_to(target, given["speed_mm_s"], given["turn_rad_s"])
-
-    def _jog(self, given: Arguments, limits: Limits) -> Motion:
-        velocity, turning = given["velocity_mm_s"], given["turn_rad_s"]
-        _refuse_fast("SPEED", math.hypot(*velocity), limits.jog_mm_s)
-        _refuse_fast("TURN-SPEED", math.hypot(*turning), limits.turn_rad_s)
-        return self.arm.jog(tuple(velocity), given["for_s"], tuple(turning))
-
-    def _jog_joints(self, given: Arguments, limits: Limits) -> Motion:
-        speeds = tuple(given["speeds_rad_s"])
-        _refuse_fast("TURN-SPEED", max(map(abs, speeds)), limits.turn_rad_s)
-        return self.arm.jog_joints(speeds, given["for_s"])
-
-    def _move_joints(self, given: Arguments, limits: Limits) -> Motion:
-        _refuse_fast("TURN-SPEED", given["speed_rad_s"], limits.turn_rad_s)
-        return self.arm.move_joints(tuple(given["target_rad"]), given["speed_rad_s"])
-
-    def _press(self, given: Arguments, limits: Limits) -> Motion:
-        stiffness = tuple(given["stiffness_n_mm"])
-        command = PressCommand(**{**given, "stiffness_n_mm": stiffness})
-        nominal_n = stiffness[2] * command.depth_mm
-        if not nominal_n <= limits.probe_n:
-            raise RefusedError("PRESS-FORCE", f"Nominal {nominal_n:.1f} N is over the limit.")
-        _refuse_fast("APPROACH-SPEED", command.approach_mm_s, limits.contact_speed_mm_s)
-        return self.arm.press(command)
-
-    def _unload(self, given: Arguments, limits: Limits) -> Motion:
-        _refuse_fast("SPEED", given["speed_mm_s"], limits.speed_mm_s)
-        return self.arm.unload(given["force_n"], given["speed_mm_s"])
-
-    def _halt(self, given: Arguments, limits: Limits) -> None:
-        self.arm.halt()
-
-    def _place_of(self, given: Arguments, limits: Limits) -> list[float]:
-        place = self.arm.place_of(tuple(given["joints_rad"]))
-        return [place.x_mm, place.y_mm, place.z_mm, place.rx_rad, place.ry_rad, place.rz_rad]
-
-    # -- gripper ----------------------------------------------------------------------------------
-
-    def _home(self, given: Arguments, limits: Limits) -> Motion:
-        return self._homing().home()
-
-    def _acknowledge(self, given: Arguments, limits: Limits) -> None:
-        self._homing().acknowledge()
-
-    def _homing(self) -> Homing:
-        if not isinstance(self.gripper, Homing):
-            raise RefusedError("NO-HOMING", "This gripper is not homed from here.")
-        return self.gripper
-
-    def _grip(self, given: Arguments, limits: Limits) -> Motion:
-        return self.gripper.grip(given["force_n"])
-
-    def _open_to(self, given: Arguments, limits: Limits) -> Motion:
-        if self.gripper.status().holding:
-            raise RefusedError("HOLDING", "A piece is held: it is let go by a right only.")
-        return self.gripper.open_to(given["width_mm"], given["speed_mm_s"])
-
-    def _open_held(self, given: Arguments, limits: Limits) -> Motion:
-        right = RIGHTS[given["right"]](**given["evidence"])
-        self.may_open(right)
-        return self.gripper.open_to(given["width_mm"], given["speed_mm_s"])
-
-
-def _refuse_fast(name: str, speed: float, most: float) -> None:
-    """Raise ``RefusedError`` unless ``speed`` is within 0 to ``most``; NaN refuses."""
-    if not 0.0 <= speed <= most * (1.0 + 1e-9):
-        raise RefusedError(name, f"A speed of {speed:.3g} is not within 0 to {most:.3g}.")
-
-
-OLD_S = 0.05
-"""A wrench older than this is no evidence."""
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """What the rig itself measures: NaN where it does not know.
-
-    ``press_n``: by the contact law's own zero; ``moved_mm``: largest travel of the arm as it
-    stands (``travelled_mm``); ``width_change_mm`` since the piece was gripped; ``devices_ready``:
-    all of them.
-    """
-
-    press_n: float
-    wrench_age_s: float
-    moved_mm: float
-    width_change_mm: float
-    holding: bool
-    devices_ready: bool
-
-
-def refuse_opening(right: Right, measured: Measured) -> None:
-    """Raise ``RefusedError`` with the name of the first condition that does not hold."""
-    refusal = next(_rows(right, measured), None)
-    if refusal is not None:
-        raise RefusedError(*refusal)
-
-
-def _rows(right: Right, m: Measured) -> Iterator[tuple[str, str]]:
-    if isinstance(right, ByHand):
-        if not right.confirmed:
-            yield "NOT-CONFIRMED", "A piece is held: opening drops it. Confirm first."
-    else:
-        release = isinstance(right, ReleaseEvidence)
-        told = release_refusal(right) if release else jig_refusal(right)  # type: ignore[arg-type]
-        if told is not None:
-            yield told
-        yield from _ready_rows(m)
-    if not 0 <= m.moved_mm <= STATIONARY_MM:
-        yield "RIG-ARM-MOVING", "The rig measures that the arm is not standing still."
-    if isinstance(right, ReleaseEvidence):
-        yield from _pressed_rows(m)
-
-
-def _ready_rows(m: Measured) -> Iterator[tuple[str, str]]:
-    if not m.devices_ready:
-        yield "RIG-DEVICES", "Arm, wrist sensor and gripper are not all ready."
-    if not m.holding:
-        yield "RIG-NOT-HOLDING", "The gripper tells that it holds no piece."
-    if not abs(m.width_change_mm) <= MAX_WIDTH_CHANGE_MM:
-        change_mm = m.width_change_mm
-        yield "RIG-WIDTH", f"The jaws moved by {change_mm:.2f} mm since the piece was gripped."
-
-
-def _pressed_rows(m: Measured) -> Iterator[tuple[str, str]]:
-    if not 0 <= m.wrench_age_s <= OLD_S:
-        yield "RIG-WRENCH-OLD", "The rig has no fresh wrench."
-    if not UNLOADED_N[0] <= m.press_n <= UNLOADED_N[1]:
-        yield (
-            "RIG-NOT-UNLOADED",
-            f"The rig feels {m.press_n:.2f} N: not {UNLOADED_N[0]} to {UNLOADED_N[1]} N.",
-        )
+    def _work(self, waiting: queue.SimpleQueue[Message | None]) -> None:
+        while (order := waiting.get()) is not None and not self._gone:
+            self._carry_out(order)
 
 
 STATE_ROUNDS, SLOW_ROUNDS = 5, 50
 """The state is shown every 20 ms, what a person looks at every 200 ms."""
-Reply: TypeAlias = Motion | list[float] | None
+OrderResult = Motion | list[float] | None
 GRIP_STANDS_S = 0.3
 """The jaws stand so long after the gripper told that it holds."""
 AT_ONCE = frozenset({"arm.halt", "arm.place_of"})
@@ -295,12 +141,12 @@ class RigHost:
     ) -> None:
         self.devices, self._now_s, self._memory, self._say = devices, now_s, memory, say
         # Asked once: that takes longer than a round.
-        self._traced = devices.arm if isinstance(devices.arm, Traced) else None
-        self._homing = devices.gripper if isinstance(devices.gripper, Homing) else None
-        self._core = RigCore(now_s(), limits)
+        self._traced = devices.arm if isinstance(devices.arm, TracedArm) else None
+        self._homing = devices.gripper if isinstance(devices.gripper, HomingGripper) else None
+        self._core = Failsafe(now_s(), limits)
         self._lock = threading.RLock()
         self._showing, self._noting = threading.Lock(), threading.Lock()
-        self._orders = Orders(devices.arm, devices.gripper, self._may_open)
+        self._orders = DriverOrders(devices.arm, devices.gripper, self._may_open)
         self._motions = _Motions()
         self._cancel = threading.Event()
         self._gone = False
@@ -309,7 +155,7 @@ class RigHost:
         self._cursors = [devices.samples.count, devices.poses.count]
         self._wrench_s = -np.inf
         self._held_since_s, self._gripped_mm = np.inf, np.nan
-        self.workers = Workers(devices.named(), self._carry_out)
+        self.workers = DeviceWorkers(devices.named(), self._carry_out)
 
     # -- time -------------------------------------------------------------------------------------
 
@@ -322,7 +168,7 @@ class RigHost:
                 out = self._core.step(now_s, self._inbox())
             except Exception as error:  # noqa: BLE001 - whatever it is, the arm must not go on
                 fault = self._core.latch(failed(f"{type(error).__name__}: {error}"))
-                out = Outbox(stop=True, fault=fault, why=fault)
+                out = FailsafeOutput(stop=True, fault=fault, why=fault)
             self._act(now_s, out)
         self._tell_motions()
         if self._rounds % STATE_ROUNDS == 0:
@@ -331,10 +177,10 @@ class RigHost:
         self._memory.beat(RIG_BEAT)
         return out.leave
 
-    def _inbox(self) -> Inbox:
+    def _inbox(self) -> FailsafeInput:
         memory = self._memory
         moving = any(not self._motions.under_way[n].done for n in self._motions.of_arm)
-        return Inbox(
+        return FailsafeInput(
             memory.backend_beats,
             memory.stops,
             memory.lease_until_s,
@@ -343,7 +189,7 @@ class RigHost:
             self._wrench_s,
         )
 
-    def _act(self, now_s: float, out: Outbox) -> None:
+    def _act(self, now_s: float, out: FailsafeOutput) -> None:
         if out.stop:
             self._stop(now_s, "stop")
         elif out.hold:
@@ -362,7 +208,7 @@ class RigHost:
     def _draw_back(self) -> None:
         self._note(self._now_s(), "retreat")
         arm = self.devices.arm
-        if isinstance(arm, Retreating):
+        if isinstance(arm, RetreatingArm):
             arm.retreat()
         else:
             arm.stop()
@@ -503,7 +349,7 @@ class RigHost:
         else:
             self._reply(message, found)
 
-    def _obey(self, message: Message) -> Reply:
+    def _obey(self, message: Message) -> OrderResult:
         name, given = message["order"], message["args"]
         self._note(self._now_s(), f"order {message['id']} {name} {given}")
         device, _, verb = name.partition(".")
@@ -533,7 +379,9 @@ class RigHost:
                 if self._core.stops > stops:
                     self._stop(self._now_s(), "stop")
 
-    def _reply(self, message: Message, found: Reply = None, error: Exception | None = None) -> None:
+    def _reply(
+        self, message: Message, found: OrderResult = None, error: Exception | None = None
+    ) -> None:
         number = message["id"]
         answer: Message = {"kind": "reply", "id": number, "motion": None}
         # In one piece: the end of a motion is never told before its beginning.
@@ -562,19 +410,19 @@ class RigHost:
 
     # -- opening on a held piece ------------------------------------------------------------------
 
-    def _may_open(self, right: Right) -> None:
+    def _may_open(self, right: ReleaseAuthorisation) -> None:
         refuse_opening(right, self.measured())
 
-    def measured(self) -> Measured:
+    def measured(self) -> RigMeasurement:
         """Return what the rig itself measures now."""
         now_s, devices = self._now_s(), self.devices
         samples = devices.samples.window(now_s - 1.0, now_s)
         finite = np.isfinite(samples.values).all(axis=1)
         status = devices.gripper.status()
-        return Measured(
+        return RigMeasurement(
             press_n=np.nan if self._traced is None else self._traced.press_n,
             wrench_age_s=now_s - float(samples.t_s[finite][-1]) if finite.any() else np.nan,
-            moved_mm=travelled_mm(last_places_mm(devices.poses, now_s)),
+            moved_mm=travelled_mm(recent_positions_mm(devices.poses, now_s)),
             width_change_mm=status.width_mm - self._gripped_mm,
             holding=status.holding,
             devices_ready=all(d.state is DeviceState.READY for d in devices.named().values()),

@@ -1,4 +1,9 @@
-"""Link from the application to the real-time process."""
+"""Backend end of the real-time process: start, orders, heartbeat, loss.
+
+One thread sends heartbeats, forwards the lease and copies the shared rings into the session's
+streams, every 5 ms. A process that is silent for 250 ms, or whose pipe has closed, is lost: every
+motion ends with CONTROL LOST, and it starts again only with a new connection.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +52,7 @@ class RigMotion(CommandedMotion):
     onset_s: float | None = None
 
 
-class _Answer:
+class _PendingAnswer:
     """What somebody waits for."""
 
     def __init__(self) -> None:
@@ -77,13 +82,13 @@ class RigLink:
         self._thread: threading.Thread | None = None
         self._ending = threading.Event()
         self._numbers = itertools.count(1)
-        self._answers: dict[int, _Answer] = {}
+        self._answers: dict[int, _PendingAnswer] = {}
         self._motions: dict[int, RigMotion] = {}
         self._stops = self._stops_reset = self._faults = self._faults_reset = 0
         self._limits: Limits | None = None
         self._rows: Mapping[str, Any] = {}
         self._seen = 0
-        self._greeting = _Answer()
+        self._greeting = _PendingAnswer()
         self.lost: Fault | None = None
         """Why the rig is gone without having been asked to; None while it runs or is not needed."""
 
@@ -120,7 +125,7 @@ class RigLink:
                 drop(path)
 
     def _begin(self, memory: SharedMemory, path: Path) -> None:
-        self._ending, self._greeting = threading.Event(), _Answer()
+        self._ending, self._greeting = threading.Event(), _PendingAnswer()
         self._stops = self._stops_reset = self._faults = self._faults_reset = 0
         self._cursors = [0, 0]
         self._memory, self._limits = memory, self._interlock.limits
@@ -248,13 +253,13 @@ class RigLink:
         assert isinstance(found, Mapping)
         return found
 
-    def _ask(self, name: str, arguments: dict[str, Any]) -> _Answer:
+    def _ask(self, name: str, arguments: dict[str, Any]) -> _PendingAnswer:
         channel, lost = self._channel, self.lost
         if lost is not None:
             raise FaultError(lost)
         if channel is None or self._child is None:
             raise FaultError(NOT_STARTED)
-        number, answer = next(self._numbers), _Answer()
+        number, answer = next(self._numbers), _PendingAnswer()
         self._answers[number] = answer
         self._tell_reset(channel)
         order = {"kind": "order", "id": number, "order": name, "args": arguments}

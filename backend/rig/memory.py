@@ -1,12 +1,19 @@
-"""Shared memory between the processes."""
+"""Memory shared by backend and real-time process, locked against paging.
+
+Decision words, sample rings, one state. Neither side ever waits for the other: a record carries its
+number in front and behind, and a reader takes it only if both are the expected one. One writer
+each.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import json
 import math
 import mmap
 import os
 import shutil
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray
-from touchdown.backend.devices import TRACE
+from touchdown.backend.devices import TRACE_NAMES
 
 PREFIX = "touchdown-rig-"
 FILE = "memory"
@@ -25,7 +32,7 @@ BACKEND_BEAT, RIG_BEAT, STOPS, LEASE, STATE, WRENCH, POSES, ROUNDS, NOTES = rang
 STATE_BYTES = 16_384
 NOTE_BYTES: Final = 480
 NOTES_KEPT = 1024
-CHANNELS = {WRENCH: 6, POSES: 3, ROUNDS: len(TRACE)}
+CHANNELS = {WRENCH: 6, POSES: 3, ROUNDS: len(TRACE_NAMES)}
 CAPACITY = {WRENCH: 8192, POSES: 2048, ROUNDS: 2048}
 """More than 5 s of 1 kHz samples, 3.5 ms cycles and 4 ms rounds."""
 
@@ -242,3 +249,26 @@ def _alive(number: int) -> bool:
     except PermissionError:
         return True
     return True
+
+
+CURRENT, FUTURE, ON_FAULT = 1, 2, 4
+"""Of ``mlockall`` in Linux. Pages are kept from their first use on: stacks that are never filled
+would take 200 MB."""
+
+
+def lock_memory() -> bool:
+    """Keep all memory of this process, also what it asks for later; return whether it is kept.
+
+    Linux only. Ordinary users need ``memlock unlimited`` in limits.conf: under a limit, memory that
+    is asked for later would be refused, which ends a process.
+    """
+    if sys.platform != "linux":
+        return False
+    import resource
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if limit != resource.RLIM_INFINITY and os.geteuid() != 0:
+        return False
+    # For a superuser without that right the system refuses by itself what is over the limit.
+    refused: int = ctypes.CDLL(None).mlockall(CURRENT | FUTURE | ON_FAULT)
+    return not refused

@@ -1,4 +1,10 @@
-"""The real-time process: ``python -m touchdown.backend.rig.process``."""
+"""Real-time process: ``python -m touchdown.backend.rig.process``.
+
+The backend starts it with a pipe each way. The first message names settings, limits, clock and
+shared memory; the answer is an identity or a refusal. Then one round every 4 ms, at real-time
+priority if the user may have it. A closed pipe, a dying parent or SIGTERM end all motion, then the
+process. No Qt, no torch, no OpenCV.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +21,10 @@ from typing import IO
 
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.core import InputError, SampleStream, set_realtime_priority
-from touchdown.backend.devices import Limits, make_arm, make_force_torque
-from touchdown.backend.devices.wsg import make_gripper
+from touchdown.backend.devices import Limits, make_arm, make_force_torque, make_gripper
 from touchdown.backend.rig.host import Devices, RigHost
-from touchdown.backend.rig.memory import SharedMemory, attach
-from touchdown.backend.rig.messages import Channel, Message, error_row, pack, receive
-from touchdown.backend.rig.residence import Parent, lock_memory
+from touchdown.backend.rig.memory import SharedMemory, attach, lock_memory
+from touchdown.backend.rig.messages import Channel, Message, ParentProcess, error_row, pack, receive
 
 ROUND_S = 0.004
 END_S = 0.03
@@ -89,7 +93,7 @@ def _serve(
 
     # Before there are threads: all of them inherit it, or one without it would hold up the others.
     realtime = set_realtime_priority(priority)
-    parent = Parent()
+    parent = ParentProcess()
     host = RigHost(devices, Limits(**begin["limits"]), now_s, memory, say)
     channel = Channel(*pipes, host.take, host.abandon)
 
@@ -124,7 +128,7 @@ def _hello(devices: Devices, *, realtime: bool, locked: bool) -> Message:
     }
 
 
-def _keep_time(host: RigHost, parent: Parent) -> None:
+def _keep_time(host: RigHost, parent: ParentProcess) -> None:
     """Make a round every ``ROUND_S`` until one says that it is over; missed ones are skipped."""
     never = threading.Event()
     deadline_s = time.monotonic()

@@ -16,7 +16,7 @@ from touchdown.backend.core import (
     RefusedError,
     Said,
 )
-from touchdown.backend.devices import JigEvidence, last_places_mm, travelled_mm
+from touchdown.backend.devices import JigEvidence, recent_positions_mm, travelled_mm
 from touchdown.backend.runs.bench import Bench
 from touchdown.backend.runs.motions import MOVE_S, move_to, take_piece, wait
 from touchdown.backend.runs.plan import CancelledError, Plan, Wait, motion_done
@@ -149,7 +149,7 @@ def _vertical_n(bench: Bench) -> float:
 
 def _evidence(bench: Bench, jig: Pose) -> JigEvidence:
     now_s = bench.now_s()
-    places_mm = last_places_mm(bench.arm.poses, now_s)
+    places_mm = recent_positions_mm(bench.arm.poses, now_s)
     wrench = bench.sensing.wrench.window(now_s - 0.1, now_s).values
     target = np.array([jig.x_mm, jig.y_mm, jig.z_mm])
     return JigEvidence(

@@ -23,17 +23,17 @@ from touchdown.backend.core import (
     require_unrotated,
 )
 from touchdown.backend.devices import (
-    Around,
     Device,
     DeviceState,
     GuardedArm,
     GuardedGripper,
     Interlock,
     Jog,
+    JogSurroundings,
     Motion,
     RobotMode,
 )
-from touchdown.backend.rig import Connection, fault_of
+from touchdown.backend.rig import BenchConnection, fault_of
 from touchdown.backend.runs.requests import Request, StackRequest
 from touchdown.backend.sensing import LiveSensing
 
@@ -62,7 +62,7 @@ class ManualControl:
         self,
         reach: ManualDevices,
         interlock: Interlock,
-        around: Around,
+        around: JogSurroundings,
         publish: Callable[[Event], None],
     ) -> None:
         self._reach, self._interlock, self._around = reach, interlock, around
@@ -227,7 +227,7 @@ class ManualControl:
         self._publish(Refused(self._around.now_s(), error.reason, error.detail))
 
 
-def check_devices(connection: Connection | None, request: Request) -> None:
+def check_devices(connection: BenchConnection | None, request: Request) -> None:
     """Raise ``RefusedError`` for what only a simulation can do, or while a device is away.
 
     Where each scene has its own devices (None) there is nothing to refuse.
@@ -251,7 +251,7 @@ def check_no_contact(hand: ManualControl | None) -> None:
         )
 
 
-def wire_stop(connection: Connection | None, interlock: Interlock) -> None:
+def wire_stop(connection: BenchConnection | None, interlock: Interlock) -> None:
     """Let STOP end connecting, and reach arm and gripper before there is a scene."""
     if connection is None:
         return

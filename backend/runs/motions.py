@@ -29,7 +29,7 @@ from touchdown.backend.devices import (
     STATIONARY_MM,
     VOID_PRESS,
     ReleaseEvidence,
-    last_places_mm,
+    recent_positions_mm,
     travelled_mm,
 )
 from touchdown.backend.geometry import Outline, overlap_polygon
@@ -246,7 +246,7 @@ def wait_at_rest(bench: Bench) -> Plan[None]:
     until_s = bench.now_s() + REST_S
 
     def stands() -> bool:
-        places_mm = last_places_mm(bench.arm.poses, bench.now_s())
+        places_mm = recent_positions_mm(bench.arm.poses, bench.now_s())
         return travelled_mm(places_mm) <= STATIONARY_MM or bench.now_s() >= until_s
 
     yield Wait(stands, 2.0 * REST_S, "the arm to stand still")
@@ -278,7 +278,7 @@ def release_evidence(
     window = bench.sensing.wrench.window(now_s - 0.1, now_s)
     sampled = len(window.t_s) > 0
     press_n = float(np.mean(window.values[:, 2])) if sampled else math.nan
-    places_mm = last_places_mm(bench.arm.poses, now_s)
+    places_mm = recent_positions_mm(bench.arm.poses, now_s)
     recording, onset_s = judged.felt.episode.recording, judged.felt.episode.onset_s
     slip_mm = math.nan
     if recording is not None and len(places_mm):

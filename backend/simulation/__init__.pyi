@@ -16,7 +16,6 @@ from .conditions import MountingDraw as MountingDraw
 from .conditions import ProbeDraw as ProbeDraw
 from .conditions import conditions_from_draws as conditions_from_draws
 from .contact import RESIDUAL_LIMIT as RESIDUAL_LIMIT
-from .finger_camera import WIDTH_PX as WIDTH_PX
 from .finger_camera import TactileRenderer as TactileRenderer
 from .finger_camera import load_gel_appearance as load_gel_appearance
 from .finger_camera import mirror_appearance as mirror_appearance
@@ -40,7 +39,6 @@ from .world import World as World
 
 __all__ = [
     "RESIDUAL_LIMIT",
-    "WIDTH_PX",
     "ArmCycle",
     "BatchPlan",
     "BatchedTrials",

@@ -16,7 +16,7 @@ from touchdown.backend.config.bench_description import BenchDescription
 from touchdown.backend.core.faults import Fault, RefusedError
 from touchdown.backend.devices.interlock import Limits
 from touchdown.backend.devices.protocols import DeviceState, Identity
-from touchdown.backend.rig.connection import Connection, DeviceLine
+from touchdown.backend.rig.connection import BenchConnection, DeviceStatus
 from touchdown.backend.runs.requests import SceneChoice
 
 FAULT = Fault("LINK", "The camera is lost.", "It stands.", "Plug it in.", "tactile_left")
@@ -31,7 +31,7 @@ def devices():
 @pytest.fixture
 def lab(main, bench, devices):
     """The window on the stand-in bench, as if its devices were connected by hand."""
-    bench.connection, bench.name = Connection(devices), "Bench 2"
+    bench.connection, bench.name = BenchConnection(devices), "Bench 2"
     bench.facts, bench.simulated = BenchDescription(mode="hardware"), False
     bench.limits_source, bench.left = "lab.toml", []
     bench.usual = SceneChoice("barrel", ("long", "hex20"))
@@ -79,18 +79,18 @@ def test_each_kind_of_bench_has_its_own_words(bench, mode, banner, striped, note
 
 
 def test_what_is_to_be_known_of_a_device_stands_in_its_row_though_it_is_ready():
-    look = row_of(DeviceLine("arm", "ready", 4, WHO, notice="It came late."), can=True)
+    look = row_of(DeviceStatus("arm", "ready", 4, WHO, notice="It came late."), can=True)
     assert (look.text, look.bad) == ("Maker Model, 7. It came late.", True)
 
 
 @pytest.mark.parametrize(
     ("line", "marks", "label"),
     [
-        (DeviceLine("arm", "closed", 0), "open open open open", "Connect"),
-        (DeviceLine("arm", "connecting", 2), "done done now open", "Connect"),
-        (DeviceLine("arm", "ready", 4, WHO), "done done done done", "Disconnect"),
-        (DeviceLine("arm", "failed", 1, None, FAULT), "done failed open open", "Retry"),
-        (DeviceLine("arm", "failed", 4, WHO, FAULT), "done done done failed", "Retry"),
+        (DeviceStatus("arm", "closed", 0), "open open open open", "Connect"),
+        (DeviceStatus("arm", "connecting", 2), "done done now open", "Connect"),
+        (DeviceStatus("arm", "ready", 4, WHO), "done done done done", "Disconnect"),
+        (DeviceStatus("arm", "failed", 1, None, FAULT), "done failed open open", "Retry"),
+        (DeviceStatus("arm", "failed", 4, WHO, FAULT), "done done done failed", "Retry"),
     ],
 )
 def test_the_marks_of_a_row_say_how_far_it_came(line, marks, label):

@@ -12,7 +12,7 @@ from touchdown.app.shell.activity import LASTING_S, why_no_run
 from touchdown.app.shell.top_bar import ChipsPresenter, pill_of
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core.faults import RefusedError
-from touchdown.backend.devices.supervision import Degraded
+from touchdown.backend.devices.supervision import DegradedDevice
 from touchdown.backend.runs.engine import LiveThread
 from touchdown.backend.runs.requests import ProbeRequest, RunState, SceneChoice
 from touchdown.widgets.base.theme import Theme
@@ -21,7 +21,7 @@ from touchdown.widgets.shell.top_bar import TopBar
 
 def test_the_pill_names_the_sensor_and_since_when(live, bench):
     bench.turn(5.0)
-    bench.degraded = (Degraded("tactile_left", "silent", bench.clock_s() - 0.2),)
+    bench.degraded = (DegradedDevice("tactile_left", "silent", bench.clock_s() - 0.2),)
     settle(live)
     pill = live.bar.pill
     assert (pill.state.word, pill.state.shape, pill.state.colour) == ("DEGRADED", "bang", "yellow")
@@ -35,7 +35,7 @@ def test_the_pill_names_the_sensor_and_since_when(live, bench):
 
 def test_a_run_shows_it_while_it_stands_and_its_pause_afterwards(bench):
     bench.turn(5.0)
-    slow = Degraded("force_torque", "slow", bench.clock_s() - 3.0)
+    slow = DegradedDevice("force_torque", "slow", bench.clock_s() - 3.0)
     bench.degraded = (slow, replace(slow, device="tactile_right", how="silent"))
     for state, word in ((RunState.RUNNING, "DEGRADED"), (RunState.PAUSED, "PAUSED")):
         bench.set_state(state)
@@ -75,7 +75,7 @@ def test_what_lasts_keeps_the_start_disabled_and_says_why(live, bench):
     bench.turn(5.0)
     start = live.workspaces["stack"].page.run.start
     live.go("stack")
-    bench.degraded = (Degraded("force_torque", "slow", bench.clock_s() - 0.5 * LASTING_S),)
+    bench.degraded = (DegradedDevice("force_torque", "slow", bench.clock_s() - 0.5 * LASTING_S),)
     assert why_no_run(bench) == ""
     bench.turn(LASTING_S)
     settle(live)

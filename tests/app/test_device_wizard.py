@@ -13,8 +13,8 @@ from tests.backend.rig.scripted import scripted
 from touchdown.app.connect.devices import FIELDS, LEFT, RIGHT
 from touchdown.backend.config.bench_description import BenchDescription
 from touchdown.backend.config.lab import load_lab
-from touchdown.backend.devices import connection
-from touchdown.backend.rig.connection import Connection
+from touchdown.backend.devices import discovery
+from touchdown.backend.rig.connection import BenchConnection
 
 NUMBERS = ("2D8Y-69GR", "AAAA-1111")
 LAB = """\
@@ -51,7 +51,7 @@ def file(tmp_path):
 @pytest.fixture
 def wizard(main, bench, file):
     """The form of a bench whose devices are not connected, as the operator opens it."""
-    bench.connection, bench.name = Connection(scripted()[0]), "Bench 2"
+    bench.connection, bench.name = BenchConnection(scripted()[0]), "Bench 2"
     bench.facts, bench.simulated = BenchDescription(mode="hardware"), False
     bench.limits_source = str(file)
     main.attach(bench)
@@ -144,7 +144,7 @@ def test_looking_opens_no_port_so_that_none_can_hold_it_up_or_answer_wrongly(
     ports = tmp_path / "by-id"
     ports.mkdir()
     os.mkfifo(ports / "usb-Silent")
-    monkeypatch.setattr(connection, "choices", partial(connection.choices, ports=ports))
+    monkeypatch.setattr(discovery, "choices", partial(discovery.choices, ports=ports))
     (tmp_path / "names" / "video0" / "name").write_bytes(b"\xff\x00GelSight?")
     wizard.look.click()
     offered = wizard.editors["ft.address"]

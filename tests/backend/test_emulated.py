@@ -10,18 +10,18 @@ import pytest
 
 from tests.backend.devices.waiting import until
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, make_scene
-from touchdown.backend.bench.emulated_bench import (
+from touchdown.backend.bench.emulated_child import EmulatedProcess, serve
+from touchdown.backend.bench.emulated_scene import (
     BENCH_FILE,
-    EmulatedTruth,
-    JoinedScene,
-    RemoteTruth,
+    EmulatedScene,
+    TruthClient,
+    TruthServer,
 )
-from touchdown.backend.bench.emulated_process import EmulatedProcess, serve
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.config.toml_file import read_settings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.emulation.fault_plan import FaultPlan
-from touchdown.backend.emulation.servers import TcpFront
+from touchdown.backend.emulation.server import TcpServer
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import SceneChoice
 
@@ -50,10 +50,10 @@ def test_each_line_is_a_scene_with_a_bench_file_that_loads():
 
 def test_the_truth_is_that_of_the_scene():
     scene = make_scene(load_pieces(), CHOICE, SETTINGS)
-    joined = JoinedScene(scene, HardwareSettings().melfa)
-    front = TcpFront(EmulatedTruth(joined))
+    joined = EmulatedScene(scene, HardwareSettings().melfa)
+    front = TcpServer(TruthServer(joined))
     front.start()
-    truth = RemoteTruth(scene, front.address)
+    truth = TruthClient(scene, front.address)
     assert truth.scene is scene
     assert truth.truth() == joined.truth()
     front.close()
@@ -62,7 +62,7 @@ def test_the_truth_is_that_of_the_scene():
 
 
 def test_a_bench_whose_process_is_dead_is_a_fault(monkeypatch):
-    monkeypatch.setattr("touchdown.backend.bench.emulated_process.sys.executable", "/bin/true")
+    monkeypatch.setattr("touchdown.backend.bench.emulated_child.sys.executable", "/bin/true")
     told = []
     process = EmulatedProcess(told.append)
     with pytest.raises(FaultError, match="has ended"):
@@ -78,8 +78,8 @@ def test_a_process_that_never_sets_its_scene_is_a_fault_and_the_next_scene_gets_
     silent = tmp_path / "silent"
     silent.write_text("#!/bin/sh\nexec sleep 600\n")
     silent.chmod(0o755)
-    monkeypatch.setattr("touchdown.backend.bench.emulated_process.sys.executable", str(silent))
-    monkeypatch.setattr("touchdown.backend.bench.emulated_process.REST_S", 0.1)
+    monkeypatch.setattr("touchdown.backend.bench.emulated_child.sys.executable", str(silent))
+    monkeypatch.setattr("touchdown.backend.bench.emulated_child.REST_S", 0.1)
     told = []
     process = EmulatedProcess(told.append)
     for _ in range(2):

@@ -8,7 +8,12 @@ import pytest
 
 from tests.backend.rig.scripted import LINES, scripted
 from tests.backend.runs.test_calibrated import SEEN
-from touchdown.backend.bench.lab import LabChoice, calibrations_of, lab_session, otherwise_named
+from touchdown.backend.bench.laboratory import (
+    LabChoice,
+    calibrations_of,
+    lab_session,
+    otherwise_named,
+)
 from touchdown.backend.calibration.records import DeviceName
 from touchdown.backend.cli.doctor.command import lab_checks
 from touchdown.backend.config.lab import load_lab

@@ -20,7 +20,7 @@ from tests.bench.arm_child import SPEED_MM_S, UP, driver, front
 from tests.bench.registry import Figure, figure
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.values import Pose
-from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S
+from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 
 SECONDS, BUSY, PRIORITY = 15.0, 1, 50
 STOPS, TRIALS = 100, 500

@@ -19,26 +19,25 @@ from touchdown.backend.config.hardware import MelfaSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import Pose
-from touchdown.backend.devices.melfa.arm import MelfaArm
-from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaFront
-from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
-from touchdown.backend.devices.melfa.sockets import SocketWires
-from touchdown.backend.devices.melfa.status import Orders
+from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaOrders
+from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
+from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
+from touchdown.backend.devices.melfa.sockets import SocketLinks
 
 UP, DOWN = Pose(0.0, 0.0, 120.0), Pose(0.0, 0.0, 60.0)
 SPEED_MM_S = 20.0
 
 
-def front() -> MelfaFront:
+def front() -> MelfaServer:
     """Return an emulated controller that waits longer than any stall of a shared machine."""
     wanted = settings(servo_delay_s=0.05, mxt={"mxttout": 2000})
-    start = Orders(wanted).placing.joints(np.array([0.0, 0.0, 60.0]), READY_RAD)
-    return MelfaFront(EmulatedMelfa(wanted, start_rad=start))
+    start = MelfaOrders(wanted).placing.joints(np.array([0.0, 0.0, 60.0]), READY_RAD)
+    return MelfaServer(EmulatedMelfa(wanted, start_rad=start))
 
 
 def driver(wanted: MelfaSettings) -> MelfaArm:
     """Return a driver that is connected to it."""
-    wires = SocketWires(wanted, time.monotonic)
+    wires = SocketLinks(wanted, time.monotonic)
     arm = MelfaArm(wires, SampleStream("force_torque", 6, 1000), wanted, time.monotonic)
     arm.connect(10.0, threading.Event())
     return arm

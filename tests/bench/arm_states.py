@@ -22,10 +22,11 @@ from tests.backend.rig.served import Backend, Served
 from tests.busy_computer import STARVED
 from touchdown.backend.core.faults import Fault, FaultError, RefusedError
 from touchdown.backend.core.values import FloatArray, Pose
-from touchdown.backend.devices.melfa.emulator import EmulatedCommands, EmulatedMelfa, MelfaFront
-from touchdown.backend.devices.melfa.status import Orders
+from touchdown.backend.devices.melfa.driver import MelfaOrders
+from touchdown.backend.devices.melfa.emulated_channels import EmulatedCommands
+from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.protocols import DeviceState, PressCommand
-from touchdown.backend.emulation.loads import hanging
+from touchdown.backend.emulation.fault_plan import hanging_gripper
 
 UP = Pose(0.0, 0.0, 150.0)
 ABOVE_MM, FLOOR_MM, GEL_N_MM = 60.0, 58.0, 5.0
@@ -38,7 +39,7 @@ LATE_S, SPLIT_S, LONG_BYTES = 2.0, 0.003, 300
 ALARM = 2601
 
 
-class TroubledFront(MelfaFront):
+class TroubledFront(MelfaServer):
     """Whose command channel, and nothing else, can be silent, late, split or too long."""
 
     def __init__(self, device: EmulatedMelfa) -> None:
@@ -71,7 +72,7 @@ class Bench:
         self.served = Served(TroubledFront, self._felt, stiffness_mode=mode)
         device = self.served.arm._device
         self.front, self.controller = self.served.arm, device.controller
-        self._placing = Orders(self.served.settings.melfa).placing
+        self._placing = MelfaOrders(self.served.settings.melfa).placing
         self._start_rad = self.controller.joints.true_rad.copy()
         self._joints, self._place_mm = self._start_rad, np.array([0.0, 0.0, ABOVE_MM])
         self.controller.felt = lambda: np.array([0.0, 0.0, self.push_n(), 0.0, 0.0, 0.0])
@@ -86,7 +87,7 @@ class Bench:
         self.served.close()
 
     def _felt(self, now_s: float) -> tuple[float, ...]:
-        x, y, z, *moments = hanging(now_s)
+        x, y, z, *moments = hanging_gripper(now_s)
         return (x, y, z + self.push_n(), *moments)
 
     def height_mm(self) -> float:

@@ -25,8 +25,8 @@ from tests.bench.watched_arm import watched_arm
 from touchdown.app.shell.cards import end_for_sure
 from touchdown.app.start import SWITCH_S
 from touchdown.backend.core.values import ImageArray
-from touchdown.backend.devices.cameras.driver import TactileCamera
-from touchdown.backend.devices.cameras.sources import Source
+from touchdown.backend.devices.cameras.sources import PictureSource
+from touchdown.backend.devices.gelsight.driver import TactileCamera
 
 BLOCKED_S, TICK_MS = 10.0, 10
 MOST_MS, LIMIT_S = 100.0, 240.0
@@ -36,7 +36,7 @@ CAMERA = "tactile_left"
 class Blocking:
     """A source that stands in for another one; its next read blocks once it is told to."""
 
-    def __init__(self, source: Source, told: threading.Event) -> None:
+    def __init__(self, source: PictureSource, told: threading.Event) -> None:
         self._source, self._told = source, told
         self.lost = 0
 

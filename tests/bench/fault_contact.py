@@ -17,7 +17,7 @@ from touchdown.backend.core.events import EpisodeRecorded, Event, FaultRaised, P
 from touchdown.backend.core.faults import TouchdownError
 from touchdown.backend.core.streams import Stream
 from touchdown.backend.core.values import FINGERS, Pose
-from touchdown.backend.devices.guarded import GuardedArm
+from touchdown.backend.devices.guarded_devices import GuardedArm
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.supervision import Supervision
 from touchdown.backend.runs.requests import StackRequest

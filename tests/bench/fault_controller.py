@@ -12,7 +12,11 @@ from tests.backend.devices.melfa.test_stream import FAR, LEAD_MM, SPEED_MM_S, do
 from tests.bench.registry import Figure, figure
 from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.core.values import FloatArray, Pose
-from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S, Command, decode_request
+from touchdown.backend.devices.melfa.realtime_protocol import (
+    CYCLE_S,
+    MxtCommand,
+    decode_mxt_request,
+)
 from touchdown.backend.devices.protocols import DeviceState
 
 MINUTE_S, DOUBLED, REORDERED = 60.0, 0.10, 0.05
@@ -36,14 +40,14 @@ def _rig() -> Rig:
 
 def _told(rig: Rig, since: int = 0) -> FloatArray:
     """Where the commands since a packet put the hand: (n, 3) mm."""
-    targets = [decode_request(data).target for _, data in rig.wires.packets[since:]]
+    targets = [decode_mxt_request(data).target for _, data in rig.wires.packets[since:]]
     axes = [np.array(target.axes[:6]) for target in targets if target is not None]
     return np.array([rig.placing.pivot_mm(joints) for joints in axes]).reshape(-1, 3)
 
 
 def _moves(rig: Rig, since: int) -> int:
-    sent = [decode_request(data).command for _, data in rig.wires.packets[since:]]
-    return sent.count(Command.MOVE)
+    sent = [decode_mxt_request(data).command for _, data in rig.wires.packets[since:]]
+    return sent.count(MxtCommand.MOVE)
 
 
 def _echo_first(rig: Rig) -> bool:

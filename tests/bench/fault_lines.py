@@ -13,9 +13,9 @@ from tests.backend.wire.vectors import VECTORS, data
 from tests.bench.registry import Figure, figure
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core.values import FloatArray
-from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickLanguage
-from touchdown.backend.devices.dynpick.protocol import Record, encode_record
-from touchdown.backend.devices.force_torque.reader import Readout
+from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickDriver
+from touchdown.backend.devices.dynpick.protocol import DynpickRecord, encode_record
+from touchdown.backend.devices.force_torque.reader import WrenchStamper
 
 FRAMED = (
     "dynpick", "leptrino", "robotiq-ft300", "bota", "optoforce", "wsg-binary", "wsg-gcl",
@@ -88,14 +88,16 @@ def _believed(per_n: float) -> Iterator[FloatArray]:
     """Yield believed samples (n, 6): one bit flipped in each fourth record, loads in between."""
     rng, noise = random.Random(8), np.random.default_rng(8)
     told = {"dynpick": {"sensitivity": (per_n,) * 6}}
-    language = DynpickLanguage(HardwareSettings.model_validate(told), "")
-    readout = Readout(ForceTorqueSettings(), PERIOD_S)
+    language = DynpickDriver(HardwareSettings.model_validate(told), "")
+    readout = WrenchStamper(ForceTorqueSettings(), PERIOD_S)
     for number in range(FLIPPED):
         counts = 0x2000 + noise.integers(-9, 10, (BESIDE, 6))
         if number % HELD >= HELD // 2:
             counts[:, 2] += round(LOAD_N * per_n)
         records = [
-            bytearray(encode_record(Record((BESIDE * number + k) % 10, tuple(map(int, row)))))
+            bytearray(
+                encode_record(DynpickRecord((BESIDE * number + k) % 10, tuple(map(int, row))))
+            )
             for k, row in enumerate(counts)
         ]
         place = rng.randrange(8 * len(records[1]))

@@ -13,15 +13,15 @@ import numpy as np
 
 from tests.backend.devices.streamed.contact_loop import Plant
 from tests.bench.registry import Figure, figure
-from touchdown.backend.devices.interlock import RETREAT_MM, RETREAT_MM_S
+from touchdown.backend.devices.protocols import RETREAT_MM, RETREAT_MM_S
 from touchdown.backend.devices.streamed.compliance import (
     AT_REST,
     TRIP_N,
-    Law,
-    Loop,
+    AdmittanceLaw,
+    LoopDelays,
     SwingDetector,
-    give_way,
-    law_for,
+    admittance_law,
+    deflect,
 )
 
 GAINS = (30.0, 30.0, 15.0)
@@ -55,7 +55,13 @@ class _Press:
 
 
 def _pressed(
-    law: Law, loop: Loop, stiff_n_mm: float, speed_mm_s: float, *, watched: bool, seed: int
+    law: AdmittanceLaw,
+    loop: LoopDelays,
+    stiff_n_mm: float,
+    speed_mm_s: float,
+    *,
+    watched: bool,
+    seed: int,
 ) -> _Press:
     """Press 1.5 mm beyond the detection for 4 s; draw back at the trip, freeze at a swing."""
     rng, plant, found = np.random.default_rng(seed), Plant(loop, 0.5), _Press()
@@ -80,7 +86,7 @@ def _pressed(
         elif found.swung_s == math.inf:
             reference = max(reference - speed_mm_s * loop.cycle_s, goal)
         if goal > -math.inf:
-            give = give_way(law, give, np.array([0.0, 0.0, felt]))
+            give = deflect(law, give, np.array([0.0, 0.0, felt]))
             if watched and found.swung_s == math.inf and detector.feed(now_s, felt):
                 found.swung_s = now_s - touched_s
                 law = replace(law, damping=2.0 * law.damping, mass=2.0 * law.mass)
@@ -94,8 +100,8 @@ def peaks_of_presses() -> list[Figure]:
     """Springs of 1 to 100 N/mm at each cycle: peaks beside the published, and the strongest."""
     off, strongest, swinging, where = 0.0, 0.0, 0.0, ""
     for (cycle_s, design, speed), row in PEAKS.items():
-        loop = Loop(cycle_s)
-        law = law_for(loop, GAINS, design)
+        loop = LoopDelays(cycle_s)
+        law = admittance_law(loop, GAINS, design)
         for stiff, published in row.items():
             runs = [_pressed(law, loop, stiff, speed, watched=False, seed=s) for s in SEEDS]
             peak = float(np.median([run.peak_n for run in runs]))
@@ -116,8 +122,8 @@ def contacts_that_swing() -> list[Figure]:
     """Contacts 2 to 5 times as stiff as the damping is made for: when the swing is found."""
     slowest, strongest, silent, alarms = 0.0, 0.0, 0, 0
     for cycle_s in CYCLES_S:
-        loop = Loop(cycle_s)
-        law = law_for(loop, GAINS, SOFT_N)
+        loop = LoopDelays(cycle_s)
+        law = admittance_law(loop, GAINS, SOFT_N)
         for times in STIFFER:
             for seed in SEEDS:
                 found = _pressed(law, loop, times * SOFT_N, 1.0, watched=True, seed=seed)

@@ -18,21 +18,20 @@ from tests.backend.devices.trials_wrist import DATAGRAMS, EMULATED, LOAD, SETTIN
 from tests.backend.devices.waiting import until
 from tests.bench.arm_states import LIMIT_S, Bench, in_contact
 from tests.bench.registry import Figure, figure
-from touchdown.backend.bench.gelsight_emulator import SERIAL as NUMBER
-from touchdown.backend.bench.gelsight_emulator import GelsightFront, encode
 from touchdown.backend.config.hardware import ForceTorqueSettings, GelsightSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream, Stream
 from touchdown.backend.core.values import FINGERS, ImageArray, TactileFrame
-from touchdown.backend.devices.cameras.driver import TactileCamera
-from touchdown.backend.devices.cameras.sources import Source, UvcSource, open_source
-from touchdown.backend.devices.force_torque_registry import make_force_torque
+from touchdown.backend.devices.cameras.sources import PictureSource, UvcSource, open_source
+from touchdown.backend.devices.gelsight.driver import TactileCamera
+from touchdown.backend.devices.gelsight.emulator import SERIAL as NUMBER
+from touchdown.backend.devices.gelsight.emulator import GelsightServer, encode
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.devices.registry import make_force_torque
 from touchdown.backend.devices.supervision import GRACE_S, Supervision
-from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.emulation.loads import noisy, suffering
-from touchdown.backend.emulation.servers import PtyFront
+from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
+from touchdown.backend.emulation.server import PtyServer
 
 SERIAL = [kind for kind in EMULATED if kind not in DATAGRAMS]
 PULLS, LIFTS, REPLUGS = 10, 10, 20
@@ -100,7 +99,7 @@ def _told(watched: Watched, driver: Any, pull: Callable[[], float]) -> tuple[flo
     return late_ms, fault_ms
 
 
-def _pulled_s(front: PtyFront | GelsightFront, take_away: str) -> float:
+def _pulled_s(front: PtyServer | GelsightServer, take_away: str) -> float:
     """Pull a plug; return when the wire was gone (monotonic)."""
     gone_s: list[float] = []
     away = getattr(front, take_away)
@@ -148,9 +147,9 @@ def plugs_of_wrist_sensors(pulls: int = PULLS, lifts: int = LIFTS) -> list[Figur
 
 def _pulled(kind: str) -> tuple[float, float, float]:
     faults = Faults("force_torque")
-    sensor = EMULATED[kind](suffering(noisy(lambda now_s: LOAD, TREMBLE), faults))
+    sensor = EMULATED[kind](apply_faults(add_noise(lambda now_s: LOAD, TREMBLE), faults))
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        front = PtyFront(sensor, faults=faults, link=Path(folder) / "sensor")
+        front = PtyServer(sensor, faults=faults, link=Path(folder) / "sensor")
         front.start()
         stack.callback(front.close)
         address = {"driver": kind, "address": front.url}
@@ -241,12 +240,12 @@ class StandIn:
         return True, self._old if self.way == "old" else np.empty((0, 0), np.uint8)
 
 
-def _standing_in(path: Path, settings: GelsightSettings) -> Source:
+def _standing_in(path: Path, settings: GelsightSettings) -> PictureSource:
     return UvcSource(path, settings, StandIn)
 
 
 @contextmanager
-def _camera(stand_in: bool) -> Iterator[tuple[TactileCamera, GelsightFront]]:
+def _camera(stand_in: bool) -> Iterator[tuple[TactileCamera, GelsightServer]]:
     """An emulated camera and its driver, connected; what is read of it may be stood in for."""
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder, rng = Path(name), np.random.default_rng(2)
@@ -255,7 +254,7 @@ def _camera(stand_in: bool) -> Iterator[tuple[TactileCamera, GelsightFront]]:
             small = rng.integers(40, 200, (30, 40, 3))
             return np.asarray(np.kron(small, np.ones((8, 8, 1))), dtype=np.uint8)
 
-        front = GelsightFront(seen, folder)
+        front = GelsightServer(seen, folder)
         front.start()
         stack.callback(front.close)
         places = {"by_id": "by-id", "names": "names", "nodes": "nodes"}

@@ -23,11 +23,11 @@ from tests.bench.registry import Figure, figure
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.values import FloatArray, Pose
-from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickLanguage
-from touchdown.backend.devices.dynpick.protocol import Record, encode_record
-from touchdown.backend.devices.force_torque.reader import Readout
+from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickDriver
+from touchdown.backend.devices.dynpick.protocol import DynpickRecord, encode_record
+from touchdown.backend.devices.force_torque.reader import WrenchStamper
 from touchdown.backend.devices.melfa.kinematics import STEPS_RAD
-from touchdown.backend.devices.melfa.protocol_mxt import decode_request
+from touchdown.backend.devices.melfa.realtime_protocol import decode_mxt_request
 from touchdown.backend.devices.protocols import CommandedMotion, DeviceState
 
 NOISE_BYTES, PIECE, BLOCK = 10_000_000, 256, 1_000_000
@@ -120,14 +120,14 @@ def flipped_bits_without_checksum() -> list[Figure]:
     """One bit in each of 100,000 records of a sensor that has no checksum, in air."""
     rng, noise = random.Random(7), np.random.default_rng(7)
     settings = HardwareSettings.model_validate({"dynpick": {"sensitivity": (COUNTS_PER_N,) * 6}})
-    language = DynpickLanguage(settings, "")
-    readout = Readout(ForceTorqueSettings(), PERIOD_S)
+    language = DynpickDriver(settings, "")
+    readout = WrenchStamper(ForceTorqueSettings(), PERIOD_S)
     believed = [np.zeros((0, 6))]
     for number in range(FLIPPED):
         # Nine whole records for each damaged one.
         counts = 0x2000 + noise.integers(-9, 10, (10, 6))
         records = [
-            encode_record(Record((10 * number + k) % 10, tuple(map(int, row))))
+            encode_record(DynpickRecord((10 * number + k) % 10, tuple(map(int, row))))
             for k, row in enumerate(counts)
         ]
         hurt = bytearray(records[4])
@@ -179,7 +179,7 @@ def _travelled(loss: float, minutes: float) -> _Travelled:
 
 def _places(rig: Rig) -> FloatArray:
     """Where the commands since the last clearing put the hand: (n, 3) mm."""
-    targets = [decode_request(packet).target for _, packet in rig.wires.packets]
+    targets = [decode_mxt_request(packet).target for _, packet in rig.wires.packets]
     axes = [np.array(target.axes[:6]) for target in targets if target is not None]
     return np.array([rig.placing.pivot_mm(joints) for joints in axes])
 
@@ -212,7 +212,7 @@ def steps_too_large() -> list[Figure]:
         program = Leaping(size_mm * way / np.linalg.norm(way), in_a_row)
         rig.arm._core.run(program)
         rig.rest(0.2)
-        joints = [t.axes[:6] for _, p in rig.wires.packets if (t := decode_request(p).target)]
+        joints = [t.axes[:6] for _, p in rig.wires.packets if (t := decode_mxt_request(p).target)]
         share = max(share, float((np.abs(np.diff(joints, axis=0)) / STEPS_RAD).max()))
         fault = "" if rig.arm.fault is None else rig.arm.fault.code
         faults, refused = faults + bool(fault), refused + (_failed(program.motion))

@@ -24,17 +24,18 @@ from tests.backend.runs.gel_bench import LOOKS, Gel, GelBench
 from tests.backend.sensing.drop_oracle import broken
 from tests.backend.sensing.test_episode_quality import frames, record
 from tests.bench.registry import Figure, figure
-from touchdown.backend.bench.gelsight_emulator import SERIAL, GelsightFront, sheared_gel
+from touchdown.backend.bench.emulator_registry import sheared_gel
 from touchdown.backend.calibration.cameras import HELD_LIMIT_PX, fingerprint_distance_px
 from touchdown.backend.calibration.records import CalibrationStore
 from touchdown.backend.config.hardware import GelsightSettings
 from touchdown.backend.core.faults import Fault
 from touchdown.backend.core.streams import Stream
 from touchdown.backend.core.values import Finger, FloatArray, TactileFrame
-from touchdown.backend.devices.cameras.driver import TactileCamera
-from touchdown.backend.devices.cameras.frames import Gate
+from touchdown.backend.devices.cameras.frames import PictureFilter
+from touchdown.backend.devices.gelsight.driver import TactileCamera
+from touchdown.backend.devices.gelsight.emulator import SERIAL, GelsightServer
 from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.rig.connection import Connection
+from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.calibrations import GelCheck
 from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker
 from touchdown.backend.sensing.picture_files import read_pictures
@@ -99,7 +100,7 @@ def whole_pictures() -> list[Figure]:
 
 def _taken_for_frozen() -> Figure:
     rng = np.random.default_rng(4)
-    gate = Gate("left", "left", GelsightSettings(crop_fraction=0.0), 0.0)
+    gate = PictureFilter("left", "left", GelsightSettings(crop_fraction=0.0), 0.0)
     still = np.full((48, 64, 3), 90.0)
     for k in range(LIVE):
         noise = NOISE_GREY * rng.standard_normal(still.shape)
@@ -170,14 +171,16 @@ class _Plugged:
     """An emulated camera behind its pipe, and the connection that takes it."""
 
     def __init__(self, folder: Path) -> None:
-        self._front = GelsightFront(sheared_gel("left", 0.0), folder, faults=Faults("tactile_left"))
+        self._front = GelsightServer(
+            sheared_gel("left", 0.0), folder, faults=Faults("tactile_left")
+        )
         places = {name: str(folder / where) for name, where in PLACES.items()}
         own = {"serial": SERIAL}
         settings = GelsightSettings.model_validate({**places, "left": own, "crop_fraction": 0.0})
         self._frames: dict[Finger, Stream[TactileFrame]] = {"left": Stream("left", 256)}
         camera = TactileCamera("left", settings, time.monotonic, self._frames["left"])
         self._camera, devices = camera, {camera.name: camera}
-        self._connection = Connection(devices)
+        self._connection = BenchConnection(devices)
         store = CalibrationStore(folder / "calibrations", "emulated")
         self._connection.prove = GelCheck(store, devices, self._frames).prove
 

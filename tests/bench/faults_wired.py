@@ -20,8 +20,8 @@ import numpy as np
 
 from tests.bench.registry import Figure, figure
 from touchdown.backend.bench.assembly import SimulatedBenchChoice
-from touchdown.backend.bench.command_log import Witnessed
 from touchdown.backend.bench.emulated import EmulatedBench
+from touchdown.backend.bench.emulated_scene import DriverObservations
 from touchdown.backend.core.events import (
     EpisodeRecorded,
     Event,
@@ -236,7 +236,7 @@ class Campaign:
         return lost
 
 
-def witnessed(seen: Witnessed, released: int) -> dict[str, bool]:
+def witnessed(seen: DriverObservations, released: int) -> dict[str, bool]:
     """Return by row whether the devices saw no unsafe command; NaN holds none."""
     return {
         f"a step of {seen.step_share:.2f} of the top speed": seen.step_share <= MOST_SHARE,

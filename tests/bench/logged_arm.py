@@ -19,13 +19,17 @@ import numpy as np
 
 from tests.backend.devices.emulated_arm import settings as melfa_settings
 from tests.backend.rig.served import Served
-from touchdown.backend.bench.emulated_bench import PRIORITY, take_short_turns
+from touchdown.backend.bench.emulated_scene import PRIORITY, take_short_turns
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.scheduling import round_robin_priority
-from touchdown.backend.devices.framing import WireError
-from touchdown.backend.devices.melfa.emulator import TIMEOUT_CYCLES, MelfaFront
-from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S, Command, decode_request
-from touchdown.backend.emulation.servers import CHUNK
+from touchdown.backend.devices.framing import ProtocolError
+from touchdown.backend.devices.melfa.emulator import TIMEOUT_CYCLES, MelfaServer
+from touchdown.backend.devices.melfa.realtime_protocol import (
+    CYCLE_S,
+    MxtCommand,
+    decode_mxt_request,
+)
+from touchdown.backend.emulation.server import CHUNK
 
 SO_TIMESTAMPNS = 35
 """Linux, asm-generic/socket.h: the time of arrival with each datagram, as two 64 bit numbers."""
@@ -52,7 +56,7 @@ class Told:
     late_ms: float
 
 
-class LoggedFront(MelfaFront):
+class LoggedFront(MelfaServer):
     """A controller that notes when each packet of the stream came, and whether it commands."""
 
     def __init__(self, *more: object, **named: object) -> None:
@@ -71,8 +75,8 @@ class LoggedFront(MelfaFront):
         ((_, _, stamp),) = notes
         seconds, nanoseconds = struct.unpack("@qq", stamp)
         try:
-            moves = decode_request(data).command is Command.MOVE
-        except WireError:
+            moves = decode_mxt_request(data).command is MxtCommand.MOVE
+        except ProtocolError:
             moves = False
         self.came.append((seconds + 1e-9 * nanoseconds, moves))
         if (answer := self._device.stream.receive(self._took(data), data)) is not None:

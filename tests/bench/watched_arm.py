@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, make_scene
-from touchdown.backend.bench.emulated_bench import (
+from touchdown.backend.bench.emulated_scene import (
     PRIORITY,
-    JoinedScene,
+    EmulatedScene,
     lab_toml,
     serve_bench,
     take_short_turns,
@@ -49,7 +49,7 @@ class Rest:
     way_mm: float
 
 
-def rest_of(joined: JoinedScene) -> Rest:
+def rest_of(joined: EmulatedScene) -> Rest:
     """Look back over the last second of the emulated arm."""
     now_s, pivot_mm = time.monotonic(), joined.frame.pivot_mm
     controller = joined.melfa.controller

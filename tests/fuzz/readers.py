@@ -9,10 +9,10 @@ import numpy as np
 
 from tests.backend.wire.codecs import Codec
 from tests.backend.wire.vectors import VECTORS
+from touchdown.backend.devices.cameras import frames
 from touchdown.backend.devices.dynpick import protocol
-from touchdown.backend.devices.gelsight import protocol as gelsight_name
-from touchdown.backend.devices.gelsight import protocol as mjpeg
-from touchdown.backend.devices.melfa import protocol_r3
+from touchdown.backend.devices.gelsight import driver
+from touchdown.backend.devices.melfa import r3_protocol
 from touchdown.backend.devices.netft import protocol as net_ft
 
 PAGE = (
@@ -51,18 +51,18 @@ def _picture(seed: int) -> bytes:
 
 _PICTURES = tuple(_picture(seed) for seed in range(3))
 _R3 = (
-    protocol_r3.read_opened,
-    protocol_r3.read_state,
-    protocol_r3.read_progress,
-    protocol_r3.read_error,
-    protocol_r3.read_hands,
-    protocol_r3.read_stop_signals,
-    protocol_r3.read_parameter,
-    protocol_r3.read_bits,
-    protocol_r3.read_origin,
-    protocol_r3.read_ports,
-    protocol_r3.read_axes,
-    protocol_r3.read_variable,
+    r3_protocol.read_opened,
+    r3_protocol.read_state,
+    r3_protocol.read_progress,
+    r3_protocol.read_error,
+    r3_protocol.read_hands,
+    r3_protocol.read_stop_signals,
+    r3_protocol.read_parameter,
+    r3_protocol.read_bits,
+    r3_protocol.read_origin,
+    r3_protocol.read_ports,
+    r3_protocol.read_axes,
+    r3_protocol.read_variable,
 )
 READERS: dict[tuple[str, str], Reader] = {
     **{("r3-answer", read.__name__): _answer(read) for read in _R3},
@@ -77,9 +77,9 @@ READERS: dict[tuple[str, str], Reader] = {
         net_ft.decode_calibration, *_vectors("netft-tcp-calibration-reply")
     ),
     ("netft-answer", "page"): _plain(net_ft.decode_page, PAGE),
-    ("gelsight-mini", "name"): _plain(gelsight_name.decode, *_vectors("gelsight")),
+    ("gelsight-mini", "name"): _plain(driver.decode, *_vectors("gelsight")),
     ("gelsight-mini", "pictures"): Reader(
-        Codec(lambda picture: picture, stream=mjpeg.JpegStream), _PICTURES
+        Codec(lambda picture: picture, stream=frames.JpegStream), _PICTURES
     ),
-    ("gelsight-mini", "size"): _plain(mjpeg.size_px, *_PICTURES),
+    ("gelsight-mini", "size"): _plain(frames.size_px, *_PICTURES),
 }

@@ -21,7 +21,7 @@ from tests.backend.wire.codecs import CODECS, Codec
 from tests.backend.wire.vectors import VECTORS
 from tests.fuzz.readers import READERS
 from touchdown.backend.cli.output import VerbOutput
-from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.framing import ProtocolError
 
 HANG_S = 5.0
 ARMED_S = 1.0
@@ -127,7 +127,7 @@ def wrong(codec: Codec, message: Any, content: bytes) -> str:
         return ""
     try:
         again = codec.encode(message)
-    except WireError as error:
+    except ProtocolError as error:
         return f"cannot be encoded: {error}"
     if codec.messages(again + codec.end) != [message]:
         return "does not decode to itself"

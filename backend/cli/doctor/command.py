@@ -349,14 +349,14 @@ DEVICES = ("force_torque", "tactile_left", "tactile_right", "gripper", "arm")
 def lab_checks(path: Path) -> Iterator[Callable[[], DoctorCheck]]:
     """Yield the looks at a lab file; raises ``InputError`` where it cannot be read."""
     from touchdown.backend.config import load_lab
-    from touchdown.backend.rig import examine
+    from touchdown.backend.rig import examine_devices
 
     lab = load_lab(path)
     settings = lab.settings
     yield partial(DoctorCheck, "lab file", True, f"{settings.name} ({settings.kind}), {path}")
     yield partial(_check_placeholders, path)
     yield partial(_check_fingers, path)
-    findings = examine(settings)
+    findings = examine_devices(settings)
     for _ in DEVICES:
         yield partial(_next_device, findings)
 
@@ -386,10 +386,10 @@ def _check_fingers(path: Path) -> DoctorCheck:
 
 
 def _next_device(findings: Iterator[object]) -> DoctorCheck:
-    from touchdown.backend.rig import Finding
+    from touchdown.backend.rig import DeviceFinding
 
     found = next(findings)
-    assert isinstance(found, Finding)
+    assert isinstance(found, DeviceFinding)
     return DoctorCheck(found.device, found.ok, found.detail, found.fix)
 
 

@@ -1,7 +1,7 @@
-from .driver import BotaLanguage as BotaLanguage
+from .driver import BotaDriver as BotaDriver
 from .emulator import EmulatedBota as EmulatedBota
 from .protocol import Boot as Boot
-from .protocol import Frame as Frame
+from .protocol import BotaFrame as BotaFrame
 from .protocol import incoming as incoming
 
-__all__ = ["Boot", "BotaLanguage", "EmulatedBota", "Frame", "incoming"]
+__all__ = ["Boot", "BotaDriver", "BotaFrame", "EmulatedBota", "incoming"]

@@ -1,4 +1,7 @@
-"""Driver of a Bota sensor."""
+"""Driver of Bota SensONE and Rokubi sensors.
+
+Configured by text; samples are numbered by the sensor's microsecond count.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,20 @@ import threading
 
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.devices.bota import protocol
-from touchdown.backend.devices.bota.protocol import SINC_STEP_S, Boot, Frame, Reply, Request, Status
+from touchdown.backend.devices.bota.protocol import (
+    SINC_STEP_S,
+    Boot,
+    BotaFrame,
+    BotaReply,
+    BotaRequest,
+    BotaStatus,
+)
 from touchdown.backend.devices.force_torque import (
-    Greeting,
-    Link,
+    FrameErrors,
     NotAnsweredError,
-    Reading,
-    Refusals,
+    SensorDescription,
+    SensorLink,
+    WrenchReading,
     ask,
     listen,
     pause,
@@ -30,7 +40,7 @@ OLD_US = 1_000_000
 """A timestamp so little before the newest is late; one farther back is a restart."""
 
 
-class BotaLanguage:
+class BotaDriver:
     """Losses follow from the timestamps of the sensor."""
 
     baud = 460_800
@@ -42,14 +52,14 @@ class BotaLanguage:
         self._decoder = protocol.incoming()
         self._last_us: int | None = None
 
-    def start(self, link: Link, cancel: threading.Event) -> Greeting:
+    def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
         """Wait for the boot text or two frames; configure; run."""
         frames = 0
 
         def awake(data: bytes) -> bool | None:
             nonlocal frames
             for message in self._decoder.feed(data):
-                frames += isinstance(message, Frame)
+                frames += isinstance(message, BotaFrame)
                 if isinstance(message, Boot):
                     return True
             return True if frames >= 2 else None
@@ -59,50 +69,52 @@ class BotaLanguage:
         pause(cancel, PAUSE_S)
         link.drain()
         self._decoder.reset()
-        self._ask(link, cancel, Request("C"))
-        self._ask(link, cancel, Request("c", (0, 1, 0, protocol.BAUD_CODES[self.baud])))
-        self._ask(link, cancel, Request("f", (self._settings.sinc, 0, 0, 1)))
-        self._ask(link, cancel, Request("R"))
+        self._ask(link, cancel, BotaRequest("C"))
+        self._ask(link, cancel, BotaRequest("c", (0, 1, 0, protocol.BAUD_CODES[self.baud])))
+        self._ask(link, cancel, BotaRequest("f", (self._settings.sinc, 0, 0, 1)))
+        self._ask(link, cancel, BotaRequest("R"))
         self._last_us = None
         identity = Identity("Bota Systems", "SensONE", self._address, "")
-        return Greeting(identity, self._settings.rated, self._period_s, numbered=True)
+        return SensorDescription(identity, self._settings.rated, self._period_s, numbered=True)
 
-    def take(self, data: bytes) -> list[Reading]:
+    def take(self, data: bytes) -> list[WrenchReading]:
         """Return the samples; what the sensor marks invalid is NaN."""
-        frames = (m for m in self._decoder.feed(data) if isinstance(m, Frame))
+        frames = (m for m in self._decoder.feed(data) if isinstance(m, BotaFrame))
         return [self._reading(frame) for frame in frames if not self._is_old(frame)]
 
     @property
-    def refusals(self) -> Refusals:
+    def refusals(self) -> FrameErrors:
         """Frames that were none."""
         decoder = self._decoder
-        return Refusals(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
+        return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
 
-    def stop(self, link: Link) -> None:
+    def stop(self, link: SensorLink) -> None:
         """Leave the sensor in configuration mode, which is quiet."""
-        link.write(protocol.encode(Request("C")))
+        link.write(protocol.encode(BotaRequest("C")))
 
-    def _ask(self, link: Link, cancel: threading.Event, request: Request) -> None:
-        def find(data: bytes) -> Reply | None:
-            replies = (m for m in self._decoder.feed(data) if isinstance(m, Reply))
+    def _ask(self, link: SensorLink, cancel: threading.Event, request: BotaRequest) -> None:
+        def find(data: bytes) -> BotaReply | None:
+            replies = (m for m in self._decoder.feed(data) if isinstance(m, BotaReply))
             return next((reply for reply in replies if reply.command == request.command), None)
 
         reply = ask(link, cancel, protocol.encode(request), find, limit_s=ANSWER_S)
         if reply.code != 0:
             raise NotAnsweredError(f"The sensor refuses '{request.command}' ({reply.code})")
 
-    def _is_old(self, frame: Frame) -> bool:
+    def _is_old(self, frame: BotaFrame) -> bool:
         """Whether it comes after one that was taken later, or twice."""
         if self._last_us is None:
             return False
         return (self._last_us - frame.timestamp_us) % TIMESTAMP_TURN <= OLD_US
 
-    def _reading(self, frame: Frame) -> Reading:
+    def _reading(self, frame: BotaFrame) -> WrenchReading:
         missed, last_us = 0, self._last_us
         self._last_us = frame.timestamp_us
         if last_us is not None:
             gap_us = (frame.timestamp_us - last_us) % TIMESTAMP_TURN
             steps = round(1e-6 * gap_us / self._period_s)
             missed = steps - 1 if 1 <= steps <= LONGEST_GAP else 0
-        trouble = "The sensor sends raw counts" if frame.status & Status.RAW else ""
-        return Reading(frame.wrench(), missed, bool(frame.status & Status.OVER_RANGE), trouble)
+        trouble = "The sensor sends raw counts" if frame.status & BotaStatus.RAW else ""
+        return WrenchReading(
+            frame.wrench(), missed, bool(frame.status & BotaStatus.OVER_RANGE), trouble
+        )

@@ -1,12 +1,22 @@
-"""Emulated Bota sensor."""
+"""Emulated Bota SensONE sensor.
+
+Streams from power-on, is configured by text, counts microseconds.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
 from touchdown.backend.devices.bota import protocol
-from touchdown.backend.devices.bota.protocol import SINC_STEP_S, Boot, Frame, Reply, Request, Status
-from touchdown.backend.emulation import Pace
+from touchdown.backend.devices.bota.protocol import (
+    SINC_STEP_S,
+    Boot,
+    BotaFrame,
+    BotaReply,
+    BotaRequest,
+    BotaStatus,
+)
+from touchdown.backend.emulation import SampleSchedule
 
 RATED = (500.0, 500.0, 1200.0, 15.0, 15.0, 12.0)
 TEMPERATURE_C = 27.5
@@ -27,7 +37,7 @@ class EmulatedBota:
         self._wrench, self._rated = wrench, tuple(rated)
         self._quiet_in_config = quiet_in_config
         self._requests = protocol.requests()
-        self.pace = Pace()
+        self.pace = SampleSchedule()
         self._sinc = DEFAULT_SINC
         self._booted = self._configuring = False
 
@@ -60,7 +70,7 @@ class EmulatedBota:
     def _period_s(self) -> float:
         return self._sinc * SINC_STEP_S
 
-    def _answer(self, now_s: float, request: Request) -> bytes:
+    def _answer(self, now_s: float, request: BotaRequest) -> bytes:
         if request.command == "C":
             self._configuring = True
             if self._quiet_in_config:
@@ -72,11 +82,11 @@ class EmulatedBota:
         elif request.command == "R":
             self._configuring = False
             self.pace.begin(now_s + self._period_s, self._period_s)
-        return protocol.encode(Reply(request.command, 0))
+        return protocol.encode(BotaReply(request.command, 0))
 
     def _frame(self, now_s: float) -> bytes:
         values = tuple(self._wrench(now_s))
         over = any(abs(v) > rated for v, rated in zip(values, self._rated, strict=True))
-        status = int(Status.OVER_RANGE) if over else 0
+        status = int(BotaStatus.OVER_RANGE) if over else 0
         timestamp_us = round(now_s * 1e6) % TIMESTAMP_TURN
-        return protocol.encode(Frame(status, values, timestamp_us, TEMPERATURE_C))
+        return protocol.encode(BotaFrame(status, values, timestamp_us, TEMPERATURE_C))

@@ -1,4 +1,8 @@
-"""Bota serial frames."""
+"""Byte protocol of Bota Systems SensONE and Rokubi sensors.
+
+Frames of 37 bytes, and text commands without a line end. Source: rokubimini serial driver and C
+example of the maker.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +14,14 @@ from enum import IntFlag
 
 from touchdown.backend.devices.framing import (
     NO_WRENCH,
+    FrameStep,
     FrameStream,
-    Step,
-    Take,
-    WireError,
+    ProtocolError,
+    TakeFrame,
     Wrench,
     crc16_x25,
-    expect_length,
     noise_until,
+    require_length,
     wrench_of,
 )
 
@@ -34,7 +38,7 @@ _REQUEST = re.compile(rb"c(?:,[0-9]){4}|f,[0-9]{1,3}(?:,[01]){3}|[CR]")
 _REQUEST_LONGEST = 11
 
 
-class Status(IntFlag):
+class BotaStatus(IntFlag):
     """Status word of a frame."""
 
     SLOW = 1
@@ -44,7 +48,7 @@ class Status(IntFlag):
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class BotaFrame:
     """One sample as sent. Of a frame marked invalid, a number that is none is kept as NaN."""
 
     status: int
@@ -55,7 +59,7 @@ class Frame:
     @property
     def usable(self) -> bool:
         """Whether the values are a measurement in N and N·m."""
-        return not self.status & (Status.INVALID | Status.RAW)
+        return not self.status & (BotaStatus.INVALID | BotaStatus.RAW)
 
     def wrench(self) -> Wrench:
         """Return the measurement; NaN if the sensor marks it invalid or unscaled."""
@@ -63,7 +67,7 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class BotaReply:
     """Answer to a text command; ``code`` 0 is good."""
 
     command: str
@@ -76,102 +80,102 @@ class Boot:
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class BotaRequest:
     """C configuration mode, c communication, f filter, R run."""
 
     command: str
     arguments: tuple[int, ...] = ()
 
 
-Incoming = Frame | Reply | Boot
+BotaMessage = BotaFrame | BotaReply | Boot
 
 
-def encode(message: Incoming | Request) -> bytes:
+def encode(message: BotaMessage | BotaRequest) -> bytes:
     """Return the bytes of any message of this protocol."""
-    if isinstance(message, Frame):
+    if isinstance(message, BotaFrame):
         numbers = (*message.values, message.timestamp_us, message.temperature_c)
         try:
             body = _FIELDS.pack(message.status, *numbers)
         except (struct.error, OverflowError) as error:
-            raise WireError("range", "bota frame", 1) from error
+            raise ProtocolError("range", "bota frame", 1) from error
         return bytes((HEADER,)) + body + struct.pack("<H", crc16_x25(body))
     if isinstance(message, Boot):
         return _BOOT
-    if isinstance(message, Reply):
+    if isinstance(message, BotaReply):
         text = f"r,0,{message.command},{message.code}".encode("ascii", "replace")
         return _checked(text, _REPLY)
     text = ",".join([message.command, *map(str, message.arguments)]).encode("ascii", "replace")
     return _checked(text, _REQUEST)
 
 
-def decode_frame(data: bytes) -> Frame:
+def decode_frame(data: bytes) -> BotaFrame:
     """Return the frame of exactly 37 bytes; raises ``WireError``."""
-    expect_length(data, FRAME_BYTES, "bota frame")
+    require_length(data, FRAME_BYTES, "bota frame")
     if data[0] != HEADER:
-        raise WireError("header", "bota frame")
+        raise ProtocolError("header", "bota frame")
     if crc16_x25(data[1:-2]) != int.from_bytes(data[-2:], "little"):
-        raise WireError("crc", "bota frame", FRAME_BYTES - 2)
+        raise ProtocolError("crc", "bota frame", FRAME_BYTES - 2)
     status, *values, timestamp_us, temperature_c = _FIELDS.unpack(data[1:-2])
     if not math.isfinite(temperature_c) or not all(map(math.isfinite, values)):
-        if not status & Status.INVALID:
-            raise WireError("number", "bota frame", 3)
+        if not status & BotaStatus.INVALID:
+            raise ProtocolError("number", "bota frame", 3)
         temperature_c, *values = (
             v if math.isfinite(v) else math.nan for v in (temperature_c, *values)
         )
-    return Frame(status, tuple(values), timestamp_us, temperature_c)
+    return BotaFrame(status, tuple(values), timestamp_us, temperature_c)
 
 
-def incoming() -> FrameStream[Incoming]:
+def incoming() -> FrameStream[BotaMessage]:
     """Return the decoder of what the sensor sends: frames and texts in any order."""
     return FrameStream(_take, overtake=_text_behind)
 
 
-def requests() -> FrameStream[Request]:
+def requests() -> FrameStream[BotaRequest]:
     """Return the decoder of what the sensor is sent."""
     return FrameStream(_take_request, overtake=lambda take, data, at: False)
 
 
 def _checked(text: bytes, pattern: re.Pattern[bytes]) -> bytes:
     if pattern.fullmatch(text) is None:
-        raise WireError("text", "bota command")
+        raise ProtocolError("text", "bota command")
     return text
 
 
-def _take(data: bytes, at: int) -> Step[Incoming] | None:
+def _take(data: bytes, at: int) -> FrameStep[BotaMessage] | None:
     if data[at] == HEADER:
         if len(data) - at < FRAME_BYTES:
             return None
         try:
-            return Step(FRAME_BYTES, decode_frame(data[at : at + FRAME_BYTES]))
-        except WireError:
-            return Step(1, refused=True)
+            return FrameStep(FRAME_BYTES, decode_frame(data[at : at + FRAME_BYTES]))
+        except ProtocolError:
+            return FrameStep(1, refused=True)
     return _take_text(data, at) or _wait_for_text(data, at)
 
 
-def _take_text(data: bytes, at: int) -> Step[Incoming] | None:
+def _take_text(data: bytes, at: int) -> FrameStep[BotaMessage] | None:
     if data.startswith(_BOOT, at):
-        return Step(len(_BOOT), Boot())
+        return FrameStep(len(_BOOT), Boot())
     if found := _REPLY.match(data, at):
-        return Step(len(found[0]), Reply(found[1].decode(), int(found[2])))
+        return FrameStep(len(found[0]), BotaReply(found[1].decode(), int(found[2])))
     return None
 
 
-def _wait_for_text(data: bytes, at: int) -> Step[Incoming] | None:
+def _wait_for_text(data: bytes, at: int) -> FrameStep[BotaMessage] | None:
     rest = data[at : at + len(_BOOT)]
     if _BOOT.startswith(rest) or re.fullmatch(rb"r(,(0(,([CcfR],?)?)?)?)?", rest):
         return None
     return noise_until(data, at, b"\xaarA")
 
 
-def _text_behind(take: Take[Incoming], data: bytes, at: int) -> bool:
+def _text_behind(take: TakeFrame[BotaMessage], data: bytes, at: int) -> bool:
     """Return whether a text begins behind a frame that was cut off by it."""
     return re.compile(_REPLY.pattern + b"|" + _BOOT).search(data, at) is not None
 
 
-def _take_request(data: bytes, at: int) -> Step[Request] | None:
+def _take_request(data: bytes, at: int) -> FrameStep[BotaRequest] | None:
     if found := _REQUEST.match(data, at):
         command, *arguments = found[0].decode().split(",")
-        return Step(len(found[0]), Request(command, tuple(map(int, arguments))))
+        return FrameStep(len(found[0]), BotaRequest(command, tuple(map(int, arguments))))
     if len(data) - at < _REQUEST_LONGEST and re.fullmatch(rb"[cf][0-9,]*", data[at:]):
         return None
-    return Step(1, refused=True)
+    return FrameStep(1, refused=True)

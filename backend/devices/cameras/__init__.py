@@ -6,8 +6,8 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from touchdown.backend.devices.cameras import (
-        registry,
-        system,
+        frames,
+        sources,
     )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,6 @@
-from .registry import make_tactile as make_tactile
-from .system import find_cameras as find_cameras
+from .frames import PictureFilter as PictureFilter
+from .frames import link_fault as link_fault
+from .sources import PictureSource as PictureSource
+from .sources import open_source as open_source
 
-__all__ = ["find_cameras", "make_tactile"]
+__all__ = ["PictureFilter", "PictureSource", "link_fault", "open_source"]

@@ -1,10 +1,18 @@
-"""Sources of camera images: V4L2, files, streams."""
+"""Picture sources of a camera: UVC device, pipe of JPEGs, video file.
+
+All raise ``OSError``. Only the thread that opened a source reads it. Exposure and white balance are
+locked under Linux by whichever control name the kernel has (source: ``linux/videodev2.h``; names as
+``v4l2-ctl`` prints them).
+"""
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 import select
 import stat
+import struct
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -16,17 +24,115 @@ import numpy as np
 
 from touchdown.backend.config import GelsightSettings
 from touchdown.backend.core import ImageArray
-from touchdown.backend.devices.cameras.system import lock_controls
-from touchdown.backend.devices.gelsight import JpegStream
+from touchdown.backend.devices.cameras.frames import JpegStream
+
+QUERY, GET, SET = 0xC0445624, 0xC008561B, 0xC008561C
+"""VIDIOC_QUERYCTRL, VIDIOC_G_CTRL, VIDIOC_S_CTRL."""
+NEXT = 0x8000_0000
+DISABLED, CLASS_TYPE = 0x1, 6
+MOST = 256
+"""Controls of one camera; no driver has as many."""
+V4L2_MANUAL_EXPOSURE = 1
+_INFO = struct.Struct("<II32s4iI8x")
+_VALUE = struct.Struct("<Ii")
+
+IoctlFunction = Callable[[int, int, bytes], bytes]
+"""``ioctl`` of one file: (file, request, content) -> content."""
+
+
+def lock_controls(
+    path: Path, settings: GelsightSettings, ask: IoctlFunction | None = None
+) -> Mapping[str, float]:
+    """Switch the automatics off, set exposure and white balance; return what was read back.
+
+    A control that the camera lacks is left out of the answer; nothing is raised, and nothing
+    answered where the system is another one.
+    """
+    ask = ask or _ioctl()
+    if ask is None:
+        return {}
+    try:
+        file = os.open(path, os.O_RDWR | getattr(os, "O_NONBLOCK", 0))
+    except OSError:
+        return {}
+    try:
+        known = find_controls(file, ask)
+        told = {
+            key: _set(file, ask, known, settings.control_names[key], value)
+            for key, value in _wanted(settings).items()
+            if key in settings.control_names
+        }
+    except OSError:
+        return {}
+    finally:
+        os.close(file)
+    return {key: value for key, value in told.items() if value is not None}
+
+
+def find_controls(file: int, ask: IoctlFunction) -> Mapping[str, int]:
+    """Return the id of each control that can be used, by name."""
+    found: dict[str, int] = {}
+    last = 0
+    for _ in range(MOST):
+        try:
+            content = ask(file, QUERY, _INFO.pack(last | NEXT, 0, b"", 0, 0, 0, 0, 0))
+        except OSError as error:
+            if error.errno == errno.EINVAL:  # there is no further one
+                break
+            raise
+        last, kind, name, _, _, _, _, flags = _INFO.unpack(content)
+        if kind != CLASS_TYPE and not flags & DISABLED:
+            found[plain_name(name.partition(b"\0")[0].decode("utf-8", "replace"))] = last
+    return found
+
+
+def plain_name(title: str) -> str:
+    """Return "Exposure Time, Absolute" as "exposure_time_absolute"."""
+    return "_".join(re.findall(r"[a-z0-9]+", title.lower()))
+
+
+def _wanted(settings: GelsightSettings) -> Mapping[str, int]:
+    """Return the values by key; automatics first, they would bar the others."""
+    return {
+        "white_balance_auto": 0,
+        "exposure_auto": V4L2_MANUAL_EXPOSURE,
+        "exposure_priority": 0,
+        "exposure": round(settings.exposure),
+        "white_balance": round(settings.white_balance),
+    }
+
+
+def _set(
+    file: int, ask: IoctlFunction, known: Mapping[str, int], names: tuple[str, ...], value: int
+) -> float | None:
+    """Set the first of ``names`` that exists and return what it is then."""
+    control = next((known[name] for name in names if name in known), None)
+    if control is None:
+        return None
+    try:
+        ask(file, SET, _VALUE.pack(control, value))
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ERANGE, errno.EACCES, errno.EBUSY):
+            raise
+    return float(_VALUE.unpack(ask(file, GET, _VALUE.pack(control, 0)))[1])
+
+
+def _ioctl() -> IoctlFunction | None:
+    try:
+        import fcntl
+    except ImportError:
+        return None
+    return fcntl.ioctl
+
 
 CHUNK = 1 << 16
 DEFAULT_RATE_HZ = 25.0
 IDLE_S = 0.01
-MANUAL_EXPOSURE = 1.0
+OPENCV_MANUAL_EXPOSURE = 1.0
 _FOURCC = cv2.VideoWriter.fourcc(*"MJPG")
 
 
-class Source(Protocol):
+class PictureSource(Protocol):
     """An open camera; ``lost``: pictures that came damaged or were overtaken by a newer one."""
 
     lost: int
@@ -61,7 +167,7 @@ class UvcSource:
             "width_px": (cv2.CAP_PROP_FRAME_WIDTH, settings.width_px),
             "height_px": (cv2.CAP_PROP_FRAME_HEIGHT, settings.height_px),
             "buffer_size": (cv2.CAP_PROP_BUFFERSIZE, settings.buffer_size),
-            "exposure_auto": (cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL_EXPOSURE),
+            "exposure_auto": (cv2.CAP_PROP_AUTO_EXPOSURE, OPENCV_MANUAL_EXPOSURE),
             "exposure": (cv2.CAP_PROP_EXPOSURE, settings.exposure),
             "white_balance_auto": (cv2.CAP_PROP_AUTO_WB, 0.0),
             "white_balance": (cv2.CAP_PROP_WB_TEMPERATURE, settings.white_balance),
@@ -162,7 +268,7 @@ class FileSource:
         self._capture.release()
 
 
-def open_source(path: Path, settings: GelsightSettings) -> Source:
+def open_source(path: Path, settings: GelsightSettings) -> PictureSource:
     """Open what ``path`` is: a pipe, a device, or a video file."""
     mode = path.stat().st_mode
     if stat.S_ISFIFO(mode):

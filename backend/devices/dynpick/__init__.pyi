@@ -1,7 +1,7 @@
-from .driver import DynpickLanguage as DynpickLanguage
+from .driver import DynpickDriver as DynpickDriver
 from .emulator import EmulatedDynpick as EmulatedDynpick
-from .protocol import Command as Command
-from .protocol import Record as Record
+from .protocol import DynpickCommand as DynpickCommand
+from .protocol import DynpickRecord as DynpickRecord
 from .protocol import records as records
 
-__all__ = ["Command", "DynpickLanguage", "EmulatedDynpick", "Record", "records"]
+__all__ = ["DynpickCommand", "DynpickDriver", "DynpickRecord", "EmulatedDynpick", "records"]

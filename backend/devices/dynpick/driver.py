@@ -1,4 +1,7 @@
-"""Driver of a DynPick sensor."""
+"""Driver of WACOH-TECH Dynpick sensors.
+
+Detects losses, single leaps and readings at the ends of the range.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,18 @@ from touchdown.backend.devices.dynpick import protocol
 from touchdown.backend.devices.dynpick.protocol import (
     END,
     ZERO_COUNT,
-    Command,
-    Record,
+    DynpickCommand,
+    DynpickRecord,
     decode_sensitivity,
 )
-from touchdown.backend.devices.force_torque import Greeting, Link, Reading, Refusals, listen, pause
+from touchdown.backend.devices.force_torque import (
+    FrameErrors,
+    SensorDescription,
+    SensorLink,
+    WrenchReading,
+    listen,
+    pause,
+)
 from touchdown.backend.devices.protocols import Identity
 
 PERIOD_S = 0.001
@@ -23,7 +33,7 @@ ANSWER_S = 0.3
 LONGEST_ANSWER = 60
 
 
-class DynpickLanguage:
+class DynpickDriver:
     """The sensor has no checksum: one sample that leaps by more than ``max_step`` is left out.
 
     If the next agrees with it, the load really changed.
@@ -36,16 +46,16 @@ class DynpickLanguage:
         self._settings, self._address = settings.dynpick, address
         self._sensitivity: tuple[float, ...] = settings.dynpick.sensitivity
         self._decoder = protocol.records()
-        self._last: Record | None = None
-        self._kept: Record | None = None
+        self._last: DynpickRecord | None = None
+        self._kept: DynpickRecord | None = None
         self._missed = 0
 
-    def start(self, link: Link, cancel: threading.Event) -> Greeting:
+    def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
         """Stop an old stream, ask for the sensitivities (older types do not tell), start."""
-        link.write(Command.STOP.value)
+        link.write(DynpickCommand.STOP.value)
         pause(cancel, SETTLE_S)
         link.drain()
-        link.write(Command.SENSITIVITY.value)
+        link.write(DynpickCommand.SENSITIVITY.value)
         heard = bytearray()
 
         def whole(data: bytes) -> bytes | None:
@@ -54,26 +64,28 @@ class DynpickLanguage:
 
         if listen(link, cancel, ANSWER_S, whole) or heard:
             self._sensitivity = decode_sensitivity(bytes(heard))
-        link.write(Command.FILTER_1.value + Command.START.value)
+        link.write(DynpickCommand.FILTER_1.value + DynpickCommand.START.value)
         rated = tuple(ZERO_COUNT / per_unit for per_unit in self._sensitivity)
         # The sensor tells no number, so the port stands for it.
-        return Greeting(Identity("WACOH-TECH", "Dynpick", self._address, ""), rated, PERIOD_S)
+        return SensorDescription(
+            Identity("WACOH-TECH", "Dynpick", self._address, ""), rated, PERIOD_S
+        )
 
-    def take(self, data: bytes) -> list[Reading]:
+    def take(self, data: bytes) -> list[WrenchReading]:
         """Return the plausible samples."""
         return [self._reading(r) for r in self._decoder.feed(data) if self._plausible(r)]
 
     @property
-    def refusals(self) -> Refusals:
+    def refusals(self) -> FrameErrors:
         """Records that were none."""
         decoder = self._decoder
-        return Refusals(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
+        return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
 
-    def stop(self, link: Link) -> None:
+    def stop(self, link: SensorLink) -> None:
         """End the stream."""
-        link.write(Command.STOP.value)
+        link.write(DynpickCommand.STOP.value)
 
-    def _plausible(self, record: Record) -> bool:
+    def _plausible(self, record: DynpickRecord) -> bool:
         last, self._last = self._last, record
         if last is not None:
             gap = (record.tick - last.tick - self._settings.tick_step) % 10
@@ -85,12 +97,12 @@ class DynpickLanguage:
         self._kept = record
         return True
 
-    def _near(self, first: Record, second: Record) -> bool:
+    def _near(self, first: DynpickRecord, second: DynpickRecord) -> bool:
         leap: int = max(map(abs, map(sub, first.counts, second.counts)))
         return leap <= self._settings.max_step
 
-    def _reading(self, record: Record) -> Reading:
+    def _reading(self, record: DynpickRecord) -> WrenchReading:
         missed, self._missed = self._missed, 0
         low, high = self._settings.saturation
         overload = min(record.counts) <= low or max(record.counts) >= high
-        return Reading(record.wrench(self._sensitivity), missed, overload)
+        return WrenchReading(record.wrench(self._sensitivity), missed, overload)

@@ -1,17 +1,30 @@
-"""Emulated DynPick sensor."""
+"""Emulated Dynpick sensor.
+
+Commands in, records out: a function of time and bytes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
 from touchdown.backend.devices.dynpick import protocol
-from touchdown.backend.devices.dynpick.protocol import TOP_COUNT, ZERO_COUNT, Command, Record
-from touchdown.backend.emulation import Pace
+from touchdown.backend.devices.dynpick.protocol import (
+    TOP_COUNT,
+    ZERO_COUNT,
+    DynpickCommand,
+    DynpickRecord,
+)
+from touchdown.backend.emulation import SampleSchedule
 
 RATE_HZ = 1000.0
 SENSITIVITY = (65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75)
 VERSION = b"Touchdown emulated Dynpick\r\n"
-_DIVIDERS = {Command.FILTER_1: 1, Command.FILTER_2: 2, Command.FILTER_4: 4, Command.FILTER_8: 8}
+_DIVIDERS = {
+    DynpickCommand.FILTER_1: 1,
+    DynpickCommand.FILTER_2: 2,
+    DynpickCommand.FILTER_4: 4,
+    DynpickCommand.FILTER_8: 8,
+}
 
 
 class EmulatedDynpick:
@@ -33,7 +46,7 @@ class EmulatedDynpick:
         self._commands = protocol.command_stream()
         self._offset: tuple[int, ...] = (0,) * 6
         self._divider, self._tick = 1, 0
-        self.pace = Pace()
+        self.pace = SampleSchedule()
 
     @property
     def streaming(self) -> bool:
@@ -53,28 +66,28 @@ class EmulatedDynpick:
     def closed(self, now_s: float) -> None:
         """Nothing: a sensor on a serial line does not notice."""
 
-    def _answer(self, now_s: float, command: Command) -> bytes:
+    def _answer(self, now_s: float, command: DynpickCommand) -> bytes:
         match command:
-            case Command.READ:
+            case DynpickCommand.READ:
                 return self._record(now_s)
-            case Command.SENSITIVITY if self._tells_sensitivity:
+            case DynpickCommand.SENSITIVITY if self._tells_sensitivity:
                 return protocol.encode_sensitivity(self._sensitivity)
-            case Command.TEMPERATURE:
+            case DynpickCommand.TEMPERATURE:
                 return protocol.encode_temperature(self._temperature_c)
-            case Command.VERSION:
+            case DynpickCommand.VERSION:
                 return VERSION
-            case Command.FILTER_QUERY:
+            case DynpickCommand.FILTER_QUERY:
                 return protocol.encode_filter(self._divider)
         self._change(now_s, command)
         return b""
 
-    def _change(self, now_s: float, command: Command) -> None:
+    def _change(self, now_s: float, command: DynpickCommand) -> None:
         match command:
-            case Command.START:
+            case DynpickCommand.START:
                 self.pace.begin(now_s, self._divider / RATE_HZ)
-            case Command.STOP:
+            case DynpickCommand.STOP:
                 self.pace.end()
-            case Command.OFFSET_RESET:
+            case DynpickCommand.OFFSET_RESET:
                 self._offset = self._counts(now_s)
             case _ if command in _DIVIDERS:
                 self._divider = _DIVIDERS[command]
@@ -88,6 +101,6 @@ class EmulatedDynpick:
     def _record(self, now_s: float) -> bytes:
         pairs = zip(self._counts(now_s), self._offset, strict=True)
         counts = tuple(min(max(ZERO_COUNT + c - o, 0), TOP_COUNT) for c, o in pairs)
-        record = Record(self._tick, counts)
+        record = DynpickRecord(self._tick, counts)
         self._tick = (self._tick + 1) % 10
         return protocol.encode_record(record)

@@ -1,4 +1,8 @@
-"""DynPick text protocol."""
+"""Byte protocol of WACOH-TECH Dynpick sensors.
+
+ASCII records of 27 bytes without a checksum. Source: vendor protocol as in the public drivers
+tork-a/dynpick_driver and Amelia10007/dynpick-force-torque-sensor-rs.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from touchdown.backend.devices.framing import FrameStream, Step, WireError, Wrench, wrench_of
+from touchdown.backend.devices.framing import (
+    FrameStep,
+    FrameStream,
+    ProtocolError,
+    Wrench,
+    wrench_of,
+)
 
 ZERO_COUNT, TOP_COUNT = 0x2000, 0x3FFF
 """Counts of no load and of the upper end; the lower end is 0."""
@@ -18,7 +28,7 @@ _DIGITS = re.compile(rb"[0-9][0-9A-F]{24}")
 _COUNTS = struct.Struct(">6H")
 
 
-class Command(Enum):
+class DynpickCommand(Enum):
     """What may be sent; no terminator."""
 
     READ = b"R"
@@ -36,7 +46,7 @@ class Command(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class DynpickRecord:
     """One sample: ``tick`` 0 to 9, six counts of 14 bits (forces first)."""
 
     tick: int
@@ -48,56 +58,56 @@ class Record:
         return wrench_of([(count - ZERO_COUNT) / per_unit for count, per_unit in pairs])
 
 
-def encode_record(record: Record) -> bytes:
+def encode_record(record: DynpickRecord) -> bytes:
     """Return the 27 bytes."""
     if not 0 <= record.tick <= 9 or len(record.counts) != 6:
-        raise WireError("range", "dynpick record")
+        raise ProtocolError("range", "dynpick record")
     if not (min(record.counts) >= 0 and max(record.counts) <= TOP_COUNT):
-        raise WireError("range", "dynpick record", 1)
+        raise ProtocolError("range", "dynpick record", 1)
     return b"%d%04X%04X%04X%04X%04X%04X\r\n" % (record.tick, *record.counts)
 
 
-def decode_record(data: bytes) -> Record:
+def decode_record(data: bytes) -> DynpickRecord:
     """Return the record of exactly 27 bytes; raises ``WireError``."""
     if len(data) != RECORD_BYTES or data[-2:] != END:
-        raise WireError("length", "dynpick record", min(len(data), RECORD_BYTES))
+        raise ProtocolError("length", "dynpick record", min(len(data), RECORD_BYTES))
     if _DIGITS.match(data) is None:
         bad = re.search(rb"[^0-9A-F]", data[:-2])
-        raise WireError("digit", "dynpick record", bad.start() if bad else 0)
+        raise ProtocolError("digit", "dynpick record", bad.start() if bad else 0)
     counts = _COUNTS.unpack(bytes.fromhex(data[1:25].decode("ascii")))
     if max(counts) > TOP_COUNT:
-        raise WireError("range", "dynpick record", 1)
-    return Record(data[0] - ord("0"), counts)
+        raise ProtocolError("range", "dynpick record", 1)
+    return DynpickRecord(data[0] - ord("0"), counts)
 
 
-def _take(data: bytes, at: int) -> Step[Record] | None:
+def _take(data: bytes, at: int) -> FrameStep[DynpickRecord] | None:
     end = data.find(END, at)
     if end < 0:
         surplus = len(data) - at - RECORD_BYTES
-        return Step(surplus, refused=True) if surplus > RECORD_BYTES else None
+        return FrameStep(surplus, refused=True) if surplus > RECORD_BYTES else None
     length = end + 2 - at
     try:
-        return Step(length, decode_record(data[at : end + 2]))
-    except WireError:
-        return Step(length, refused=True)
+        return FrameStep(length, decode_record(data[at : end + 2]))
+    except ProtocolError:
+        return FrameStep(length, refused=True)
 
 
-def records() -> FrameStream[Record]:
+def records() -> FrameStream[DynpickRecord]:
     """Return a decoder of a stream of records; a line that is not one is counted and left out."""
     return FrameStream(_take, overtake=lambda take, data, at: False)
 
 
-def command_stream() -> FrameStream[Command]:
+def command_stream() -> FrameStream[DynpickCommand]:
     """Return the decoder of what a sensor is sent."""
     return FrameStream(_take_command, overtake=lambda take, data, at: False)
 
 
-def _take_command(data: bytes, at: int) -> Step[Command] | None:
-    for command in Command:
+def _take_command(data: bytes, at: int) -> FrameStep[DynpickCommand] | None:
+    for command in DynpickCommand:
         if data.startswith(command.value, at):
-            return Step(len(command.value), command)
+            return FrameStep(len(command.value), command)
     digit = data[at : at + 1] in (b"0", b"1", b"2", b"4", b"8")
-    return None if digit and at + 1 == len(data) else Step(1, refused=True)
+    return None if digit and at + 1 == len(data) else FrameStep(1, refused=True)
 
 
 def encode_sensitivity(sensitivity: Sequence[float]) -> bytes:
@@ -111,10 +121,10 @@ def decode_sensitivity(data: bytes) -> tuple[float, ...]:
     number = rb"([0-9]{1,5}(?:\.[0-9]{1,4})?)"
     found = re.fullmatch(rb",".join([number] * 6) + rb"\r\n", data)
     if found is None:
-        raise WireError("text", "dynpick sensitivity")
+        raise ProtocolError("text", "dynpick sensitivity")
     values = tuple(float(text) for text in found.groups())
     if min(values) <= 0:
-        raise WireError("range", "dynpick sensitivity")
+        raise ProtocolError("range", "dynpick sensitivity")
     return values
 
 
@@ -122,28 +132,28 @@ def encode_temperature(temperature_c: float) -> bytes:
     """Return the answer to ``T``; sixteenths of a degree."""
     count = round(temperature_c * 16)
     if not 0 <= count <= 0xFFFF:
-        raise WireError("range", "dynpick temperature")
+        raise ProtocolError("range", "dynpick temperature")
     return b"%04X\r\n" % count
 
 
 def decode_temperature(data: bytes) -> float:
     """Return degrees Celsius."""
     if re.fullmatch(rb"[0-9A-F]{4}\r\n", data) is None:
-        raise WireError("digit", "dynpick temperature")
+        raise ProtocolError("digit", "dynpick temperature")
     return int(data[:4], 16) / 16
 
 
 def encode_filter(divider: int) -> bytes:
     """Return the answer to ``0F``."""
     if divider not in (1, 2, 4, 8):
-        raise WireError("range", "dynpick filter")
+        raise ProtocolError("range", "dynpick filter")
     return b"%dF\r" % divider
 
 
 def decode_filter(data: bytes) -> int:
     """Return the divider 1, 2, 4 or 8; the third byte is not documented and may be any."""
     if len(data) != 3:
-        raise WireError("length", "dynpick filter", min(len(data), 3))
+        raise ProtocolError("length", "dynpick filter", min(len(data), 3))
     if data[:1] not in (b"1", b"2", b"4", b"8"):
-        raise WireError("digit", "dynpick filter")
+        raise ProtocolError("digit", "dynpick filter")
     return int(data[:1])

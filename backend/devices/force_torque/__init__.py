@@ -6,8 +6,7 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from touchdown.backend.devices.force_torque import (
-        links,
-        protocol,
+        driver,
         reader,
     )
 

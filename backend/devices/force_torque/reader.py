@@ -1,4 +1,10 @@
-"""Reader thread of a wrist sensor."""
+"""Reader of wrist-sensor samples on a thread of its own.
+
+Samples become stamped wrenches in tool axes; an invalid one is NaN. Stamps follow the sensor's own
+count: a sensor samples evenly, while adapters and networks deliver late and in bursts. The line of
+least delay under all (number, arrival) pairs is the time of the samples, up to the delay of the
+quickest arrival.
+"""
 
 from __future__ import annotations
 
@@ -7,23 +13,176 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
+from dataclasses import dataclass
 
 import numpy as np
 
 from touchdown.backend.config import ForceTorqueSettings
 from touchdown.backend.core import Fault, FaultError, FloatArray, SampleStream
-from touchdown.backend.devices.force_torque.links import Link
-from touchdown.backend.devices.force_torque.protocol import (
-    Greeting,
-    Language,
+from touchdown.backend.devices.force_torque.driver import (
     NotAnsweredError,
-    Reading,
+    SensorDescription,
+    SensorLink,
+    WrenchDriver,
+    WrenchReading,
 )
-from touchdown.backend.devices.force_torque.sample_clock import SampleClock
-from touchdown.backend.devices.framing import NO_WRENCH, WireError, Wrench
-from touchdown.backend.devices.protocols import DeviceState, Health, Identity, Steps
-from touchdown.backend.devices.registry import who_answers
-from touchdown.backend.devices.supervision import Arrivals
+from touchdown.backend.devices.framing import NO_WRENCH, ProtocolError, Wrench
+from touchdown.backend.devices.identification import identify_device
+from touchdown.backend.devices.protocols import ConnectionSteps, DeviceState, Health, Identity
+from touchdown.backend.devices.supervision import ArrivalMonitor
+
+CHUNK_S = 0.25
+"""Of so many seconds of samples only the promptest arrival is kept."""
+CHUNKS = 40
+FIT_S = 2.0
+"""Before there are so many seconds the sensor's nominal period holds."""
+MOST_OFF = 0.1
+"""The period of a sensor is not farther from its nominal one than this share."""
+LATE_FOR_S = 0.5
+"""Arrivals that are late for so long, evenly, follow samples that nobody counted as missing."""
+
+EARLY_S = 0.1
+"""What comes so much before its time follows a count that has leapt: the line begins anew."""
+
+LEAST_LATE = 20
+"""Fewer late samples than these say nothing."""
+SLOW_FOR_S, LEAST_SLOW = 0.1, 4
+"""So long, and with so many samples, the pace of what is ever later tells that it is another."""
+OTHER_RATE = 1.5
+"""Samples that come this much slower are those of a sensor that was set to another rate."""
+
+
+@dataclass(slots=True)
+class _LatePeriod:
+    """Since when nothing arrived in time: first arrival and number, and the least delay."""
+
+    first_s: float
+    first_number: int
+    least_s: float
+
+
+class SampleClock:
+    """Of one connection; ``late_s``: a delay up to this is the way of the wire, and no loss."""
+
+    def __init__(self, period_s: float, late_s: float) -> None:
+        self._nominal_s, self._late_s = period_s, max(late_s, 3.0 * period_s)
+        self._usual_s = period_s
+        self._period_s, self._offset_s = period_s, 0.0
+        self._chunks: deque[tuple[int, float]] = deque(maxlen=CHUNKS)
+        self._chunk = -1
+        self._late: _LatePeriod | None = None
+
+    @property
+    def period_s(self) -> float:
+        """The period of the sensor as fitted, or the nominal one."""
+        return self._period_s
+
+    def taken_s(self, numbers: FloatArray) -> FloatArray:
+        """Return when the samples (n,) with these numbers were taken."""
+        return np.asarray(self._offset_s + self._period_s * numbers)
+
+    def feed(self, arrival_s: float, number: int) -> int:
+        """Take the newest sample of a read; return how many must be missing that nobody counted."""
+        if not self._chunks:
+            self._offset_s = arrival_s - self._period_s * number
+        self._keep(arrival_s, number)
+        delay_s = arrival_s - self._taken_s(number)
+        if delay_s < 0.0:
+            self._offset_s += delay_s
+        if delay_s < -EARLY_S:
+            self._chunks.clear()
+            self._chunks.append((number, arrival_s))
+        if delay_s <= self._late_s:
+            self._late = None
+            return 0
+        return self._step(arrival_s, number, delay_s)
+
+    def _taken_s(self, number: int) -> float:
+        return self._offset_s + self._period_s * number
+
+    def _keep(self, arrival_s: float, number: int) -> None:
+        """Keep the promptest arrival of each chunk; fit anew when one is whole."""
+        chunk = int(number * self._nominal_s / CHUNK_S)
+        if chunk != self._chunk:
+            if self._chunks:
+                self._fit()
+            self._chunk = chunk
+            self._chunks.append((number, arrival_s))
+        elif arrival_s - self._period_s * number < self._kept_s():
+            self._chunks[-1] = (number, arrival_s)
+
+    def _kept_s(self) -> float:
+        number, arrival_s = self._chunks[-1]
+        return arrival_s - self._period_s * number
+
+    def _fit(self) -> None:
+        """Lay the line under all arrivals that is nearest to them: one edge of their hull."""
+        numbers, arrivals_s = map(np.array, zip(*self._chunks, strict=True))
+        if (numbers[-1] - numbers[0]) * self._nominal_s >= FIT_S:
+            fitted_s = _edge(numbers, arrivals_s)
+            if OTHER_RATE * fitted_s < self._nominal_s:
+                # It was slow for a while, and is no longer: the line begins anew.
+                self._nominal_s = self._period_s = self._usual_s
+                self._offset_s = float(arrivals_s[-1] - self._usual_s * numbers[-1])
+                self._chunks.clear()
+                return
+            most_s = MOST_OFF * self._nominal_s
+            self._period_s = float(
+                np.clip(fitted_s, self._nominal_s - most_s, self._nominal_s + most_s)
+            )
+        self._offset_s = float((arrivals_s - self._period_s * numbers).min())
+
+    def _step(self, arrival_s: float, number: int, delay_s: float) -> int:
+        """Move the line once nothing came in time for long: what was lost is a gap in time."""
+        late = self._late
+        if late is None:
+            self._late = _LatePeriod(arrival_s, number, delay_s)
+            return 0
+        late.least_s = min(late.least_s, delay_s)
+        span_s = self._period_s * (number - late.first_number)
+        waited_s = arrival_s - late.first_s
+        if waited_s >= SLOW_FOR_S and number - late.first_number >= LEAST_SLOW:
+            told_s = waited_s / (number - late.first_number)
+            if told_s > OTHER_RATE * self._nominal_s:
+                self._begin(arrival_s, number, told_s)
+                return 0
+        drained = span_s < 0.5 * LATE_FOR_S and number - late.first_number < LEAST_LATE
+        if waited_s < LATE_FOR_S or drained:
+            return 0
+        self._late = None
+        self._chunks.clear()
+        self._offset_s += late.least_s
+        self._chunks.append((number, self._taken_s(number)))
+        return round(late.least_s / self._period_s)
+
+    def _begin(self, arrival_s: float, number: int, period_s: float) -> None:
+        """Begin the line anew, with another period."""
+        self._late = None
+        self._chunks.clear()
+        self._nominal_s = self._period_s = period_s
+        self._offset_s = arrival_s - period_s * number
+        self._chunks.append((number, arrival_s))
+
+
+def _edge(numbers: FloatArray, arrivals_s: FloatArray) -> float:
+    """Return the slope of the lower hull where it passes under the mean of ``numbers``."""
+    hull: list[int] = []
+    for i in range(len(numbers)):
+        while len(hull) > 1 and _above(numbers, arrivals_s, (hull[-2], hull[-1], i)):
+            hull.pop()
+        hull.append(i)
+    right = next(k for k in range(1, len(hull)) if numbers[hull[k]] >= numbers.mean())
+    a, b = hull[right - 1], hull[right]
+    return float((arrivals_s[b] - arrivals_s[a]) / (numbers[b] - numbers[a]))
+
+
+def _above(numbers: FloatArray, arrivals_s: FloatArray, three: tuple[int, int, int]) -> bool:
+    """Whether the middle one is on or above the line through the other two."""
+    a, b, c = three
+    left = (arrivals_s[b] - arrivals_s[a]) * (numbers[c] - numbers[a])
+    right = (arrivals_s[c] - arrivals_s[a]) * (numbers[b] - numbers[a])
+    return bool(left >= right)
+
 
 LEAST_S = 1e-6
 """Stamps rise by at least this much."""
@@ -31,7 +190,7 @@ LATE_S = 0.01
 """A delay of the wire up to this is no loss, if nobody says otherwise."""
 
 
-class Readout:
+class WrenchStamper:
     """Counts what is missing and notices a stuck sensor; the caller owns the clock.
 
     ``late_s``: how late the wire may be without a loss. ``numbered``: the sensor's own count shows
@@ -66,7 +225,7 @@ class Readout:
         return self._equal + 1 >= self._settings.stuck_after
 
     def accept(
-        self, arrival_s: float, readings: Sequence[Reading]
+        self, arrival_s: float, readings: Sequence[WrenchReading]
     ) -> tuple[FloatArray, FloatArray]:
         """Return stamps (n,) and wrenches (n, 6), N and N·m in tool axes.
 
@@ -77,7 +236,7 @@ class Readout:
         values = (told.reshape(-1, 2, 3) @ self._turn.T).reshape(-1, 6)
         return self._stamps(arrival_s - 1e-3 * self._settings.latency_ms, readings), values
 
-    def _valid(self, reading: Reading) -> Wrench:
+    def _valid(self, reading: WrenchReading) -> Wrench:
         """Return what a reading says in axes of the sensor, NaN where that is no measurement."""
         self.lost += reading.missed
         self.overload |= reading.overload
@@ -87,7 +246,7 @@ class Readout:
         valid = not (reading.overload or reading.trouble or self.stuck)
         return reading.wrench if valid else NO_WRENCH
 
-    def _stamps(self, arrival_s: float, readings: Sequence[Reading]) -> FloatArray:
+    def _stamps(self, arrival_s: float, readings: Sequence[WrenchReading]) -> FloatArray:
         if not readings:
             return np.empty(0)
         numbers = self._number + np.cumsum([reading.missed + 1 for reading in readings])
@@ -154,7 +313,7 @@ BAD_LIMIT = 20
 RATE_WINDOW_S = 1.0
 STALE_S = 0.1
 CAPACITY = 32_768
-WIRE_TROUBLE = (OSError, WireError, NotAnsweredError)
+WIRE_TROUBLE = (OSError, ProtocolError, NotAnsweredError)
 
 
 class ForceTorqueReader:
@@ -167,8 +326,8 @@ class ForceTorqueReader:
 
     def __init__(
         self,
-        language: Callable[[], Language],
-        open_link: Callable[[Language], Link],
+        language: Callable[[], WrenchDriver],
+        open_link: Callable[[WrenchDriver], SensorLink],
         settings: ForceTorqueSettings,
         now_s: Callable[[], float],
         samples: SampleStream | None = None,
@@ -181,13 +340,13 @@ class ForceTorqueReader:
         self._thread: threading.Thread | None = None
         self._stop, self._first = threading.Event(), threading.Event()
         self._lock = threading.Lock()
-        self.steps = Steps()
+        self.steps = ConnectionSteps()
         self._state = DeviceState.CLOSED
-        self._greeting: Greeting | None = None
-        self._readout = Readout(settings, 1.0)
+        self._greeting: SensorDescription | None = None
+        self._readout = WrenchStamper(settings, 1.0)
         self._received = self._resynchronised = 0
         self._arrivals: deque[tuple[float, int]] = deque(maxlen=8192)
-        self._pace = Arrivals(1.0)
+        self._pace = ArrivalMonitor(1.0)
         self.fault: Fault | None = None
 
     @property
@@ -293,12 +452,12 @@ class ForceTorqueReader:
     def _stranger(self) -> str:
         """Return a sentence if another device answers in the place of the sensor."""
         with suppress(OSError), closing(self._open_link(self._new_language())) as link:
-            stranger = who_answers(link.write, link.read, self._settings.driver)
+            stranger = identify_device(link.write, link.read, self._settings.driver)
             wanted = f"a force/torque sensor (ft.driver is {self._settings.driver})"
             return f"This is {stranger}, expected {wanted}." if stranger else ""
         return ""
 
-    def _begin(self, cancel: threading.Event) -> tuple[Link, Language]:
+    def _begin(self, cancel: threading.Event) -> tuple[SensorLink, WrenchDriver]:
         """Open the link and start the sensor; the link is closed again if that fails."""
         language = self._new_language()
         try:
@@ -323,7 +482,7 @@ class ForceTorqueReader:
             raise
         return link, language
 
-    def _start(self, link: Link, language: Language) -> None:
+    def _start(self, link: SensorLink, language: WrenchDriver) -> None:
         self._forget()
         self._thread = threading.Thread(
             target=self._read, args=(link, language), name=self.name, daemon=True
@@ -334,14 +493,14 @@ class ForceTorqueReader:
         """Begin to count and to stamp anew."""
         period_s = self._greeting.period_s if self._greeting else 1.0
         numbered = self._greeting is not None and self._greeting.numbered
-        self._readout = Readout(self._settings, period_s, self._late_s, numbered=numbered)
+        self._readout = WrenchStamper(self._settings, period_s, self._late_s, numbered=numbered)
         self._stop.clear()
         self._first.clear()
         self._received = self._resynchronised = 0
         self._arrivals.clear()
-        self._pace = Arrivals(period_s)
+        self._pace = ArrivalMonitor(period_s)
 
-    def _read(self, link: Link, language: Language) -> None:
+    def _read(self, link: SensorLink, language: WrenchDriver) -> None:
         """Own the link until told to stop or it is lost; leave a silent sensor behind."""
         good_s, discarded = self._now_s(), language.refusals.discarded
         try:
@@ -365,7 +524,7 @@ class ForceTorqueReader:
         finally:
             link.close()
 
-    def _deliver(self, language: Language, now_s: float, data: bytes) -> bool:
+    def _deliver(self, language: WrenchDriver, now_s: float, data: bytes) -> bool:
         readout = self._readout
         stamps, values = readout.accept(now_s, language.take(data))
         if not len(stamps):

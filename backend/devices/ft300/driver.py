@@ -1,11 +1,21 @@
-"""Driver of a Robotiq FT 300."""
+"""Driver of Robotiq FT300 sensors.
+
+Modbus until the stream starts; 50 bytes of FFh end it.
+"""
 
 from __future__ import annotations
 
 import threading
 
 from touchdown.backend.config import HardwareSettings
-from touchdown.backend.devices.force_torque import Greeting, Link, Reading, Refusals, ask, pause
+from touchdown.backend.devices.force_torque import (
+    FrameErrors,
+    SensorDescription,
+    SensorLink,
+    WrenchReading,
+    ask,
+    pause,
+)
 from touchdown.backend.devices.ft300 import protocol
 from touchdown.backend.devices.ft300.protocol import (
     FIRMWARE_REGISTER,
@@ -13,12 +23,12 @@ from touchdown.backend.devices.ft300.protocol import (
     SERIAL_REGISTER,
     STREAM_ON,
     STREAM_REGISTER,
+    Ft300Sample,
+    ModbusWritten,
     Read,
     Registers,
-    Sample,
-    Stop,
+    StreamStop,
     WriteMany,
-    Written,
 )
 from touchdown.backend.devices.protocols import Identity
 
@@ -28,7 +38,7 @@ PAUSE_S = 0.5
 SERIAL_WORDS, FIRMWARE_WORDS = 4, 3
 
 
-class Ft300Language:
+class Ft300Driver:
     """The stream carries no number: a frame that was refused counts as one sample lost."""
 
     baud = 19_200
@@ -39,7 +49,7 @@ class Ft300Language:
         self._decoder = protocol.incoming()
         self._seen_bad = 0
 
-    def start(self, link: Link, cancel: threading.Event) -> Greeting:
+    def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
         """End a stream that may still run, read number and firmware, start the stream."""
         self.stop(link)
         pause(cancel, PAUSE_S)
@@ -50,36 +60,36 @@ class Ft300Language:
         request = protocol.encode(WriteMany(STREAM_REGISTER, (STREAM_ON,)))
         ask(link, cancel, request, self._started, limit_s=0.5)
         self._seen_bad = self._decoder.bad_frames
-        return Greeting(Identity("Robotiq", "FT300", serial, firmware), RATED, PERIOD_S)
+        return SensorDescription(Identity("Robotiq", "FT300", serial, firmware), RATED, PERIOD_S)
 
-    def take(self, data: bytes) -> list[Reading]:
+    def take(self, data: bytes) -> list[WrenchReading]:
         """Return the samples of the stream."""
         readings = []
         for message in self._decoder.feed(data):
-            if isinstance(message, Sample):
+            if isinstance(message, Ft300Sample):
                 missed = self._decoder.bad_frames - self._seen_bad
                 self._seen_bad = self._decoder.bad_frames
                 overload = any(
                     abs(value) >= rated for value, rated in zip(_flat(message), RATED, strict=True)
                 )
-                readings.append(Reading(message.wrench(), missed, overload))
+                readings.append(WrenchReading(message.wrench(), missed, overload))
         return readings
 
     @property
-    def refusals(self) -> Refusals:
+    def refusals(self) -> FrameErrors:
         """Frames that were none."""
         decoder = self._decoder
-        return Refusals(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
+        return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
 
-    def stop(self, link: Link) -> None:
+    def stop(self, link: SensorLink) -> None:
         """End the stream; the next start would find a streaming sensor else."""
-        link.write(protocol.encode(Stop()))
+        link.write(protocol.encode(StreamStop()))
 
     def _started(self, data: bytes) -> bool | None:
         messages = self._decoder.feed(data)
-        return True if any(isinstance(m, Written | Sample) for m in messages) else None
+        return True if any(isinstance(m, ModbusWritten | Ft300Sample) for m in messages) else None
 
-    def _text(self, link: Link, cancel: threading.Event, register: int, words: int) -> str:
+    def _text(self, link: SensorLink, cancel: threading.Event, register: int, words: int) -> str:
         def find(data: bytes) -> Registers | None:
             messages = (m for m in self._decoder.feed(data) if isinstance(m, Registers))
             return next((m for m in messages if len(m.values) == words), None)
@@ -90,6 +100,6 @@ class Ft300Language:
         return text if text.isprintable() and text else content.hex()
 
 
-def _flat(sample: Sample) -> tuple[float, ...]:
+def _flat(sample: Ft300Sample) -> tuple[float, ...]:
     wrench = sample.wrench()
     return (*wrench.force_n, *wrench.torque_nm)

@@ -1,4 +1,7 @@
-"""Emulated Robotiq FT 300."""
+"""Emulated Robotiq FT300 sensor.
+
+Modbus until the stream is on, then it ignores all but bytes of FFh.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +15,18 @@ from touchdown.backend.devices.ft300.protocol import (
     STREAM_REGISTER,
     WRENCH_REGISTER,
     YEAR_REGISTER,
-    Incoming,
+    Ft300Message,
+    Ft300Request,
+    Ft300Sample,
+    ModbusRefusal,
+    ModbusWritten,
     Read,
-    Refused,
     Registers,
-    Request,
-    Sample,
-    Stop,
+    StreamStop,
     WriteMany,
     WriteOne,
-    Written,
 )
-from touchdown.backend.emulation import Pace
+from touchdown.backend.emulation import SampleSchedule
 
 PERIOD_S = 0.01
 SERIAL, FIRMWARE, YEAR = b"F-12345\x00", b"FTS-3\x00", 2021
@@ -38,7 +41,7 @@ class EmulatedFt300:
     def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
         self._wrench = wrench
         self._requests = protocol.requests()
-        self.pace = Pace()
+        self.pace = SampleSchedule()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Take requests; return the answers."""
@@ -53,8 +56,8 @@ class EmulatedFt300:
     def closed(self, now_s: float) -> None:
         """Nothing: a sensor on a serial line does not notice."""
 
-    def _answer(self, now_s: float, request: Request) -> Incoming | None:
-        if isinstance(request, Stop):
+    def _answer(self, now_s: float, request: Ft300Request) -> Ft300Message | None:
+        if isinstance(request, StreamStop):
             self.pace.end()
             return None
         if self.pace.running:
@@ -64,9 +67,9 @@ class EmulatedFt300:
         wanted = request.value if isinstance(request, WriteOne) else request.values[0]
         if request.register == STREAM_REGISTER and wanted == STREAM_ON:
             self.pace.begin(now_s, PERIOD_S)
-        return Written(request.register, 1) if isinstance(request, WriteMany) else request
+        return ModbusWritten(request.register, 1) if isinstance(request, WriteMany) else request
 
-    def _registers(self, now_s: float, request: Read) -> Registers | Refused:
+    def _registers(self, now_s: float, request: Read) -> Registers | ModbusRefusal:
         counts = [count & 0xFFFF for count in self._sample(now_s).counts]
         blocks = {
             WRENCH_REGISTER: counts,
@@ -76,14 +79,14 @@ class EmulatedFt300:
         }
         block = blocks.get(request.register, [])
         if not 0 < request.count <= len(block):
-            return Refused(_READ, BAD_REGISTER)
+            return ModbusRefusal(_READ, BAD_REGISTER)
         return Registers(tuple(block[: request.count]))
 
-    def _sample(self, now_s: float) -> Sample:
+    def _sample(self, now_s: float) -> Ft300Sample:
         per_unit = (100, 100, 100, 1000, 1000, 1000)
         pairs = zip(self._wrench(now_s), per_unit, strict=True)
         counts = (round(value * factor) for value, factor in pairs)
-        return Sample(tuple(min(max(count, -_LIMIT), _LIMIT) for count in counts))
+        return Ft300Sample(tuple(min(max(count, -_LIMIT), _LIMIT) for count in counts))
 
 
 def _words(content: bytes) -> list[int]:

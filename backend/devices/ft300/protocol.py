@@ -1,4 +1,8 @@
-"""Robotiq FT 300 stream and registers."""
+"""Byte protocol of Robotiq FT300 and FT300-S sensors.
+
+Modbus RTU, and a stream of 16-byte frames on the same line. Source: FT 300-S manual; Modbus
+application protocol 1.1b3; public drivers ros-industrial/robotiq and rams-lab-sheffield/pyft300.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,9 @@ import struct
 from dataclasses import dataclass
 
 from touchdown.backend.devices.framing import (
+    FrameStep,
     FrameStream,
-    Step,
-    WireError,
+    ProtocolError,
     Wrench,
     crc16_modbus,
     noise_until,
@@ -30,7 +34,7 @@ _READ, _WRITE_ONE, _WRITE_MANY = 3, 6, 16
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class Ft300Sample:
     """One sample of the stream: hundredths of N, thousandths of N·m."""
 
     counts: tuple[int, ...]
@@ -59,7 +63,7 @@ class Registers:
     def wrench(self) -> Wrench:
         """Return the wrench of the six registers from ``WRENCH_REGISTER``."""
         signed = (value - 0x10000 if value & 0x8000 else value for value in self.values)
-        return Sample(tuple(signed)).wrench()
+        return Ft300Sample(tuple(signed)).wrench()
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +83,7 @@ class WriteMany:
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
+class ModbusWritten:
     """Answer to ``WriteMany``."""
 
     register: int
@@ -87,7 +91,7 @@ class Written:
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class ModbusRefusal:
     """The sensor refuses ``function`` with a Modbus exception code."""
 
     function: int
@@ -95,28 +99,28 @@ class Refused:
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
+class StreamStop:
     """The run of FFh that ends the stream."""
 
 
-Request = Read | WriteOne | WriteMany | Stop
-Incoming = Sample | Registers | WriteOne | Written | Refused
+Ft300Request = Read | WriteOne | WriteMany | StreamStop
+Ft300Message = Ft300Sample | Registers | WriteOne | ModbusWritten | ModbusRefusal
 
 
-def encode(message: Request | Incoming) -> bytes:
+def encode(message: Ft300Request | Ft300Message) -> bytes:
     """Return the bytes of any message of this protocol."""
-    if isinstance(message, Stop):
+    if isinstance(message, StreamStop):
         return b"\xff" * STOP_BYTES
     try:
         body = _body(message)
     except struct.error as error:
-        raise WireError("range", "ft300 message") from error
+        raise ProtocolError("range", "ft300 message") from error
     return body + struct.pack("<H", crc16_modbus(body))
 
 
-def _body(message: Read | WriteOne | WriteMany | Incoming) -> bytes:
+def _body(message: Read | WriteOne | WriteMany | Ft300Message) -> bytes:
     match message:
-        case Sample(counts):
+        case Ft300Sample(counts):
             return STREAM_HEADER + struct.pack("<6h", *counts)
         case Read(register, count):
             return struct.pack(">BBHH", SLAVE, _READ, register, count)
@@ -128,35 +132,35 @@ def _body(message: Read | WriteOne | WriteMany | Incoming) -> bytes:
         case Registers(values):
             n = len(values)
             return struct.pack(f">BBB{n}H", SLAVE, _READ, 2 * n, *values)
-        case Written(register, count):
+        case ModbusWritten(register, count):
             return struct.pack(">BBHH", SLAVE, _WRITE_MANY, register, count)
-        case Refused(function, code):
+        case ModbusRefusal(function, code):
             return struct.pack(">BBB", SLAVE, function | 0x80, code)
 
 
-def decode(frame: bytes) -> Incoming:
+def decode(frame: bytes) -> Ft300Message:
     """Return the message of one whole frame from the sensor; raises ``WireError``."""
     length = _incoming_length(frame, 0)
     if length == 0:
-        raise WireError("header", "ft300 frame")
+        raise ProtocolError("header", "ft300 frame")
     if length is None or length != len(frame):
-        raise WireError("length", "ft300 frame", len(frame))
+        raise ProtocolError("length", "ft300 frame", len(frame))
     return _incoming(frame)
 
 
-def incoming() -> FrameStream[Incoming]:
+def incoming() -> FrameStream[Ft300Message]:
     """Return the decoder of what the sensor sends: answers and stream on one line."""
     return FrameStream(_take)
 
 
-def requests() -> FrameStream[Request]:
+def requests() -> FrameStream[Ft300Request]:
     """Return the decoder of what the sensor is sent."""
     return FrameStream(_take_request)
 
 
 def _checked(frame: bytes) -> bytes:
     if crc16_modbus(frame[:-2]) != int.from_bytes(frame[-2:], "little"):
-        raise WireError("crc", "ft300 frame", len(frame) - 2)
+        raise ProtocolError("crc", "ft300 frame", len(frame) - 2)
     return frame[:-2]
 
 
@@ -180,31 +184,31 @@ def _incoming_length(data: bytes, at: int) -> int | None:
     return 5 + head[2] if head[2] in range(2, 2 * LARGEST_READ + 1, 2) else 0
 
 
-def _incoming(frame: bytes) -> Incoming:
+def _incoming(frame: bytes) -> Ft300Message:
     body = _checked(frame)
     if body[:2] == STREAM_HEADER:
-        return Sample(struct.unpack("<6h", body[2:]))
+        return Ft300Sample(struct.unpack("<6h", body[2:]))
     if body[1] == _READ:
         return Registers(struct.unpack(f">{body[2] // 2}H", body[3:]))
     if body[1] & 0x80:
-        return Refused(body[1] & 0x7F, body[2])
+        return ModbusRefusal(body[1] & 0x7F, body[2])
     register, value = struct.unpack(">HH", body[2:])
-    return WriteOne(register, value) if body[1] == _WRITE_ONE else Written(register, value)
+    return WriteOne(register, value) if body[1] == _WRITE_ONE else ModbusWritten(register, value)
 
 
-def _take(data: bytes, at: int) -> Step[Incoming] | None:
+def _take(data: bytes, at: int) -> FrameStep[Ft300Message] | None:
     length = _incoming_length(data, at)
     if length == 0:
         return noise_until(data, at, b"\x20\x09")
     if length is None or at + length > len(data):
         return None
     try:
-        return Step(length, _incoming(data[at : at + length]))
-    except WireError:
-        return Step(1, refused=True)
+        return FrameStep(length, _incoming(data[at : at + length]))
+    except ProtocolError:
+        return FrameStep(1, refused=True)
 
 
-def _take_request(data: bytes, at: int) -> Step[Request] | None:
+def _take_request(data: bytes, at: int) -> FrameStep[Ft300Request] | None:
     if data[at] == 0xFF:
         return _take_stop(data, at)
     if data[at] != SLAVE:
@@ -215,30 +219,30 @@ def _take_request(data: bytes, at: int) -> Step[Request] | None:
     if head[1] in (_READ, _WRITE_ONE):
         length = 8
     elif head[1] != _WRITE_MANY:
-        return Step(1)
+        return FrameStep(1)
     elif len(head) < 7:
         return None
     elif head[6] not in range(2, 2 * LARGEST_READ + 1, 2) or head[4:6] != bytes((0, head[6] // 2)):
-        return Step(1, refused=True)
+        return FrameStep(1, refused=True)
     else:
         length = 9 + head[6]
     if at + length > len(data):
         return None
     try:
-        return Step(length, _request(_checked(data[at : at + length])))
-    except WireError:
-        return Step(1, refused=True)
+        return FrameStep(length, _request(_checked(data[at : at + length])))
+    except ProtocolError:
+        return FrameStep(1, refused=True)
 
 
-def _take_stop(data: bytes, at: int) -> Step[Request] | None:
+def _take_stop(data: bytes, at: int) -> FrameStep[Ft300Request] | None:
     window = data[at : at + STOP_BYTES]
     run = len(window) - len(window.lstrip(b"\xff"))
     if run == STOP_BYTES:
-        return Step(STOP_BYTES, Stop())
-    return None if run == len(window) else Step(run, refused=True)
+        return FrameStep(STOP_BYTES, StreamStop())
+    return None if run == len(window) else FrameStep(run, refused=True)
 
 
-def _request(body: bytes) -> Request:
+def _request(body: bytes) -> Ft300Request:
     register, value = struct.unpack(">HH", body[2:6])
     if body[1] == _READ:
         return Read(register, value)

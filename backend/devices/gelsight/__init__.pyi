@@ -1,6 +1,7 @@
-from .protocol import JpegStream as JpegStream
-from .protocol import decode as decode
-from .protocol import size_px as size_px
-from .protocol import tables as tables
+from .driver import TactileCamera as TactileCamera
+from .driver import find_cameras as find_cameras
+from .emulator import SERIAL as SERIAL
+from .emulator import GelsightServer as GelsightServer
+from .emulator import PictureFunction as PictureFunction
 
-__all__ = ["JpegStream", "decode", "size_px", "tables"]
+__all__ = ["SERIAL", "GelsightServer", "PictureFunction", "TactileCamera", "find_cameras"]

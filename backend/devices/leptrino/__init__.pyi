@@ -1,19 +1,19 @@
-from .driver import LeptrinoLanguage as LeptrinoLanguage
+from .driver import LeptrinoDriver as LeptrinoDriver
 from .emulator import EmulatedLeptrino as EmulatedLeptrino
-from .protocol import Command as Command
 from .protocol import Info as Info
+from .protocol import LeptrinoCommand as LeptrinoCommand
+from .protocol import LeptrinoSample as LeptrinoSample
 from .protocol import Plain as Plain
-from .protocol import Sample as Sample
 from .protocol import encode as encode
 from .protocol import packets as packets
 
 __all__ = [
-    "Command",
     "EmulatedLeptrino",
     "Info",
-    "LeptrinoLanguage",
+    "LeptrinoCommand",
+    "LeptrinoDriver",
+    "LeptrinoSample",
     "Plain",
-    "Sample",
     "encode",
     "packets",
 ]

@@ -1,4 +1,7 @@
-"""Driver of a Leptrino sensor."""
+"""Driver of Leptrino PFS and CFS sensors.
+
+The rated loads are read from the sensor: they are the scale.
+"""
 
 from __future__ import annotations
 
@@ -6,27 +9,34 @@ import threading
 from typing import TypeVar
 
 from touchdown.backend.config import HardwareSettings
-from touchdown.backend.devices.force_torque import Greeting, Link, Reading, Refusals, ask, pause
+from touchdown.backend.devices.force_torque import (
+    FrameErrors,
+    SensorDescription,
+    SensorLink,
+    WrenchReading,
+    ask,
+    pause,
+)
 from touchdown.backend.devices.leptrino import protocol
 from touchdown.backend.devices.leptrino.protocol import (
     CLIP,
-    Command,
     Filter,
     Info,
+    LeptrinoCommand,
+    LeptrinoSample,
+    LeptrinoStatus,
     Packet,
     Plain,
     Rated,
-    Sample,
-    Status,
 )
 from touchdown.backend.devices.protocols import Identity
 
 RATE_HZ = 1000.0
 SETTLE_S = 0.05
-Wanted = TypeVar("Wanted", Info, Rated, Plain, Filter)
+AnswerT = TypeVar("AnswerT", Info, Rated, Plain, Filter)
 
 
-class LeptrinoLanguage:
+class LeptrinoDriver:
     """The sensor numbers nothing: a frame that was refused counts as one sample lost."""
 
     baud = 460_800
@@ -38,44 +48,48 @@ class LeptrinoLanguage:
         self._rated: tuple[float, ...] = ()
         self._seen_bad = 0
 
-    def start(self, link: Link, cancel: threading.Event) -> Greeting:
+    def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
         """Stop twice, ask who it is and for its rated loads, start the stream."""
         for _ in range(2):
-            link.write(protocol.encode(Plain(Command.STOP)))
+            link.write(protocol.encode(Plain(LeptrinoCommand.STOP)))
             pause(cancel, SETTLE_S)
         link.drain()
         self._decoder.reset()
-        info = self._ask(link, cancel, Command.INFO, Info)
-        self._rated = self._ask(link, cancel, Command.RATED, Rated).loads
-        self._ask(link, cancel, Command.START, Plain)
+        info = self._ask(link, cancel, LeptrinoCommand.INFO, Info)
+        self._rated = self._ask(link, cancel, LeptrinoCommand.RATED, Rated).loads
+        self._ask(link, cancel, LeptrinoCommand.START, Plain)
         self._seen_bad = self._decoder.bad_frames
         identity = Identity("Leptrino", info.model, info.serial, info.firmware)
-        return Greeting(identity, self._rated, 1.0 / self._rate_hz)
+        return SensorDescription(identity, self._rated, 1.0 / self._rate_hz)
 
-    def take(self, data: bytes) -> list[Reading]:
+    def take(self, data: bytes) -> list[WrenchReading]:
         """Return the samples."""
         readings = []
         for packet in self._decoder.feed(data):
-            if isinstance(packet, Sample):
+            if isinstance(packet, LeptrinoSample):
                 missed = self._decoder.bad_frames - self._seen_bad
                 self._seen_bad = self._decoder.bad_frames
                 readings.append(self._reading(packet, missed))
         return readings
 
     @property
-    def refusals(self) -> Refusals:
+    def refusals(self) -> FrameErrors:
         """Frames that were none."""
         decoder = self._decoder
-        return Refusals(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
+        return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
 
-    def stop(self, link: Link) -> None:
+    def stop(self, link: SensorLink) -> None:
         """End the stream."""
-        link.write(protocol.encode(Plain(Command.STOP)))
+        link.write(protocol.encode(Plain(LeptrinoCommand.STOP)))
 
     def _ask(
-        self, link: Link, cancel: threading.Event, command: Command, kind: type[Wanted]
-    ) -> Wanted:
-        def find(data: bytes) -> Wanted | None:
+        self,
+        link: SensorLink,
+        cancel: threading.Event,
+        command: LeptrinoCommand,
+        kind: type[AnswerT],
+    ) -> AnswerT:
+        def find(data: bytes) -> AnswerT | None:
             for packet in self._decoder.feed(data):
                 if isinstance(packet, kind) and _answers(packet, command):
                     return packet
@@ -83,13 +97,15 @@ class LeptrinoLanguage:
 
         return ask(link, cancel, protocol.encode(Plain(command)), find)
 
-    def _reading(self, sample: Sample, missed: int) -> Reading:
-        overload = bool(sample.status & Status.OVER_RATING) or max(map(abs, sample.counts)) >= CLIP
+    def _reading(self, sample: LeptrinoSample, missed: int) -> WrenchReading:
+        overload = (
+            bool(sample.status & LeptrinoStatus.OVER_RATING) or max(map(abs, sample.counts)) >= CLIP
+        )
         trouble = ""
-        if sample.status & (Status.SENSOR | Status.CALIBRATION):
+        if sample.status & (LeptrinoStatus.SENSOR | LeptrinoStatus.CALIBRATION):
             trouble = f"The sensor reports a failure (status {sample.status})"
-        return Reading(sample.wrench(self._rated), missed, overload, trouble)
+        return WrenchReading(sample.wrench(self._rated), missed, overload, trouble)
 
 
-def _answers(packet: Packet, command: Command) -> bool:
+def _answers(packet: Packet, command: LeptrinoCommand) -> bool:
     return not isinstance(packet, Plain) or (packet.command == command and packet.code == 0)

@@ -1,4 +1,7 @@
-"""Emulated Leptrino sensor."""
+"""Emulated Leptrino sensor.
+
+Framed commands in, samples out: a function of time and bytes.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +14,17 @@ from touchdown.backend.devices.leptrino.protocol import (
     CLIP,
     ETX,
     FULL_SCALE,
-    Command,
     Filter,
     Info,
+    LeptrinoCommand,
+    LeptrinoSample,
+    LeptrinoStatus,
     Nak,
     Packet,
     Plain,
     Rated,
-    Sample,
-    Status,
 )
-from touchdown.backend.emulation import Pace
+from touchdown.backend.emulation import SampleSchedule
 
 RATED = (250.0, 250.0, 250.0, 6.0, 6.0, 6.0)
 INFO = Info("PFS080YA501A6", "00012345", "1.13")
@@ -41,7 +44,7 @@ class EmulatedLeptrino:
         self._wrench, self._rated = wrench, tuple(rated)
         self._commands = protocol.packets()
         self._bad = 0
-        self.pace = Pace()
+        self.pace = SampleSchedule()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Take commands; a frame with a wrong check is answered with NAK, a length by its code."""
@@ -56,26 +59,26 @@ class EmulatedLeptrino:
     def due(self, now_s: float) -> bytes:
         """Return the samples of the stream up to now."""
         _, times = self.pace.due(now_s)
-        return b"".join(protocol.encode(self._sample(t_s, Command.START)) for t_s in times)
+        return b"".join(protocol.encode(self._sample(t_s, LeptrinoCommand.START)) for t_s in times)
 
     def closed(self, now_s: float) -> None:
         """Nothing: a sensor on a serial line does not notice."""
 
     def _answer(self, now_s: float, packet: Packet) -> Packet:
         command = getattr(packet, "command", None)
-        if command == Command.INFO:
+        if command == LeptrinoCommand.INFO:
             return INFO
-        if command == Command.RATED:
+        if command == LeptrinoCommand.RATED:
             return Rated(self._rated)
-        if command == Command.READ:
-            return self._sample(now_s, Command.READ)
-        if command == Command.GET_FILTER:
-            return Filter(Command.GET_FILTER, 0)
-        if command == Command.START:
+        if command == LeptrinoCommand.READ:
+            return self._sample(now_s, LeptrinoCommand.READ)
+        if command == LeptrinoCommand.GET_FILTER:
+            return Filter(LeptrinoCommand.GET_FILTER, 0)
+        if command == LeptrinoCommand.START:
             self.pace.begin(now_s + PERIOD_S, PERIOD_S)
-        elif command == Command.STOP:
+        elif command == LeptrinoCommand.STOP:
             self.pace.end()
-        elif command != Command.SET_FILTER:
+        elif command != LeptrinoCommand.SET_FILTER:
             return Plain(command or 0, UNDEFINED)
         elif not isinstance(packet, Filter):
             return Plain(command, LENGTH)
@@ -83,11 +86,11 @@ class EmulatedLeptrino:
             return Plain(command, VALUE)
         return Plain(command)
 
-    def _sample(self, now_s: float, command: Command) -> Sample:
+    def _sample(self, now_s: float, command: LeptrinoCommand) -> LeptrinoSample:
         pairs = zip(self._wrench(now_s), self._rated, strict=True)
         raw = [round(value / load * FULL_SCALE) for value, load in pairs]
-        over = Status.OVER_RATING if max(map(abs, raw)) > FULL_SCALE else 0
-        return Sample(command, tuple(min(max(c, -CLIP), CLIP) for c in raw), int(over))
+        over = LeptrinoStatus.OVER_RATING if max(map(abs, raw)) > FULL_SCALE else 0
+        return LeptrinoSample(command, tuple(min(max(c, -CLIP), CLIP) for c in raw), int(over))
 
 
 def _refusal(data: bytes) -> Packet:

@@ -1,4 +1,8 @@
-"""Leptrino frames."""
+"""Byte protocol of Leptrino PFS and CFS sensors.
+
+Frames with doubled 10h bytes and an exclusive-or check. Source: communication format specification
+1.13.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,9 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 from touchdown.backend.devices.framing import (
+    FrameStep,
     FrameStream,
-    Step,
-    WireError,
+    ProtocolError,
     Wrench,
     noise_until,
     wrench_of,
@@ -23,7 +27,7 @@ FULL_SCALE, CLIP = 10_000, 32_000
 """Counts of the rated load, and where the sensor clips."""
 
 
-class Command(IntEnum):
+class LeptrinoCommand(IntEnum):
     """Command bytes."""
 
     INFO = 0x2A
@@ -35,7 +39,7 @@ class Command(IntEnum):
     GET_FILTER = 0xB6
 
 
-class Status(IntFlag):
+class LeptrinoStatus(IntFlag):
     """Status of a sample."""
 
     CALIBRATION = 1
@@ -80,7 +84,7 @@ class Filter:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class LeptrinoSample:
     """One sample; ``command`` tells whether it was asked for (READ) or streamed (START)."""
 
     command: int
@@ -99,7 +103,7 @@ class Nak:
     """The last frame had a wrong check: send it again."""
 
 
-Packet = Plain | Info | Rated | Filter | Sample | Nak
+Packet = Plain | Info | Rated | Filter | LeptrinoSample | Nak
 
 
 def encode(packet: Packet) -> bytes:
@@ -110,24 +114,24 @@ def encode(packet: Packet) -> bytes:
         command, code, body = _content(packet)
         data = bytes((4 + len(body), 0xFF, command, code)) + body
     except (struct.error, ValueError, OverflowError) as error:
-        raise WireError("range", "leptrino frame") from error
+        raise ProtocolError("range", "leptrino frame") from error
     if len(data) > LONGEST_DATA:
-        raise WireError("length", "leptrino frame", LONGEST_DATA)
+        raise ProtocolError("length", "leptrino frame", LONGEST_DATA)
     stuffed = data.replace(b"\x10", b"\x10\x10")
     return b"\x10\x02" + stuffed + b"\x10\x03" + bytes((xor8(data) ^ ETX,))
 
 
-def _content(packet: Plain | Info | Rated | Filter | Sample) -> tuple[int, int, bytes]:
+def _content(packet: Plain | Info | Rated | Filter | LeptrinoSample) -> tuple[int, int, bytes]:
     if isinstance(packet, Plain):
         return packet.command, packet.code, b""
     if isinstance(packet, Info):
         parts = ((packet.model, 16), (packet.serial, 8), (packet.firmware, 4))
         text = "".join(part.ljust(width) for part, width in parts) + packet.rate
         if len(text) not in (28, 34) or not text.isascii():
-            raise WireError("text", "leptrino info", 4)
-        return Command.INFO, 0, text.encode("ascii")
+            raise ProtocolError("text", "leptrino info", 4)
+        return LeptrinoCommand.INFO, 0, text.encode("ascii")
     if isinstance(packet, Rated):
-        return Command.RATED, 0, struct.pack("<6f", *packet.loads)
+        return LeptrinoCommand.RATED, 0, struct.pack("<6f", *packet.loads)
     if isinstance(packet, Filter):
         return packet.command, 0, struct.pack("<B3x", packet.index)
     body = struct.pack("<6hHBx", *packet.counts, packet.reserve, packet.status)
@@ -140,9 +144,9 @@ def decode(frame: bytes) -> Packet:
     if step is None or step.length != len(frame):
         if step is not None and step.refused:
             _unpack(*_unstuff(frame))
-        raise WireError("length", "leptrino frame", len(frame))
+        raise ProtocolError("length", "leptrino frame", len(frame))
     if step.message is None:
-        raise WireError("start", "leptrino frame")
+        raise ProtocolError("start", "leptrino frame")
     return step.message
 
 
@@ -151,23 +155,23 @@ def packets() -> FrameStream[Packet]:
     return FrameStream(_take, overtake=lambda take, data, at: False)
 
 
-def _take(data: bytes, at: int) -> Step[Packet] | None:
+def _take(data: bytes, at: int) -> FrameStep[Packet] | None:
     if data[at] != DLE:
         return noise_until(data, at, b"\x10")
     if at + 1 == len(data):
         return None
     if data[at + 1] == NAK_BYTE:
-        return Step(2, Nak())
+        return FrameStep(2, Nak())
     if data[at + 1] != STX:
-        return Step(2)  # a pair of 10h is content of a lost frame, never its start
+        return FrameStep(2)  # a pair of 10h is content of a lost frame, never its start
     return _take_frame(data, at)
 
 
-def _take_frame(data: bytes, at: int) -> Step[Packet] | None:
+def _take_frame(data: bytes, at: int) -> FrameStep[Packet] | None:
     end = at + 2
     while end < len(data):
         if end - at > 2 * LONGEST_DATA + 2:
-            return Step(2, refused=True)
+            return FrameStep(2, refused=True)
         if data[end] != DLE:
             end += 1
         elif end + 1 == len(data):
@@ -177,17 +181,17 @@ def _take_frame(data: bytes, at: int) -> Step[Packet] | None:
         elif data[end + 1] == ETX:
             return _closed(data, at, end)
         else:
-            return Step(end - at, refused=True)
+            return FrameStep(end - at, refused=True)
     return None
 
 
-def _closed(data: bytes, at: int, end: int) -> Step[Packet] | None:
+def _closed(data: bytes, at: int, end: int) -> FrameStep[Packet] | None:
     if end + 2 == len(data):
         return None
     try:
-        return Step(end + 3 - at, _unpack(*_unstuff(data[at : end + 3])))
-    except WireError:
-        return Step(2, refused=True)
+        return FrameStep(end + 3 - at, _unpack(*_unstuff(data[at : end + 3])))
+    except ProtocolError:
+        return FrameStep(2, refused=True)
 
 
 def _unstuff(frame: bytes) -> tuple[bytes, int]:
@@ -197,9 +201,9 @@ def _unstuff(frame: bytes) -> tuple[bytes, int]:
 def _unpack(data: bytes, check: int) -> Packet:
     """Return the message of un-stuffed ``data``."""
     if xor8(data) ^ ETX != check:
-        raise WireError("bcc", "leptrino frame", len(data))
+        raise ProtocolError("bcc", "leptrino frame", len(data))
     if len(data) < 4 or data[0] != len(data) or data[1] != 0xFF:
-        raise WireError("length", "leptrino frame")
+        raise ProtocolError("length", "leptrino frame")
     command, code, body = data[2], data[3], data[4:]
     if not body:
         return Plain(command, code)
@@ -207,31 +211,31 @@ def _unpack(data: bytes, check: int) -> Packet:
         if code == 0:
             return _body(command, body)
     except (struct.error, UnicodeDecodeError) as error:
-        raise WireError("body", "leptrino frame", 4) from error
-    raise WireError("body", "leptrino frame", 4)
+        raise ProtocolError("body", "leptrino frame", 4) from error
+    raise ProtocolError("body", "leptrino frame", 4)
 
 
 def _body(command: int, body: bytes) -> Packet:
-    if command == Command.INFO and len(body) in (28, 34):
+    if command == LeptrinoCommand.INFO and len(body) in (28, 34):
         text = body.decode("ascii")
         model, serial, firmware = (
             part.rstrip(" ") for part in (text[:16], text[16:24], text[24:28])
         )
         return Info(model, serial, firmware, text[28:])
-    if command == Command.RATED:
+    if command == LeptrinoCommand.RATED:
         return Rated(_finite(struct.unpack("<6f", body)))
-    if command in (Command.GET_FILTER, Command.SET_FILTER):
+    if command in (LeptrinoCommand.GET_FILTER, LeptrinoCommand.SET_FILTER):
         index, *zeros = struct.unpack("<4B", body)
         if not any(zeros):
             return Filter(command, index)
-    if command in (Command.READ, Command.START):
+    if command in (LeptrinoCommand.READ, LeptrinoCommand.START):
         *counts, reserve, status, zero = struct.unpack("<6hHBB", body)
         if not zero:
-            return Sample(command, tuple(counts), status, reserve)
-    raise WireError("body", "leptrino frame", 4)
+            return LeptrinoSample(command, tuple(counts), status, reserve)
+    raise ProtocolError("body", "leptrino frame", 4)
 
 
 def _finite(loads: tuple[float, ...]) -> tuple[float, ...]:
     if not all(0 < load < 1e6 for load in loads):
-        raise WireError("range", "leptrino rated load", 4)
+        raise ProtocolError("range", "leptrino rated load", 4)
     return loads

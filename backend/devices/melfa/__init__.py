@@ -6,15 +6,14 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from touchdown.backend.devices.melfa import (
-        arm,
+        driver,
+        emulated_channels,
+        emulated_controller,
         emulator,
-        emulator_arm,
-        emulator_controller,
         force_program,
-        force_sensor,
         kinematics,
         sockets,
-        stream,
+        wrist_sensor,
     )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

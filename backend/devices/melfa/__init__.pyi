@@ -1,19 +1,19 @@
-from .arm import MelfaArm as MelfaArm
+from .driver import MelfaArm as MelfaArm
+from .emulated_channels import TYPE_FORCE as TYPE_FORCE
+from .emulated_channels import EmulatedMonitor as EmulatedMonitor
+from .emulated_controller import READY_RAD as READY_RAD
+from .emulated_controller import frame_of as frame_of
+from .emulated_controller import solve as solve
 from .emulator import TIMEOUT_CYCLES as TIMEOUT_CYCLES
 from .emulator import EmulatedMelfa as EmulatedMelfa
-from .emulator import MelfaFront as MelfaFront
-from .emulator_arm import frame_of as frame_of
-from .emulator_arm import solve as solve
-from .emulator_controller import READY_RAD as READY_RAD
-from .emulator_controller import TYPE_FORCE as TYPE_FORCE
-from .emulator_controller import EmulatedMonitor as EmulatedMonitor
+from .emulator import MelfaServer as MelfaServer
 from .force_program import PLACE_LATE_S as PLACE_LATE_S
-from .force_sensor import MelfaLanguage as MelfaLanguage
-from .force_sensor import monitor_address as monitor_address
-from .kinematics import Placing as Placing
-from .sockets import SocketWires as SocketWires
-from .stream import JOINT_RANGES as JOINT_RANGES
-from .stream import check_joints as check_joints
+from .kinematics import JOINT_RANGES as JOINT_RANGES
+from .kinematics import MelfaPlacement as MelfaPlacement
+from .kinematics import check_joints as check_joints
+from .sockets import SocketLinks as SocketLinks
+from .wrist_sensor import MelfaWrenchDriver as MelfaWrenchDriver
+from .wrist_sensor import monitor_address as monitor_address
 
 __all__ = [
     "JOINT_RANGES",
@@ -24,10 +24,10 @@ __all__ = [
     "EmulatedMelfa",
     "EmulatedMonitor",
     "MelfaArm",
-    "MelfaFront",
-    "MelfaLanguage",
-    "Placing",
-    "SocketWires",
+    "MelfaPlacement",
+    "MelfaServer",
+    "MelfaWrenchDriver",
+    "SocketLinks",
     "check_joints",
     "frame_of",
     "monitor_address",

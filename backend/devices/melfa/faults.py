@@ -1,22 +1,15 @@
-"""Faults of the MELFA links."""
+"""Faults of the connection to a MELFA controller, in the operator's language."""
 
 from __future__ import annotations
 
-import os
-import re
-import tempfile
-import threading
-from pathlib import Path
-
-from touchdown.backend.core import Fault, FaultError, lock_file
-from touchdown.backend.devices.melfa.protocol_r3 import (
+from touchdown.backend.core import Fault
+from touchdown.backend.devices.melfa.r3_protocol import (
     EMERGENCY_ERRORS,
     NOT_READY_ERRORS,
     OUT_OF_RANGE_ERRORS,
     REJECTED_ERRORS,
 )
-from touchdown.backend.devices.protocols import VOID_PRESS
-from touchdown.backend.devices.streamed import ARM, HELD, NOTHING_MOVED
+from touchdown.backend.devices.protocols import ARM, HELD, NOTHING_MOVED, VOID_PRESS
 
 START = Fault(
     "MXT-START",
@@ -125,85 +118,5 @@ def other_arm_fault(found: str, wanted: str) -> Fault:
         f"The controller says its arm is {found}, not {wanted}.",
         NOTHING_MOVED,
         "Correct the address, or melfa.robot_type in the bench file.",
-        ARM,
-    )
-
-
-PREFIX, SUFFIX = "touchdown-arm-", ".lock"
-TRIES, AGAIN_S = 5, 0.02
-"""Who takes old files away holds each for an instant: that is no other program at the arm."""
-
-
-class Claim:
-    """Holds a controller until ``close``; raises ``FaultError`` if another program holds it."""
-
-    def __init__(self, host: str, port: int) -> None:
-        name = re.sub(r"[^A-Za-z0-9.-]", "_", host)
-        folder = Path(tempfile.gettempdir())
-        self._path = folder / f"{PREFIX}{name}-{port}{SUFFIX}"
-        _sweep(folder, self._path)
-        try:
-            self._descriptor = _lock_patiently(self._path)
-        except OSError as error:
-            raise FaultError(taken_fault(f"{host}:{port}")) from error
-
-    def close(self) -> None:
-        """Give the controller back."""
-        _take_away(self._descriptor, self._path)
-
-
-def _lock_patiently(path: Path) -> int:
-    for _ in range(TRIES - 1):
-        try:
-            return _lock(path)
-        except BlockingIOError:
-            threading.Event().wait(AGAIN_S)
-    return _lock(path)
-
-
-def _lock(path: Path) -> int:
-    """Lock ``path`` itself: not a file that was taken away while its lock was waited for."""
-    while True:
-        descriptor = lock_file(path)
-        if os.name != "posix" or _is_there(descriptor, path):
-            return descriptor
-        os.close(descriptor)
-
-
-def _is_there(descriptor: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(descriptor), path.stat())
-    except FileNotFoundError:
-        return False
-
-
-def _take_away(descriptor: int, path: Path) -> None:
-    if os.name == "posix":
-        # Still locked: whoever waits for it finds that it is gone and makes a new one.
-        path.unlink(missing_ok=True)
-    os.close(descriptor)
-
-
-def _sweep(folder: Path, wanted: Path) -> None:
-    """Take away the files that nobody holds any more."""
-    if os.name != "posix":
-        return
-    for found in folder.glob(f"{PREFIX}*{SUFFIX}"):
-        if found == wanted:
-            continue
-        try:
-            descriptor = _lock(found)
-        except OSError:
-            continue
-        _take_away(descriptor, found)
-
-
-def taken_fault(address: str) -> Fault:
-    """Return the fault of a controller that another program of this computer drives."""
-    return Fault(
-        "ARM-TAKEN",
-        f"Another program on this computer drives the controller at {address}.",
-        NOTHING_MOVED,
-        "Close the arm there first.",
         ARM,
     )

@@ -1,4 +1,9 @@
-"""Press by the controller's own force program."""
+"""Presses by the controller's own force program instead of compliance over the stream.
+
+It excludes the stream, which is ended before and opened again by the next other order. Wrist
+samples tell when contact began and when the press is over. ``ControllerPress`` has no thread, wire
+or clock.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +21,12 @@ from touchdown.backend.core import (
     OnsetRule,
     RefusedError,
 )
-from touchdown.backend.devices.melfa.console import Console
-from touchdown.backend.devices.melfa.protocol_r3 import Request
-from touchdown.backend.devices.melfa.sockets import Wires
+from touchdown.backend.devices.melfa.command_channel import Console, ControllerLinks
+from touchdown.backend.devices.melfa.r3_protocol import R3Request
 from touchdown.backend.devices.melfa.stream import END
-from touchdown.backend.devices.protocols import CommandedMotion, PressCommand
+from touchdown.backend.devices.protocols import ARM, HELD, ArmPress, CommandedMotion, PressCommand
 from touchdown.backend.devices.streamed import (
-    AIR_S,
-    ARM,
-    HELD,
+    AIR_WINDOW_S,
     NOT_PRESSING,
     OLD_S,
     TRIP_AT_ONCE_N,
@@ -32,7 +34,6 @@ from touchdown.backend.devices.streamed import (
     TRIPPED,
     UNFELT,
     UNLOAD_MM,
-    ArmPress,
     no_contact,
     not_unloaded,
     told_of,
@@ -56,7 +57,7 @@ class ControllerPress:
         self._unloading: CommandedMotion | None = None
         self._unloaded_n = 0.0
         t_s, force_n = before
-        self._air_n = force_n[t_s >= t_s[-1] - AIR_S].mean(axis=0)
+        self._air_n = force_n[t_s >= t_s[-1] - AIR_WINDOW_S].mean(axis=0)
         self._detector = OnsetDetector(OnsetRule(threshold_n=command.threshold_n))
         self._detector.feed(t_s, force_n[:, 2])
         self._felt_s, self._press_n = float(t_s[-1]), math.nan
@@ -161,7 +162,7 @@ LATE = Fault(
 )
 
 
-Air = tuple[FloatArray, FloatArray]
+AirBaseline = tuple[FloatArray, FloatArray]
 """Times (n,) and forces (n, 3)."""
 HOT_S = 1.0
 UNLOAD, ABORT = 2, 3
@@ -177,7 +178,7 @@ class ForceProgram:
     """``console`` returns the one of the present connection."""
 
     def __init__(
-        self, console: Callable[[], Console], wires: Wires, settings: MelfaSettings
+        self, console: Callable[[], Console], wires: ControllerLinks, settings: MelfaSettings
     ) -> None:
         self._console, self._wires, self._settings = console, wires, settings
         self._press: ControllerPress | None = None
@@ -211,7 +212,7 @@ class ForceProgram:
                 "PROBE-FORCE", f"{most_n:.1f} N could be reached; the limit is {limit_n:.1f} N."
             )
 
-    def begin(self, command: PressCommand, air: Callable[[], Air]) -> ArmPress:
+    def begin(self, command: PressCommand, air: Callable[[], AirBaseline]) -> ArmPress:
         """Write the variables and run the program; the stream has been ended. ``FaultError``.
 
         ``air`` returns the samples in air up to now.
@@ -275,4 +276,4 @@ class ForceProgram:
 
     def _hot(self, name: str, value: float) -> None:
         program = self._settings.fsc.program
-        self._wires.ask(Request("HOT", f"{program};{name}={value:g}"), HOT_S)
+        self._wires.ask(R3Request("HOT", f"{program};{name}={value:g}"), HOT_S)

@@ -1,4 +1,10 @@
-"""Kinematics of the MELFA arm."""
+"""Kinematics of the MELFA RV-5AS-D with its joint limits.
+
+Closed form for a hand that points straight down. The arm has no offsets and a spherical wrist; the
+posture is Right, Above, NonFlip throughout. A command outside joint range, step or distance to a
+singularity is refused, never bent into another motion; every check is a positive comparison, so
+that NaN is refused.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchdown.backend.core import IDENTITY_ROTATION, FloatArray, RefusedError
-from touchdown.backend.devices.melfa.protocol_mxt import FLANGE_MM, JOINTS
+from touchdown.backend.devices.melfa.realtime_protocol import FLANGE_MM, JOINTS
 
 SHOULDER_MM = JOINTS[1].rise_mm
 UPPER_MM = JOINTS[2].rise_mm
@@ -93,7 +99,7 @@ def _nearest(angle_rad: float, near_rad: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Placing:
+class MelfaPlacement:
     """Where the bench stands in the base of the arm, and how long the tool is.
 
     ``origin_mm``: bench origin in the base. ``yaw_rad``: turn of the bench about z.
@@ -152,3 +158,38 @@ class Placing:
         """Return where ``G`` is in the bench for a flange place in the base."""
         at = position_mm + self.tool_mm * hand[:, 2]
         return np.asarray(turn_z(-self.yaw_rad) @ (at - np.array(self.origin_mm)))
+
+
+RANGE_MARGIN_RAD = math.radians(2.0)
+"""Our limits lie inside those of the controller by this much."""
+JOINT_RANGES: tuple[tuple[float, float], ...] = tuple(
+    (-limit, limit) for limit in (LIMITS_RAD - RANGE_MARGIN_RAD).tolist()
+)
+"""Lowest and highest angle of each joint, rad."""
+WRIST_RAD = math.radians(8.0)
+"""J5 nearer to zero than this: J4 and J6 turn fast for small moves."""
+ELBOW_RAD = math.radians(8.0)
+"""J3 nearer to straight than this: at the end of the reach."""
+
+
+def check_joints(joints_rad: FloatArray) -> None:
+    """Raise ``RefusedError`` unless the (6,) joints are in range and away from singularities."""
+    inside = np.abs(joints_rad) <= LIMITS_RAD - RANGE_MARGIN_RAD
+    if not inside.all():
+        joint = int(np.argmin(inside)) + 1
+        degrees = math.degrees(float(joints_rad[joint - 1]))
+        raise RefusedError("JOINT-RANGE", f"J{joint} would be at {degrees:.1f}°.")
+    if not abs(float(joints_rad[4])) >= WRIST_RAD:
+        raise RefusedError("SINGULAR", "J4 and J6 would come in line.")
+    if not abs(float(joints_rad[2])) >= ELBOW_RAD:
+        raise RefusedError("SINGULAR", "The arm would be stretched.")
+
+
+def check_step(before_rad: FloatArray, after_rad: FloatArray, fraction: float) -> None:
+    """Raise ``RefusedError`` if a joint turns by more than ``fraction`` of its largest step."""
+    share = np.abs(after_rad - before_rad) / STEPS_RAD
+    if not (share <= fraction).all():
+        joint = int(np.argmax(share)) + 1
+        raise RefusedError(
+            "STEP", f"J{joint} would turn at {100 * share[joint - 1]:.0f} % of its top speed."
+        )

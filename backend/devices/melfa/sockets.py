@@ -1,82 +1,115 @@
-"""Sockets of the MELFA controller."""
+"""Sockets of a MELFA controller: one thread each for commands, stream.
+
+The stream wakes at absolute deadlines; a missed cycle is skipped, never made up. A lock file named
+after the address keeps a second program of this computer away; another computer is refused by the
+controller's operation right.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import os
+import re
 import select
 import socket
+import tempfile
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from pathlib import Path
 
 from touchdown.backend.config import MelfaSettings
-from touchdown.backend.core import Fault, FaultError, set_realtime_priority
-from touchdown.backend.devices.melfa.faults import Claim, link_fault
-from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S, PACKET_BYTES
-from touchdown.backend.devices.melfa.protocol_r3 import Request, encode_request
-from touchdown.backend.devices.melfa.r3_client import R3Client, Ticket
+from touchdown.backend.core import Fault, FaultError, lock_file, set_realtime_priority
+from touchdown.backend.devices.melfa.command_channel import (
+    CycleFunction,
+    CycleTimes,
+    PendingRequest,
+    R3Client,
+)
+from touchdown.backend.devices.melfa.faults import link_fault
+from touchdown.backend.devices.melfa.r3_protocol import R3Request, encode_request
+from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S, PACKET_BYTES
 from touchdown.backend.devices.melfa.stream import END
+from touchdown.backend.devices.protocols import ARM, NOTHING_MOVED
 
-Cycle = Callable[[float, tuple[bytes, ...]], bytes | None]
-"""(now, datagrams that came) -> the packet of this cycle, None if there is none."""
-
-
-@dataclass(frozen=True, slots=True)
-class CycleTimes:
-    """Of the wake-ups of the real-time wire: number, late by more than a cycle, latest (s).
-
-    ``realtime``: whether its owner has real-time priority.
-    """
-
-    wakes: int = 0
-    late: int = 0
-    latest_s: float = 0.0
-    realtime: bool = False
-
-    def after(self, over_s: float) -> CycleTimes:
-        """Return them after one more wake-up, so much after its deadline."""
-        late = self.late + (over_s > CYCLE_S)
-        return CycleTimes(self.wakes + 1, late, max(self.latest_s, over_s), self.realtime)
+PREFIX, SUFFIX = "touchdown-arm-", ".lock"
+TRIES, AGAIN_S = 5, 0.02
+"""Who takes old files away holds each for an instant: that is no other program at the arm."""
 
 
-class Wires(Protocol):
-    """One command channel, one STOP lane, one real-time wire.
+class ControllerLock:
+    """Holds a controller until ``close``; raises ``FaultError`` if another program holds it."""
 
-    ``cycle`` is called once per control cycle by the owner of the real-time wire; ``lost`` when
-    the command channel is gone.
-    """
-
-    times: CycleTimes
-
-    @property
-    def bad_replies(self) -> int:
-        """Replies of the command channel that could not be read."""
-
-    def open(self, cycle: Cycle, lost: Callable[[Fault], None]) -> None:
-        """Connect; raises ``FaultError``."""
-
-    def ask(self, request: Request, timeout_s: float) -> Ticket:
-        """Send a request in its turn."""
-
-    def finish(self, ticket: Ticket) -> None:
-        """Wait until the ticket has ended."""
-
-    def watch_anew(self) -> None:
-        """Count ``times`` from now on."""
-
-    def pause(self, seconds: float) -> None:
-        """Let time pass between two questions."""
-
-    def pace(self, running: bool) -> None:
-        """Say whether a program of the controller runs."""
-
-    def stop_now(self, packet: bytes) -> None:
-        """Send STOP on its own lane and ``packet`` on the real-time wire; wait for nothing."""
+    def __init__(self, host: str, port: int) -> None:
+        name = re.sub(r"[^A-Za-z0-9.-]", "_", host)
+        folder = Path(tempfile.gettempdir())
+        self._path = folder / f"{PREFIX}{name}-{port}{SUFFIX}"
+        _sweep(folder, self._path)
+        try:
+            self._descriptor = _lock_patiently(self._path)
+        except OSError as error:
+            raise FaultError(taken_fault(f"{host}:{port}")) from error
 
     def close(self) -> None:
-        """Close all; a second time changes nothing."""
+        """Give the controller back."""
+        _take_away(self._descriptor, self._path)
+
+
+def _lock_patiently(path: Path) -> int:
+    for _ in range(TRIES - 1):
+        try:
+            return _lock(path)
+        except BlockingIOError:
+            threading.Event().wait(AGAIN_S)
+    return _lock(path)
+
+
+def _lock(path: Path) -> int:
+    """Lock ``path`` itself: not a file that was taken away while its lock was waited for."""
+    while True:
+        descriptor = lock_file(path)
+        if os.name != "posix" or _is_there(descriptor, path):
+            return descriptor
+        os.close(descriptor)
+
+
+def _is_there(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+def _take_away(descriptor: int, path: Path) -> None:
+    if os.name == "posix":
+        # Still locked: whoever waits for it finds that it is gone and makes a new one.
+        path.unlink(missing_ok=True)
+    os.close(descriptor)
+
+
+def _sweep(folder: Path, wanted: Path) -> None:
+    """Take away the files that nobody holds any more."""
+    if os.name != "posix":
+        return
+    for found in folder.glob(f"{PREFIX}*{SUFFIX}"):
+        if found == wanted:
+            continue
+        try:
+            descriptor = _lock(found)
+        except OSError:
+            continue
+        _take_away(descriptor, found)
+
+
+def taken_fault(address: str) -> Fault:
+    """Return the fault of a controller that another program of this computer drives."""
+    return Fault(
+        "ARM-TAKEN",
+        f"Another program on this computer drives the controller at {address}.",
+        NOTHING_MOVED,
+        "Close the arm there first.",
+        ARM,
+    )
 
 
 CONNECT_S = 3.0
@@ -88,11 +121,11 @@ RECEIVE_BUFFER = 16 * PACKET_BYTES
 """Holds what comes in a cycle, repeated and late ones too."""
 MOST_DATAGRAMS = 64
 """Read per cycle: a flood must not hold up the stream."""
-STOP_LINE = encode_request(Request("STOP")) + b"\r"
-OPEN_LINE = encode_request(Request("OPEN=", "TOUCHDOWNSTOP")) + b"\r"
+STOP_LINE = encode_request(R3Request("STOP")) + b"\r"
+OPEN_LINE = encode_request(R3Request("OPEN=", "TOUCHDOWNSTOP")) + b"\r"
 
 
-class SocketWires:
+class SocketLinks:
     """``now_s`` is the bench clock, in step with ``time.monotonic``."""
 
     def __init__(self, settings: MelfaSettings, now_s: Callable[[], float]) -> None:
@@ -103,7 +136,7 @@ class SocketWires:
         self._threads: list[threading.Thread] = []
         self._client = R3Client(1e-3 * settings.r3.reply_gap_ms)
         self._client.end(link_fault("The connection is closed."))
-        self._claim: Claim | None = None
+        self._claim: ControllerLock | None = None
         self._commands: socket.socket | None = None
         self._lane: socket.socket | None = None
         self._stream: socket.socket | None = None
@@ -115,11 +148,11 @@ class SocketWires:
 
     # -- life -------------------------------------------------------------------------------------
 
-    def open(self, cycle: Cycle, lost: Callable[[Fault], None]) -> None:
+    def open(self, cycle: CycleFunction, lost: Callable[[Fault], None]) -> None:
         """Connect both channels and start their owners; raises ``FaultError``."""
         self.close()
         host, r3 = self._settings.host, self._settings.r3
-        self._claim = Claim(host, r3.port)
+        self._claim = ControllerLock(host, r3.port)
         try:
             self._commands = _connected(host, r3.port)
             self._lane = _connected(host, r3.stop_port)
@@ -158,11 +191,11 @@ class SocketWires:
 
     # -- commands ---------------------------------------------------------------------------------
 
-    def ask(self, request: Request, timeout_s: float) -> Ticket:
+    def ask(self, request: R3Request, timeout_s: float) -> PendingRequest:
         """Send a request in its turn."""
         return self._client.ask(request, timeout_s)
 
-    def finish(self, ticket: Ticket) -> None:
+    def finish(self, ticket: PendingRequest) -> None:
         """Wait until the ticket has ended; it gives up by itself."""
         ticket.wait(FINISH_S)
 
@@ -190,7 +223,7 @@ class SocketWires:
                 lane.send(STOP_LINE)
         except OSError:
             # The lane is gone or full: STOP goes before all else on the other channel.
-            self._client.ask(Request("STOP"))
+            self._client.ask(R3Request("STOP"))
 
     def _own_commands(
         self, wire: socket.socket, lane: socket.socket, lost: Callable[[Fault], None]
@@ -219,7 +252,9 @@ class SocketWires:
 
     # -- stream -----------------------------------------------------------------------------------
 
-    def _own_stream(self, wire: socket.socket, cycle: Cycle, lost: Callable[[Fault], None]) -> None:
+    def _own_stream(
+        self, wire: socket.socket, cycle: CycleFunction, lost: Callable[[Fault], None]
+    ) -> None:
         try:
             self._keep_time(wire, cycle)
         finally:
@@ -228,7 +263,7 @@ class SocketWires:
                 self.stop_now(END)
                 lost(link_fault("The real-time stream has ended by an error of this program."))
 
-    def _keep_time(self, wire: socket.socket, cycle: Cycle) -> None:
+    def _keep_time(self, wire: socket.socket, cycle: CycleFunction) -> None:
         realtime = set_realtime_priority(self._settings.realtime_priority)
         deadline_s = time.monotonic() + CYCLE_S
         self.times = times = CycleTimes(realtime=realtime)

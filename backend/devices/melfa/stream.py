@@ -1,4 +1,11 @@
-"""Stream of MXT set points."""
+"""Real-time stream of a MELFA arm as a pure state machine: ``step(now, inbox) -> outbox``.
+
+Called once per cycle; it reads no clock and no socket. Start: packets without a command until a
+reply comes, then the replied position for ten cycles, then motion. Every command is checked before
+it goes out, and runs ahead of the last echoed one by three cycles of travel at most. Replies count
+if they are whole, finite, plausible and newer than the last. Missing replies are counted in cycles
+and in time, so that a stall of this program is noticed like one of the link.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +26,7 @@ from touchdown.backend.core import (
     rotation_vector,
     tilt_rad,
 )
-from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.melfa.faults import (
     START,
     VOID,
@@ -27,28 +34,30 @@ from touchdown.backend.devices.melfa.faults import (
     oversize_fault,
     tilted_fault,
 )
-from touchdown.backend.devices.melfa.kinematics import LIMITS_RAD, STEPS_RAD, Placing
-from touchdown.backend.devices.melfa.protocol_mxt import (
-    CYCLE_S,
-    Command,
-    Kind,
-    Request,
-    Values,
-    decode_reply,
-    encode_request,
+from touchdown.backend.devices.melfa.kinematics import (
+    STEPS_RAD,
+    MelfaPlacement,
+    check_joints,
+    check_step,
 )
-from touchdown.backend.devices.protocols import CommandedMotion
+from touchdown.backend.devices.melfa.realtime_protocol import (
+    CYCLE_S,
+    BlockKind,
+    MxtCommand,
+    MxtRequest,
+    Values,
+    decode_mxt_reply,
+    encode_mxt_request,
+)
+from touchdown.backend.devices.protocols import REPLACED, STOPPED, CommandedMotion, refused_fault
 from touchdown.backend.devices.streamed import (
-    REPLACED,
-    STOPPED,
-    Felt,
-    Follow,
-    JointFollow,
+    CycleInput,
+    JogProgram,
+    JointJogProgram,
     JointProgram,
-    JointTravel,
-    Program,
-    TurningFollow,
-    refused_fault,
+    JointTravelProgram,
+    MotionProgram,
+    RotationJogProgram,
 )
 
 COMMAND_JOINTS, FEEDBACK_JOINTS = 2, 8
@@ -61,7 +70,7 @@ _WRAP = 1 << 32
 
 
 @dataclass(slots=True)
-class Counts:
+class DatagramCounts:
     """What became of the datagrams since the stream began."""
 
     accepted: int = 0
@@ -76,7 +85,7 @@ class Counts:
 
 
 @dataclass(frozen=True, slots=True)
-class Echo:
+class AcceptedReply:
     """One accepted reply: (6,) joints as commanded and as measured, and the missed cycles."""
 
     command_rad: FloatArray
@@ -84,16 +93,16 @@ class Echo:
     timeouts: int
 
 
-class Replies:
+class ReplyFilter:
     """Takes datagrams, keeps the newest, counts the others."""
 
     def __init__(self) -> None:
-        self.counts = Counts()
+        self.counts = DatagramCounts()
         self._counter: int | None = None
 
-    def take(self, datagrams: Iterable[bytes]) -> Echo | None:
+    def take(self, datagrams: Iterable[bytes]) -> AcceptedReply | None:
         """Return the newest acceptable echo among ``datagrams`` and all before, None if none."""
-        newest: Echo | None = None
+        newest: AcceptedReply | None = None
         for data in datagrams:
             told = _acceptable(data)
             if told is None:
@@ -117,11 +126,11 @@ class Replies:
         return True
 
 
-def _acceptable(data: bytes) -> tuple[int, Echo] | None:
+def _acceptable(data: bytes) -> tuple[int, AcceptedReply] | None:
     """Return counter and echo of one datagram, None if it cannot be meant."""
     try:
-        reply = decode_reply(data)
-    except WireError:
+        reply = decode_mxt_reply(data)
+    except ProtocolError:
         return None
     if reply.monitors != MONITORS:
         return None
@@ -131,45 +140,10 @@ def _acceptable(data: bytes) -> tuple[int, Echo] | None:
     wanted, found = command.axes[:6], feedback.axes[:6]
     if not all(-TURN_RAD <= angle <= TURN_RAD for angle in (*wanted, *found)):
         return None
-    return reply.counter, Echo(np.array(wanted), np.array(found), reply.timeouts)
+    return reply.counter, AcceptedReply(np.array(wanted), np.array(found), reply.timeouts)
 
 
-RANGE_MARGIN_RAD = math.radians(2.0)
-"""Our limits lie inside those of the controller by this much."""
-JOINT_RANGES: tuple[tuple[float, float], ...] = tuple(
-    (-limit, limit) for limit in (LIMITS_RAD - RANGE_MARGIN_RAD).tolist()
-)
-"""Lowest and highest angle of each joint, rad."""
-WRIST_RAD = math.radians(8.0)
-"""J5 nearer to zero than this: J4 and J6 turn fast for small moves."""
-ELBOW_RAD = math.radians(8.0)
-"""J3 nearer to straight than this: at the end of the reach."""
-
-
-def check_joints(joints_rad: FloatArray) -> None:
-    """Raise ``RefusedError`` unless the (6,) joints are in range and away from singularities."""
-    inside = np.abs(joints_rad) <= LIMITS_RAD - RANGE_MARGIN_RAD
-    if not inside.all():
-        joint = int(np.argmin(inside)) + 1
-        degrees = math.degrees(float(joints_rad[joint - 1]))
-        raise RefusedError("JOINT-RANGE", f"J{joint} would be at {degrees:.1f}°.")
-    if not abs(float(joints_rad[4])) >= WRIST_RAD:
-        raise RefusedError("SINGULAR", "J4 and J6 would come in line.")
-    if not abs(float(joints_rad[2])) >= ELBOW_RAD:
-        raise RefusedError("SINGULAR", "The arm would be stretched.")
-
-
-def check_step(before_rad: FloatArray, after_rad: FloatArray, fraction: float) -> None:
-    """Raise ``RefusedError`` if a joint turns by more than ``fraction`` of its largest step."""
-    share = np.abs(after_rad - before_rad) / STEPS_RAD
-    if not (share <= fraction).all():
-        joint = int(np.argmax(share)) + 1
-        raise RefusedError(
-            "STEP", f"J{joint} would turn at {100 * share[joint - 1]:.0f} % of its top speed."
-        )
-
-
-class Rung(IntEnum):
+class SilenceLevel(IntEnum):
     """How far the silence has gone; the higher the worse."""
 
     GO = 0
@@ -186,15 +160,15 @@ HOLD_CYCLES = 10
 FAULT_CYCLES = 29
 
 
-def rung(missed: int, silent_s: float, cycle_s: float) -> Rung:
+def silence_level(missed: int, silent_s: float, cycle_s: float) -> SilenceLevel:
     """Return the rung for ``missed`` replies in a row and ``silent_s`` since the last accepted."""
     # The tolerance keeps a cycle that ends exactly now from counting as not yet over.
     cycles = max(missed, int(silent_s / cycle_s + 1e-6))
     if cycles >= FAULT_CYCLES:
-        return Rung.FAULT
+        return SilenceLevel.FAULT
     if cycles >= HOLD_CYCLES:
-        return Rung.HOLD
-    return Rung.STAND if cycles >= STAND_CYCLES else Rung.GO
+        return SilenceLevel.HOLD
+    return SilenceLevel.STAND if cycles >= STAND_CYCLES else SilenceLevel.GO
 
 
 HELD_CYCLES = 10
@@ -206,7 +180,7 @@ TILT_RAD = math.radians(20.0)
 OVERSIZE, STORM_CYCLES = 2.0, 10
 """A step over so many times what the speed allows is cut; more such in a row are a fault."""
 LEAST_LEAD_RAD_S = math.radians(5.0)
-END = encode_request(Request(Command.END))
+END = encode_mxt_request(MxtRequest(MxtCommand.END))
 NO_TIME, NO_FORCE = np.empty(0), np.empty((0, 3))
 
 
@@ -221,7 +195,7 @@ class Phase(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Inbox:
+class StreamInput:
     """What came since the last step: datagrams, and wrench samples (n,), (n, 3) of force."""
 
     datagrams: tuple[bytes, ...] = ()
@@ -230,7 +204,7 @@ class Inbox:
 
 
 @dataclass(frozen=True, slots=True)
-class Outbox:
+class StreamOutput:
     """What goes out: one packet or none; where ``G`` was measured (3,); a fault that latches."""
 
     packet: bytes | None = None
@@ -241,19 +215,19 @@ class Outbox:
 class StreamCore:
     """One stream at a time. Not thread-safe: its owner locks."""
 
-    def __init__(self, settings: MelfaSettings, placing: Placing) -> None:
+    def __init__(self, settings: MelfaSettings, placing: MelfaPlacement) -> None:
         self._settings, self._placing = settings, placing
         self.phase = Phase.IDLE
-        self.replies = Replies()
+        self.replies = ReplyFilter()
         self.holds = 0
         """How often the ladder has held the arm since the stream began."""
         self.sent_rad = np.zeros(6)
         """(6,) joints of the last command."""
-        self.program: Program | JointProgram | None = None
+        self.program: MotionProgram | JointProgram | None = None
         self._restart(0.0)
 
     def _restart(self, now_s: float) -> None:
-        self.replies, self.holds = Replies(), 0
+        self.replies, self.holds = ReplyFilter(), 0
         self.timeouts = 0
         """Cycles without a packet, as the controller counts them."""
         self._counter = self._left = 0
@@ -286,7 +260,7 @@ class StreamCore:
         self._restart(now_s)
         self.phase = Phase.OPENING
 
-    def run(self, program: Program | JointProgram) -> None:
+    def run(self, program: MotionProgram | JointProgram) -> None:
         """Take ``program`` in place of any other from the next cycle on.
 
         One whose stream STOP has just ended ends with it: it must not wait for the next stream.
@@ -304,12 +278,12 @@ class StreamCore:
             self.program.motion.end(STOPPED)
             self.program = self._braking(CommandedMotion({}))
 
-    def _braking(self, motion: CommandedMotion) -> Program | JointProgram:
-        if isinstance(self.program, JointTravel | JointFollow):
-            return JointFollow(motion, self._joints_rad_s)
+    def _braking(self, motion: CommandedMotion) -> MotionProgram | JointProgram:
+        if isinstance(self.program, JointTravelProgram | JointJogProgram):
+            return JointJogProgram(motion, self._joints_rad_s)
         if self.turn is IDENTITY_ROTATION:
-            return Follow(motion, self.velocity_mm_s)
-        return TurningFollow(motion, (self.velocity_mm_s, self._turning_rad_s))
+            return JogProgram(motion, self.velocity_mm_s)
+        return RotationJogProgram(motion, (self.velocity_mm_s, self._turning_rad_s))
 
     def stop(self, fault: Fault = STOPPED) -> None:
         """End the stream at once: nothing but end packets goes out from here."""
@@ -321,7 +295,7 @@ class StreamCore:
 
     # -- one cycle --------------------------------------------------------------------------------
 
-    def step(self, now_s: float, inbox: Inbox) -> Outbox:
+    def step(self, now_s: float, inbox: StreamInput) -> StreamOutput:
         """Take what came, return what goes out; never raises."""
         if self.phase in (Phase.IDLE, Phase.ENDING):
             return self._quiet()
@@ -336,36 +310,36 @@ class StreamCore:
             silent_s -= CYCLE_S
             self.missed = 0
             self._hear(now_s, echo)
-        level = rung(self.missed, silent_s, CYCLE_S)
-        if echo is not None and level < Rung.HOLD:
-            level = Rung.GO
-        if level is Rung.FAULT:
+        level = silence_level(self.missed, silent_s, CYCLE_S)
+        if echo is not None and level < SilenceLevel.HOLD:
+            level = SilenceLevel.GO
+        if level is SilenceLevel.FAULT:
             cycles = max(self.missed, int(silent_s / CYCLE_S))
             return self._fail(lost_fault(cycles))
         self._descend_ladder(level)
-        if level is Rung.GO and self.phase is Phase.OPEN:
+        if level is SilenceLevel.GO and self.phase is Phase.OPEN:
             refused = self._move(now_s, inbox)
             if refused is not None:
                 return self._fail(refused)
-        elif level is not Rung.GO:
+        elif level is not SilenceLevel.GO:
             self._rest()
         self._settle()
-        return Outbox(self._packet(), None if echo is None else self.measured_mm)
+        return StreamOutput(self._packet(), None if echo is None else self.measured_mm)
 
-    def _quiet(self) -> Outbox:
+    def _quiet(self) -> StreamOutput:
         if self.phase is Phase.ENDING and self._left:
             self._left -= 1
-            return Outbox(END)
+            return StreamOutput(END)
         self.phase = Phase.IDLE
-        return Outbox()
+        return StreamOutput()
 
-    def _open(self, now_s: float, echo: Echo | None) -> Outbox:
+    def _open(self, now_s: float, echo: AcceptedReply | None) -> StreamOutput:
         if echo is None:
             if now_s - self._begun_s > self._settings.mxt.start_timeout_s:
                 return self._fail(START)
             self._counter += 1
-            null = Request(Command.NONE, monitors=MONITORS, counter=self._counter)
-            return Outbox(encode_request(null))
+            null = MxtRequest(MxtCommand.NONE, monitors=MONITORS, counter=self._counter)
+            return StreamOutput(encode_mxt_request(null))
         turn = self._placing.turn(echo.command_rad)
         if not tilt_rad(turn) <= TILT_RAD:
             return self._fail(tilted_fault(math.degrees(tilt_rad(turn))))
@@ -377,16 +351,16 @@ class StreamCore:
         self.command_mm = self._placing.pivot_mm(self.sent_rad)
         self._hear(now_s, echo)
         self.phase, self._left = Phase.HOLDING, HELD_CYCLES
-        return Outbox(self._packet(), self.measured_mm)
+        return StreamOutput(self._packet(), self.measured_mm)
 
-    def _hear(self, now_s: float, echo: Echo) -> None:
+    def _hear(self, now_s: float, echo: AcceptedReply) -> None:
         self._heard_s, self.timeouts = now_s, echo.timeouts
         self._echo_rad, self.measured_rad = echo.command_rad, echo.feedback_rad
         self._echo_mm = self._placing.pivot_mm(echo.command_rad)
         self.measured_mm = self._placing.pivot_mm(echo.feedback_rad)
 
-    def _descend_ladder(self, level: Rung) -> None:
-        if level is not Rung.HOLD:
+    def _descend_ladder(self, level: SilenceLevel) -> None:
+        if level is not SilenceLevel.HOLD:
             self._holding = False
             return
         self.holds += not self._holding
@@ -402,18 +376,18 @@ class StreamCore:
             if self._left <= 0:
                 self.phase = Phase.OPEN
 
-    def _move(self, now_s: float, inbox: Inbox) -> Fault | None:
+    def _move(self, now_s: float, inbox: StreamInput) -> Fault | None:
         """Advance the program by one cycle; return a fault that ends the stream."""
         program = self.program
         if program is None:
             self._rest()
             return None
-        felt = Felt(
+        felt = CycleInput(
             now_s, CYCLE_S, self.command_mm, self.measured_mm, inbox.t_s, inbox.force_n,
             self.turn, self.sent_rad, self.measured_rad,
         )  # fmt: skip
         try:
-            if isinstance(program, JointTravel | JointFollow):
+            if isinstance(program, JointTravelProgram | JointJogProgram):
                 command_mm, turn, joints = self._next_joints(program, felt)
             else:
                 command_mm, turn, joints = self._next_place(program, felt)
@@ -434,7 +408,7 @@ class StreamCore:
         return None
 
     def _next_place(
-        self, program: Program, felt: Felt
+        self, program: MotionProgram, felt: CycleInput
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return place, turn and joints of the next command of a program that moves the hand."""
         wanted_mm = program.next_mm(felt)
@@ -454,7 +428,7 @@ class StreamCore:
         return command_mm, turn, joints
 
     def _next_joints(
-        self, program: JointProgram, felt: Felt
+        self, program: JointProgram, felt: CycleInput
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return place, turn and joints of the next command of a program that drives joints."""
         joints = program.next_rad(felt)
@@ -466,9 +440,9 @@ class StreamCore:
     def _ahead_rad(self, joints_rad: FloatArray) -> float:
         return float(np.abs(joints_rad - self._echo_rad).max())
 
-    def _lead_rad(self, program: Program | JointProgram) -> float:
+    def _lead_rad(self, program: MotionProgram | JointProgram) -> float:
         """Return how far a joint may run ahead: three cycles; a turn may swing joints faster."""
-        if isinstance(program, JointTravel | JointFollow):
+        if isinstance(program, JointTravelProgram | JointJogProgram):
             return LEAD_CYCLES * CYCLE_S * max(program.speed_rad_s, LEAST_LEAD_RAD_S)
         return LEAD_CYCLES * float((STEPS_RAD * self._settings.mxt.step_fraction).max())
 
@@ -485,10 +459,10 @@ class StreamCore:
 
     def _packet(self) -> bytes:
         self._counter += 1
-        target = Values(Kind.JOINT, (*self.sent_rad.tolist(), 0.0, 0.0))
-        return encode_request(Request(Command.MOVE, target, MONITORS, self._counter))
+        target = Values(BlockKind.JOINT, (*self.sent_rad.tolist(), 0.0, 0.0))
+        return encode_mxt_request(MxtRequest(MxtCommand.MOVE, target, MONITORS, self._counter))
 
-    def _fail(self, fault: Fault) -> Outbox:
+    def _fail(self, fault: Fault) -> StreamOutput:
         self.stop(fault)
         self._left -= 1
-        return Outbox(END, fault=fault)
+        return StreamOutput(END, fault=fault)

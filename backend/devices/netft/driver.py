@@ -1,4 +1,7 @@
-"""Driver of a Net F/T sensor."""
+"""Driver of ATI Net F/T, Ethernet Axia and OnRobot compute box.
+
+UDP with one client.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +11,17 @@ import threading
 
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.devices.force_torque import (
-    Greeting,
-    Link,
+    FrameErrors,
     NotAnsweredError,
-    Reading,
-    Refusals,
+    SensorDescription,
+    SensorLink,
     UdpLink,
+    WrenchReading,
     pause,
 )
-from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.netft import protocol
-from touchdown.backend.devices.netft.protocol import TCP_REQUEST, Command, Record, Request
+from touchdown.backend.devices.netft.protocol import TCP_REQUEST, RdtCommand, RdtRecord, RdtRequest
 from touchdown.backend.devices.protocols import Identity
 
 ONROBOT_COUNTS = (10_000.0, 100_000.0)
@@ -30,7 +33,7 @@ CALIBRATION_BYTES = 24
 SEQUENCE_TURN = 1 << 32
 
 
-class NetFtLanguage:
+class NetFtDriver:
     """Old and doubled datagrams are dropped by their sequence; a gap counts as lost."""
 
     baud = 0
@@ -43,25 +46,25 @@ class NetFtLanguage:
         self._last: int | None = None
         self._bad = self._bad_in_a_row = self._discarded = 0
 
-    def start(self, link: Link, cancel: threading.Event) -> Greeting:
+    def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
         """Learn the scale, stop an old stream, start."""
         self._counts = self._scale(link)
         for _ in range(2):
-            link.write(protocol.encode_request(Request(Command.STOP)))
+            link.write(protocol.encode_request(RdtRequest(RdtCommand.STOP)))
         pause(cancel, SETTLE_S)
         link.drain()
         self._last = None
-        link.write(protocol.encode_request(Request(Command.START)))
+        link.write(protocol.encode_request(RdtRequest(RdtCommand.START)))
         identity = Identity("ATI", "Net F/T", self._address, "")
-        return Greeting(identity, self._settings.rated, self._period_s, numbered=True)
+        return SensorDescription(identity, self._settings.rated, self._period_s, numbered=True)
 
-    def take(self, data: bytes) -> list[Reading]:
+    def take(self, data: bytes) -> list[WrenchReading]:
         """Return the samples of one datagram that are newer than all before."""
         if not data:
             return []
         try:
             records = protocol.decode_records(data)
-        except WireError:
+        except ProtocolError:
             self._bad += 1
             self._bad_in_a_row += 1
             self._discarded += len(data)
@@ -70,16 +73,16 @@ class NetFtLanguage:
         return [reading for record in records if (reading := self._reading(record))]
 
     @property
-    def refusals(self) -> Refusals:
+    def refusals(self) -> FrameErrors:
         """Datagrams that were none."""
-        return Refusals(self._bad, self._bad_in_a_row, self._discarded)
+        return FrameErrors(self._bad, self._bad_in_a_row, self._discarded)
 
-    def stop(self, link: Link) -> None:
+    def stop(self, link: SensorLink) -> None:
         """Three times: a datagram may be lost."""
         for _ in range(3):
-            link.write(protocol.encode_request(Request(Command.STOP)))
+            link.write(protocol.encode_request(RdtRequest(RdtCommand.STOP)))
 
-    def _reading(self, record: Record) -> Reading | None:
+    def _reading(self, record: RdtRecord) -> WrenchReading | None:
         missed, last = 0, self._last
         if last is not None:
             step = (record.rdt_sequence - last) % SEQUENCE_TURN
@@ -88,9 +91,9 @@ class NetFtLanguage:
             missed = step - 1
         self._last = record.rdt_sequence
         trouble = f"The sensor reports status {record.status:08X}h" if record.status else ""
-        return Reading(record.wrench(*self._counts), missed, trouble=trouble)
+        return WrenchReading(record.wrench(*self._counts), missed, trouble=trouble)
 
-    def _scale(self, link: Link) -> tuple[float, float]:
+    def _scale(self, link: SensorLink) -> tuple[float, float]:
         """Return counts per N and per N·m: from the page, the TCP channel, else the settings."""
         if self._settings.onrobot:
             return ONROBOT_COUNTS

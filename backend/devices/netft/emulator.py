@@ -1,20 +1,23 @@
-"""Emulated Net F/T sensor."""
+"""Emulated ATI Net F/T sensor.
+
+Serves datagrams, the web page with the scale, and the answer on the TCP channel.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.netft import protocol
 from touchdown.backend.devices.netft.protocol import (
     TCP_REQUEST,
     UNIT_NEWTON,
     UNIT_NEWTON_METRE,
     Calibration,
-    Command,
-    Record,
+    RdtCommand,
+    RdtRecord,
 )
-from touchdown.backend.emulation import Pace
+from touchdown.backend.emulation import SampleSchedule
 
 PER_UNIT = 1_000_000
 RATE_HZ = 1000.0
@@ -22,7 +25,7 @@ SEQUENCE_TURN = 1 << 32
 SATURATED = 0x0002_0000
 """Status bit of a gauge at its end."""
 _LIMIT = 0x7FFF_FFFF
-_STARTS = (Command.START, Command.START_AXIA, Command.START_BUFFERED)
+_STARTS = (RdtCommand.START, RdtCommand.START_AXIA, RdtCommand.START_BUFFERED)
 
 
 class EmulatedNetFt:
@@ -32,7 +35,7 @@ class EmulatedNetFt:
         self, wrench: Callable[[float], Sequence[float]], *, rate_hz: float = RATE_HZ
     ) -> None:
         self._wrench, self._period_s = wrench, 1.0 / rate_hz
-        self.pace = Pace()
+        self.pace = SampleSchedule()
         self._left: int | None = None
         self._sequence = self._ft_sequence = 0
         self._bias: tuple[int, ...] = (0,) * 6
@@ -41,11 +44,11 @@ class EmulatedNetFt:
         """Take one request; nothing answers it but records."""
         try:
             request = protocol.decode_request(data)
-        except WireError:
+        except ProtocolError:
             return []
-        if request.command == Command.BIAS:
+        if request.command == RdtCommand.BIAS:
             self._bias = self._raw(now_s)
-        elif request.command == Command.STOP:
+        elif request.command == RdtCommand.STOP:
             self.pace.end()
         elif request.command in _STARTS:
             self._left = request.count or None
@@ -67,13 +70,13 @@ class EmulatedNetFt:
     def _raw(self, now_s: float) -> tuple[int, ...]:
         return tuple(round(value * PER_UNIT) for value in self._wrench(now_s))
 
-    def _record(self, now_s: float) -> Record:
+    def _record(self, now_s: float) -> RdtRecord:
         self._sequence = (self._sequence + 1) % SEQUENCE_TURN
         self._ft_sequence = round(now_s / self._period_s) % SEQUENCE_TURN
         raw = [count - bias for count, bias in zip(self._raw(now_s), self._bias, strict=True)]
         status = SATURATED if max(map(abs, raw)) > _LIMIT else 0
         counts = tuple(min(max(count, -_LIMIT), _LIMIT) for count in raw)
-        return Record(self._sequence, self._ft_sequence, status, counts)
+        return RdtRecord(self._sequence, self._ft_sequence, status, counts)
 
 
 class EmulatedCalibration:

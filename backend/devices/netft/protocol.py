@@ -1,4 +1,8 @@
-"""Net F/T UDP records and TCP requests."""
+"""Datagram protocol of ATI Net F/T, Ethernet Axia and OnRobot compute box.
+
+RDT datagrams, big-endian. Source: ATI 9610-05 and 9620-05 chapters 10 and 12; public clients
+CameronDevine/NetFT and netft/pyNetFT.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-from touchdown.backend.devices.framing import WireError, Wrench, expect_length, wrench_of
+from touchdown.backend.devices.framing import ProtocolError, Wrench, require_length, wrench_of
 
 RDT_PORT, TCP_PORT = 49152, 49151
 HEADER = 0x1234
@@ -22,7 +26,7 @@ _RECORD = struct.Struct(">3I6i")
 _CALIBRATION = struct.Struct(">HBB2I6H")
 
 
-class Command(IntEnum):
+class RdtCommand(IntEnum):
     """Requests; the last two exist on OnRobot boxes only and are unconfirmed."""
 
     STOP = 0x0000
@@ -35,7 +39,7 @@ class Command(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class RdtRequest:
     """``count`` records are wanted, 0 means without end."""
 
     command: int
@@ -43,7 +47,7 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class RdtRecord:
     """One sample; ``status`` other than 0 is a fault of the sensor."""
 
     rdt_sequence: int
@@ -70,39 +74,39 @@ class Calibration:
     scale: tuple[int, ...]
 
 
-def encode_request(request: Request) -> bytes:
+def encode_request(request: RdtRequest) -> bytes:
     """Return the 8 bytes."""
     try:
         return _REQUEST.pack(HEADER, request.command, request.count)
     except struct.error as error:
-        raise WireError("range", "rdt request", 2) from error
+        raise ProtocolError("range", "rdt request", 2) from error
 
 
-def decode_request(data: bytes) -> Request:
+def decode_request(data: bytes) -> RdtRequest:
     """Return the request of one datagram; raises ``WireError``."""
-    expect_length(data, _REQUEST.size, "rdt request")
+    require_length(data, _REQUEST.size, "rdt request")
     header, command, count = _REQUEST.unpack(data)
     if header != HEADER:
-        raise WireError("header", "rdt request")
-    return Request(command, count)
+        raise ProtocolError("header", "rdt request")
+    return RdtRequest(command, count)
 
 
-def encode_records(records: tuple[Record, ...]) -> bytes:
+def encode_records(records: tuple[RdtRecord, ...]) -> bytes:
     """Return one datagram."""
     try:
         return b"".join(
             _RECORD.pack(r.rdt_sequence, r.ft_sequence, r.status, *r.counts) for r in records
         )
     except struct.error as error:
-        raise WireError("range", "rdt record") from error
+        raise ProtocolError("range", "rdt record") from error
 
 
-def decode_records(data: bytes) -> tuple[Record, ...]:
+def decode_records(data: bytes) -> tuple[RdtRecord, ...]:
     """Return the records of one datagram, one or (buffered) several; raises ``WireError``."""
     if not data or len(data) % RECORD_BYTES:
-        raise WireError("length", "rdt record", len(data))
+        raise ProtocolError("length", "rdt record", len(data))
     rows = _RECORD.iter_unpack(data)
-    return tuple(Record(rdt, ft, status, tuple(counts)) for rdt, ft, status, *counts in rows)
+    return tuple(RdtRecord(rdt, ft, status, tuple(counts)) for rdt, ft, status, *counts in rows)
 
 
 def encode_calibration(calibration: Calibration) -> bytes:
@@ -112,19 +116,19 @@ def encode_calibration(calibration: Calibration) -> bytes:
     try:
         return _CALIBRATION.pack(HEADER, *units, *counts, *calibration.scale)
     except struct.error as error:
-        raise WireError("range", "netft calibration") from error
+        raise ProtocolError("range", "netft calibration") from error
 
 
 def decode_calibration(data: bytes) -> Calibration:
     """Return the calibration; refuses units other than N and N·m."""
-    expect_length(data, _CALIBRATION.size, "netft calibration")
+    require_length(data, _CALIBRATION.size, "netft calibration")
     header, force_unit, torque_unit, per_n, per_nm, *scale = _CALIBRATION.unpack(data)
     if header != HEADER:
-        raise WireError("header", "netft calibration")
+        raise ProtocolError("header", "netft calibration")
     if (force_unit, torque_unit) != (UNIT_NEWTON, UNIT_NEWTON_METRE):
-        raise WireError("unit", "netft calibration", 2)
+        raise ProtocolError("unit", "netft calibration", 2)
     if not per_n or not per_nm:
-        raise WireError("range", "netft calibration", 4)
+        raise ProtocolError("range", "netft calibration", 4)
     return Calibration(force_unit, torque_unit, per_n, per_nm, tuple(scale))
 
 
@@ -134,15 +138,15 @@ def decode_page(page: bytes) -> tuple[float, float]:
     def field(name: bytes) -> bytes:
         found = re.search(b"<" + name + rb">\s*([^<>\s]{1,20})\s*</" + name + b">", page)
         if found is None:
-            raise WireError("field", f"netft page, {name.decode()}")
+            raise ProtocolError("field", f"netft page, {name.decode()}")
         return found[1]
 
     if field(b"scfgfu") != b"N" or field(b"scfgtu") not in (b"N-m", b"Nm"):
-        raise WireError("unit", "netft page")
+        raise ProtocolError("unit", "netft page")
     try:
         counts = float(field(b"cfgcpf")), float(field(b"cfgcpt"))
     except ValueError as error:
-        raise WireError("number", "netft page") from error
+        raise ProtocolError("number", "netft page") from error
     if not all(math.isfinite(count) and count > 0 for count in counts):
-        raise WireError("range", "netft page")
+        raise ProtocolError("range", "netft page")
     return counts

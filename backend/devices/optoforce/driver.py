@@ -1,4 +1,7 @@
-"""Driver of an OptoForce sensor."""
+"""Driver of OptoForce and OnRobot HEX sensors.
+
+The scale is that of the sensor's own data sheet.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,15 @@ import threading
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.core import InputError
 from touchdown.backend.devices.force_torque import (
-    Greeting,
-    Link,
+    FrameErrors,
     NotAnsweredError,
-    Reading,
-    Refusals,
+    SensorDescription,
+    SensorLink,
+    WrenchReading,
     ask,
 )
 from touchdown.backend.devices.optoforce import protocol
-from touchdown.backend.devices.optoforce.protocol import SPEED_HZ, Ack, Config, Frame
+from touchdown.backend.devices.optoforce.protocol import SPEED_HZ, Ack, Config, OptoforceFrame
 from touchdown.backend.devices.protocols import Identity
 
 COUNT_TURN = 1 << 16
@@ -24,7 +27,7 @@ OLD = 1000
 SPEED, NO_FILTER = 1, 0
 
 
-class OptoforceLanguage:
+class OptoforceDriver:
     """Losses follow from the count of the sensor; raises ``InputError`` without a scale."""
 
     baud = 1_000_000
@@ -42,7 +45,7 @@ class OptoforceLanguage:
         self._decoder = protocol.incoming()
         self._last: int | None = None
 
-    def start(self, link: Link, cancel: threading.Event) -> Greeting:
+    def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
         """Ask for the full rate without filter; the acknowledge may come between frames."""
         link.drain()
 
@@ -54,29 +57,29 @@ class OptoforceLanguage:
             raise NotAnsweredError(f"The sensor refuses its configuration ({ack.status})")
         self._last = None
         identity = Identity("OnRobot", "HEX", self._address, "")
-        return Greeting(identity, self._capacity, 1.0 / SPEED_HZ[SPEED], numbered=True)
+        return SensorDescription(identity, self._capacity, 1.0 / SPEED_HZ[SPEED], numbered=True)
 
-    def take(self, data: bytes) -> list[Reading]:
+    def take(self, data: bytes) -> list[WrenchReading]:
         """Return the samples of six axes."""
-        frames = (m for m in self._decoder.feed(data) if isinstance(m, Frame))
+        frames = (m for m in self._decoder.feed(data) if isinstance(m, OptoforceFrame))
         whole = (frame for frame in frames if len(frame.counts) == 6)
         return [self._reading(frame) for frame in whole if not self._is_old(frame)]
 
     @property
-    def refusals(self) -> Refusals:
+    def refusals(self) -> FrameErrors:
         """Frames that were none."""
         decoder = self._decoder
-        return Refusals(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
+        return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
 
-    def stop(self, link: Link) -> None:
+    def stop(self, link: SensorLink) -> None:
         """Speed 0."""
         link.write(protocol.encode(Config(0, NO_FILTER)))
 
-    def _is_old(self, frame: Frame) -> bool:
+    def _is_old(self, frame: OptoforceFrame) -> bool:
         """Whether it comes after one that was taken later, or twice."""
         return self._last is not None and (self._last - frame.count) % COUNT_TURN <= OLD
 
-    def _reading(self, frame: Frame) -> Reading:
+    def _reading(self, frame: OptoforceFrame) -> WrenchReading:
         missed, last = 0, self._last
         self._last = frame.count
         if last is not None:
@@ -85,4 +88,4 @@ class OptoforceLanguage:
         if frame.daq or frame.sensor:
             trouble = f"The sensor reports a failure (unit {frame.daq}, sensor {frame.sensor})"
         wrench = frame.wrench(self._counts, self._capacity)
-        return Reading(wrench, missed, bool(frame.overload), trouble)
+        return WrenchReading(wrench, missed, bool(frame.overload), trouble)

@@ -1,12 +1,21 @@
-"""Emulated OptoForce sensor."""
+"""Emulated OptoForce HEX sensor.
+
+Silent until configured, then frames with a count.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
 from touchdown.backend.devices.optoforce import protocol
-from touchdown.backend.devices.optoforce.protocol import SPEED_HZ, ZERO_NOW, Ack, Config, Frame
-from touchdown.backend.emulation import Pace
+from touchdown.backend.devices.optoforce.protocol import (
+    SPEED_HZ,
+    ZERO_NOW,
+    Ack,
+    Config,
+    OptoforceFrame,
+)
+from touchdown.backend.emulation import SampleSchedule
 
 COUNTS = (10_000.0, 10_000.0, 10_000.0, 10_000.0, 10_000.0, 10_000.0)
 CAPACITY = (200.0, 200.0, 200.0, 6.5, 6.5, 6.5)
@@ -29,7 +38,7 @@ class EmulatedOptoforce:
         self._wrench, self._capacity = wrench, tuple(capacity)
         self._per_unit = tuple(c / load for c, load in zip(counts, capacity, strict=True))
         self._requests = protocol.requests()
-        self.pace = Pace()
+        self.pace = SampleSchedule()
         self._count = 0
         self._zero: tuple[int, ...] = (0,) * 6
 
@@ -69,6 +78,6 @@ class EmulatedOptoforce:
         ):
             status |= (abs(count) > factor * load) << bit
         zeroed = (min(max(c - z, -_LIMIT), _LIMIT) for c, z in zip(raw, self._zero, strict=True))
-        frame = Frame(self._count, status, tuple(zeroed))
+        frame = OptoforceFrame(self._count, status, tuple(zeroed))
         self._count = (self._count + 1) % COUNT_TURN
         return protocol.encode(frame)

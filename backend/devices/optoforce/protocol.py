@@ -1,4 +1,8 @@
-"""OptoForce frames."""
+"""Byte protocol of OptoForce and OnRobot HEX sensors.
+
+Big-endian frames with a sum, on the serial acquisition unit. Source: sensor data sheets as in the
+public driver alknemeyer/optoforce.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from touchdown.backend.devices.framing import (
+    FrameStep,
     FrameStream,
-    Step,
-    WireError,
+    ProtocolError,
     Wrench,
     noise_until,
     sum16,
@@ -28,7 +32,7 @@ _AXES = {0x0A: 3, 0x10: 6, 0x1C: 12}
 _OVERLOADS = ((9, "Fx"), (8, "Fy"), (7, "Fz"), (6, "Tx"), (5, "Ty"), (4, "Tz"))
 
 
-class Daq(IntEnum):
+class AcquisitionFault(IntEnum):
     """Fault of the acquisition unit, bits 15 to 13 of the status."""
 
     ERROR = 1
@@ -60,7 +64,7 @@ class Ack:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class OptoforceFrame:
     """One sample of 3, 6 or 12 axes; ``count`` wraps at 65536."""
 
     count: int
@@ -102,47 +106,47 @@ class Frame:
         return wrench_of(self.scaled(counts_at_capacity, capacity))
 
 
-Incoming = Frame | Ack
+OptoforceMessage = OptoforceFrame | Ack
 
 
-def encode(message: Incoming | Config) -> bytes:
+def encode(message: OptoforceMessage | Config) -> bytes:
     """Return the bytes of any message of this protocol."""
     try:
         body = _body(message)
     except (struct.error, ValueError) as error:
-        raise WireError("range", "optoforce message", 4) from error
+        raise ProtocolError("range", "optoforce message", 4) from error
     return body + struct.pack(">H", sum16(body))
 
 
-def _body(message: Incoming | Config) -> bytes:
+def _body(message: OptoforceMessage | Config) -> bytes:
     if isinstance(message, Config):
         return _CONFIG + bytes((message.speed, message.filter, message.zero))
     if isinstance(message, Ack):
         return _ACK + bytes((message.status,))
     kind = {axes: code for code, axes in _AXES.items()}.get(len(message.counts))
     if kind is None:
-        raise WireError("length", "optoforce frame", 8)
+        raise ProtocolError("length", "optoforce frame", 8)
     content = struct.pack(
         f">HH{len(message.counts)}h", message.count, message.status, *message.counts
     )
     return _FRAME + bytes((kind,)) + content
 
 
-def decode(frame: bytes) -> Incoming:
+def decode(frame: bytes) -> OptoforceMessage:
     """Return the message of one whole frame from the sensor; raises ``WireError``."""
     length = _length(frame, 0)
     if length == 0:
-        raise WireError("header", "optoforce frame")
+        raise ProtocolError("header", "optoforce frame")
     if length is None or length != len(frame):
-        raise WireError("length", "optoforce frame", len(frame))
+        raise ProtocolError("length", "optoforce frame", len(frame))
     body = _summed(frame)
     if body[:4] == _ACK:
         return Ack(body[4])
     count, status, *counts = struct.unpack(f">HH{_AXES[body[3]]}h", body[4:])
-    return Frame(count, status, tuple(counts))
+    return OptoforceFrame(count, status, tuple(counts))
 
 
-def incoming() -> FrameStream[Incoming]:
+def incoming() -> FrameStream[OptoforceMessage]:
     """Return the decoder of what the sensor sends."""
     return FrameStream(_take)
 
@@ -154,7 +158,7 @@ def requests() -> FrameStream[Config]:
 
 def _summed(frame: bytes) -> bytes:
     if sum16(frame[:-2]) != int.from_bytes(frame[-2:], "big"):
-        raise WireError("sum", "optoforce frame", len(frame) - 2)
+        raise ProtocolError("sum", "optoforce frame", len(frame) - 2)
     return frame[:-2]
 
 
@@ -168,25 +172,25 @@ def _length(data: bytes, at: int) -> int | None:
     return None if len(head) < 4 and (_ACK.startswith(head) or _FRAME.startswith(head)) else 0
 
 
-def _take(data: bytes, at: int) -> Step[Incoming] | None:
+def _take(data: bytes, at: int) -> FrameStep[OptoforceMessage] | None:
     length = _length(data, at)
     if length == 0:
         return noise_until(data, at, b"\xaa")
     if length is None or at + length > len(data):
         return None
     try:
-        return Step(length, decode(data[at : at + length]))
-    except WireError:
-        return Step(1, refused=True)
+        return FrameStep(length, decode(data[at : at + length]))
+    except ProtocolError:
+        return FrameStep(1, refused=True)
 
 
-def _take_request(data: bytes, at: int) -> Step[Config] | None:
+def _take_request(data: bytes, at: int) -> FrameStep[Config] | None:
     head = data[at : at + 4]
     if not _CONFIG.startswith(head):
         return noise_until(data, at, b"\xaa")
     if len(data) - at < 9:
         return None
     try:
-        return Step(9, Config(*_summed(data[at : at + 9])[4:]))
-    except WireError:
-        return Step(1, refused=True)
+        return FrameStep(9, Config(*_summed(data[at : at + 9])[4:]))
+    except ProtocolError:
+        return FrameStep(1, refused=True)

@@ -6,11 +6,9 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from touchdown.backend.devices.streamed import (
+        arm,
         compliance,
-        moves,
-        press,
-        setpoints,
-        turns,
+        motion_programs,
     )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

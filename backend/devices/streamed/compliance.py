@@ -1,4 +1,11 @@
-"""Compliance of a streamed press."""
+"""Software compliance of a streamed arm in contact.
+
+Per axis M a + D v + K d = f with implicit damping and explicit spring; ``d`` is added to the
+reference. Forces are those of the environment on the tool, tared in air, along the axes of the
+bench; all arrays (3,), N and mm. Stability depends on damping against loop delay, not on K: see
+``damping``. An unstable contact is detected as a swing of the force at a rate that the loop delay
+sets.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +30,7 @@ GIVE_MM = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Loop:
+class LoopDelays:
     """The delays around the loop: ``cycle_s``, whole dead cycles, lags of arm and sensor."""
 
     cycle_s: float
@@ -46,7 +53,7 @@ def damping(delay_s: float, stiffest_n_mm: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Law:
+class AdmittanceLaw:
     """Constants of one law. ``stiffness_n_mm`` (x, y, z); D in N·s/mm; M in N·s²/mm."""
 
     cycle_s: float
@@ -58,25 +65,25 @@ class Law:
     acceleration_mm_s2: float = ACCELERATION_MM_S2
     give_mm: float = GIVE_MM
 
-    def doubled(self) -> Law:
+    def doubled(self) -> AdmittanceLaw:
         """Return the law with twice the damping and mass: what calms a swing."""
         return replace(self, damping=2.0 * self.damping, mass=2.0 * self.mass)
 
 
-def law_for(
-    loop: Loop, stiffness_n_mm: tuple[float, float, float], stiffest_n_mm: float = DESIGN_N_MM
-) -> Law:
+def admittance_law(
+    loop: LoopDelays, stiffness_n_mm: tuple[float, float, float], stiffest_n_mm: float = DESIGN_N_MM
+) -> AdmittanceLaw:
     """Return the law for a loop; raises ValueError if the spring would ring by itself."""
     if not all(math.isfinite(k) and k > 0.0 for k in (*stiffness_n_mm, stiffest_n_mm)):
         raise ValueError("stiffness must be finite and positive")
     d = damping(loop.delay_s, stiffest_n_mm)
     if not d > max(stiffness_n_mm) * loop.cycle_s:
         raise ValueError("the damping is too small for this cycle")
-    return Law(loop.cycle_s, stiffness_n_mm, d, MASS_S * d, loop.filter_hz)
+    return AdmittanceLaw(loop.cycle_s, stiffness_n_mm, d, MASS_S * d, loop.filter_hz)
 
 
 @dataclass(frozen=True, slots=True)
-class Give:
+class Deflection:
     """How far the arm has given way: ``d_mm``, its speed, and the filtered force ``g_n``."""
 
     d_mm: FloatArray
@@ -84,10 +91,10 @@ class Give:
     g_n: FloatArray
 
 
-AT_REST = Give(np.zeros(3), np.zeros(3), np.zeros(3))
+AT_REST = Deflection(np.zeros(3), np.zeros(3), np.zeros(3))
 
 
-def give_way(law: Law, give: Give, force_n: FloatArray) -> Give:
+def deflect(law: AdmittanceLaw, give: Deflection, force_n: FloatArray) -> Deflection:
     """Return the next state for ``force_n`` (3,); without a finite force it stands still."""
     if not np.isfinite(force_n).all():
         return replace(give, v_mm_s=np.zeros(3))
@@ -103,56 +110,21 @@ def give_way(law: Law, give: Give, force_n: FloatArray) -> Give:
     d = np.clip(free, -law.give_mm, law.give_mm)
     # A clipped way is the way that was gone: the speed must not wind up behind the limit.
     v = np.where(d == free, v, (d - give.d_mm) / t)
-    return Give(d, v, g)
+    return Deflection(d, v, g)
 
 
-def cut_back(give: Give, reference_mm: FloatArray, command_mm: FloatArray) -> Give:
+def cut_back(give: Deflection, reference_mm: FloatArray, command_mm: FloatArray) -> Deflection:
     """Return the state after the command was cut to ``command_mm`` by the lead limit."""
     return replace(give, d_mm=command_mm - reference_mm, v_mm_s=np.zeros(3))
 
 
-def fastest_approach_mm_s(law: Law, loop: Loop, peak_n: float, press_mm: float) -> float:
+def fastest_approach_mm_s(
+    law: AdmittanceLaw, loop: LoopDelays, peak_n: float, press_mm: float
+) -> float:
     """Return the highest approach speed whose peak stays under ``peak_n`` at design stiffness."""
     k, contact = law.stiffness_n_mm[2], law.damping / (2.0 * loop.delay_s)
     steady_n = press_mm * k * contact / (k + contact)
     return (peak_n - steady_n) / (law.damping + contact * loop.delay_s)
-
-
-AIR_S = 0.2
-"""Length of the air that is averaged."""
-GAP_S = 0.05
-"""It ends so long before the onset, which is known within 0.05 mm only."""
-KEPT_S = 1.0
-"""The onset lies by less than this before the newest sample."""
-LEAST_SAMPLES = 10
-
-
-class AirZero:
-    """``t_s`` (n,), ``force_n`` (n, 3): untared samples in air, up to the start of a press."""
-
-    def __init__(self, t_s: FloatArray, force_n: FloatArray) -> None:
-        self.start_n = force_n[t_s >= t_s[-1] - AIR_S].mean(axis=0)
-        """(3,) mean at the start of the press."""
-        self._blocks = deque([(t_s, force_n)])
-
-    def feed(self, t_s: FloatArray, force_n: FloatArray) -> None:
-        """Take finite samples (n,), (n, 3) on the way down."""
-        if not len(t_s):
-            return
-        self._blocks.append((t_s, force_n))
-        while self._blocks[0][0][-1] < t_s[-1] - KEPT_S:
-            self._blocks.popleft()
-
-    def moved_n(self, onset_s: float) -> FloatArray:
-        """Return (3,) by how much the air before ``onset_s`` differs from that of the start.
-
-        Zero where there are too few samples to tell.
-        """
-        t_s, force_n = (np.concatenate(part) for part in zip(*self._blocks, strict=True))
-        air = (t_s >= onset_s - GAP_S - AIR_S) & (t_s <= onset_s - GAP_S)
-        if np.count_nonzero(air) < LEAST_SAMPLES:
-            return np.zeros(3)
-        return np.asarray(force_n[air].mean(axis=0) - self.start_n)
 
 
 TURNS = 4
@@ -211,8 +183,8 @@ class Compliance:
 
     def __init__(
         self,
-        law: Law,
-        loop: Loop,
+        law: AdmittanceLaw,
+        loop: LoopDelays,
         reference_mm: FloatArray,
         air_n: FloatArray,
         moved_n: FloatArray | None = None,
@@ -269,7 +241,7 @@ class Compliance:
 
     def command_mm(self, now_s: float) -> FloatArray:
         """Return the next command (3,)."""
-        self._give = give_way(self.law, self._give, self._felt_n - self._moved_n)
+        self._give = deflect(self.law, self._give, self._felt_n - self._moved_n)
         if np.isfinite(self._felt_n).all():
             self._watch_swing(now_s)
         return np.asarray(self.reference_mm + self._give.d_mm)
@@ -299,37 +271,3 @@ class Compliance:
         self._over_before = bool(over[-1])
         twice = bool((over[:-1] & over[1:]).any())
         self.tripped = self.tripped or twice or bool((size > TRIP_AT_ONCE_N).any())
-
-
-LOW_N, HIGH_N = 1.0, 5.0
-STIFFNESS_LEAST_SAMPLES = 4
-
-
-class ContactStiffness:
-    """Takes command and force once per cycle; the force answers a loop delay later."""
-
-    def __init__(self, delay_s: float) -> None:
-        self._delay_s = delay_s
-        self._commands: deque[tuple[float, float]] = deque(maxlen=64)
-        self._seen: list[tuple[float, float]] = []
-        self.found_n_mm: float | None = None
-        """Found once the force has risen from 1 to 5 N; a softer contact is never found."""
-
-    def feed(self, t_s: float, command_z_mm: float, force_n: float) -> None:
-        """Take the height commanded at ``t_s`` and the press force felt then."""
-        self._commands.append((t_s, command_z_mm))
-        if self.found_n_mm is not None:
-            return
-        if not force_n >= LOW_N:
-            # One rise tells it: what bounces in between belongs to no slope.
-            self._seen.clear()
-        elif force_n <= HIGH_N:
-            times, heights = zip(*self._commands, strict=True)
-            self._seen.append((float(np.interp(t_s - self._delay_s, times, heights)), force_n))
-        elif len(self._seen) >= STIFFNESS_LEAST_SAMPLES:
-            self.found_n_mm = self._slope()
-
-    def _slope(self) -> float:
-        heights, forces = np.array(self._seen).T
-        away = heights - heights.mean()
-        return float(-(away @ forces) / max(float(away @ away), 1e-9))

@@ -1,6 +1,6 @@
-from .arm import UrArm as UrArm
-from .force_sensor import SCHEME as SCHEME
-from .force_sensor import UrLanguage as UrLanguage
-from .force_sensor import open_rtde as open_rtde
+from .driver import UrArm as UrArm
+from .rtde import SCHEME as SCHEME
+from .rtde import UrWrenchDriver as UrWrenchDriver
+from .rtde import open_rtde as open_rtde
 
-__all__ = ["SCHEME", "UrArm", "UrLanguage", "open_rtde"]
+__all__ = ["SCHEME", "UrArm", "UrWrenchDriver", "open_rtde"]

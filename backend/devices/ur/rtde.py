@@ -1,18 +1,33 @@
-"""RTDE link, guarded by ur_rtde."""
+"""Connections to a Universal Robots arm through ``ur_rtde``: control, stop, wrist wrench.
+
+Units: metres, rotation vectors in rad, seconds. STOP has a connection of its own and waits for no
+other. The wrist sensor has one as well; its samples are numbered by the robot's time stamps.
+Source: API reference of ur_rtde 1.6 (sdurobotics.gitlab.io/ur_rtde).
+"""
 
 from __future__ import annotations
 
 import contextlib
 import importlib
 import math
+import struct
 import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from touchdown.backend.config import HardwareSettings
 from touchdown.backend.core import Fault, FaultError
-from touchdown.backend.devices.protocols import Identity
-from touchdown.backend.devices.streamed import ARM, HELD, NOTHING_MOVED
+from touchdown.backend.devices.force_torque import (
+    FrameErrors,
+    NotAnsweredError,
+    SensorDescription,
+    SensorLink,
+    WrenchReading,
+)
+from touchdown.backend.devices.framing import wrench_of
+from touchdown.backend.devices.protocols import ARM, Identity
 
 
 class Stopper(Protocol):
@@ -25,7 +40,7 @@ class Stopper(Protocol):
         """Close."""
 
 
-class StopLane:
+class StopConnection:
     """One thread that owns one connection to the dashboard."""
 
     def __init__(self, stopper: Stopper) -> None:
@@ -220,63 +235,125 @@ MISSING = Fault(
 )
 
 
-def link_fault(what: str) -> Fault:
-    """Return the fault of a connection that is not, or no longer, there."""
-    return Fault(
-        "UR-LINK",
-        what,
-        "The controller stops the arm by itself; the gripper was not opened.",
-        "Check cable, address and remote control of the robot, then connect it again.",
-        ARM,
-    )
+SCHEME = "rtde://"
+SAMPLE = struct.Struct("<7d")
+"""Time of the robot, s; forces, N; torques, N·m."""
+POLLS_PER_PERIOD = 4
+"""The connection is looked at so often within one period of the robot."""
+START_S = 1.0
 
 
-def robot_fault(what: str, code: str = "UR-STOPPED") -> Fault:
-    """Return the fault that the robot itself tells of."""
-    return Fault(
-        code,
-        f"{what}.",
-        HELD,
-        "Clear it at the teach pendant, then connect the arm again.",
-        ARM,
-    )
+class WrenchSource(Protocol):
+    """What of ``rtde_receive.RTDEReceiveInterface`` this sensor needs."""
+
+    def getFtRawWrench(self) -> Sequence[float]:  # noqa: N802
+        """Return forces in N and torques in N·m, flange axes, with all that hangs on it."""
+
+    def getTimestamp(self) -> float:  # noqa: N802
+        """Return the time since the controller was started, s."""
+
+    def isConnected(self) -> bool:  # noqa: N802
+        """Whether data still comes."""
+
+    def disconnect(self) -> None:
+        """Close."""
 
 
-def leaning_fault(degrees: float) -> Fault:
-    """Return the fault of a hand that does not point straight down."""
-    return Fault(
-        "TILTED",
-        f"The hand leans {degrees:.1f}° away from straight down.",
-        NOTHING_MOVED,
-        "Point it down with the teach pendant, then connect again.",
-        ARM,
-    )
+class RtdeLink:
+    """Hands out each new sample once, as ``SAMPLE``; ``OSError`` as any other link."""
+
+    def __init__(self, source: WrenchSource, period_s: float) -> None:
+        self._source, self._look_s = source, period_s / POLLS_PER_PERIOD
+        self._told_s, self._never = -math.inf, threading.Event()
+
+    def read(self, limit_s: float) -> bytes:
+        """Return the sample that the robot told last, nothing if that is no new one."""
+        end_s = time.monotonic() + limit_s
+        while not (data := self._new()) and time.monotonic() < end_s:
+            self._never.wait(self._look_s)
+        return data
+
+    def _new(self) -> bytes:
+        try:
+            told_s = self._source.getTimestamp()
+            if told_s == self._told_s:
+                if not self._source.isConnected():
+                    raise ConnectionResetError("the robot has closed the connection")
+                return b""
+            self._told_s = told_s
+            return SAMPLE.pack(told_s, *self._source.getFtRawWrench())
+        except (RuntimeError, struct.error) as error:
+            raise ConnectionAbortedError(f"the robot tells no wrench ({error})") from error
+
+    def write(self, data: bytes) -> None:
+        """Nothing: the robot is not asked."""
+
+    def drain(self) -> None:
+        """Nothing waits: only the newest is ever handed out."""
+
+    def close(self) -> None:
+        """Close."""
+        self._source.disconnect()
 
 
-SILENT_S = 0.1
+def open_source(host: str, rate_hz: float) -> WrenchSource:
+    """Connect through ``ur_rtde``; ``OSError`` without the package, ``RuntimeError`` as it does."""
+    try:
+        receive = importlib.import_module("rtde_receive").RTDEReceiveInterface
+    except ImportError as error:
+        raise OSError("the package 'ur_rtde' is not installed") from error
+    source: WrenchSource = receive(host, rate_hz)
+    return source
 
 
-class Watch:
-    """Of one connection from ``now_s`` on; ``late``: cycles without news."""
+def open_rtde(settings: HardwareSettings, address: str) -> SensorLink:
+    """Open ``address`` (``rtde://host``); raises ``OSError``."""
+    rate_hz = settings.ur.rate_hz
+    try:
+        return RtdeLink(open_source(address.removeprefix(SCHEME), rate_hz), 1.0 / rate_hz)
+    except RuntimeError as error:
+        raise ConnectionRefusedError(str(error)) from error
 
-    def __init__(self, now_s: float) -> None:
-        self._told_s, self._told_at_s = -math.inf, now_s
-        self.late = 0
 
-    def has_news(self, receive: Receive, now_s: float) -> bool:
-        """Return whether the robot's own clock has gone on since the last cycle."""
-        told_s = receive.getTimestamp()
-        if told_s == self._told_s:
-            self.late += 1
-            return False
-        self._told_s, self._told_at_s = told_s, now_s
-        return True
+class UrWrenchDriver:
+    """A gap in the stamps of the robot counts as lost samples."""
 
-    def require_healthy(self, receive: Receive, now_s: float) -> None:
-        """Raise ``FaultError`` for silence, and for what the robot tells of itself."""
-        if now_s - self._told_at_s > SILENT_S or not receive.isConnected():
-            raise FaultError(link_fault("The robot tells nothing any more."))
-        if receive.isEmergencyStopped():
-            raise FaultError(robot_fault("An emergency stop is pressed", "HW-STOP"))
-        if receive.getSafetyMode() not in (NORMAL, REDUCED):
-            raise FaultError(robot_fault("The robot has stopped by itself (protective stop)"))
+    baud = 0
+    chunk = SAMPLE.size
+
+    def __init__(self, settings: HardwareSettings, address: str) -> None:
+        self._host = address.removeprefix(SCHEME)
+        self._rated, self._period_s = settings.ur.rated, 1.0 / settings.ur.rate_hz
+        self._told_s = math.nan
+        self._bad = self._bad_in_a_row = 0
+
+    def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
+        """See that samples come; nothing is to be switched on."""
+        if cancel.is_set() or not self.take(link.read(START_S)):
+            raise NotAnsweredError("The robot tells no wrench of its own sensor")
+        identity = Identity("Universal Robots", "built-in F/T", self._host, "")
+        return SensorDescription(identity, self._rated, self._period_s, numbered=True)
+
+    def take(self, data: bytes) -> list[WrenchReading]:
+        """Return the sample; one with a number that is none is refused."""
+        if not data:
+            return []
+        told_s, *values = SAMPLE.unpack(data)
+        if not all(map(math.isfinite, (told_s, *values))):
+            self._bad += 1
+            self._bad_in_a_row += 1
+            return []
+        self._bad_in_a_row = 0
+        periods = round((told_s - self._told_s) / self._period_s) if self._told_s < told_s else 1
+        self._told_s = told_s
+        pairs = zip(values, self._rated, strict=True)
+        overload = any(abs(value) >= rated for value, rated in pairs)
+        return [WrenchReading(wrench_of(values), max(periods - 1, 0), overload)]
+
+    @property
+    def refusals(self) -> FrameErrors:
+        """Samples that were none."""
+        return FrameErrors(self._bad, self._bad_in_a_row, self._bad * SAMPLE.size)
+
+    def stop(self, link: SensorLink) -> None:
+        """Nothing: the robot tells it in any case."""

@@ -8,9 +8,8 @@ if TYPE_CHECKING:
     from touchdown.backend.devices.wsg import (
         driver,
         emulator,
-        emulator_gcl,
+        gcl,
         protocol,
-        protocol_gcl,
     )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,27 +1,33 @@
-from .driver import make_gripper as make_gripper
+from .driver import WsgGripper as WsgGripper
+from .emulator import EmulatedGcl as EmulatedGcl
 from .emulator import EmulatedWsg as EmulatedWsg
-from .emulator_gcl import EmulatedGcl as EmulatedGcl
-from .protocol import Command as Command
-from .protocol import Reply as Reply
-from .protocol import Request as Request
+from .gcl import Assignment as Assignment
+from .gcl import GclProtocol as GclProtocol
+from .gcl import Query as Query
+from .gcl import encode as encode
+from .gcl import lines as lines
+from .protocol import BinaryProtocol as BinaryProtocol
+from .protocol import GripperProtocol as GripperProtocol
+from .protocol import WsgCommand as WsgCommand
+from .protocol import WsgReply as WsgReply
+from .protocol import WsgRequest as WsgRequest
 from .protocol import encode_request as encode_request
 from .protocol import replies as replies
-from .protocol_gcl import Assignment as Assignment
-from .protocol_gcl import Query as Query
-from .protocol_gcl import encode as encode
-from .protocol_gcl import lines as lines
 
 __all__ = [
     "Assignment",
-    "Command",
+    "BinaryProtocol",
     "EmulatedGcl",
     "EmulatedWsg",
+    "GclProtocol",
+    "GripperProtocol",
     "Query",
-    "Reply",
-    "Request",
+    "WsgCommand",
+    "WsgGripper",
+    "WsgReply",
+    "WsgRequest",
     "encode",
     "encode_request",
     "lines",
-    "make_gripper",
     "replies",
 ]

@@ -1,4 +1,8 @@
-"""Driver of the WSG gripper."""
+"""Driver of a Weiss WSG gripper over TCP.
+
+``WsgCore`` is a pure state machine: replies in, requests out, without wire, clock or thread.
+``WsgGripper`` runs it: one thread listens, commands bypass every queue.
+"""
 
 from __future__ import annotations
 
@@ -6,32 +10,358 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
-from touchdown.backend.config import HardwareSettings, WsgSettings
+from touchdown.backend.config import WsgSettings
 from touchdown.backend.core import Fault, FaultError
+from touchdown.backend.devices.identification import identify_device
 from touchdown.backend.devices.protocols import (
+    CommandedMotion,
+    ConnectionSteps,
     DeviceState,
-    Gripper,
     GripStatus,
     Health,
     Identity,
-    Steps,
 )
-from touchdown.backend.devices.registry import find_offered, who_answers
 from touchdown.backend.devices.wsg import protocol
-from touchdown.backend.devices.wsg.core import (
-    NAME,
-    Limits,
-    WsgCore,
-    WsgMotion,
-    device_fault,
-    link_fault,
-    not_connected_fault,
+from touchdown.backend.devices.wsg.protocol import (
+    BinaryProtocol,
+    GraspState,
+    GripperProtocol,
+    SystemFlag,
+    WsgCommand,
+    WsgReply,
+    WsgRequest,
+    WsgStatus,
 )
-from touchdown.backend.devices.wsg.dialects import BinaryLanguage, GclLanguage, GripperLanguage
-from touchdown.backend.devices.wsg.protocol import Command, Reply, Request, Status, SystemFlag
+
+NAME = "gripper"
+DEVICE_FAULTS = {
+    SystemFlag.TEMP_FAULT: "it is too hot",
+    SystemFlag.POWER_FAULT: "its supply voltage is out of range",
+    SystemFlag.CURR_FAULT: "its motor takes too much current",
+    SystemFlag.FINGER_FAULT: "a finger reports a failure",
+}
+_STANDS = "The gripper stands still; it was not opened."
+_REASONS = {
+    WsgStatus.NOT_INITIALIZED: ("WSG-NOT-HOMED", "The gripper does not know where its jaws are"),
+    WsgStatus.ALREADY_RUNNING: ("WSG-BUSY", "The gripper is still moving"),
+    WsgStatus.RANGE_ERROR: ("WSG-RANGE", "The gripper cannot go there"),
+    WsgStatus.INVALID_PARAMETER: ("WSG-RANGE", "The gripper cannot do that"),
+    WsgStatus.INDEX_OUT_OF_BOUNDS: ("WSG-RANGE", "The gripper cannot do that"),
+    WsgStatus.AXIS_BLOCKED: ("WSG-BLOCKED", "Something blocks the jaws"),
+    WsgStatus.CMD_ABORTED: ("WSG-ABORTED", "The gripper broke the motion off"),
+    WsgStatus.CMD_FAILED: ("WSG-NO-PART", "The jaws met no piece"),
+    WsgStatus.TIMEOUT: ("WSG-TIMEOUT", "The gripper did not end its motion in time"),
+    WsgStatus.CHECKSUM_ERROR: ("WSG-FRAME", "The gripper read a damaged command twice"),
+}
+_STEPS = {
+    "WSG-NOT-HOMED": "Take the piece out by hand, then home the gripper.",
+    "WSG-NO-PART": "Put the piece between the jaws and grip again.",
+    "WSG-BLOCKED": "Look between the jaws, then try again.",
+}
+
+
+def refusal(command: int, status: int, flags: SystemFlag) -> Fault:
+    """Return the fault of a command that was answered with ``status``."""
+    if status == WsgStatus.ACCESS_DENIED and SystemFlag.FAST_STOP in flags:
+        return fast_stop_fault()
+    name = WsgCommand(command).name.lower().replace("_", " ")
+    unknown = ("WSG-REFUSED", f"The gripper refuses '{name}' (code {status})")
+    code, what = _REASONS.get(WsgStatus(status), unknown) if status in _KNOWN else unknown
+    return Fault(code, f"{what}.", _STANDS, _STEPS.get(code, "Look at the gripper."), NAME)
+
+
+_KNOWN = frozenset(int(status) for status in WsgStatus)
+
+
+def fast_stop_fault() -> Fault:
+    """Return the fault of a latched fast stop."""
+    return Fault(
+        "WSG-FAST-STOP",
+        "The gripper is in fast stop.",
+        "It takes no motion; the grip is as it was.",
+        "Look at the piece, then acknowledge the fast stop.",
+        NAME,
+    )
+
+
+def device_fault(flags: SystemFlag) -> Fault | None:
+    """Return the fault that the system flags tell, None if all is well."""
+    for flag, why in DEVICE_FAULTS.items():
+        if flag in flags:
+            return Fault(
+                "WSG-DEVICE",
+                f"The gripper reports a fault: {why}.",
+                _STANDS,
+                "Remove the cause, then acknowledge it.",
+                NAME,
+            )
+    return fast_stop_fault() if SystemFlag.FAST_STOP in flags else None
+
+
+def link_fault(what: str) -> Fault:
+    """Return the fault of a connection that is not, or no longer, there."""
+    return Fault(
+        "WSG-LINK",
+        what,
+        "Whether the piece is still held is not known.",
+        "Look at the piece; check cable and power of the gripper, then connect it again.",
+        NAME,
+    )
+
+
+def stopped_fault() -> Fault:
+    """Return the fault of a motion that was stopped."""
+    return Fault("STOPPED", "The motion was stopped.", _STANDS, "Look at the bench.", NAME)
+
+
+def replaced_fault() -> Fault:
+    """Return the fault of a motion that another command took the place of."""
+    return Fault(
+        "REPLACED",
+        "Another command took the place of this motion.",
+        "The gripper follows the newer command.",
+        "Wait for a motion to end before the next command.",
+        NAME,
+    )
+
+
+def not_connected_fault() -> Fault:
+    """Return the fault of a command to a gripper that is not there."""
+    return Fault(
+        "NOT-CONNECTED",
+        "The gripper is not connected.",
+        "Nothing was moved.",
+        "Connect it first.",
+        NAME,
+    )
+
+
+class WsgMotion(CommandedMotion):
+    """The step under way is the first of ``steps``; ``pending`` once the gripper accepted it."""
+
+    def __init__(
+        self, steps: Sequence[WsgRequest], sent: Mapping[str, float], deadline_s: float
+    ) -> None:
+        super().__init__(sent)
+        self.steps, self.deadline_s = list(steps), deadline_s
+        self.pending = self.resent = False
+
+
+SILENCE_S = 3.0
+STATE_MS = 20
+STOP = WsgRequest(WsgCommand.STOP)
+_MOVES = (WsgCommand.HOME, WsgCommand.PREPOSITION, WsgCommand.GRASP, WsgCommand.RELEASE)
+
+
+@dataclass(frozen=True, slots=True)
+class WsgLimits:
+    """What the gripper can do: mm, mm/s, mm/s², N as the sum over both fingers."""
+
+    stroke_mm: float
+    speed_mm_s: tuple[float, float]
+    acceleration_mm_s2: float
+    force_sum_n: tuple[float, float]
+
+    @classmethod
+    def of_settings(cls, settings: WsgSettings) -> WsgLimits:
+        """Return those of a gripper that does not tell its own."""
+        speeds = (settings.speed_min, settings.speed_max)
+        forces = (settings.force_min_n, settings.force_max_n)
+        return cls(settings.stroke_mm, speeds, settings.acceleration_mm_s2, forces)
+
+    def speed(self, wanted_mm_s: float) -> float:
+        """Return the nearest speed that the gripper can do."""
+        return min(max(wanted_mm_s, self.speed_mm_s[0]), self.speed_mm_s[1])
+
+    def travel_s(self, travel_mm: float, speed_mm_s: float) -> float:
+        """Return how long a way takes at most, with its ramps."""
+        return travel_mm / speed_mm_s + 2 * speed_mm_s / self.acceleration_mm_s2
+
+
+class WsgCore:
+    """One gripper. The owner sends what is returned, in this order, and hands in every reply."""
+
+    def __init__(self, settings: WsgSettings) -> None:
+        self._settings = settings
+        self._fingers = 2.0 if settings.force_convention == "device" else 1.0
+        self.limits = WsgLimits.of_settings(settings)
+        self.flags = SystemFlag(0)
+        self.grasp_state = GraspState.IDLE
+        self.width_mm = self.force_sum_n = 0.0
+        self.lost_parts = 0
+        self.motion: WsgMotion | None = None
+        self.fault: Fault | None = None
+        self._heard_s = 0.0
+
+    @property
+    def status(self) -> GripStatus:
+        """Width, force per finger, whether a piece is held: as last heard."""
+        holding = self.grasp_state is GraspState.HOLDING
+        return GripStatus(self.width_mm, self.force_sum_n / self._fingers, holding)
+
+    def subscribe(self, now_s: float) -> list[WsgRequest]:
+        """Return the requests for all readings; they keep the connection alive as well."""
+        self._heard_s = now_s
+        return [
+            protocol.update(WsgCommand.SYSTEM_STATE, STATE_MS, on_change=True),
+            *self._readings(),
+        ]
+
+    def home(self, now_s: float) -> list[WsgRequest]:
+        """Find the origin. On the operator's word only: with a piece in the jaws it is wrong."""
+        slowest = self.limits.speed_mm_s[0]
+        return self._begin(now_s, protocol.home(), {}, self.limits.stroke_mm / slowest)
+
+    def grip(self, now_s: float, force_n: float) -> list[WsgRequest]:
+        """Close until a piece is held with ``force_n`` per finger."""
+        low, high = self.limits.force_sum_n
+        force_sum_n = min(max(self._fingers * force_n, low), high)
+        speed = self.limits.speed(self._settings.grasp_speed_mm_s)
+        requests = (
+            protocol.set_force_limit(force_sum_n),
+            protocol.grasp(self._settings.grasp_width_mm, speed),
+        )
+        sent = {"force_n": force_sum_n / self._fingers}
+        within_s = self.limits.travel_s(self.limits.stroke_mm, speed)
+        return self._begin(now_s, requests, sent, within_s)
+
+    def open_to(self, now_s: float, width_mm: float, speed_mm_s: float) -> list[WsgRequest]:
+        """Go to a width; a held piece is let go."""
+        width = min(width_mm, self.limits.stroke_mm)
+        speed = self.limits.speed(speed_mm_s)
+        if self.grasp_state is GraspState.HOLDING:
+            request = protocol.release(width, speed)
+        else:
+            request = protocol.preposition(width, speed, stop_on_block=True)
+        within_s = self.limits.travel_s(abs(width - self.width_mm), speed)
+        return self._begin(now_s, request, {"width_mm": width, "speed_mm_s": speed}, within_s)
+
+    def stop(self) -> list[WsgRequest]:
+        """Stop a motion; a grip that stands is kept."""
+        moving = self.motion is not None or SystemFlag.MOVING in self.flags
+        self._end(stopped_fault())
+        return [STOP] if moving else []
+
+    def acknowledge(self) -> list[WsgRequest]:
+        """Take a fast stop or a fault as seen; it ends with the answer of the gripper."""
+        return [
+            protocol.acknowledge(),
+            protocol.update(WsgCommand.SYSTEM_STATE, STATE_MS, on_change=True),
+        ]
+
+    def feed(self, now_s: float, reply: WsgReply) -> list[WsgRequest]:
+        """Take one reply."""
+        self._heard_s = now_s
+        if reply.command == WsgCommand.ACKNOWLEDGE and reply.status == WsgStatus.SUCCESS:
+            self.fault = None  # states told before this answer are those of before
+        if reply.status == WsgStatus.SUCCESS and reply.values:
+            self._read(reply)
+        motion = self.motion
+        if motion is None or not motion.steps or reply.command != motion.steps[0].command:
+            return []
+        return self._advance(motion, reply)
+
+    def tick(self, now_s: float) -> list[WsgRequest]:
+        """Look at the clock: a motion that takes too long is stopped, silence is a fault."""
+        if now_s - self._heard_s > SILENCE_S:
+            self._latch(link_fault(f"The gripper is silent for {now_s - self._heard_s:.1f} s."))
+        elif self.motion is not None and now_s > self.motion.deadline_s:
+            command = self.motion.steps[0].command if self.motion.steps else WsgCommand.STOP
+            self._end(refusal(command, WsgStatus.TIMEOUT, self.flags))
+            return [STOP]
+        return []
+
+    def lose(self, fault: Fault) -> None:
+        """Take note that the wire is gone."""
+        self._latch(fault)
+
+    def _readings(self) -> list[WsgRequest]:
+        period_ms = self._settings.update_ms
+        return [
+            protocol.update(WsgCommand.GRASP_STATE, STATE_MS, on_change=True),
+            protocol.update(WsgCommand.WIDTH, period_ms),
+            protocol.update(WsgCommand.FORCE, period_ms),
+        ]
+
+    def _begin(
+        self,
+        now_s: float,
+        requests: WsgRequest | tuple[WsgRequest, ...],
+        sent: Mapping[str, float],
+        within_s: float,
+    ) -> list[WsgRequest]:
+        """Start a motion and, at its end, read anew what it changed."""
+        if self.fault is not None:
+            raise FaultError(self.fault)
+        first = requests if isinstance(requests, tuple) else (requests,)
+        before = [STOP] if self.motion is not None else []
+        self._end(replaced_fault())
+        steps = [*before, *first, *self._readings()]
+        deadline_s = now_s + within_s + self._settings.margin_s
+        self.motion = WsgMotion(steps, sent, deadline_s)
+        return steps[:1]
+
+    def _advance(self, motion: WsgMotion, reply: WsgReply) -> list[WsgRequest]:
+        request = motion.steps[0]
+        if reply.status == WsgStatus.CMD_PENDING:
+            motion.pending = True
+            return []
+        if reply.status == WsgStatus.CMD_ABORTED and not motion.pending:
+            return []  # the end of the motion before this one
+        if reply.status == WsgStatus.CHECKSUM_ERROR and not motion.resent:
+            motion.resent = True
+            return [request]
+        if reply.status != WsgStatus.SUCCESS:
+            self._end(refusal(request.command, reply.status, self.flags))
+            return []
+        if request.command in _MOVES and not motion.pending:
+            return []  # a result of before; ours begins with "pending"
+        motion.steps.pop(0)
+        motion.pending = False
+        if not motion.steps:
+            self._end(self._missing_grip(motion))
+        return motion.steps[:1]
+
+    def _missing_grip(self, motion: WsgMotion) -> Fault | None:
+        if "force_n" in motion.sent and self.grasp_state is not GraspState.HOLDING:
+            return refusal(WsgCommand.GRASP, WsgStatus.CMD_FAILED, self.flags)
+        return None
+
+    def _read(self, reply: WsgReply) -> None:
+        value = float(reply.values[0])
+        match reply.command:
+            case WsgCommand.SYSTEM_STATE:
+                self.flags = SystemFlag(int(value))
+                fault = device_fault(self.flags)
+                if fault is not None:
+                    self._latch(fault)
+            case WsgCommand.GRASP_STATE:
+                self._see(GraspState(int(value)) if value in _STATES else GraspState.ERROR)
+            case WsgCommand.WIDTH:
+                self.width_mm = value
+            case WsgCommand.FORCE:
+                self.force_sum_n = value
+
+    def _see(self, state: GraspState) -> None:
+        lost = self.grasp_state is GraspState.HOLDING and state is GraspState.PART_LOST
+        self.lost_parts += lost
+        self.grasp_state = state
+
+    def _latch(self, fault: Fault) -> None:
+        self.fault = self.fault or fault
+        self._end(fault)
+
+    def _end(self, fault: Fault | None) -> None:
+        if self.motion is not None:
+            self.motion.end(fault)
+            self.motion = None
+
+
+_STATES = frozenset(int(state) for state in GraspState)
+
 
 READ_S = 0.01
 ANSWER_S = 1.0
@@ -54,7 +384,7 @@ class WsgGripper:
         port: int,
         settings: WsgSettings,
         now_s: Callable[[], float],
-        language: Callable[[], GripperLanguage] = BinaryLanguage,
+        language: Callable[[], GripperProtocol] = BinaryProtocol,
     ) -> None:
         self._address, self._settings, self._now_s = (host, port), settings, now_s
         self._core = WsgCore(settings)
@@ -64,7 +394,7 @@ class WsgGripper:
         self._language = language()
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
-        self.steps = Steps()
+        self.steps = ConnectionSteps()
         self._state = DeviceState.CLOSED
         self._identity: Identity | None = None
         self._received = 0
@@ -193,7 +523,7 @@ class WsgGripper:
             requests = self._core.acknowledge()
         self._send(requests)
 
-    def _command(self, begin: Callable[[float], list[Request]]) -> WsgMotion:
+    def _command(self, begin: Callable[[float], list[WsgRequest]]) -> WsgMotion:
         self._require_ready()
         with self._lock:
             requests = begin(self._now_s())
@@ -216,20 +546,20 @@ class WsgGripper:
         core = self._core
         if not self.lost_holding:
             self._exchange(protocol.acknowledge(), cancel)
-        state = self._exchange(Request(Command.SYSTEM_STATE, (0, 0)), cancel)
+        state = self._exchange(WsgRequest(WsgCommand.SYSTEM_STATE, (0, 0)), cancel)
         core.flags = SystemFlag(int(_number(state)))
         core.fault = device_fault(core.flags)
-        limits = self._exchange(Request(Command.SYSTEM_LIMITS), cancel)
-        acceleration = self._exchange(Request(Command.GET_ACCELERATION), cancel)
-        if limits.status == Status.SUCCESS and acceleration.status == Status.SUCCESS:
+        limits = self._exchange(WsgRequest(WsgCommand.SYSTEM_LIMITS), cancel)
+        acceleration = self._exchange(WsgRequest(WsgCommand.GET_ACCELERATION), cancel)
+        if limits.status == WsgStatus.SUCCESS and acceleration.status == WsgStatus.SUCCESS:
             stroke, low, high, _, _, weakest, nominal, _ = map(float, limits.values)
-            core.limits = Limits(stroke, (low, high), _number(acceleration), (weakest, nominal))
-        told = self._exchange(Request(Command.SYSTEM_INFO), cancel)
+            core.limits = WsgLimits(stroke, (low, high), _number(acceleration), (weakest, nominal))
+        told = self._exchange(WsgRequest(WsgCommand.SYSTEM_INFO), cancel)
         address = f"{self._address[0]}:{self._address[1]}"
         self._identity = self._language.identity(told, address)
         self.steps.reached("identify")
 
-    def _exchange(self, request: Request, cancel: threading.Event) -> Reply:
+    def _exchange(self, request: WsgRequest, cancel: threading.Event) -> WsgReply:
         """Send one request and wait for its answer; only before the listening thread runs."""
         if self._socket is None:
             raise FaultError(not_connected_fault())
@@ -254,7 +584,7 @@ class WsgGripper:
             except TimeoutError:
                 return b""
 
-        stranger = who_answers(line.sendall, receive, self._settings.protocol)
+        stranger = identify_device(line.sendall, receive, self._settings.protocol)
         if not stranger:
             return "What answers there is no WSG gripper."
         wanted = f"a WSG gripper (wsg.protocol is {self._settings.protocol})"
@@ -296,7 +626,7 @@ class WsgGripper:
         except OSError as error:
             self._lose(error)
 
-    def _heard(self, line: socket.socket) -> list[Reply]:
+    def _heard(self, line: socket.socket) -> list[WsgReply]:
         try:
             data = line.recv(CHUNK)
         except TimeoutError:
@@ -305,7 +635,7 @@ class WsgGripper:
             raise ConnectionResetError("the gripper has closed the connection")
         return self._language.take(data)
 
-    def _send(self, requests: Iterable[Request], more: bytes = b"") -> None:
+    def _send(self, requests: Iterable[WsgRequest], more: bytes = b"") -> None:
         line = self._socket
         try:
             with self._sending:
@@ -333,7 +663,7 @@ class WsgGripper:
             self.lost_holding = True
             return
         try:
-            self._exchange(Request(Command.DISCONNECT), threading.Event())
+            self._exchange(WsgRequest(WsgCommand.DISCONNECT), threading.Event())
         except (OSError, FaultError):
             return
 
@@ -343,27 +673,7 @@ class WsgGripper:
             self._socket = None
 
 
-def _number(reply: Reply) -> float:
-    if reply.status != Status.SUCCESS or not reply.values:
+def _number(reply: WsgReply) -> float:
+    if reply.status != WsgStatus.SUCCESS or not reply.values:
         raise FaultError(link_fault(f"The gripper refuses to be read (code {reply.status})."))
     return float(reply.values[0])
-
-
-GROUP = "touchdown.gripper"
-"""Entry points: name -> callable(settings, now_s) that returns a ``Gripper``."""
-
-GripperMaker = Callable[[HardwareSettings, Callable[[], float]], Gripper]
-
-
-def make_gripper(settings: HardwareSettings, now_s: Callable[[], float]) -> Gripper:
-    """Return the driver of ``wsg.driver``; raises ``InputError``."""
-    shipped: dict[str, GripperMaker] = {"wsg": _wsg}
-    return find_offered(GROUP, settings.wsg.driver, shipped, "wsg.driver")(settings, now_s)
-
-
-def _wsg(settings: HardwareSettings, now_s: Callable[[], float]) -> WsgGripper:
-    wsg = settings.wsg
-    language: Callable[[], GripperLanguage] = BinaryLanguage
-    if wsg.protocol == "gcl":
-        language = partial(GclLanguage, wsg)
-    return WsgGripper(wsg.host, wsg.port, wsg, now_s, language)

@@ -1,22 +1,39 @@
-"""Emulated WSG gripper, binary protocol."""
+"""Emulated Weiss WSG gripper with binary or text protocol.
+
+A function of time and bytes. A connection that ends without an announced disconnect latches the
+fast stop, as the real gripper does. The text interface serves the same gripper behind lines of GCL;
+``ACK`` and ``FIN`` go out at least 100 ms apart: some clients compare a whole receive with one.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from touchdown.backend.devices.wsg import protocol
+from touchdown.backend.config import WsgSettings
+from touchdown.backend.devices.framing import LineStream, ProtocolError
+from touchdown.backend.devices.wsg import gcl, protocol
+from touchdown.backend.devices.wsg.gcl import (
+    Assignment,
+    Call,
+    Failure,
+    GclAnswer,
+    GclLine,
+    Query,
+    Scalar,
+)
 from touchdown.backend.devices.wsg.protocol import (
     ACKNOWLEDGE_KEY,
-    Command,
     GraspState,
     Number,
-    Refused,
-    Reply,
-    Request,
-    Status,
     SystemFlag,
+    WsgCommand,
+    WsgRefusal,
+    WsgReply,
+    WsgRequest,
+    WsgStatus,
 )
 from touchdown.backend.emulation import Faults
 
@@ -25,7 +42,7 @@ CLAMPING_TRAVEL_MM = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class GripperProfile:
     """What a gripper can do: mm, mm/s, mm/s², N as the sum over both fingers."""
 
     kind: int = 0
@@ -36,10 +53,10 @@ class Profile:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class JawMotion:
     """A motion under way, from ``start_mm`` at ``begun_s``; speed signed, closing below 0."""
 
-    command: Command
+    command: WsgCommand
     start_mm: float
     target_mm: float
     begun_s: float
@@ -51,16 +68,16 @@ class Motion:
         return max(width, self.target_mm) if self.velocity_mm_s < 0 else min(width, self.target_mm)
 
 
-class Jaws:
+class EmulatedJaws:
     """``part_mm`` is the width of a part between the fingers; None if there is none."""
 
-    def __init__(self, profile: Profile, part_mm: float | None = None) -> None:
+    def __init__(self, profile: GripperProfile, part_mm: float | None = None) -> None:
         self.profile, self.part_mm = profile, part_mm
         self.width_mm = profile.stroke_mm
         self.force_limit_n = profile.force_sum_n[0]
         self.state = GraspState.IDLE
         self.flags = SystemFlag(0)
-        self.motion: Motion | None = None
+        self.motion: JawMotion | None = None
         self.statistics = (0, 0, 0)
         """Grasps in all, without a part, with a part that was lost."""
 
@@ -74,23 +91,23 @@ class Jaws:
         """Sum over both fingers."""
         return self.force_limit_n if self.state is GraspState.HOLDING else 0.0
 
-    def begin(self, now_s: float, command: Command, target_mm: float, speed_mm_s: float) -> None:
+    def begin(self, now_s: float, command: WsgCommand, target_mm: float, speed_mm_s: float) -> None:
         """Start a motion; width and speed are clamped to what the gripper can do."""
         slowest, fastest = self.profile.speed_mm_s
         speed = min(max(speed_mm_s, slowest), fastest)
         target = min(max(target_mm, 0.0), self.profile.stroke_mm)
         velocity = speed if target >= self.width_mm else -speed
-        self.motion = Motion(command, self.width_mm, target, now_s, velocity)
+        self.motion = JawMotion(command, self.width_mm, target, now_s, velocity)
         self.flags &= ~(
             SystemFlag.BLOCKED_MINUS | SystemFlag.AXIS_STOPPED | SystemFlag.TARGET_POS_REACHED
         )
         self.flags |= SystemFlag.MOVING
         self.state = {
-            Command.GRASP: GraspState.GRASPING,
-            Command.RELEASE: GraspState.RELEASING,
+            WsgCommand.GRASP: GraspState.GRASPING,
+            WsgCommand.RELEASE: GraspState.RELEASING,
         }.get(command, GraspState.POSITIONING)
 
-    def halt(self) -> Motion | None:
+    def halt(self) -> JawMotion | None:
         """Stop where they are; return the motion that this ended."""
         motion, self.motion = self.motion, None
         self.flags = (self.flags & ~SystemFlag.MOVING) | SystemFlag.AXIS_STOPPED
@@ -101,7 +118,7 @@ class Jaws:
         """Hold nothing any more, without a motion: the fingers have no force."""
         self.state = GraspState.IDLE
 
-    def advance(self, now_s: float) -> tuple[Command, Status] | None:
+    def advance(self, now_s: float) -> tuple[WsgCommand, WsgStatus] | None:
         """Move on to ``now_s``; return command and result of a motion that ended."""
         if self.state is GraspState.HOLDING and self.part_mm is None:
             self.state = GraspState.PART_LOST
@@ -116,32 +133,32 @@ class Jaws:
         self.width_mm = width
         return self._end(motion, blocked=False) if width == motion.target_mm else None
 
-    def _end(self, motion: Motion, *, blocked: bool) -> tuple[Command, Status]:
+    def _end(self, motion: JawMotion, *, blocked: bool) -> tuple[WsgCommand, WsgStatus]:
         self.motion = None
         self.flags &= ~SystemFlag.MOVING
-        if motion.command is Command.GRASP:
+        if motion.command is WsgCommand.GRASP:
             self.state = GraspState.HOLDING if blocked else GraspState.NO_PART_FOUND
             self.count(missed=not blocked)
-            return motion.command, Status.SUCCESS if blocked else Status.CMD_FAILED
+            return motion.command, WsgStatus.SUCCESS if blocked else WsgStatus.CMD_FAILED
         self.state = GraspState.IDLE
         if blocked:
             self.flags |= SystemFlag.BLOCKED_MINUS
-            return motion.command, Status.AXIS_BLOCKED
+            return motion.command, WsgStatus.AXIS_BLOCKED
         self.flags |= SystemFlag.TARGET_POS_REACHED
-        if motion.command is Command.HOME:
+        if motion.command is WsgCommand.HOME:
             self.flags |= SystemFlag.REFERENCED
-        return motion.command, Status.SUCCESS
+        return motion.command, WsgStatus.SUCCESS
 
 
 SERIAL = 12345
 TEMPERATURE_C = 31.2
 _HOME_SPEED_MM_S = 50.0
 _BARRED = SystemFlag.FAST_STOP | SystemFlag.POWER_FAULT
-_MOTIONS = (Command.HOME, Command.PREPOSITION, Command.GRASP, Command.RELEASE)
+_MOTIONS = (WsgCommand.HOME, WsgCommand.PREPOSITION, WsgCommand.GRASP, WsgCommand.RELEASE)
 
 
 @dataclass(slots=True)
-class Update:
+class PeriodicUpdate:
     """A reading sent again and again."""
 
     period_s: float
@@ -159,7 +176,7 @@ class EmulatedWsg:
 
     def __init__(
         self,
-        profile: Profile | None = None,
+        profile: GripperProfile | None = None,
         part_mm: float | None = None,
         faults: Faults | None = None,
         *,
@@ -167,20 +184,20 @@ class EmulatedWsg:
     ) -> None:
         self._keeps_grip = keeps_grip
         self._faults = faults or Faults("gripper")
-        self.jaws = Jaws(profile or Profile(), part_mm)
+        self.jaws = EmulatedJaws(profile or GripperProfile(), part_mm)
         self._requests = protocol.requests()
-        self._updates: dict[Command, Update] = {}
+        self._updates: dict[WsgCommand, PeriodicUpdate] = {}
         self._acceleration_mm_s2 = self.jaws.profile.acceleration_mm_s2[0]
         self._leaving = False
         self._lost_mm: float | None = None
         self.barred = 0
         """Motions that were asked of it while a fault was not acknowledged."""
-        self._actions: dict[int, Callable[[Request], tuple[Status, tuple[Number, ...]]]] = {
-            Command.LOOP: lambda request: (Status.SUCCESS, request.values),
-            Command.ACKNOWLEDGE: self._acknowledge,
-            Command.SET_ACCELERATION: self._set_acceleration,
-            Command.SET_FORCE_LIMIT: self._set_force_limit,
-            Command.STATISTICS: self._statistics,
+        self._actions: dict[int, Callable[[WsgRequest], tuple[WsgStatus, tuple[Number, ...]]]] = {
+            WsgCommand.LOOP: lambda request: (WsgStatus.SUCCESS, request.values),
+            WsgCommand.ACKNOWLEDGE: self._acknowledge,
+            WsgCommand.SET_ACCELERATION: self._set_acceleration,
+            WsgCommand.SET_FORCE_LIMIT: self._set_force_limit,
+            WsgCommand.STATISTICS: self._statistics,
         }
 
     def receive(self, now_s: float, data: bytes) -> bytes:
@@ -194,7 +211,7 @@ class EmulatedWsg:
     def due(self, now_s: float) -> bytes:
         """Return the result of a motion that ended, and the updates that are due."""
         ended = self.jaws.advance(now_s)
-        replies = [Reply(*ended)] if ended else []
+        replies = [WsgReply(*ended)] if ended else []
         replies += self._suffer(now_s)
         replies += [reply for command in self._updates for reply in self._update(now_s, command)]
         return b"".join(map(protocol.encode_reply, replies))
@@ -209,7 +226,7 @@ class EmulatedWsg:
             self.jaws.let_go()
         self._leaving = False
 
-    def _suffer(self, now_s: float) -> list[Reply]:
+    def _suffer(self, now_s: float) -> list[WsgReply]:
         """Let the faults that are on have their effect; return the end of a motion they break."""
         if self._faults.active("part_lost", now_s):
             self._lost_mm = self.jaws.part_mm or self._lost_mm
@@ -217,103 +234,105 @@ class EmulatedWsg:
         elif self._lost_mm is not None and self.jaws.width_mm >= self._lost_mm:
             # The fault is over: somebody holds the piece between the open jaws again.
             self.jaws.part_mm, self._lost_mm = self._lost_mm, None
-        broken: Motion | None = None
+        broken: JawMotion | None = None
         if self._faults.active("power", now_s) and SystemFlag.POWER_FAULT not in self.jaws.flags:
             broken = self.jaws.halt()
             self.jaws.flags |= SystemFlag.POWER_FAULT
         if self._faults.active("fast_stop", now_s) and SystemFlag.FAST_STOP not in self.jaws.flags:
             broken = self._fast_stop() or broken
-        return [Reply(broken.command, Status.CMD_ABORTED)] if broken else []
+        return [WsgReply(broken.command, WsgStatus.CMD_ABORTED)] if broken else []
 
-    def _answer(self, now_s: float, request: Request | Refused) -> list[Reply]:
-        if isinstance(request, Refused):
-            return [Reply(request.command, request.status)]
+    def _answer(self, now_s: float, request: WsgRequest | WsgRefusal) -> list[WsgReply]:
+        if isinstance(request, WsgRefusal):
+            return [WsgReply(request.command, request.status)]
         if self._leaving:
-            return [Reply(request.command, Status.ACCESS_DENIED)]
+            return [WsgReply(request.command, WsgStatus.ACCESS_DENIED)]
         if request.command in _MOTIONS:
-            return [self._move(now_s, Command(request.command), request.values)]
-        if request.command in (Command.STOP, Command.FAST_STOP, Command.DISCONNECT):
+            return [self._move(now_s, WsgCommand(request.command), request.values)]
+        if request.command in (WsgCommand.STOP, WsgCommand.FAST_STOP, WsgCommand.DISCONNECT):
             return self._halt(request.command)
         reading = self._reading(request.command)
         if reading is not None:
             self._subscribe(now_s, request)
-            return [Reply(request.command, Status.SUCCESS, reading)]
+            return [WsgReply(request.command, WsgStatus.SUCCESS, reading)]
         action = self._actions.get(request.command)
         if action is None:
-            return [Reply(request.command, Status.CMD_UNKNOWN)]
-        return [Reply(request.command, *action(request))]
+            return [WsgReply(request.command, WsgStatus.CMD_UNKNOWN)]
+        return [WsgReply(request.command, *action(request))]
 
-    def _move(self, now_s: float, command: Command, values: tuple[Number, ...]) -> Reply:
-        jaws, refusal = self.jaws, Status.CMD_PENDING
+    def _move(self, now_s: float, command: WsgCommand, values: tuple[Number, ...]) -> WsgReply:
+        jaws, refusal = self.jaws, WsgStatus.CMD_PENDING
         if jaws.flags & _BARRED:
-            refusal = Status.ACCESS_DENIED
+            refusal = WsgStatus.ACCESS_DENIED
             self.barred += 1
         elif jaws.motion is not None:
-            refusal = Status.ALREADY_RUNNING
-        elif command is not Command.HOME and SystemFlag.REFERENCED not in jaws.flags:
-            refusal = Status.NOT_INITIALIZED
-        if refusal is not Status.CMD_PENDING:
-            return Reply(command, refusal)
+            refusal = WsgStatus.ALREADY_RUNNING
+        elif command is not WsgCommand.HOME and SystemFlag.REFERENCED not in jaws.flags:
+            refusal = WsgStatus.NOT_INITIALIZED
+        if refusal is not WsgStatus.CMD_PENDING:
+            return WsgReply(command, refusal)
         numbers = [float(value) for value in values]
-        if command is Command.HOME:
+        if command is WsgCommand.HOME:
             target = 0.0 if numbers[0] == 2 else jaws.profile.stroke_mm
             jaws.begin(now_s, command, target, _HOME_SPEED_MM_S)
-        elif command is Command.PREPOSITION:
+        elif command is WsgCommand.PREPOSITION:
             relative = jaws.width_mm if int(numbers[0]) & 1 else 0.0
             jaws.begin(now_s, command, relative + numbers[1], numbers[2])
         else:
-            travel = CLAMPING_TRAVEL_MM if command is Command.GRASP else 0.0
+            travel = CLAMPING_TRAVEL_MM if command is WsgCommand.GRASP else 0.0
             jaws.begin(now_s, command, numbers[0] - travel, numbers[1])
-        return Reply(command, Status.CMD_PENDING)
+        return WsgReply(command, WsgStatus.CMD_PENDING)
 
-    def _halt(self, command: int) -> list[Reply]:
-        self._leaving = command == Command.DISCONNECT
+    def _halt(self, command: int) -> list[WsgReply]:
+        self._leaving = command == WsgCommand.DISCONNECT
         if self._leaving and self.jaws.motion is None:
-            return [Reply(command, Status.SUCCESS)]
-        ended = self._fast_stop() if command == Command.FAST_STOP else self.jaws.halt()
-        aborted = [Reply(ended.command, Status.CMD_ABORTED)] if ended else []
-        return [*aborted, Reply(command, Status.SUCCESS)]
+            return [WsgReply(command, WsgStatus.SUCCESS)]
+        ended = self._fast_stop() if command == WsgCommand.FAST_STOP else self.jaws.halt()
+        aborted = [WsgReply(ended.command, WsgStatus.CMD_ABORTED)] if ended else []
+        return [*aborted, WsgReply(command, WsgStatus.SUCCESS)]
 
-    def _fast_stop(self) -> Motion | None:
+    def _fast_stop(self) -> JawMotion | None:
         ended = self.jaws.halt()
         self.jaws.flags |= SystemFlag.FAST_STOP
         return ended
 
-    def _acknowledge(self, request: Request) -> tuple[Status, tuple[Number, ...]]:
+    def _acknowledge(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
         if request.values != (ACKNOWLEDGE_KEY,):
-            return Status.CMD_FORMAT_ERROR, ()
+            return WsgStatus.CMD_FORMAT_ERROR, ()
         self.jaws.flags &= ~_BARRED
-        return Status.SUCCESS, ()
+        return WsgStatus.SUCCESS, ()
 
-    def _set_acceleration(self, request: Request) -> tuple[Status, tuple[Number, ...]]:
+    def _set_acceleration(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
         low, high = self.jaws.profile.acceleration_mm_s2
         self._acceleration_mm_s2 = min(max(float(request.values[0]), low), high)
-        return Status.SUCCESS, ()
+        return WsgStatus.SUCCESS, ()
 
-    def _set_force_limit(self, request: Request) -> tuple[Status, tuple[Number, ...]]:
+    def _set_force_limit(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
         low, high = self.jaws.profile.force_sum_n
         self.jaws.force_limit_n = min(max(float(request.values[0]), low), high)
-        return Status.SUCCESS, ()
+        return WsgStatus.SUCCESS, ()
 
-    def _statistics(self, request: Request) -> tuple[Status, tuple[Number, ...]]:
+    def _statistics(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
         told = self.jaws.statistics
         if int(request.values[0]) & 1:
             self.jaws.statistics = (0, 0, 0)
-        return Status.SUCCESS, told
+        return WsgStatus.SUCCESS, told
 
-    def _subscribe(self, now_s: float, request: Request) -> None:
+    def _subscribe(self, now_s: float, request: WsgRequest) -> None:
         if len(request.values) != 2:
             return
         flags, period_ms = (int(value) for value in request.values)
-        command = Command(request.command)
+        command = WsgCommand(request.command)
         if flags & 1 and period_ms:
             period_s = period_ms / 1000
-            update = Update(period_s, bool(flags & 2), now_s + period_s, self._reading(command))
+            update = PeriodicUpdate(
+                period_s, bool(flags & 2), now_s + period_s, self._reading(command)
+            )
             self._updates[command] = update
         else:
             self._updates.pop(command, None)
 
-    def _update(self, now_s: float, command: Command) -> list[Reply]:
+    def _update(self, now_s: float, command: WsgCommand) -> list[WsgReply]:
         update = self._updates[command]
         if now_s < update.next_s:
             return []
@@ -323,23 +342,23 @@ class EmulatedWsg:
         late = math.floor((now_s - update.next_s) / update.period_s)
         update.next_s += (late + 1) * update.period_s
         update.last = reading
-        return [Reply(command, Status.SUCCESS, reading)]
+        return [WsgReply(command, WsgStatus.SUCCESS, reading)]
 
     def _reading(self, command: int) -> tuple[Number, ...] | None:
         """Return what a reading command answers; None for other commands."""
         jaws, profile = self.jaws, self.jaws.profile
         motion = jaws.motion
         readings: dict[int, tuple[Number, ...]] = {
-            Command.SYSTEM_STATE: (int(jaws.flags),),
-            Command.GRASP_STATE: (int(jaws.state),),
-            Command.WIDTH: (jaws.width_mm,),
-            Command.SPEED: (motion.velocity_mm_s if motion else 0.0,),
-            Command.FORCE: (jaws.force_n,),
-            Command.TEMPERATURE: (TEMPERATURE_C,),
-            Command.GET_ACCELERATION: (self._acceleration_mm_s2,),
-            Command.GET_FORCE_LIMIT: (jaws.force_limit_n,),
-            Command.SYSTEM_INFO: (profile.kind, 2, 0x2200, SERIAL),
-            Command.SYSTEM_LIMITS: (
+            WsgCommand.SYSTEM_STATE: (int(jaws.flags),),
+            WsgCommand.GRASP_STATE: (int(jaws.state),),
+            WsgCommand.WIDTH: (jaws.width_mm,),
+            WsgCommand.SPEED: (motion.velocity_mm_s if motion else 0.0,),
+            WsgCommand.FORCE: (jaws.force_n,),
+            WsgCommand.TEMPERATURE: (TEMPERATURE_C,),
+            WsgCommand.GET_ACCELERATION: (self._acceleration_mm_s2,),
+            WsgCommand.GET_FORCE_LIMIT: (jaws.force_limit_n,),
+            WsgCommand.SYSTEM_INFO: (profile.kind, 2, 0x2200, SERIAL),
+            WsgCommand.SYSTEM_LIMITS: (
                 profile.stroke_mm,
                 *profile.speed_mm_s,
                 *profile.acceleration_mm_s2,
@@ -348,3 +367,220 @@ class EmulatedWsg:
             ),
         }
         return readings.get(command)
+
+
+APART_S = 0.1
+READINGS = {
+    "POS": WsgCommand.WIDTH,
+    "SPEED": WsgCommand.SPEED,
+    "FORCE": WsgCommand.FORCE,
+    "TEMP": WsgCommand.TEMPERATURE,
+    "GRIPSTATE": WsgCommand.GRASP_STATE,
+}
+SELVES: dict[str, Scalar] = {"DEVTYPE": '"WSG 32-068"', "VERSION": "4.0.1", "SN": SERIAL}
+KEPT = ("VERBOSE", "PWT", "CLT", "TAG")
+"""What may be set; it is echoed."""
+ORDERS = {
+    "STOP": WsgRequest(WsgCommand.STOP),
+    "FASTSTOP": WsgRequest(WsgCommand.FAST_STOP),
+    "FSACK": protocol.acknowledge(),
+    "BYE": WsgRequest(WsgCommand.DISCONNECT),
+}
+MOTIONS = ("HOME", "MOVE", "GRIP", "RELEASE")
+OTHERS = ("AUTOSEND", "SYSFLAGS", "GRIPSTATS", "FDATA")
+COMMANDS = frozenset({*READINGS, *SELVES, *KEPT, *ORDERS, *MOTIONS, *OTHERS})
+FLAGS, LONGEST_NAME = 32, 32
+STATISTICS = WsgRequest(WsgCommand.STATISTICS, (0,))
+_SPEED_MM_S = 50.0
+_RELEASE_MM = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class UnknownLine:
+    """A line that begins with ``name`` and has no form that is known."""
+
+    name: str
+
+
+@dataclass(slots=True)
+class AutoSend:
+    """A reading sent again and again; ``on_change`` only when it differs."""
+
+    period_s: float
+    on_change: bool
+    next_s: float
+    last: GclLine | None = None
+
+
+class EmulatedGcl:
+    """``gripper`` does the work; this is its mouth."""
+
+    def __init__(self, gripper: EmulatedWsg, settings: WsgSettings | None = None) -> None:
+        self.gripper, self._settings = gripper, settings or WsgSettings()
+        self._lines = LineStream[GclLine | UnknownLine](_read, gcl.LONGEST)
+        self._replies = protocol.replies()
+        self._called: dict[int, str] = {}
+        self._acknowledged_s = -APART_S
+        self._waiting: list[tuple[float, GclLine]] = []
+        self._auto: dict[str, AutoSend] = {}
+        self._verbose, self._kept = False, dict[str, GclLine]()
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Take lines; return what is answered at once."""
+        out: list[GclLine] = []
+        for asked in self._lines.feed(data):
+            answer = self._answer(now_s, asked)
+            out += [*self._ends(now_s), *answer]
+        return b"".join(map(gcl.encode, out))
+
+    def due(self, now_s: float) -> bytes:
+        """Return the ends of motions, and the readings that are sent of themselves."""
+        self._hear(now_s, self.gripper.due(now_s))
+        out = self._ends(now_s)
+        for name, auto in self._auto.items():
+            if now_s >= auto.next_s:
+                auto.next_s = max(auto.next_s + auto.period_s, now_s)
+                line = self._reading(now_s, name)
+                if not (auto.on_change and line == auto.last):
+                    auto.last = line
+                    out.append(line)
+        return b"".join(map(gcl.encode, out))
+
+    def closed(self, now_s: float) -> None:
+        """Forget the client; without ``BYE`` the fast stop is latched."""
+        self._lines.reset()
+        self._auto.clear()
+        self._waiting.clear()
+        self.gripper.closed(now_s)
+
+    def _ends(self, now_s: float) -> list[GclLine]:
+        """Return the ends of motions that may go out by now."""
+        out = [line for at_s, line in self._waiting if at_s <= now_s]
+        self._waiting = [item for item in self._waiting if item[0] > now_s]
+        return out
+
+    def _answer(self, now_s: float, asked: GclLine | UnknownLine) -> list[GclLine]:
+        match asked:
+            case UnknownLine(name):
+                known = name in COMMANDS
+                wrong = WsgStatus.CMD_FORMAT_ERROR if known else WsgStatus.CMD_UNKNOWN
+                return [self._ended(name, wrong, "ACK")]
+            case Query(name):
+                return self._query(now_s, name)
+            case Assignment(name, value) if name in KEPT:
+                self._verbose = bool(value) if name == "VERBOSE" else self._verbose
+                self._kept[name] = asked
+                return [asked]
+            case Call("AUTOSEND", (str(name), int(period_ms), bool(third))) if name in READINGS:
+                self._auto[name] = AutoSend(period_ms / 1000, third, now_s)
+                return [GclAnswer("ACK", "AUTOSEND")]
+            case Call(name) if name in ORDERS:
+                if name == "BYE":
+                    self._auto.clear()
+                status = self._ask(now_s, ORDERS[name]).status
+                return [self._ended(name, status, "ACK")]
+            case Call(name, arguments) if name in MOTIONS:
+                return self._move(now_s, name, arguments)
+            case Call(name) | Assignment(name):
+                return self._answer(now_s, UnknownLine(name.partition("[")[0]))
+        return []
+
+    def _query(self, now_s: float, name: str) -> list[GclLine]:
+        if name in SELVES:
+            return [Assignment(name, SELVES[name])]
+        if name in KEPT:
+            return [self._kept.get(name, Assignment(name, '""' if name == "TAG" else 0))]
+        if name == "GRIPSTATS":
+            counts = self._ask(now_s, STATISTICS).values
+            return [Assignment(name, tuple(map(int, counts)))]
+        if name.startswith("SYSFLAGS"):
+            return [
+                self._flags(name, self._ask(now_s, WsgRequest(WsgCommand.SYSTEM_STATE, (0, 0))))
+            ]
+        if name in READINGS:
+            return [self._reading(now_s, name)]
+        if name == "FDATA[0]":
+            told = self._ask(now_s, WsgRequest(WsgCommand.FORCE, (0, 0)))
+            return [self._value(name, told, float)]
+        return [self._ended(name.partition("[")[0], WsgStatus.CMD_UNKNOWN, "ACK")]
+
+    def _flags(self, name: str, told: WsgReply) -> GclLine:
+        """Return one flag by its number, or all of them as a list."""
+        if not told.values or name not in {"SYSFLAGS", *(f"SYSFLAGS[{k}]" for k in range(FLAGS))}:
+            return self._ended("SYSFLAGS", told.status or WsgStatus.CMD_FORMAT_ERROR, "ACK")
+        word = int(told.values[0])
+        if name == "SYSFLAGS":
+            return Assignment(name, tuple(word >> bit & 1 for bit in range(FLAGS)))
+        return Assignment(name, word >> int(name[9:-1]) & 1)
+
+    def _reading(self, now_s: float, name: str) -> GclLine:
+        command = READINGS[name]
+        values = () if command is WsgCommand.TEMPERATURE else (0, 0)
+        told = self._ask(now_s, WsgRequest(command, values))
+        return self._value(name, told, int if name == "GRIPSTATE" else float)
+
+    def _value(self, name: str, told: WsgReply, read: Callable[[Number], float]) -> GclLine:
+        if not told.values:
+            return self._ended(name.partition("[")[0], told.status, "ACK")
+        return Assignment(name, read(told.values[0]))
+
+    def _move(self, now_s: float, name: str, arguments: tuple[Scalar, ...]) -> list[GclLine]:
+        numbers = [float(value) for value in arguments if not isinstance(value, str)]
+        if len(numbers) != len(arguments) or (name == "MOVE" and not numbers):
+            return [self._ended(name, WsgStatus.CMD_FORMAT_ERROR, "ACK")]
+        request = self._request(now_s, name, numbers)
+        self._called[request.command] = name
+        # Before it is asked: the end of a motion may come with the answer.
+        self._acknowledged_s = now_s
+        status = self._ask(now_s, request).status
+        if status == WsgStatus.CMD_PENDING:
+            return [GclAnswer("ACK", name)]
+        return [self._ended(name, status, "ACK")]
+
+    def _request(self, now_s: float, name: str, numbers: list[float]) -> WsgRequest:
+        if name == "HOME":
+            return protocol.home(int(numbers[0]) if numbers else 0)
+        if name == "MOVE":
+            return protocol.preposition(numbers[0], [*numbers, _SPEED_MM_S][1])
+        if name == "GRIP":
+            if numbers:
+                self._ask(now_s, protocol.set_force_limit(numbers[0]))
+            width_mm, speed_mm_s = [*numbers[1:], *(0.0, _SPEED_MM_S)[len(numbers[1:]) :]]
+            return protocol.grasp(width_mm, speed_mm_s)
+        distance_mm, speed_mm_s = [*numbers, *(_RELEASE_MM, _SPEED_MM_S)[len(numbers) :]]
+        share = 1.0 if self._settings.gcl_release == "width" else 2.0
+        return protocol.release(self.gripper.jaws.width_mm + share * distance_mm, speed_mm_s)
+
+    def _ask(self, now_s: float, request: WsgRequest) -> WsgReply:
+        """Return the gripper's own answer; ends of motions that come with it go out in time."""
+        content = self.gripper.receive(now_s, protocol.encode_request(request))
+        return self._hear(now_s, content, request.command) or WsgReply(request.command, 14)
+
+    def _hear(self, now_s: float, content: bytes, command: int = -1) -> WsgReply | None:
+        """Keep the ends of motions for later; return the newest reply to ``command``."""
+        found: WsgReply | None = None
+        for reply in self._replies.feed(content):
+            if reply.command == command:
+                found = reply
+            elif name := self._called.get(reply.command):
+                good = reply.status == WsgStatus.SUCCESS
+                at_s = max(now_s, self._acknowledged_s + APART_S) if good else now_s
+                self._waiting.append((at_s, self._ended(name, reply.status, "FIN")))
+        return found
+
+    def _ended(self, name: str, status: int, good: str) -> GclLine:
+        if status == WsgStatus.SUCCESS:
+            return GclAnswer(good, name)
+        text = WsgStatus(status).name.lower().replace("_", " ") if self._verbose else ""
+        # A name as long as a line would leave no room for the rest of the answer.
+        return Failure(name[:LONGEST_NAME], int(status), text)
+
+
+def _read(content: bytes) -> GclLine | UnknownLine:
+    """Return a line; one that cannot be read still names what was wanted, or raises."""
+    try:
+        return gcl.decode(content)
+    except ProtocolError:
+        if found := re.match(rb"[A-Z][A-Z0-9]*", content):
+            return UnknownLine(found[0].decode())
+        raise

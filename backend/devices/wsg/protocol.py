@@ -1,17 +1,31 @@
-"""WSG binary protocol: frames, commands, layouts."""
+"""Binary protocol of Weiss WSG grippers.
+
+Frames: ``AA AA AA | id | size | payload | crc``, little-endian. Widths are mm, speeds mm/s,
+accelerations mm/s²; every force is the sum over both fingers (N). ``GripperProtocol`` is the
+interface that the text protocol satisfies as well, with the messages of the binary protocol.
+Source: command set reference manual, firmware 2.2.0.
+"""
 
 from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
-from touchdown.backend.devices.framing import FrameStream, Step, WireError, crc_wsg, noise_until
+from touchdown.backend.devices.framing import (
+    FrameStep,
+    FrameStream,
+    ProtocolError,
+    crc_wsg,
+    noise_until,
+)
+from touchdown.backend.devices.protocols import Identity
 
 
-class Command(IntEnum):
+class WsgCommand(IntEnum):
     """Command ids."""
 
     LOOP = 0x06
@@ -45,7 +59,7 @@ class Command(IntEnum):
     SYSTEM_LIMITS = 0x53
 
 
-class Status(IntEnum):
+class WsgStatus(IntEnum):
     """Status of a reply; any other value is a fault of the device."""
 
     SUCCESS = 0
@@ -120,45 +134,45 @@ class GraspState(IntEnum):
 
 LONGEST_UNKNOWN = 64
 """Payload of a command not in the tables; longer ones are taken for noise."""
-TEXT: dict[int, int] = {Command.LOOP: 256, Command.SET_TAG: 64, Command.GET_TAG: 64}
+TEXT: dict[int, int] = {WsgCommand.LOOP: 256, WsgCommand.SET_TAG: 64, WsgCommand.GET_TAG: 64}
 """Commands whose content is bytes of any length up to this."""
 
 _UPDATE, NOTHING = "<BH", "<"
 REQUESTS: dict[int, str] = {
-    **dict.fromkeys(Command, NOTHING),
-    Command.HOME: "<B",
-    Command.PREPOSITION: "<Bff",
-    Command.ACKNOWLEDGE: "<3s",
-    Command.GRASP: "<ff",
-    Command.RELEASE: "<ff",
-    Command.SET_ACCELERATION: "<f",
-    Command.SET_FORCE_LIMIT: "<f",
-    Command.SET_SOFT_LIMITS: "<ff",
-    Command.OVERDRIVE: "<B",
-    Command.STATISTICS: "<B",
-    Command.SYSTEM_STATE: _UPDATE,
-    Command.GRASP_STATE: _UPDATE,
-    Command.WIDTH: _UPDATE,
-    Command.SPEED: _UPDATE,
-    Command.FORCE: _UPDATE,
+    **dict.fromkeys(WsgCommand, NOTHING),
+    WsgCommand.HOME: "<B",
+    WsgCommand.PREPOSITION: "<Bff",
+    WsgCommand.ACKNOWLEDGE: "<3s",
+    WsgCommand.GRASP: "<ff",
+    WsgCommand.RELEASE: "<ff",
+    WsgCommand.SET_ACCELERATION: "<f",
+    WsgCommand.SET_FORCE_LIMIT: "<f",
+    WsgCommand.SET_SOFT_LIMITS: "<ff",
+    WsgCommand.OVERDRIVE: "<B",
+    WsgCommand.STATISTICS: "<B",
+    WsgCommand.SYSTEM_STATE: _UPDATE,
+    WsgCommand.GRASP_STATE: _UPDATE,
+    WsgCommand.WIDTH: _UPDATE,
+    WsgCommand.SPEED: _UPDATE,
+    WsgCommand.FORCE: _UPDATE,
 }
 """Layout of the payload of each request."""
 
 REPLIES: dict[int, tuple[str, ...]] = {
-    **dict.fromkeys(Command, (NOTHING,)),
-    Command.SET_ACCELERATION: (NOTHING, "<f"),
-    Command.GET_ACCELERATION: ("<f",),
-    Command.GET_FORCE_LIMIT: ("<f",),
-    Command.GET_SOFT_LIMITS: ("<ff",),
-    Command.SYSTEM_STATE: ("<I",),
-    Command.GRASP_STATE: ("<B",),
-    Command.STATISTICS: ("<IHH",),
-    Command.WIDTH: ("<f",),
-    Command.SPEED: ("<f",),
-    Command.FORCE: ("<f",),
-    Command.TEMPERATURE: ("<h",),
-    Command.SYSTEM_INFO: ("<BBHI",),
-    Command.SYSTEM_LIMITS: ("<8f",),
+    **dict.fromkeys(WsgCommand, (NOTHING,)),
+    WsgCommand.SET_ACCELERATION: (NOTHING, "<f"),
+    WsgCommand.GET_ACCELERATION: ("<f",),
+    WsgCommand.GET_FORCE_LIMIT: ("<f",),
+    WsgCommand.GET_SOFT_LIMITS: ("<ff",),
+    WsgCommand.SYSTEM_STATE: ("<I",),
+    WsgCommand.GRASP_STATE: ("<B",),
+    WsgCommand.STATISTICS: ("<IHH",),
+    WsgCommand.WIDTH: ("<f",),
+    WsgCommand.SPEED: ("<f",),
+    WsgCommand.FORCE: ("<f",),
+    WsgCommand.TEMPERATURE: ("<h",),
+    WsgCommand.SYSTEM_INFO: ("<BBHI",),
+    WsgCommand.SYSTEM_LIMITS: ("<8f",),
 }
 """Layouts of what follows status 0 in each reply; the manual prints 30h with a value."""
 
@@ -172,7 +186,7 @@ Number: TypeAlias = float | int | bytes
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class WsgRequest:
     """A command; ``values`` as in ``REQUESTS``, or the bytes of a text or of an unknown command."""
 
     command: int
@@ -180,15 +194,15 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class WsgRefusal:
     """A request that cannot be carried out as sent, and the status to answer with."""
 
     command: int
-    status: Status
+    status: WsgStatus
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class WsgReply:
     """Answer, result or update; ``values`` only with status 0, temperature in degrees Celsius."""
 
     command: int
@@ -196,47 +210,47 @@ class Reply:
     values: tuple[Number, ...] = ()
 
 
-Incoming = Request | Refused
+WsgIncoming = WsgRequest | WsgRefusal
 
 
-def home(direction: int = 0) -> Request:
+def home(direction: int = 0) -> WsgRequest:
     """Move to the end stop that sets the origin: 0 as configured, 1 open, 2 closed."""
-    return Request(Command.HOME, (direction,))
+    return WsgRequest(WsgCommand.HOME, (direction,))
 
 
 def preposition(
     width_mm: float, speed_mm_s: float, *, relative: bool = False, stop_on_block: bool = False
-) -> Request:
+) -> WsgRequest:
     """Move the fingers; a block ends it in either mode, without ``stop_on_block`` pressing on."""
-    return Request(Command.PREPOSITION, (relative | stop_on_block << 1, width_mm, speed_mm_s))
+    return WsgRequest(WsgCommand.PREPOSITION, (relative | stop_on_block << 1, width_mm, speed_mm_s))
 
 
-def grasp(width_mm: float, speed_mm_s: float) -> Request:
+def grasp(width_mm: float, speed_mm_s: float) -> WsgRequest:
     """Close on a part of this width."""
-    return Request(Command.GRASP, (width_mm, speed_mm_s))
+    return WsgRequest(WsgCommand.GRASP, (width_mm, speed_mm_s))
 
 
-def release(width_mm: float, speed_mm_s: float) -> Request:
+def release(width_mm: float, speed_mm_s: float) -> WsgRequest:
     """Open to this width."""
-    return Request(Command.RELEASE, (width_mm, speed_mm_s))
+    return WsgRequest(WsgCommand.RELEASE, (width_mm, speed_mm_s))
 
 
-def acknowledge() -> Request:
+def acknowledge() -> WsgRequest:
     """Acknowledge a fast stop or fault."""
-    return Request(Command.ACKNOWLEDGE, (ACKNOWLEDGE_KEY,))
+    return WsgRequest(WsgCommand.ACKNOWLEDGE, (ACKNOWLEDGE_KEY,))
 
 
-def set_force_limit(force_sum_n: float) -> Request:
+def set_force_limit(force_sum_n: float) -> WsgRequest:
     """Set the force limit, the sum over both fingers."""
-    return Request(Command.SET_FORCE_LIMIT, (force_sum_n,))
+    return WsgRequest(WsgCommand.SET_FORCE_LIMIT, (force_sum_n,))
 
 
-def update(command: Command, period_ms: int = 0, *, on_change: bool = False) -> Request:
+def update(command: WsgCommand, period_ms: int = 0, *, on_change: bool = False) -> WsgRequest:
     """Ask for a reading once (period 0), or again and again; ``on_change`` only when it differs."""
-    return Request(command, ((period_ms > 0) | on_change << 1, period_ms))
+    return WsgRequest(command, ((period_ms > 0) | on_change << 1, period_ms))
 
 
-def encode_request(request: Request) -> bytes:
+def encode_request(request: WsgRequest) -> bytes:
     """Return the frame; raises ``WireError`` if a value does not fit or is no number."""
     layout = REQUESTS.get(request.command)
     if layout is None or (request.command in TEXT and request.values):
@@ -244,60 +258,60 @@ def encode_request(request: Request) -> bytes:
     return _frame(request.command, _pack(layout, request.values))
 
 
-def encode_reply(reply: Reply) -> bytes:
+def encode_reply(reply: WsgReply) -> bytes:
     """Return the frame."""
     if not 0 <= reply.status <= 0xFFFF:
-        raise WireError("range", "wsg status", _HEAD)
+        raise ProtocolError("range", "wsg status", _HEAD)
     values = reply.values
-    if reply.command == Command.TEMPERATURE and values:
+    if reply.command == WsgCommand.TEMPERATURE and values:
         values = (round(float(values[0]) * 10),)
-    if reply.command in TEXT and reply.command != Command.SET_TAG and values:
+    if reply.command in TEXT and reply.command != WsgCommand.SET_TAG and values:
         content = _only_bytes(values, reply.command)
-    elif reply.status != Status.SUCCESS or not values:
+    elif reply.status != WsgStatus.SUCCESS or not values:
         content = _pack(NOTHING, values)
     else:
         content = _pack(REPLIES.get(reply.command, (NOTHING,))[-1], values)
     return _frame(reply.command, struct.pack("<H", reply.status) + content)
 
 
-def requests() -> FrameStream[Incoming]:
+def requests() -> FrameStream[WsgIncoming]:
     """Return the decoder of a gripper; what it cannot carry out comes out as ``Refused``."""
     return FrameStream(_take_request)
 
 
-def replies() -> FrameStream[Reply]:
+def replies() -> FrameStream[WsgReply]:
     """Return the decoder of whoever drives a gripper."""
     return FrameStream(_take_reply)
 
 
-def decode_reply(frame: bytes) -> Reply:
+def decode_reply(frame: bytes) -> WsgReply:
     """Return the reply of one whole frame; raises ``WireError``."""
     size = _size(frame, 0)
     if size == 0 or size is None or len(frame) != size:
-        raise WireError("length", "wsg frame", len(frame))
+        raise ProtocolError("length", "wsg frame", len(frame))
     return _reply(frame[3], _payload(frame))
 
 
 def _frame(command: int, payload: bytes) -> bytes:
     if not 0 <= command <= 0xFF:
-        raise WireError("command", "wsg frame", 3)
+        raise ProtocolError("command", "wsg frame", 3)
     body = PREAMBLE + struct.pack("<BH", command, len(payload)) + payload
     return body + struct.pack("<H", crc_wsg(body))
 
 
 def _pack(layout: str, values: tuple[Number, ...]) -> bytes:
     if not all(isinstance(value, bytes) or math.isfinite(value) for value in values):
-        raise WireError("number", "wsg payload", _HEAD)
+        raise ProtocolError("number", "wsg payload", _HEAD)
     try:
         return struct.pack(layout, *values)
     except (struct.error, OverflowError) as error:
-        raise WireError("range", "wsg payload", _HEAD) from error
+        raise ProtocolError("range", "wsg payload", _HEAD) from error
 
 
 def _only_bytes(values: tuple[Number, ...], command: int) -> bytes:
     content = values[0] if len(values) == 1 else b"" if not values else None
     if not isinstance(content, bytes) or len(content) > TEXT.get(command, LONGEST_UNKNOWN):
-        raise WireError("range", "wsg payload", _HEAD)
+        raise ProtocolError("range", "wsg payload", _HEAD)
     return content
 
 
@@ -316,38 +330,38 @@ def _size(data: bytes, at: int) -> int | None:
 def _payload(frame: bytes) -> bytes:
     # Not "crc over the frame is 0": that also holds for some wrong values of its two bytes.
     if crc_wsg(frame[:-_CRC]) != int.from_bytes(frame[-_CRC:], "little"):
-        raise WireError("crc", "wsg frame", len(frame) - _CRC)
+        raise ProtocolError("crc", "wsg frame", len(frame) - _CRC)
     return frame[_HEAD:-_CRC]
 
 
 def _values(layout: str, content: bytes) -> tuple[Number, ...]:
     if struct.calcsize(layout) != len(content):
-        raise WireError("size", "wsg payload", _HEAD)
+        raise ProtocolError("size", "wsg payload", _HEAD)
     values = struct.unpack(layout, content)
     if not all(isinstance(value, bytes) or math.isfinite(value) for value in values):
-        raise WireError("number", "wsg payload", _HEAD)
+        raise ProtocolError("number", "wsg payload", _HEAD)
     return values
 
 
-def _reply(command: int, payload: bytes) -> Reply:
+def _reply(command: int, payload: bytes) -> WsgReply:
     if len(payload) < 2:
-        raise WireError("size", "wsg reply", 4)
+        raise ProtocolError("size", "wsg reply", 4)
     status, content = int.from_bytes(payload[:2], "little"), payload[2:]
-    if status != Status.SUCCESS or not content:
+    if status != WsgStatus.SUCCESS or not content:
         layouts = REPLIES.get(command, (NOTHING,))
-        needed = status == Status.SUCCESS and command not in TEXT and NOTHING not in layouts
+        needed = status == WsgStatus.SUCCESS and command not in TEXT and NOTHING not in layouts
         if content or needed:
-            raise WireError("size", "wsg reply", _HEAD + 2)
-        return Reply(command, status)
-    if command in (Command.LOOP, Command.GET_TAG):
-        return Reply(command, status, (content,))
+            raise ProtocolError("size", "wsg reply", _HEAD + 2)
+        return WsgReply(command, status)
+    if command in (WsgCommand.LOOP, WsgCommand.GET_TAG):
+        return WsgReply(command, status, (content,))
     values = _values(REPLIES.get(command, (NOTHING,))[-1], content)
-    if command == Command.TEMPERATURE:
+    if command == WsgCommand.TEMPERATURE:
         values = (float(values[0]) / 10,)
-    return Reply(command, status, values)
+    return WsgReply(command, status, values)
 
 
-def _take_reply(data: bytes, at: int) -> Step[Reply] | None:
+def _take_reply(data: bytes, at: int) -> FrameStep[WsgReply] | None:
     size = _size(data, at)
     if size == 0:
         return noise_until(data, at, PREAMBLE[:1])
@@ -355,12 +369,12 @@ def _take_reply(data: bytes, at: int) -> Step[Reply] | None:
         return None
     frame = data[at : at + size]
     try:
-        return Step(size, _reply(frame[3], _payload(frame)))
-    except WireError:
-        return Step(1, refused=True)
+        return FrameStep(size, _reply(frame[3], _payload(frame)))
+    except ProtocolError:
+        return FrameStep(1, refused=True)
 
 
-def _take_request(data: bytes, at: int) -> Step[Incoming] | None:
+def _take_request(data: bytes, at: int) -> FrameStep[WsgIncoming] | None:
     size = _size(data, at)
     if size == 0:
         return noise_until(data, at, PREAMBLE[:1])
@@ -370,20 +384,77 @@ def _take_request(data: bytes, at: int) -> Step[Incoming] | None:
     command = frame[3]
     try:
         payload = _payload(frame)
-    except WireError:
+    except ProtocolError:
         inner = data.find(PREAMBLE, at + 1, at + size)
         length = size if inner < 0 else inner - at  # noise may have promised too much
-        return Step(length, Refused(command, Status.CHECKSUM_ERROR), refused=True)
-    return Step(size, _request(command, payload))
+        return FrameStep(length, WsgRefusal(command, WsgStatus.CHECKSUM_ERROR), refused=True)
+    return FrameStep(size, _request(command, payload))
 
 
-def _request(command: int, payload: bytes) -> Incoming:
+def _request(command: int, payload: bytes) -> WsgIncoming:
     layout = REQUESTS.get(command)
-    if layout is None or command in (Command.LOOP, Command.SET_TAG):
-        return Request(command, (payload,) if payload else ())
+    if layout is None or command in (WsgCommand.LOOP, WsgCommand.SET_TAG):
+        return WsgRequest(command, (payload,) if payload else ())
     if payload and layout == NOTHING:
-        return Refused(command, Status.NO_PARAM_EXPECTED)
+        return WsgRefusal(command, WsgStatus.NO_PARAM_EXPECTED)
     try:
-        return Request(command, _values(layout, payload))
-    except WireError:
-        return Refused(command, Status.CMD_FORMAT_ERROR)
+        return WsgRequest(command, _values(layout, payload))
+    except ProtocolError:
+        return WsgRefusal(command, WsgStatus.CMD_FORMAT_ERROR)
+
+
+MAKER = "Weiss Robotics"
+TYPES = {0: "WSG", 1: "WSG 50"}
+DECIMALS = 100
+
+
+class GripperProtocol(Protocol):
+    """One protocol, for one connection."""
+
+    @property
+    def bad_frames(self) -> int:
+        """What could not be read so far."""
+
+    def encode(self, requests: Iterable[WsgRequest]) -> bytes:
+        """Return what to send for these requests, in their order."""
+
+    def take(self, data: bytes) -> list[WsgReply]:
+        """Return the replies that ``data`` completes, oldest first."""
+
+    def due(self, now_s: float) -> bytes:
+        """Return what is to be sent by the clock alone."""
+
+    def identity(self, told: WsgReply, address: str) -> Identity:
+        """Return who answers, by the reply to SYSTEM_INFO; ``address`` stands for a number."""
+
+
+class BinaryProtocol:
+    """The binary protocol: updates come of themselves and keep the connection alive."""
+
+    def __init__(self) -> None:
+        self._decoder = replies()
+
+    @property
+    def bad_frames(self) -> int:
+        """Frames that were none."""
+        return self._decoder.bad_frames
+
+    def encode(self, requests: Iterable[WsgRequest]) -> bytes:
+        """Return the frames."""
+        return b"".join(map(encode_request, requests))
+
+    def take(self, data: bytes) -> list[WsgReply]:
+        """Return the replies."""
+        return self._decoder.feed(data)
+
+    def due(self, now_s: float) -> bytes:
+        """Nothing."""
+        return b""
+
+    def identity(self, told: WsgReply, address: str) -> Identity:
+        """Return type, serial number and firmware."""
+        values = [int(value) for value in told.values] or [0, 0, 0, 0]
+        kind, hardware, firmware, serial = values
+        model = f"{TYPES.get(kind, 'WSG')}, hardware {hardware}"
+        number = str(serial) if serial else address
+        return Identity(MAKER, model, number, f"{firmware / DECIMALS:.2f}")

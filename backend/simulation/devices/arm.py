@@ -41,7 +41,7 @@ from touchdown.backend.devices import (
     servo_off_fault,
     stopped_fault,
 )
-from touchdown.backend.devices.melfa import JOINT_RANGES, Placing, check_joints
+from touchdown.backend.devices.melfa import JOINT_RANGES, MelfaPlacement, check_joints
 from touchdown.backend.simulation.arm import (
     HandPlace,
     JointKinematics,
@@ -86,7 +86,7 @@ class SimJoints:
     def __init__(self, world: World) -> None:
         arm = MelfaSettings()
         yaw_rad, hand_rad = math.radians(arm.yaw_deg), math.radians(arm.hand_deg)
-        self._placing = Placing(arm.origin_mm, yaw_rad, hand_rad, arm.tool_mm)
+        self._placing = MelfaPlacement(arm.origin_mm, yaw_rad, hand_rad, arm.tool_mm)
         self._world = world
         self._last = np.zeros(6)
 

@@ -18,9 +18,10 @@ from touchdown.backend.core import (
     SampleStream,
     Stream,
     TactileFrame,
+    Thinned,
 )
 from touchdown.backend.devices import Device, DeviceState
-from touchdown.backend.emulation import DisturbanceScript, RateLimiter
+from touchdown.backend.emulation import DisturbanceScript
 from touchdown.backend.simulation.devices.arm import SimArm
 from touchdown.backend.simulation.devices.end_effector import SimForceTorque, SimGripper, SimTactile
 from touchdown.backend.simulation.scene import Scene, SceneTruth
@@ -78,7 +79,7 @@ class SimulatedBench:
         now_s = self.clock.now_s
         self.arm = SimArm(self._world, streams.poses, streams.commands, now_s)
         self.gripper = SimGripper(self._world, now_s)
-        self._thinned = RateLimiter()
+        self._thinned = Thinned()
         self.force_torque = SimForceTorque(streams.samples, now_s, scene.settings.wrist.rate_hz)
         self.tactile: Mapping[Finger, SimTactile] = {
             finger: SimTactile(finger, streams.frames[finger], now_s, self._script)

@@ -15,16 +15,17 @@ from touchdown.backend.core import (
     SampleStream,
     Stream,
     TactileFrame,
+    Thinned,
     require_unrotated,
 )
 from touchdown.backend.devices import (
-    Arrivals,
+    ArrivalMonitor,
     CommandedMotion,
     GripStatus,
     replaced_fault,
     stopped_fault,
 )
-from touchdown.backend.emulation import DisturbanceScript, RateLimiter
+from touchdown.backend.emulation import DisturbanceScript
 from touchdown.backend.simulation.devices.connection import SimConnection, SimDevice
 from touchdown.backend.simulation.finger_camera import Exposure
 from touchdown.backend.simulation.world import World
@@ -126,7 +127,7 @@ class SimTactile(SimDevice):
     ) -> None:
         self._finger, self._frames, self._script = finger, frames, script
         super().__init__(SimConnection(f"tactile_{finger}", "simulated tactile finger", now_s))
-        self._thinned = RateLimiter()
+        self._thinned = Thinned()
         self._newest: int | None = None
         self._frozen: ImageArray | None = None
 
@@ -193,7 +194,7 @@ class SimForceTorque(SimDevice):
         self, samples: SampleStream, now_s: Callable[[], float], usual_hz: float = 1000.0
     ) -> None:
         self._samples, self._usual_hz = samples, usual_hz
-        self._pace = Arrivals(1.0 / usual_hz)
+        self._pace = ArrivalMonitor(1.0 / usual_hz)
         super().__init__(SimConnection("force_torque", "simulated wrist sensor", now_s))
 
     @property

@@ -26,7 +26,7 @@ from touchdown.backend.devices.protocols import (
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.tower import Tower
 from touchdown.backend.rig.host import Devices
-from touchdown.backend.rig.remote import RigArm, RigForceTorque, RigGripper
+from touchdown.backend.rig.remote_devices import RigArm, RigForceTorque, RigGripper
 from touchdown.backend.simulation.devices.bench import SimulatedBench
 from touchdown.backend.simulation.scene import Scene
 

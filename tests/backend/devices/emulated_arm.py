@@ -14,13 +14,16 @@ from touchdown.backend.core.faults import Fault, FaultError
 from touchdown.backend.core.rotations import IDENTITY_ROTATION, LEVEL_RAD, rotation_vector
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import FloatArray
-from touchdown.backend.devices.melfa.arm import MelfaArm
+from touchdown.backend.devices.melfa.command_channel import (
+    CycleFunction,
+    CycleTimes,
+    PendingRequest,
+    R3Client,
+)
+from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaOrders
+from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa
-from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
-from touchdown.backend.devices.melfa.protocol_r3 import Request, encode_request
-from touchdown.backend.devices.melfa.r3_client import R3Client, Ticket
-from touchdown.backend.devices.melfa.sockets import Cycle, CycleTimes
-from touchdown.backend.devices.melfa.status import Orders
+from touchdown.backend.devices.melfa.r3_protocol import R3Request, encode_request
 from touchdown.backend.simulation.arm import ArmCycle as Cycle10
 from touchdown.backend.simulation.devices.bench import SimulatedBench
 from touchdown.backend.simulation.world import World
@@ -93,7 +96,7 @@ class SteppedWires:
         self._late_us = 0
         self._next_us = self.clock.now_us + CYCLE_US
         self._came: tuple[bytes, ...] = ()
-        self._cycle: Cycle | None = None
+        self._cycle: CycleFunction | None = None
         self._client = R3Client(0.03)
         self._out = b""
 
@@ -103,15 +106,15 @@ class SteppedWires:
 
     # -- Wires ------------------------------------------------------------------------------------
 
-    def open(self, cycle: Cycle, lost: Callable[[Fault], None]) -> None:
+    def open(self, cycle: CycleFunction, lost: Callable[[Fault], None]) -> None:
         self._session, self._lane = self.device.session(), self.device.session()
         self._client, self._came, self._out = R3Client(0.03), (), b""
         self._cycle, self._lost = cycle, lost
 
-    def ask(self, request: Request, timeout_s: float) -> Ticket:
+    def ask(self, request: R3Request, timeout_s: float) -> PendingRequest:
         return self._client.ask(request, timeout_s)
 
-    def finish(self, ticket: Ticket) -> None:
+    def finish(self, ticket: PendingRequest) -> None:
         while not ticket.done and self._cycle is not None:
             self.advance(CYCLE_US)
             self.meanwhile()
@@ -134,7 +137,7 @@ class SteppedWires:
             return
         now_s = self.clock.now_s()
         self._send(now_s, packet)
-        self._lane.receive(now_s, encode_request(Request("STOP")) + b"\r")
+        self._lane.receive(now_s, encode_request(R3Request("STOP")) + b"\r")
 
     def close(self) -> None:
         if self._cycle is not None:
@@ -182,7 +185,7 @@ class Rig:
 
     def __init__(self, start_mm: tuple[float, float, float] = (0.0, 0.0, 60.0), **more: object):
         self.settings = settings(**more)
-        placing = Orders(self.settings).placing
+        placing = MelfaOrders(self.settings).placing
         self.device = EmulatedMelfa(
             self.settings, start_rad=placing.joints(np.array(start_mm), READY_RAD)
         )
@@ -244,7 +247,7 @@ class _Follow:
 def on_bench(bench: SimulatedBench, **more: object) -> tuple[MelfaArm, SteppedWires]:
     """Return the driver of an emulated arm that carries the gripper of ``bench``."""
     world, wanted = bench._world, settings(**more)
-    placing = Orders(wanted).placing
+    placing = MelfaOrders(wanted).placing
     device = EmulatedMelfa(wanted, start_rad=placing.joints(world.drive.command_mm, READY_RAD))
     wires = SteppedWires(device, bench.clock)
     wires.also = bench.advance

@@ -1,10 +1,10 @@
 """The WSG driver's core and the emulated gripper on a hand-wound clock, in either protocol."""
 
 from touchdown.backend.config.hardware import WsgSettings
-from touchdown.backend.devices.wsg.core import WsgCore
-from touchdown.backend.devices.wsg.dialects import BinaryLanguage, GclLanguage
-from touchdown.backend.devices.wsg.emulator import EmulatedWsg
-from touchdown.backend.devices.wsg.emulator_gcl import EmulatedGcl
+from touchdown.backend.devices.wsg.driver import WsgCore
+from touchdown.backend.devices.wsg.emulator import EmulatedGcl, EmulatedWsg
+from touchdown.backend.devices.wsg.gcl import GclProtocol
+from touchdown.backend.devices.wsg.protocol import BinaryProtocol
 from touchdown.backend.emulation.fault_plan import Faults
 
 PART_MM = 40.0
@@ -20,7 +20,7 @@ class Bench:
         wsg = WsgSettings(**settings)
         self.gripper = EmulatedWsg(part_mm=part_mm, faults=self.faults)
         self.core, self.text = WsgCore(wsg), wsg.protocol == "gcl"
-        self.language = GclLanguage(wsg) if self.text else BinaryLanguage()
+        self.language = GclProtocol(wsg) if self.text else BinaryProtocol()
         self.mouth = EmulatedGcl(self.gripper, wsg) if self.text else self.gripper
         self.sent, self.said, self.deaf = [], [], False
         self.damage = bytes

@@ -7,14 +7,13 @@ import pytest
 from tests.backend.devices.contract_bench import EVERY, PRESS, DevicesUnderTest
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.values import Pose
-from touchdown.backend.devices.interlock import Retreating
-from touchdown.backend.devices.protocols import RobotMode
+from touchdown.backend.devices.protocols import RetreatingArm, RobotMode
 
 
 @EVERY
 def test_a_retreat_draws_back_from_contact_once_and_stands(bench: DevicesUnderTest) -> None:
     bench.lifted_and_gripped()
-    assert isinstance(bench.arm, Retreating)
+    assert isinstance(bench.arm, RetreatingArm)
     samples = bench.force_torque.samples
     air_n = samples.window(bench.now_s() - 0.2, bench.now_s()).values.mean(axis=0)[2]
     motion = bench.arm.press(PRESS)
@@ -39,7 +38,7 @@ def test_a_retreat_ends_a_move_that_runs_into_something_and_stop_ends_a_retreat(
     bench: DevicesUnderTest,
 ) -> None:
     bench.lifted_and_gripped()
-    assert isinstance(bench.arm, Retreating)
+    assert isinstance(bench.arm, RetreatingArm)
     here = bench.arm.pose(0.1)
     motion = bench.arm.move_to(Pose(here.x_mm + 20.0, here.y_mm, here.z_mm + 5.0), 20.0)
     bench.rest(0.3)

@@ -9,17 +9,16 @@ import pytest
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core.streams import Stream
 from touchdown.backend.core.values import FINGERS
-from touchdown.backend.devices.dynpick.driver import DynpickLanguage
+from touchdown.backend.devices.dynpick.driver import DynpickDriver
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
-from touchdown.backend.devices.force_torque.protocol import Greeting
+from touchdown.backend.devices.force_torque.driver import SensorDescription
 from touchdown.backend.devices.force_torque.reader import ForceTorqueReader
-from touchdown.backend.devices.ft300.driver import Ft300Language
+from touchdown.backend.devices.ft300.driver import Ft300Driver
 from touchdown.backend.devices.ft300.emulator import EmulatedFt300
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.protocols import Identity
-from touchdown.backend.devices.supervision import Arrivals, Supervision
-from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.emulation.loads import hanging, noisy, suffering
+from touchdown.backend.devices.supervision import ArrivalMonitor, Supervision
+from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults, hanging_gripper
 
 USUAL_S = 1.3
 
@@ -35,17 +34,19 @@ class Watched:
         self.faults = Faults("force_torque")
         self.faults.begin(0.0)
         emulated = {"dynpick": EmulatedDynpick, "ft300": EmulatedFt300}[make]
-        self.sensor = emulated(suffering(noisy(hanging), self.faults))
+        self.sensor = emulated(apply_faults(add_noise(hanging_gripper), self.faults))
         self.sensor.pace.faults = self.faults
         self.sensor.pace.begin(0.0, 1.0 / hz)
         settings = HardwareSettings()
-        made = {"dynpick": DynpickLanguage, "ft300": Ft300Language}[make]
+        made = {"dynpick": DynpickDriver, "ft300": Ft300Driver}[make]
         self.language = made(settings, "")
         self.reader = ForceTorqueReader(
             lambda: self.language, lambda _: None, ForceTorqueSettings(), lambda: self.now_s,
             late_s=0.016,
         )  # fmt: skip
-        self.reader._greeting = Greeting(Identity("", make, "", ""), (200.0,) * 6, 1.0 / hz)
+        self.reader._greeting = SensorDescription(
+            Identity("", make, "", ""), (200.0,) * 6, 1.0 / hz
+        )
         self.reader._forget()
         frames = {finger: Stream(f"tactile_{finger}", 4) for finger in FINGERS}
         self.interlock = Interlock()
@@ -116,7 +117,7 @@ def test_adapters_losses_and_a_busy_computer_make_no_sensor_slow(
     hz: float, adapter_s: float
 ) -> None:
     """1 % lost, an adapter that collects, and every second a wait of up to 0.5 s; 30 s of it."""
-    rng, arrivals = random.Random(5), Arrivals(1.0 / hz)
+    rng, arrivals = random.Random(5), ArrivalMonitor(1.0 / hz)
     flush_s = last_s = wait_end_s = 0.0
     next_wait_s = 1.0
     for k in range(round(30.0 * hz)):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from touchdown.backend.core.streams import SampleStream
-from touchdown.backend.devices.protocols import last_places_mm, travelled_mm
+from touchdown.backend.devices.interlock import recent_positions_mm, travelled_mm
 
 
 def told(*rows):
@@ -30,5 +30,5 @@ def told(*rows):
     ],
 )
 def test_the_last_two_places_at_least_tell_how_far_an_arm_moved(rows, travel_mm):
-    found = travelled_mm(last_places_mm(told(*rows), 10.0))
+    found = travelled_mm(recent_positions_mm(told(*rows), 10.0))
     assert found == pytest.approx(travel_mm, nan_ok=True)

@@ -9,12 +9,12 @@ import pytest
 
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.connection import reconnect
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
-from touchdown.backend.devices.force_torque_registry import make_force_torque
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.emulation.loads import noisy
-from touchdown.backend.emulation.servers import PtyFront, TcpFront
+from touchdown.backend.devices.registry import make_force_torque
+from touchdown.backend.emulation.fault_plan import add_noise
+from touchdown.backend.emulation.server import PtyServer, TcpServer
+from touchdown.backend.rig.connection import reconnect
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 LEAST = 1 / np.array([65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75])
@@ -25,7 +25,7 @@ TREMBLE = tuple(2.0 * LEAST)
 
 
 def trembling(load=LOAD):
-    return noisy(lambda now_s: load, TREMBLE)
+    return add_noise(lambda now_s: load, TREMBLE)
 
 
 def make(address, **dynpick):
@@ -34,7 +34,7 @@ def make(address, **dynpick):
     return make_force_torque(settings, time.monotonic)
 
 
-FRONTS = [TcpFront, *([PtyFront] if sys.platform != "win32" else [])]
+FRONTS = [TcpServer, *([PtyServer] if sys.platform != "win32" else [])]
 
 
 @pytest.fixture(params=FRONTS, ids=["tcp", "pty"][: len(FRONTS)])
@@ -162,7 +162,7 @@ def test_a_port_that_is_not_there_is_a_fault():
 
 
 def test_an_older_sensor_is_scaled_by_the_settings():
-    front = TcpFront(EmulatedDynpick(trembling(), tells_sensitivity=False))
+    front = TcpServer(EmulatedDynpick(trembling(), tells_sensitivity=False))
     front.start()
     driver = make(front.url, sensitivity=(50.0,) * 6)
     connect(driver)
@@ -172,7 +172,7 @@ def test_an_older_sensor_is_scaled_by_the_settings():
 
 
 def test_the_end_of_the_range_is_a_fault_with_samples_going_on():
-    front = TcpFront(EmulatedDynpick(lambda now_s: (500.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
+    front = TcpServer(EmulatedDynpick(lambda now_s: (500.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
     front.start()
     driver = make(front.url)
     connect(driver)

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickLanguage
+from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickDriver
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
-from touchdown.backend.devices.dynpick.protocol import Record, encode_record
-from touchdown.backend.devices.force_torque.reader import Readout
-from touchdown.backend.devices.supervision import Rate
-from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.emulation.loads import noisy, suffering
+from touchdown.backend.devices.dynpick.protocol import DynpickRecord, encode_record
+from touchdown.backend.devices.force_torque.reader import WrenchStamper
+from touchdown.backend.devices.supervision import RateMonitor
+from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
 from touchdown.backend.sensing.zeroing import DriftWatch
 
 ZERO = 0x2000
@@ -22,8 +21,8 @@ class Samples:
 
     def __init__(self, **mounting):
         settings = HardwareSettings.model_validate({"dynpick": {"sensitivity": PER_UNIT}})
-        self.language = DynpickLanguage(settings, "")
-        self.readout = Readout(ForceTorqueSettings(**mounting), PERIOD_S)
+        self.language = DynpickDriver(settings, "")
+        self.readout = WrenchStamper(ForceTorqueSettings(**mounting), PERIOD_S)
 
     def accept(self, arrival_s, data):
         return self.readout.accept(arrival_s, self.language.take(data))
@@ -42,7 +41,7 @@ samples = Samples
 
 def stream(*loads, tick=0):
     return b"".join(
-        encode_record(Record((tick + i) % 10, (ZERO + x, ZERO, ZERO, ZERO, ZERO, ZERO)))
+        encode_record(DynpickRecord((tick + i) % 10, (ZERO + x, ZERO, ZERO, ZERO, ZERO, ZERO)))
         for i, x in enumerate(loads)
     )
 
@@ -104,7 +103,7 @@ def test_the_ends_of_the_range_are_an_overload():
 
 def test_mounting_and_sign_turn_force_and_torque():
     quarter = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    content = encode_record(Record(0, (ZERO + 100, ZERO, ZERO, ZERO + 100, ZERO, ZERO)))
+    content = encode_record(DynpickRecord(0, (ZERO + 100, ZERO, ZERO, ZERO + 100, ZERO, ZERO)))
     _, values = samples(rotation=quarter, sign=-1).accept(1.0, content)
     assert values[0] == pytest.approx([0.0, -1.0, 0.0, 0.0, -0.1, 0.0])
 
@@ -116,7 +115,7 @@ def test_an_emulated_sensor_that_slows_down_is_slow_and_not_silent_and_gets_its_
     sensor = EmulatedDynpick(lambda now_s: (0.0, 0.0, rng.normal(-10.0, 0.1), 0.0, 0.0, 0.0))
     sensor.pace.faults = faults
     sensor.receive(now_s, b"S")
-    made, rate, oldest_s = samples(), Rate(), 0.0
+    made, rate, oldest_s = samples(), RateMonitor(), 0.0
 
     def deliver(seconds):
         nonlocal now_s, oldest_s
@@ -138,12 +137,12 @@ def test_an_emulated_sensor_that_slows_down_is_slow_and_not_silent_and_gets_its_
 def test_an_emulated_sensor_that_drifts_is_named_by_what_the_reader_reads():
     faults, now_s, watch = Faults("force_torque"), 0.0, DriftWatch()
     faults.begin(now_s)
-    hangs = noisy(lambda now_s: (0.0, 0.0, -14.7, 0.0, 0.0, 0.0))
-    sensor = EmulatedDynpick(suffering(hangs, faults))
+    hangs = add_noise(lambda now_s: (0.0, 0.0, -14.7, 0.0, 0.0, 0.0))
+    sensor = EmulatedDynpick(apply_faults(hangs, faults))
     sensor.pace.faults = faults
     sensor.receive(now_s, b"S")
-    language = DynpickLanguage(HardwareSettings(), "")
-    readout = Readout(ForceTorqueSettings(), PERIOD_S)
+    language = DynpickDriver(HardwareSettings(), "")
+    readout = WrenchStamper(ForceTorqueSettings(), PERIOD_S)
     faults.inject(6.0, "drift", n_per_s=0.05)
     while now_s < 30.0 and not ((found := watch.drift()) and found.named):
         now_s += 0.1

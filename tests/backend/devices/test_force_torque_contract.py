@@ -16,20 +16,19 @@ from tests.backend.rig.ticking import TickingRig
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.bota.emulator import EmulatedBota
-from touchdown.backend.devices.connection import reconnect
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
-from touchdown.backend.devices.force_torque_registry import LANGUAGES, make_force_torque
 from touchdown.backend.devices.ft300.emulator import EmulatedFt300
 from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
-from touchdown.backend.devices.melfa.emulator_controller import TYPE_FORCE, EmulatedMonitor
-from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S
+from touchdown.backend.devices.melfa.emulated_channels import TYPE_FORCE, EmulatedMonitor
+from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 from touchdown.backend.devices.netft.emulator import PER_UNIT, EmulatedNetFt
 from touchdown.backend.devices.optoforce.emulator import CAPACITY, COUNTS, EmulatedOptoforce
 from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.devices.registry import WRIST_SENSOR_DRIVERS, make_force_torque
 from touchdown.backend.devices.wsg.emulator import EmulatedWsg
-from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.emulation.loads import noisy, suffering
-from touchdown.backend.emulation.servers import PtyFront, TcpFront, UdpFront
+from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
+from touchdown.backend.emulation.server import PtyServer, TcpServer, UdpServer
+from touchdown.backend.rig.connection import reconnect
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 TREMBLE = (0.03, 0.03, 0.03, 0.003, 0.003, 0.003)
@@ -52,13 +51,13 @@ class Wired:
     def __init__(self, kind, folder):
         self.kind = kind
         self.faults = Faults("force_torque")
-        sensor = EMULATED[kind](suffering(noisy(lambda now_s: LOAD, TREMBLE), self.faults))
+        sensor = EMULATED[kind](apply_faults(add_noise(lambda now_s: LOAD, TREMBLE), self.faults))
         if kind in DATAGRAMS:
-            self.front = UdpFront(sensor, faults=self.faults)
+            self.front = UdpServer(sensor, faults=self.faults)
         elif sys.platform == "win32":
-            self.front = TcpFront(sensor, faults=self.faults)
+            self.front = TcpServer(sensor, faults=self.faults)
         else:
-            self.front = PtyFront(sensor, faults=self.faults, link=folder / "sensor")
+            self.front = PtyServer(sensor, faults=self.faults, link=folder / "sensor")
         settings = {
             "ft": {"driver": kind, "address": self.front.url},
             "optoforce": {"counts": COUNTS, "capacity": CAPACITY},
@@ -116,7 +115,7 @@ def wired(request, tmp_path):
 
 def test_every_language_has_an_emulated_sensor():
     # The wire of ``ur`` is that of a package: it is held to a module like it.
-    assert set(EMULATED) == set(LANGUAGES) - {"ur"}
+    assert set(EMULATED) == set(WRIST_SENSOR_DRIVERS) - {"ur"}
 
 
 def test_it_delivers_what_the_sensor_feels_in_order_at_its_rate(wired):
@@ -208,7 +207,7 @@ def test_connecting_can_be_cancelled_and_closing_twice_is_allowed(wired):
 
 
 def test_a_gripper_in_place_of_a_wrist_sensor_is_refused():
-    front = TcpFront(EmulatedWsg())
+    front = TcpServer(EmulatedWsg())
     settings = {"ft": {"driver": "leptrino", "address": front.url}}
     driver = make_force_torque(HardwareSettings.model_validate(settings), time.monotonic)
     front.start()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from touchdown.backend.devices.protocols import DeviceState, GripStatus
-from touchdown.backend.devices.supervision import STANDS_S, GripWatch
+from touchdown.backend.devices.supervision import STANDS_S, GripMonitor
 
 CYCLE_S = 0.02
 HELD = GripStatus(width_mm=20.0, force_n=10.0, holding=True)
@@ -26,7 +26,7 @@ class Jaws:
 class Watched:
     def __init__(self):
         self.jaws, self.now_s, self.faults = Jaws(), 0.0, []
-        self.watch = GripWatch(self.jaws)
+        self.watch = GripMonitor(self.jaws)
 
     def run(self, seconds, told=None):
         self.jaws.told = told or self.jaws.told

@@ -14,14 +14,15 @@ from tests.backend.rig.ticking import TickingRig, rounds_pass
 from touchdown.backend.config.hardware import HardwareSettings, WsgSettings
 from touchdown.backend.config.simulation import SimulationSettings
 from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.devices.interlock import ByHand
 from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
-from touchdown.backend.devices.protocols import ByHand, DeviceState
-from touchdown.backend.devices.wsg.driver import WsgGripper, make_gripper
-from touchdown.backend.devices.wsg.emulator import EmulatedWsg, Profile
-from touchdown.backend.devices.wsg.emulator_gcl import EmulatedGcl
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.devices.registry import make_gripper
+from touchdown.backend.devices.wsg.driver import WsgGripper
+from touchdown.backend.devices.wsg.emulator import EmulatedGcl, EmulatedWsg, GripperProfile
 from touchdown.backend.devices.wsg.protocol import SystemFlag
 from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.emulation.servers import TcpFront
+from touchdown.backend.emulation.server import TcpServer
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.tower import Tower
 from touchdown.backend.simulation.devices.bench import SimulatedBench
@@ -65,11 +66,11 @@ class OverTheWire:
         faults = Faults("gripper")
         wsg = WsgSettings(**settings)
         self.emulated = EmulatedWsg(
-            Profile(stroke_mm=40.0), PART_MM, faults, keeps_grip=wsg.keeps_grip_after_07
+            GripperProfile(stroke_mm=40.0), PART_MM, faults, keeps_grip=wsg.keeps_grip_after_07
         )
         text = wsg.protocol == "gcl"
         mouth = EmulatedGcl(self.emulated, wsg) if text else self.emulated
-        self.front = TcpFront(mouth, faults=faults)
+        self.front = TcpServer(mouth, faults=faults)
         host, port = self.front.address
         wsg = wsg.model_copy(update={"host": host, "port": port})
         self.gripper = make_gripper(HardwareSettings(wsg=wsg), time.monotonic)
@@ -279,7 +280,7 @@ def test_readings_go_on_and_a_lost_piece_is_seen(wired):
 
 
 def test_another_device_is_refused_by_name():
-    front = TcpFront(EmulatedLeptrino(lambda now_s: (0.0,) * 6))
+    front = TcpServer(EmulatedLeptrino(lambda now_s: (0.0,) * 6))
     front.start()
     gripper = WsgGripper(*front.address, WsgSettings(), time.monotonic)
     words = "This is a Leptrino force/torque sensor, expected a WSG gripper"

@@ -8,7 +8,7 @@ import pytest
 
 from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.core.values import Pose
-from touchdown.backend.devices.guarded import GuardedArm
+from touchdown.backend.devices.guarded_devices import GuardedArm
 from touchdown.backend.devices.interlock import Interlock, Limits
 from touchdown.backend.devices.protocols import ArmStatus, PressCommand, RobotMode, SafetyMode
 

@@ -17,9 +17,10 @@ from touchdown.backend.devices.interlock import (
     Interlock,
     Limits,
     ReleaseEvidence,
+    outside_box_mm,
     release_refusal,
+    room_mm,
 )
-from touchdown.backend.devices.jog_limits import outside_box_mm, room_mm
 
 GOOD = ReleaseEvidence(
     verdict_stable=True,

@@ -5,8 +5,7 @@ import pytest
 
 from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.core.values import Pose
-from touchdown.backend.devices.interlock import Limits
-from touchdown.backend.devices.jog_limits import fastest_mm_s, refuse_forced, room_mm
+from touchdown.backend.devices.interlock import Limits, fastest_mm_s, refuse_forced, room_mm
 
 LIMITS = Limits()
 AT = Pose(0.0, 0.0, 100.0)

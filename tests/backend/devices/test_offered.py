@@ -8,8 +8,8 @@ import pytest
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.devices import registry
-from touchdown.backend.devices.force_torque_registry import make_force_torque
-from touchdown.backend.devices.wsg.driver import WsgGripper, make_gripper
+from touchdown.backend.devices.registry import make_force_torque, make_gripper
+from touchdown.backend.devices.wsg.driver import WsgGripper
 
 
 def settings(**tables):

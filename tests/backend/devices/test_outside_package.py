@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.backend.devices import test_force_torque_contract as contract
-from touchdown.backend.devices.force_torque_registry import make_force_torque
-from touchdown.backend.emulation.pace import Pace
+from touchdown.backend.devices.registry import make_force_torque
+from touchdown.backend.emulation.fault_plan import SampleSchedule
 
 GUIDE = Path(__file__).resolve().parents[3] / "docs" / "hardware.md"
 PERIOD_S = 0.005
@@ -27,7 +27,7 @@ class EmulatedSixNumbers:
     """Six numbers a line, from "start" to "stop"."""
 
     def __init__(self, wrench):
-        self._wrench, self._pace = wrench, Pace()
+        self._wrench, self._pace = wrench, SampleSchedule()
 
     def receive(self, now_s, data):
         if b"start" in data and not self._pace.running:

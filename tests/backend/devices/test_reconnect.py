@@ -5,8 +5,8 @@ import threading
 import pytest
 
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.connection import reconnect
 from touchdown.backend.devices.protocols import DeviceState, Identity
+from touchdown.backend.rig.connection import reconnect
 
 
 class Plugged:

@@ -8,14 +8,17 @@ import pytest
 from tests.backend.devices.waiting import until
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.force_torque.protocol import Greeting
+from touchdown.backend.devices.force_torque.driver import SensorDescription
 from touchdown.backend.devices.force_torque.reader import BAD_LIMIT, ForceTorqueReader
 from touchdown.backend.devices.leptrino import protocol
-from touchdown.backend.devices.leptrino.driver import LeptrinoLanguage
-from touchdown.backend.devices.leptrino.protocol import Command, Sample
+from touchdown.backend.devices.leptrino.driver import LeptrinoDriver
+from touchdown.backend.devices.leptrino.protocol import LeptrinoCommand, LeptrinoSample
 from touchdown.backend.devices.protocols import DeviceState, Identity
 
-GOOD = [protocol.encode(Sample(Command.START, (number, 2, 3, 4, 5, 6), 0)) for number in range(2)]
+GOOD = [
+    protocol.encode(LeptrinoSample(LeptrinoCommand.START, (number, 2, 3, 4, 5, 6), 0))
+    for number in range(2)
+]
 BAD = GOOD[0][:-1] + bytes([GOOD[0][-1] ^ 1])
 
 
@@ -39,10 +42,10 @@ class Line:
         pass
 
 
-class Started(LeptrinoLanguage):
+class Started(LeptrinoDriver):
     def start(self, link, cancel):
         self._rated = (100.0,) * 6
-        return Greeting(Identity("a", "b", "c", ""), self._rated, 0.001)
+        return SensorDescription(Identity("a", "b", "c", ""), self._rated, 0.001)
 
 
 @pytest.mark.parametrize(("count", "ends"), [(BAD_LIMIT - 1, False), (BAD_LIMIT, True)])
@@ -111,4 +114,4 @@ def test_a_driver_that_fails_is_a_fault_with_its_own_words(where, said, monkeypa
 def test_a_greeting_has_six_rated_loads_and_a_period():
     for rated, period_s in (((1.0, 2.0), 0.001), ((1.0,) * 6, 0.0)):
         with pytest.raises(ValueError, match="6 rated loads and a period"):
-            Greeting(Identity("a", "b", "c", ""), rated, period_s)
+            SensorDescription(Identity("a", "b", "c", ""), rated, period_s)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from touchdown.backend.devices.dynpick.driver import DynpickLanguage
+from touchdown.backend.devices.dynpick.driver import DynpickDriver
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
-from touchdown.backend.devices.dynpick.protocol import RECORD_BYTES, Command
-from touchdown.backend.devices.force_torque.protocol import Reading
-from touchdown.backend.devices.force_torque.reader import Readout
+from touchdown.backend.devices.dynpick.protocol import RECORD_BYTES, DynpickCommand
+from touchdown.backend.devices.force_torque.driver import WrenchReading
+from touchdown.backend.devices.force_torque.reader import WrenchStamper
 from touchdown.backend.devices.framing import Wrench
-from touchdown.backend.emulation.loads import noisy
+from touchdown.backend.emulation.fault_plan import add_noise
 from touchdown.backend.sensing.episode import wrench_on_ticks
 
 PERIOD_S = 0.001
@@ -23,14 +23,14 @@ AFTER_S = np.arange(BEGUN_S + 3.1, BEGUN_S + 6.0, 0.004)
 
 
 def reading(number, missed=0):
-    return Reading(Wrench((float(number), 0.0, 0.0), (0.0, 0.0, 0.0)), missed)
+    return WrenchReading(Wrench((float(number), 0.0, 0.0), (0.0, 0.0, 0.0)), missed)
 
 
 class Stream:
     """A sensor whose clock is off by ``off``; ``wakes`` are the times at which it is read."""
 
     def __init__(self, off=2e-4, *, numbered=False, nominal_s=PERIOD_S):
-        self.readout = Readout(ForceTorqueSettings(), nominal_s, numbered=numbered)
+        self.readout = WrenchStamper(ForceTorqueSettings(), nominal_s, numbered=numbered)
         self.period_s = PERIOD_S * (1.0 + off)
         self.taken = 0
         self.true_s, self.told_s = [], []
@@ -126,7 +126,7 @@ def test_a_first_read_that_was_late_is_put_right_and_time_never_goes_back():
 
 
 def test_the_latency_lies_between_sample_and_arrival():
-    readout = Readout(ForceTorqueSettings(latency_ms=5.0), PERIOD_S)
+    readout = WrenchStamper(ForceTorqueSettings(latency_ms=5.0), PERIOD_S)
     stamps, _ = readout.accept(2.0, [reading(1), reading(2)])
     assert stamps == pytest.approx([1.994, 1.995])
 
@@ -134,11 +134,11 @@ def test_the_latency_lies_between_sample_and_arrival():
 def test_a_dynpick_behind_an_adapter_that_collects_keeps_its_rate():
     """Through the bytes: the adapter hands over every 16 ms what it has, some of it torn."""
     language, sensor = (
-        DynpickLanguage(HardwareSettings(), ""),
-        EmulatedDynpick(noisy(lambda now_s: (0.0,) * 6)),
+        DynpickDriver(HardwareSettings(), ""),
+        EmulatedDynpick(add_noise(lambda now_s: (0.0,) * 6)),
     )
-    readout = Readout(ForceTorqueSettings(), PERIOD_S)
-    sensor.receive(0.0, Command.START.value)
+    readout = WrenchStamper(ForceTorqueSettings(), PERIOD_S)
+    sensor.receive(0.0, DynpickCommand.START.value)
     told_s, rest = [], b""
     for k in range(1, 250):
         now_s = 0.016 * k

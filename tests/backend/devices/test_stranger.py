@@ -4,15 +4,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from touchdown.backend.devices import registry
+from touchdown.backend.devices import identification
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.dynpick import protocol as dynpick
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 from touchdown.backend.devices.ft300.emulator import EmulatedFt300
+from touchdown.backend.devices.identification import PROTOCOL_SIGNATURES, identify_device
 from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
-from touchdown.backend.devices.registry import KINDS, who_answers
-from touchdown.backend.devices.wsg.emulator import EmulatedWsg
-from touchdown.backend.devices.wsg.emulator_gcl import EmulatedGcl
+from touchdown.backend.devices.wsg.emulator import EmulatedGcl, EmulatedWsg
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 DEVICES = {
@@ -29,7 +28,7 @@ class Wire:
 
     def __init__(self, device, monkeypatch):
         self.device, self.now_s, self.out = device, 0.0, b""
-        monkeypatch.setattr(registry, "time", SimpleNamespace(monotonic=lambda: self.now_s))
+        monkeypatch.setattr(identification, "time", SimpleNamespace(monotonic=lambda: self.now_s))
 
     def send(self, data):
         self.out += self.device.receive(self.now_s, data)
@@ -42,10 +41,10 @@ class Wire:
 
 @pytest.mark.parametrize("name", DEVICES)
 def test_each_device_is_known_unless_it_is_the_expected_one(name, monkeypatch):
-    (kind,) = [one for one in KINDS if one.name == name]
+    (kind,) = [one for one in PROTOCOL_SIGNATURES if one.name == name]
     for expected, words in (("another", kind.words), (name, "")):
         wire = Wire(DEVICES[name](), monkeypatch)
-        assert who_answers(wire.send, wire.receive, expected) == words
+        assert identify_device(wire.send, wire.receive, expected) == words
 
 
 def test_noise_silence_and_a_lost_wire_are_nobody(monkeypatch):
@@ -54,15 +53,15 @@ def test_noise_silence_and_a_lost_wire_are_nobody(monkeypatch):
         due = staticmethod(lambda now_s: bytes(range(256)))
 
     wire = Wire(Noise(), monkeypatch)
-    assert who_answers(wire.send, wire.receive, "leptrino") == ""
+    assert identify_device(wire.send, wire.receive, "leptrino") == ""
 
     def lost(_):
         raise ConnectionResetError
 
-    assert who_answers(lost, lost, "leptrino") == ""
+    assert identify_device(lost, lost, "leptrino") == ""
 
 
 def test_asking_zeroes_no_sensor_and_configures_none():
-    asked = b"".join(kind.request for kind in KINDS)
-    assert dynpick.Command.OFFSET_RESET.value not in asked
-    assert protocol.encode(protocol.Request("C")) not in asked
+    asked = b"".join(kind.request for kind in PROTOCOL_SIGNATURES)
+    assert dynpick.DynpickCommand.OFFSET_RESET.value not in asked
+    assert protocol.encode(protocol.BotaRequest("C")) not in asked

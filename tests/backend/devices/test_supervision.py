@@ -10,7 +10,7 @@ from touchdown.backend.core.values import FINGERS, TactileFrame
 from touchdown.backend.devices.cameras.frames import dark_fault
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.protocols import DeviceState, GripStatus, Health
-from touchdown.backend.devices.supervision import GRACE_S, Degraded, Rate, Supervision
+from touchdown.backend.devices.supervision import GRACE_S, DegradedDevice, RateMonitor, Supervision
 
 IMAGES = np.random.default_rng(5).integers(0, 2, (8, 240, 320, 3), dtype=np.uint8)
 """Pictures of the least noise: one grey level."""
@@ -157,7 +157,9 @@ def test_a_sensor_is_degraded_before_it_is_a_fault_and_well_again_by_itself() ->
     bench.run(0.08, None)
     assert bench.supervision.degraded == ()
     bench.run(0.04, None)
-    assert bench.supervision.degraded == (Degraded("force_torque", "silent", pytest.approx(2.0)),)
+    assert bench.supervision.degraded == (
+        DegradedDevice("force_torque", "silent", pytest.approx(2.0)),
+    )
     assert bench.supervision.unwell().what == "The wrist sensor has been silent for 0.1 s."
     bench.run(0.02)
     assert bench.supervision.degraded == ()
@@ -166,7 +168,7 @@ def test_a_sensor_is_degraded_before_it_is_a_fault_and_well_again_by_itself() ->
     assert bench.supervision.degraded == ()
     bench.run(0.06, silent="left")
     assert bench.supervision.degraded == (
-        Degraded("tactile_left", "silent", pytest.approx(last_s)),
+        DegradedDevice("tactile_left", "silent", pytest.approx(last_s)),
     )
     bench.run(0.04)
     assert bench.supervision.degraded == ()
@@ -186,7 +188,7 @@ def test_a_scene_that_begins_forgets_what_was_degraded() -> None:
 def test_less_than_half_of_the_usual_rate_is_degraded_until_it_is_back(
     share: float, slow: bool
 ) -> None:
-    rate, now_s = Rate(), 0.0
+    rate, now_s = RateMonitor(), 0.0
 
     def deliver(seconds: float, hz: float) -> None:
         nonlocal now_s
@@ -268,7 +270,7 @@ def test_a_gripper_that_holds_a_piece_is_degraded_after_300_ms_and_a_fault_after
     bench.run(0.28)
     assert bench.supervision.degraded == ()
     bench.run(0.06)
-    assert bench.supervision.degraded == (Degraded("gripper", "silent", pytest.approx(2.0)),)
+    assert bench.supervision.degraded == (DegradedDevice("gripper", "silent", pytest.approx(2.0)),)
     bench.run(0.64)
     assert not bench.interlock.latched
     bench.run(0.06)

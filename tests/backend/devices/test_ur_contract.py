@@ -17,10 +17,10 @@ from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import Pose
 from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode
 from touchdown.backend.devices.registry import make_arm
-from touchdown.backend.devices.ur import arm as ur_arm
+from touchdown.backend.devices.ur import driver as ur_arm
 from touchdown.backend.devices.ur import rtde
 from touchdown.backend.devices.ur import rtde as stop_lane
-from touchdown.backend.devices.ur.arm import UrArm
+from touchdown.backend.devices.ur.driver import UrArm
 from touchdown.backend.simulation.devices.bench import SimulatedBench
 
 TURNING = ("turn", "joint")
@@ -87,14 +87,14 @@ def test_the_controller_is_told_its_tool_and_keeps_hearing(bench, wires):
 
 def test_stop_that_comes_while_a_move_is_being_ordered_is_not_forgotten(bench, monkeypatch):
     bench.connect()
-    here, settle = bench.arm.pose(1.0), stop_lane.StopLane.settle
+    here, settle = bench.arm.pose(1.0), stop_lane.StopConnection.settle
 
     def stopped_meanwhile(lane, limit_s):
         settled = settle(lane, limit_s)
         bench.arm.stop()
         return settled
 
-    monkeypatch.setattr(stop_lane.StopLane, "settle", stopped_meanwhile)
+    monkeypatch.setattr(stop_lane.StopConnection, "settle", stopped_meanwhile)
     with pytest.raises(FaultError, match="STOPPED"):
         bench.arm.move_to(Pose(here.x_mm + 20.0, here.y_mm, here.z_mm), 50.0)
     monkeypatch.undo()

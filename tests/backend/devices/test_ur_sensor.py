@@ -12,10 +12,10 @@ import pytest
 from tests.backend.devices.waiting import until
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.force_torque_registry import make_force_torque
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.devices.ur import force_sensor
-from touchdown.backend.devices.ur.force_sensor import SAMPLE, UrLanguage
+from touchdown.backend.devices.registry import make_force_torque
+from touchdown.backend.devices.ur import rtde
+from touchdown.backend.devices.ur.rtde import SAMPLE, UrWrenchDriver
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 PERIOD_S = 0.002
@@ -62,7 +62,7 @@ def robots(monkeypatch):
         return made[-1]
 
     module = SimpleNamespace(RTDEReceiveInterface=receive)
-    monkeypatch.setitem(force_sensor.importlib.sys.modules, "rtde_receive", module)
+    monkeypatch.setitem(rtde.importlib.sys.modules, "rtde_receive", module)
     return made
 
 
@@ -106,13 +106,13 @@ def test_a_robot_that_tells_nothing_is_a_fault(robots, driver, how):
 
 
 def test_without_the_package_it_says_so(driver, monkeypatch):
-    monkeypatch.setitem(force_sensor.importlib.sys.modules, "rtde_receive", None)
+    monkeypatch.setitem(rtde.importlib.sys.modules, "rtde_receive", None)
     with pytest.raises(FaultError, match="'ur_rtde' is not installed"):
         driver.connect(1.0, threading.Event())
 
 
 def test_a_gap_in_the_time_of_the_robot_is_counted_and_the_end_of_its_range_told():
-    language = UrLanguage(SETTINGS, "rtde://robot")
+    language = UrWrenchDriver(SETTINGS, "rtde://robot")
     told = [SAMPLE.pack(t_s, *LOAD) for t_s in (5.0, 5.002, 5.010, 5.012)]
     assert [reading.missed for data in told for reading in language.take(data)] == [0, 0, 3, 0]
     (reading,) = language.take(SAMPLE.pack(5.014, 0.0, 0.0, -50.0, 0.0, 0.0, 0.0))
@@ -124,7 +124,7 @@ def test_a_gap_in_the_time_of_the_robot_is_counted_and_the_end_of_its_range_told
 @pytest.mark.optional
 def test_the_package_has_what_the_sensor_asks():
     theirs = pytest.importorskip("rtde_receive").RTDEReceiveInterface
-    for name, method in inspect.getmembers(force_sensor.WrenchSource, inspect.isfunction):
+    for name, method in inspect.getmembers(rtde.WrenchSource, inspect.isfunction):
         if not name.startswith("_"):
             assert list(inspect.signature(method).parameters) == ["self"]
             assert callable(getattr(theirs, name))

@@ -4,7 +4,7 @@ import pytest
 
 from tests.backend.devices.stepped_wsg import PART_MM, Bench
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.wsg.protocol import Command, Request
+from touchdown.backend.devices.wsg.protocol import WsgCommand, WsgRequest
 
 
 def code_of(motion):
@@ -17,7 +17,7 @@ def code_of(motion):
 def test_force_is_per_finger_and_the_wire_carries_what_the_gripper_takes(convention, sum_n):
     bench = Bench(force_convention=convention)
     status = bench.held()
-    assert Request(Command.SET_FORCE_LIMIT, (sum_n,)) in bench.sent
+    assert WsgRequest(WsgCommand.SET_FORCE_LIMIT, (sum_n,)) in bench.sent
     assert (status.width_mm, status.force_n, status.holding) == (PART_MM, 10.0, True)
 
 
@@ -26,11 +26,11 @@ def test_the_force_is_set_before_the_jaws_close_and_read_after():
     bench.sent.clear()
     bench.held()
     assert [request.command for request in bench.sent] == [
-        Command.SET_FORCE_LIMIT,
-        Command.GRASP,
-        Command.GRASP_STATE,
-        Command.WIDTH,
-        Command.FORCE,
+        WsgCommand.SET_FORCE_LIMIT,
+        WsgCommand.GRASP,
+        WsgCommand.GRASP_STATE,
+        WsgCommand.WIDTH,
+        WsgCommand.FORCE,
     ]
 
 
@@ -56,9 +56,9 @@ def test_a_held_piece_is_released_and_empty_jaws_are_positioned():
     opening = bench.end(bench.order(bench.core.open_to, 44.0, 5.0))
     opening.result()
     assert opening.sent == {"width_mm": 44.0, "speed_mm_s": 5.0}
-    assert Command.RELEASE in [request.command for request in bench.sent]
+    assert WsgCommand.RELEASE in [request.command for request in bench.sent]
     bench.end(bench.order(bench.core.open_to, 60.0, 100.0)).result()
-    assert bench.sent[-4].command == Command.PREPOSITION
+    assert bench.sent[-4].command == WsgCommand.PREPOSITION
     assert bench.core.status.width_mm == pytest.approx(60.0)
 
 
@@ -77,7 +77,7 @@ def test_stop_ends_a_motion_and_is_not_sent_to_jaws_that_hold():
     motion = bench.order(bench.core.grip, 10.0)
     bench.advance(0.1)
     bench.send(bench.core.stop())
-    assert bench.sent[-1].command == Command.STOP
+    assert bench.sent[-1].command == WsgCommand.STOP
     assert code_of(motion) == "STOPPED"
     bench.advance(0.1)
     bench.held()
@@ -94,7 +94,10 @@ def test_a_newer_command_stops_the_older_one_first():
     bench.sent.clear()
     second = bench.order(bench.core.open_to, 50.0, 50.0)
     assert code_of(first) == "REPLACED"
-    assert [request.command for request in bench.sent[:2]] == [Command.STOP, Command.PREPOSITION]
+    assert [request.command for request in bench.sent[:2]] == [
+        WsgCommand.STOP,
+        WsgCommand.PREPOSITION,
+    ]
     bench.end(second).result()
     assert bench.core.status.width_mm == pytest.approx(50.0)
 
@@ -124,7 +127,7 @@ def test_a_motion_that_never_ends_is_stopped_at_its_deadline():
     bench.gripper.jaws.motion = None
     bench.advance(5.0)
     assert code_of(motion) == "WSG-TIMEOUT"
-    assert Request(Command.STOP) in bench.sent
+    assert WsgRequest(WsgCommand.STOP) in bench.sent
 
 
 def test_silence_is_a_lost_link():

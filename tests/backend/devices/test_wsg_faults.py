@@ -4,7 +4,7 @@ import pytest
 
 from tests.backend.devices.stepped_wsg import Bench
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.wsg.protocol import Command, SystemFlag
+from touchdown.backend.devices.wsg.protocol import SystemFlag, WsgCommand
 
 FLAGS = (
     SystemFlag.FAST_STOP,
@@ -13,7 +13,7 @@ FLAGS = (
     SystemFlag.CURR_FAULT,
     SystemFlag.FINGER_FAULT,
 )
-MOTIONS = {Command.HOME, Command.PREPOSITION, Command.GRASP, Command.RELEASE}
+MOTIONS = {WsgCommand.HOME, WsgCommand.PREPOSITION, WsgCommand.GRASP, WsgCommand.RELEASE}
 
 
 @pytest.mark.parametrize("flag", FLAGS)

@@ -4,7 +4,7 @@ import pytest
 
 from tests.backend.devices.stepped_wsg import PART_MM, Bench
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.wsg.protocol import Command, Status
+from touchdown.backend.devices.wsg.protocol import WsgCommand, WsgStatus
 
 
 def text(**settings):
@@ -45,7 +45,7 @@ def test_what_the_gripper_refuses_has_the_words_of_the_binary_protocol():
     assert code_of(empty.end(empty.order(empty.core.grip, 10.0))) == "WSG-NO-PART"
 
 
-@pytest.mark.parametrize("code", [status for status in Status if status not in (0, 11, 19, 26)])
+@pytest.mark.parametrize("code", [status for status in WsgStatus if status not in (0, 11, 19, 26)])
 def test_every_error_code_ends_the_motion_with_a_fault(code):
     bench = text()
     motion = bench.order(bench.core.grip, 10.0)
@@ -104,7 +104,7 @@ def test_a_stop_ends_the_motion_and_leaves_a_grip_alone():
     motion = bench.order(bench.core.grip, 10.0)
     bench.advance(0.05)
     bench.send(bench.core.stop())
-    assert bench.sent[-1].command == Command.STOP
+    assert bench.sent[-1].command == WsgCommand.STOP
     assert code_of(motion) == "STOPPED"
     bench.advance(0.3)
     bench.held()

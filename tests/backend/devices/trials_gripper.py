@@ -7,17 +7,17 @@ import random
 from tests.backend.devices.stepped_wsg import Bench
 from tests.backend.devices.trials import Ended
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.wsg import protocol, protocol_gcl
-from touchdown.backend.devices.wsg.core import link_fault
-from touchdown.backend.devices.wsg.protocol import Command, GraspState, Request, SystemFlag
+from touchdown.backend.devices.wsg import gcl, protocol
+from touchdown.backend.devices.wsg.driver import link_fault
+from touchdown.backend.devices.wsg.protocol import GraspState, SystemFlag, WsgCommand, WsgRequest
 
-MOTIONS = {Command.HOME, Command.PREPOSITION, Command.GRASP, Command.RELEASE}
-OPENING = {Command.PREPOSITION, Command.RELEASE}
+MOTIONS = {WsgCommand.HOME, WsgCommand.PREPOSITION, WsgCommand.GRASP, WsgCommand.RELEASE}
+OPENING = {WsgCommand.PREPOSITION, WsgCommand.RELEASE}
 CALLS = {
-    "HOME": Command.HOME,
-    "MOVE": Command.PREPOSITION,
-    "GRIP": Command.GRASP,
-    "RELEASE": Command.RELEASE,
+    "HOME": WsgCommand.HOME,
+    "MOVE": WsgCommand.PREPOSITION,
+    "GRIP": WsgCommand.GRASP,
+    "RELEASE": WsgCommand.RELEASE,
 }
 WIRE = ("lost", "flip", "garbage", "cut", "duplicate", "late")
 KINDS = (*WIRE, "silent", "mute", "unplug", "part_lost", "fast_stop", "power", "stop", "closed")
@@ -38,7 +38,7 @@ class GripperTrial:
         self.seed, self.rng = seed, random.Random(seed)
         self.protocol = self.rng.choice(("binary", "gcl"))
         self.bench = Bench(protocol=self.protocol)
-        self.commanded: list[tuple[float, Command]] = []
+        self.commanded: list[tuple[float, WsgCommand]] = []
         self._listen()
         self.barred_s = float("inf")
 
@@ -63,7 +63,7 @@ class GripperTrial:
     def _listen(self) -> None:
         """Write down every motion that the gripper is really told, from its own bytes."""
         receive, text = self.bench.mouth.receive, self.protocol == "gcl"
-        decoder = protocol_gcl.lines() if text else protocol.requests()
+        decoder = gcl.lines() if text else protocol.requests()
 
         def heard(now_s: float, data: bytes) -> bytes:
             for said in decoder.feed(data):
@@ -96,7 +96,7 @@ class GripperTrial:
             bench.send(bench.core.stop())
         elif fault == "closed":
             bench.send(bench.core.stop())
-            bench.send([Request(Command.DISCONNECT)])
+            bench.send([WsgRequest(WsgCommand.DISCONNECT)])
             bench.mouth.closed(bench.now_s)
             bench.deaf = True
             self.barred_s = bench.now_s
@@ -135,10 +135,10 @@ class GripperTrial:
         return {"", "WSG-LINK"} if fault == "closed" else {""}
 
 
-def _motion(said: object) -> Command | None:
-    if isinstance(said, Request) and said.command in MOTIONS:
-        return Command(said.command)
-    if isinstance(said, protocol_gcl.Call):
+def _motion(said: object) -> WsgCommand | None:
+    if isinstance(said, WsgRequest) and said.command in MOTIONS:
+        return WsgCommand(said.command)
+    if isinstance(said, gcl.Call):
         return CALLS.get(said.command)
     return None
 

@@ -16,15 +16,14 @@ from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.bota.emulator import EmulatedBota
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 from touchdown.backend.devices.force_torque.reader import ForceTorqueReader
-from touchdown.backend.devices.force_torque_registry import LANGUAGES
 from touchdown.backend.devices.ft300.emulator import EmulatedFt300
 from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
-from touchdown.backend.devices.melfa.emulator_controller import TYPE_FORCE, EmulatedMonitor
+from touchdown.backend.devices.melfa.emulated_channels import TYPE_FORCE, EmulatedMonitor
 from touchdown.backend.devices.netft.emulator import PER_UNIT, EmulatedNetFt
 from touchdown.backend.devices.optoforce.emulator import CAPACITY, COUNTS, EmulatedOptoforce
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.emulation.loads import noisy, suffering
+from touchdown.backend.devices.registry import WRIST_SENSOR_DRIVERS
+from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
 
 EMULATED = {
     "dynpick": EmulatedDynpick,
@@ -128,11 +127,11 @@ class WristTrial:
         self.kind = kind or self.rng.choice(sorted(EMULATED))
         self.clock, self.faults = ManualClock(), Faults("force_torque")
         self.faults.begin(0.0)
-        felt = suffering(noisy(lambda now_s: LOAD, TREMBLE, seed), self.faults)
+        felt = apply_faults(add_noise(lambda now_s: LOAD, TREMBLE, seed), self.faults)
         self.sensor = EMULATED[self.kind](felt)
         self.link = SteppedLink(self.sensor, self.faults, self.clock, self.rng)
         self.reader = ForceTorqueReader(
-            lambda: LANGUAGES[self.kind](SETTINGS, "a port"),
+            lambda: WRIST_SENSOR_DRIVERS[self.kind](SETTINGS, "a port"),
             self._open,
             SETTINGS.ft,
             self.clock.now_s,

@@ -12,9 +12,8 @@ import numpy as np
 from tests.backend.devices.emulated_arm import _Follow
 from touchdown.backend.config.hardware import UrSettings
 from touchdown.backend.core.rotations import IDENTITY_ROTATION, rotation_from_vector
-from touchdown.backend.devices.ur.arm import UrArm
+from touchdown.backend.devices.ur.driver import UrArm, UrPlacement
 from touchdown.backend.devices.ur.rtde import Interfaces
-from touchdown.backend.devices.ur.servo import Placing
 from touchdown.backend.simulation.devices.bench import SimulatedBench
 
 CYCLE_US = 8000
@@ -159,7 +158,7 @@ class UrWires:
     def __init__(self, bench: SimulatedBench) -> None:
         self.bench, self.clock = bench, bench.clock
         settings = UrSettings(arm_lag_ms=1e3 * LAG_S, sensor_lag_ms=0.0, yaw_deg=30.0)
-        self.placing = Placing(settings)
+        self.placing = UrPlacement(settings)
         world = bench._world
         start = self.placing.pose(world.drive.command_mm, np.array(DOWN))
         self.robot = Robot(start[:3], self.clock.now_s)

@@ -5,15 +5,15 @@ from itertools import pairwise
 import pytest
 
 from tests.backend.wire.vectors import data
-from touchdown.backend.bench.serving import SERIAL, Choice, emulate
+from touchdown.backend.bench.emulator_registry import SERIAL, EmulationChoice, emulate
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.bota.emulator import EmulatedBota
-from touchdown.backend.devices.bota.protocol import Frame
+from touchdown.backend.devices.bota.protocol import BotaFrame
 from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
 from touchdown.backend.devices.ft300.emulator import EmulatedFt300
 from touchdown.backend.devices.leptrino import protocol as leptrino
 from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
-from touchdown.backend.devices.leptrino.protocol import Sample, Status
+from touchdown.backend.devices.leptrino.protocol import LeptrinoSample, LeptrinoStatus
 from touchdown.backend.devices.netft import protocol as net_ft
 from touchdown.backend.devices.netft.emulator import (
     EmulatedCalibration,
@@ -22,8 +22,7 @@ from touchdown.backend.devices.netft.emulator import (
 )
 from touchdown.backend.devices.optoforce import protocol as optoforce
 from touchdown.backend.devices.optoforce.emulator import EmulatedOptoforce
-from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.emulation.loads import suffering
+from touchdown.backend.emulation.fault_plan import Faults, apply_faults
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 
@@ -93,8 +92,8 @@ def test_a_leptrino_tells_its_rated_loads_and_refuses_a_damaged_frame():
 def test_a_leptrino_over_its_range_says_so_and_clips():
     sensor = EmulatedLeptrino(lambda now_s: (2000.0, *LOAD[1:]))
     (sample,) = leptrino.packets().feed(sensor.receive(0.0, data("leptrino-read")))
-    assert isinstance(sample, Sample)
-    assert sample.status == Status.OVER_RATING
+    assert isinstance(sample, LeptrinoSample)
+    assert sample.status == LeptrinoStatus.OVER_RATING
     assert sample.counts[0] == leptrino.CLIP
 
 
@@ -111,7 +110,7 @@ def test_a_bota_boots_streams_and_keeps_its_own_time():
     assert sensor.receive(0.5, b"R") == b"r,0,R,0"
     frames = protocol.incoming().feed(sensor.due(0.6))
     assert len(frames) == pytest.approx(100, abs=2)
-    assert all(isinstance(frame, Frame) for frame in frames)
+    assert all(isinstance(frame, BotaFrame) for frame in frames)
 
 
 def test_an_optoforce_is_silent_until_it_is_configured_and_counts():
@@ -160,7 +159,7 @@ def test_its_scale_is_told_by_page_and_channel():
 def test_a_frozen_load_stands_and_a_saturated_one_is_beyond_all_ranges():
     faults = Faults("force_torque")
     faults.begin(0.0)
-    felt = suffering(lambda now_s: (now_s,) * 6, faults)
+    felt = apply_faults(lambda now_s: (now_s,) * 6, faults)
     assert felt(1.0) == (1.0,) * 6
     faults.inject(2.0, "freeze", 1.0)
     assert felt(2.5) == (1.0,) * 6
@@ -171,7 +170,7 @@ def test_a_frozen_load_stands_and_a_saturated_one_is_beyond_all_ranges():
 
 @pytest.mark.parametrize("kind", [*SERIAL, "netft", "monitor"])
 def test_every_sensor_that_is_emulated_can_slow_down(kind):
-    emulation = emulate(Choice(kind))
+    emulation = emulate(EmulationChoice(kind))
     try:
         (faults,) = {front.faults for front in emulation.fronts if front.faults.device}
         assert emulation.fronts[0]._device.pace.faults is faults

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import serial
 
-from touchdown.backend.bench.serving import Choice, emulate
+from touchdown.backend.bench.emulator_registry import EmulationChoice, emulate
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 LIMIT_S = 30.0
@@ -30,7 +30,7 @@ def serve(tmp_path):
     served = []
 
     def begin(kind, **more):
-        made = emulate(Choice(kind, wrench=lambda now_s: LOAD, **more))
+        made = emulate(EmulationChoice(kind, wrench=lambda now_s: LOAD, **more))
         made.start()
         served.append(made)
         return made

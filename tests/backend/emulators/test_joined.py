@@ -5,19 +5,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, make_scene
-from touchdown.backend.bench.emulated_bench import (
+from touchdown.backend.bench.emulated_scene import (
     LATENCY_S,
     BenchFrame,
-    JoinedDynpick,
-    JoinedScene,
-    JoinedWsg,
+    EmulatedScene,
+    SceneDynpick,
+    SceneWsg,
 )
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.devices.dynpick import protocol
 from touchdown.backend.devices.dynpick.emulator import SENSITIVITY
-from touchdown.backend.devices.dynpick.protocol import Command
-from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
-from touchdown.backend.devices.melfa.status import Orders
+from touchdown.backend.devices.dynpick.protocol import DynpickCommand
+from touchdown.backend.devices.melfa.driver import MelfaOrders
+from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
 from touchdown.backend.devices.wsg import protocol as wsg_binary
 from touchdown.backend.devices.wsg.protocol import GraspState
 from touchdown.backend.geometry.pieces import load_pieces
@@ -33,8 +33,8 @@ class Bench:
         settings = SimulatedBenchChoice(preset="quiet").settings()
         choice = SceneChoice("pot", ("short",), 3, jig=jig)
         scene = make_scene(load_pieces(), choice, settings)
-        self.joined = JoinedScene(scene, MELFA)
-        self.gripper = JoinedWsg(self.joined)
+        self.joined = EmulatedScene(scene, MELFA)
+        self.gripper = SceneWsg(self.joined)
 
     def pass_time(self, seconds):
         for _ in range(round(seconds / 0.01)):
@@ -67,7 +67,7 @@ def bench():
 def test_both_ends_of_the_wire_place_the_bench_alike(yaw_deg):
     """The driver's closed form and the emulator's numeric one."""
     settings = HardwareSettings.model_validate({"melfa": {"yaw_deg": yaw_deg}}).melfa
-    frame, placing = BenchFrame(settings), Orders(settings).placing
+    frame, placing = BenchFrame(settings), MelfaOrders(settings).placing
     for place in ([0.0, 0.0, 30.0], [40.0, -60.0, 120.0]):
         joints = frame.joints(np.array(place))
         assert frame.pivot_mm(joints) == pytest.approx(place, abs=1e-5)
@@ -183,7 +183,7 @@ def test_the_world_goes_where_the_joints_are_and_a_descent_is_a_probe(bench):
 def test_the_arms_own_sensor_feels_the_same_in_axes_of_its_base(bench, yaw_deg):
     """Force and moments both; the bench stands turned by its yaw before the base."""
     melfa = MELFA.model_copy(update={"yaw_deg": yaw_deg})
-    joined = JoinedScene(bench.joined.scene, melfa)
+    joined = EmulatedScene(bench.joined.scene, melfa)
     joined._felt = (0.0, np.array([[1.0, -2.0, 3.0, 0.1, 0.2, -0.3]]))
     about_z = Rotation.from_euler("z", yaw_deg, degrees=True)
     told = joined.melfa.controller.felt()
@@ -193,12 +193,12 @@ def test_the_arms_own_sensor_feels_the_same_in_axes_of_its_base(bench, yaw_deg):
 
 def test_a_late_world_is_felt_late_and_not_otherwise(bench):
     """No sample is made up while the world is behind; afterwards all of them come, none changed."""
-    joined, sensor = bench.joined, JoinedDynpick(bench.joined)
+    joined, sensor = bench.joined, SceneDynpick(bench.joined)
     bench.pass_time(0.1)
     told, felt = protocol.records(), []
     step = joined.world.step
     joined.world.step = lambda watched: felt.append(step(watched)) or felt[-1]
-    sensor.receive(0.1 + LATENCY_S, Command.START.value)
+    sensor.receive(0.1 + LATENCY_S, DynpickCommand.START.value)
 
     def records(now_s):
         return [r.counts for r in told.feed(sensor.due(now_s + LATENCY_S))]

@@ -8,21 +8,26 @@ import pytest
 
 from tests.backend.devices.emulated_arm import settings
 from tests.backend.wire.vectors import data
+from touchdown.backend.devices.melfa.emulated_controller import READY_RAD, SPEEDS_RAD_S, frame_of
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa
-from touchdown.backend.devices.melfa.emulator_arm import SPEEDS_RAD_S, frame_of
-from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
-from touchdown.backend.devices.melfa.protocol_mxt import (
-    CYCLE_S,
-    Command,
-    Kind,
-    Pose,
-    Request,
-    Values,
-    decode_reply,
-    encode_request,
+from touchdown.backend.devices.melfa.r3_protocol import (
+    RunStatus,
+    StopStatus,
+    jog,
+    read_axes,
+    read_state,
 )
-from touchdown.backend.devices.melfa.protocol_r3 import Run, Stop, jog, read_axes, read_state
-from touchdown.backend.devices.melfa.protocol_r3 import decode_reply as decode_answer
+from touchdown.backend.devices.melfa.r3_protocol import decode_reply as decode_answer
+from touchdown.backend.devices.melfa.realtime_protocol import (
+    CYCLE_S,
+    BlockKind,
+    MelfaPose,
+    MxtCommand,
+    MxtRequest,
+    Values,
+    decode_mxt_reply,
+    encode_mxt_request,
+)
 
 
 class Client:
@@ -60,12 +65,12 @@ class Client:
 
     def send(self, request):
         self.wait(CYCLE_S)
-        answer = self.device.stream.receive(self.now_s, encode_request(request))
-        return None if answer is None else decode_reply(answer)
+        answer = self.device.stream.receive(self.now_s, encode_mxt_request(request))
+        return None if answer is None else decode_mxt_reply(answer)
 
     def command(self, joints, monitors=(2, 8, 5, 11)):
-        target = Values(Kind.JOINT, (*joints.tolist(), 0.0, 0.0))
-        return self.send(Request(Command.MOVE, target, monitors))
+        target = Values(BlockKind.JOINT, (*joints.tolist(), 0.0, 0.0))
+        return self.send(MxtRequest(MxtCommand.MOVE, target, monitors))
 
 
 # -- commands -------------------------------------------------------------------------------------
@@ -129,25 +134,25 @@ def test_the_servo_takes_its_time_and_the_state_tells():
     client = Client()
     client.ask("1;1;CNTLON")
     client.ask("1;1;SRVON")
-    assert Run.SERVO_ON not in client.state().run
+    assert RunStatus.SERVO_ON not in client.state().run
     client.wait(0.35)
-    assert client.state().run == Run.SERVO_ON | Run.OPERATION_ENABLED | Run.REPEAT
+    assert client.state().run == RunStatus.SERVO_ON | RunStatus.OPERATION_ENABLED | RunStatus.REPEAT
     client.ask("1;1;RUNTDMXT;1")
-    assert Run.RUNNING in client.state().run
+    assert RunStatus.RUNNING in client.state().run
 
 
 def test_an_emergency_stop_is_reset_only_when_it_is_released():
     client = Client().ready()
     client.device.controller.press_emergency_stop(61)
     state = client.state()
-    assert (state.error, Stop.EMERGENCY in state.stop) == (61, True)
+    assert (state.error, StopStatus.EMERGENCY in state.stop) == (61, True)
     assert client.ask("1;1;ERROR") == "Qok61;1"
     assert client.ask("1;1;SRVON") == "Qer5600"
     assert client.ask("1;1;RSTALRM") == "Qer61"
     client.device.controller.release_emergency_stop()
     assert client.ask("1;1;RSTALRM") == "QoK"
     assert client.state().error == 0
-    assert Run.SERVO_ON not in client.state().run
+    assert RunStatus.SERVO_ON not in client.state().run
 
 
 def test_a_jog_ends_140_ms_after_the_last_command():
@@ -182,11 +187,11 @@ def test_a_move_ends_at_the_printed_place(move):
     told = f"({x:+.2f},{y + 20:+.2f},{z + 10:+.2f},{degrees})(7,0)"
     assert client.ask(f"1;9;EXEC{move} {told}") == "QoK"
     client.wait(0.05)
-    assert Run.RUNNING in client.state().run
+    assert RunStatus.RUNNING in client.state().run
     client.wait(3.0)
     after = read_axes(client.ask("1;1;PPOSF").removeprefix("QoK")).values
     assert after[:3] == pytest.approx((x, y + 20, z + 10), abs=0.02)
-    assert Run.RUNNING not in client.state().run
+    assert RunStatus.RUNNING not in client.state().run
 
 
 # -- stream ---------------------------------------------------------------------------------------
@@ -198,24 +203,24 @@ def test_published_packets_are_answered_while_the_program_runs():
     assert client.device.stream.receive(0.0, first) is None
     client.streaming()
     assert client.device.stream.receive(client.now_s, data("mxt-bad-short")) is None
-    reply = decode_reply(client.device.stream.receive(client.now_s, first))
+    reply = decode_mxt_reply(client.device.stream.receive(client.now_s, first))
     assert (reply.monitors, reply.counter) == ((2, 5, 8, 11), 1)
     assert reply.blocks[0].axes[:6] == pytest.approx(READY_RAD, abs=1e-6)
     assert client.device.stream.receive(client.now_s, data("mxt-end")) is None
-    assert Run.RUNNING not in client.state().run
+    assert RunStatus.RUNNING not in client.state().run
     assert client.device.stream.receive(client.now_s, first) is None
 
 
 def test_a_client_of_the_stream_alone_is_served_from_the_start():
     device = EmulatedMelfa(settings(), streaming=True)
-    assert decode_reply(device.stream.receive(0.0, data("mxt-null-first"))).counter == 1
+    assert decode_mxt_reply(device.stream.receive(0.0, data("mxt-null-first"))).counter == 1
     client = Client(device)
     assert client.command(READY_RAD + 1e-4).blocks[0].axes[0] == pytest.approx(1e-4)
 
 
 def test_command_filter_and_feedback_follow_each_at_their_pace():
     client = Client().streaming()
-    client.send(Request(Command.NONE, monitors=(2, 8, 5, 11)))
+    client.send(MxtRequest(MxtCommand.NONE, monitors=(2, 8, 5, 11)))
     for k in range(1, 40):
         reply = client.command(READY_RAD + 1e-4 * k * np.ones(6))
     command, feedback, filtered, current = (block.axes[0] for block in reply.blocks)
@@ -229,9 +234,9 @@ def test_command_filter_and_feedback_follow_each_at_their_pace():
 
 def test_places_are_told_as_poses_too():
     client = Client().streaming()
-    reply = client.send(Request(Command.NONE, monitors=(1, 0, 0, 0)))
+    reply = client.send(MxtRequest(MxtCommand.NONE, monitors=(1, 0, 0, 0)))
     pose = reply.blocks[0]
-    assert isinstance(pose, Pose)
+    assert isinstance(pose, MelfaPose)
     assert pose.axes[:3] == pytest.approx(frame_of(READY_RAD)[:3, 3], abs=1e-3)
 
 

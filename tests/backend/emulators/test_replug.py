@@ -6,9 +6,9 @@ import sys
 import pytest
 
 from tests.backend.devices.waiting import until
-from touchdown.backend.bench.gelsight_emulator import GelsightFront
-from touchdown.backend.devices.cameras.system import find_cameras
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.gelsight.driver import find_cameras
+from touchdown.backend.devices.gelsight.emulator import GelsightServer
 from touchdown.backend.emulation.fault_plan import Faults
 
 SERIALS = ("2D8Y-69GR", "28AB-70XY")
@@ -16,13 +16,13 @@ SERIALS = ("2D8Y-69GR", "28AB-70XY")
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
 def test_it_serves_on_without_a_name(tmp_path):
-    from touchdown.backend.emulation.servers import PtyFront
+    from touchdown.backend.emulation.server import PtyServer
 
     folder = tmp_path / "ports"
     folder.mkdir()
     faults = Faults("force_torque")
     sensor = EmulatedDynpick(lambda now_s: (0.0,) * 6)
-    front = PtyFront(sensor, faults=faults, link=folder / "wrist")
+    front = PtyServer(sensor, faults=faults, link=folder / "wrist")
     front.start()
     try:
         assert (folder / "wrist").is_symlink()
@@ -37,15 +37,15 @@ def test_it_serves_on_without_a_name(tmp_path):
 
 
 def test_a_folder_that_never_was_is_refused_at_the_start(tmp_path):
-    from touchdown.backend.emulation.servers import PtyFront
+    from touchdown.backend.emulation.server import PtyServer
 
     with pytest.raises(FileNotFoundError):
-        PtyFront(EmulatedDynpick(lambda now_s: (0.0,) * 6), link=tmp_path / "nowhere" / "wrist")
+        PtyServer(EmulatedDynpick(lambda now_s: (0.0,) * 6), link=tmp_path / "nowhere" / "wrist")
 
 
 def test_a_camera_whose_folder_is_gone_ends_quietly(tmp_path):
     folder = tmp_path / "cameras"
-    front = GelsightFront(lambda now_s: None, folder)
+    front = GelsightServer(lambda now_s: None, folder)
     front.start()
     try:
         front.inject("unplug")
@@ -59,7 +59,7 @@ def test_a_camera_whose_folder_is_gone_ends_quietly(tmp_path):
 
 def test_a_camera_has_two_nodes_of_which_the_first_is_found(tmp_path):
     places = [tmp_path / name for name in ("by-id", "names", "nodes")]
-    fronts = [GelsightFront(lambda now_s: None, tmp_path, serial) for serial in SERIALS]
+    fronts = [GelsightServer(lambda now_s: None, tmp_path, serial) for serial in SERIALS]
     try:
         nodes = {f"video{number}" for number in range(4)}
         assert {node.name for node in (tmp_path / "nodes").iterdir()} == nodes

@@ -6,18 +6,17 @@ import pytest
 
 from tests.backend.wire.vectors import data
 from touchdown.backend.devices.wsg import protocol
-from touchdown.backend.devices.wsg.emulator import EmulatedWsg
-from touchdown.backend.devices.wsg.emulator_gcl import EmulatedGcl
+from touchdown.backend.devices.wsg.emulator import EmulatedGcl, EmulatedWsg
 from touchdown.backend.devices.wsg.protocol import (
-    Command,
     GraspState,
-    Reply,
-    Request,
-    Status,
     SystemFlag,
+    WsgCommand,
+    WsgReply,
+    WsgRequest,
+    WsgStatus,
     update,
 )
-from touchdown.backend.emulation.servers import TcpFront
+from touchdown.backend.emulation.server import TcpServer
 
 HOMED_S = 10.0
 
@@ -29,7 +28,7 @@ class Client:
         self.gripper, self.replies = EmulatedWsg(part_mm=part_mm), protocol.replies()
         if homed:
             self.send(0.0, protocol.home())
-            assert self.wait(HOMED_S) == [Reply(Command.HOME, Status.SUCCESS)]
+            assert self.wait(HOMED_S) == [WsgReply(WsgCommand.HOME, WsgStatus.SUCCESS)]
 
     def send(self, now_s, *requests):
         content = b"".join(map(protocol.encode_request, requests))
@@ -39,42 +38,42 @@ class Client:
         return self.replies.feed(self.gripper.due(now_s))
 
     def read(self, now_s, command):
-        (reply,) = self.send(now_s, Request(command, (0, 0)))
+        (reply,) = self.send(now_s, WsgRequest(command, (0, 0)))
         return reply.values[0]
 
 
 def test_a_motion_answers_twice_and_ends_when_it_really_ends():
     client = Client()
     assert client.send(10.0, protocol.preposition(46, 20)) == [
-        Reply(Command.PREPOSITION, Status.CMD_PENDING)
+        WsgReply(WsgCommand.PREPOSITION, WsgStatus.CMD_PENDING)
     ]
-    assert client.read(10.5, Command.WIDTH) == pytest.approx(56.0)
-    assert client.read(10.5, Command.SYSTEM_STATE) & SystemFlag.MOVING
+    assert client.read(10.5, WsgCommand.WIDTH) == pytest.approx(56.0)
+    assert client.read(10.5, WsgCommand.SYSTEM_STATE) & SystemFlag.MOVING
     assert client.wait(10.999) == []
-    assert client.wait(11.001) == [Reply(Command.PREPOSITION, Status.SUCCESS)]
-    assert client.read(11.1, Command.WIDTH) == 46.0
+    assert client.wait(11.001) == [WsgReply(WsgCommand.PREPOSITION, WsgStatus.SUCCESS)]
+    assert client.read(11.1, WsgCommand.WIDTH) == 46.0
 
 
 def test_before_homing_only_homing_is_allowed():
     client = Client(homed=False)
     assert client.send(0.0, protocol.grasp(20, 30)) == [
-        Reply(Command.GRASP, Status.NOT_INITIALIZED)
+        WsgReply(WsgCommand.GRASP, WsgStatus.NOT_INITIALIZED)
     ]
-    assert client.send(0.0, protocol.preposition(20, 30))[0].status == Status.NOT_INITIALIZED
+    assert client.send(0.0, protocol.preposition(20, 30))[0].status == WsgStatus.NOT_INITIALIZED
 
 
 def test_a_part_is_held_with_the_force_limit_and_may_be_lost():
     client = Client(part_mm=20.0)
     client.send(10.0, protocol.set_force_limit(10), protocol.grasp(20.5, 46))
-    assert client.wait(11.1) == [Reply(Command.GRASP, Status.SUCCESS)]
-    assert client.read(11.2, Command.GRASP_STATE) == GraspState.HOLDING
-    assert client.read(11.2, Command.FORCE) == 10.0
-    assert client.read(11.2, Command.WIDTH) == 20.0
-    client.send(11.3, update(Command.GRASP_STATE, 20, on_change=True))
+    assert client.wait(11.1) == [WsgReply(WsgCommand.GRASP, WsgStatus.SUCCESS)]
+    assert client.read(11.2, WsgCommand.GRASP_STATE) == GraspState.HOLDING
+    assert client.read(11.2, WsgCommand.FORCE) == 10.0
+    assert client.read(11.2, WsgCommand.WIDTH) == 20.0
+    client.send(11.3, update(WsgCommand.GRASP_STATE, 20, on_change=True))
     assert client.wait(11.5) == []
     client.gripper.jaws.part_mm = None
-    assert client.wait(11.6) == [Reply(Command.GRASP_STATE, 0, (GraspState.PART_LOST,))]
-    assert client.read(11.7, Command.FORCE) == 0.0
+    assert client.wait(11.6) == [WsgReply(WsgCommand.GRASP_STATE, 0, (GraspState.PART_LOST,))]
+    assert client.read(11.7, WsgCommand.FORCE) == 0.0
 
 
 def test_a_lost_part_is_back_after_its_fault_once_the_jaws_are_open():
@@ -82,10 +81,10 @@ def test_a_lost_part_is_back_after_its_fault_once_the_jaws_are_open():
     faults = client.gripper._faults
     faults.begin(0.0)
     client.send(10.0, protocol.grasp(20.5, 46))
-    assert client.wait(11.1) == [Reply(Command.GRASP, Status.SUCCESS)]
+    assert client.wait(11.1) == [WsgReply(WsgCommand.GRASP, WsgStatus.SUCCESS)]
     faults.inject(11.2, "part_lost", 1.0)
     client.wait(11.3)
-    assert client.read(11.4, Command.GRASP_STATE) == GraspState.PART_LOST
+    assert client.read(11.4, WsgCommand.GRASP_STATE) == GraspState.PART_LOST
     client.send(11.5, protocol.release(60, 400))
     client.wait(12.0)
     assert client.gripper.jaws.part_mm is None
@@ -150,67 +149,67 @@ def test_a_line_of_no_known_form_is_refused_by_its_name(line, answer):
 
 def test_grasps_are_counted_until_they_are_reset():
     client = Client(part_mm=20.0)
-    ask = Request(Command.STATISTICS, (1,))
+    ask = WsgRequest(WsgCommand.STATISTICS, (1,))
     client.send(10.0, protocol.grasp(20.5, 46))
     client.wait(11.1)
     client.gripper.jaws.part_mm = None
     client.wait(11.2)
-    assert client.send(11.3, ask) == [Reply(Command.STATISTICS, 0, (1, 0, 1))]
-    assert client.send(11.4, ask) == [Reply(Command.STATISTICS, 0, (0, 0, 0))]
+    assert client.send(11.3, ask) == [WsgReply(WsgCommand.STATISTICS, 0, (1, 0, 1))]
+    assert client.send(11.4, ask) == [WsgReply(WsgCommand.STATISTICS, 0, (0, 0, 0))]
 
 
 def test_without_a_part_grasp_fails():
     client = Client()
     client.send(10.0, protocol.grasp(20, 400))
-    assert client.wait(11.0) == [Reply(Command.GRASP, Status.CMD_FAILED)]
-    assert client.read(11.0, Command.GRASP_STATE) == GraspState.NO_PART_FOUND
+    assert client.wait(11.0) == [WsgReply(WsgCommand.GRASP, WsgStatus.CMD_FAILED)]
+    assert client.read(11.0, WsgCommand.GRASP_STATE) == GraspState.NO_PART_FOUND
 
 
 def test_a_second_motion_is_refused_and_stop_ends_the_first():
     client = Client()
     client.send(10.0, protocol.preposition(10, 10))
     assert client.send(10.1, protocol.release(60, 10)) == [
-        Reply(Command.RELEASE, Status.ALREADY_RUNNING)
+        WsgReply(WsgCommand.RELEASE, WsgStatus.ALREADY_RUNNING)
     ]
-    assert client.send(10.2, Request(Command.STOP)) == [
-        Reply(Command.PREPOSITION, Status.CMD_ABORTED),
-        Reply(Command.STOP, Status.SUCCESS),
+    assert client.send(10.2, WsgRequest(WsgCommand.STOP)) == [
+        WsgReply(WsgCommand.PREPOSITION, WsgStatus.CMD_ABORTED),
+        WsgReply(WsgCommand.STOP, WsgStatus.SUCCESS),
     ]
-    assert client.read(20.0, Command.WIDTH) == pytest.approx(64.0)
+    assert client.read(20.0, WsgCommand.WIDTH) == pytest.approx(64.0)
 
 
 def test_a_block_ends_a_preposition():
     client = Client(part_mm=30.0)
     client.send(10.0, protocol.preposition(10, 100))
-    assert client.wait(11.0) == [Reply(Command.PREPOSITION, Status.AXIS_BLOCKED)]
-    assert client.read(11.0, Command.SYSTEM_STATE) & SystemFlag.BLOCKED_MINUS
+    assert client.wait(11.0) == [WsgReply(WsgCommand.PREPOSITION, WsgStatus.AXIS_BLOCKED)]
+    assert client.read(11.0, WsgCommand.SYSTEM_STATE) & SystemFlag.BLOCKED_MINUS
 
 
 def test_a_fast_stop_holds_until_it_is_acknowledged():
     client = Client()
-    client.send(10.0, Request(Command.FAST_STOP))
-    assert client.send(10.1, protocol.grasp(20, 30))[0].status == Status.ACCESS_DENIED
-    assert client.send(10.2, Request(Command.ACKNOWLEDGE, (b"nak",)))[0].status == 15
-    assert client.send(10.3, protocol.acknowledge()) == [Reply(Command.ACKNOWLEDGE, 0)]
-    assert client.send(10.4, protocol.grasp(20, 30))[0].status == Status.CMD_PENDING
+    client.send(10.0, WsgRequest(WsgCommand.FAST_STOP))
+    assert client.send(10.1, protocol.grasp(20, 30))[0].status == WsgStatus.ACCESS_DENIED
+    assert client.send(10.2, WsgRequest(WsgCommand.ACKNOWLEDGE, (b"nak",)))[0].status == 15
+    assert client.send(10.3, protocol.acknowledge()) == [WsgReply(WsgCommand.ACKNOWLEDGE, 0)]
+    assert client.send(10.4, protocol.grasp(20, 30))[0].status == WsgStatus.CMD_PENDING
 
 
 def test_only_an_announced_end_leaves_no_fast_stop():
     client = Client()
-    client.send(10.0, Request(Command.DISCONNECT))
-    assert client.send(10.0, Request(Command.TARE))[0].status == Status.ACCESS_DENIED
+    client.send(10.0, WsgRequest(WsgCommand.DISCONNECT))
+    assert client.send(10.0, WsgRequest(WsgCommand.TARE))[0].status == WsgStatus.ACCESS_DENIED
     client.gripper.closed(10.0)
-    assert not client.read(10.1, Command.SYSTEM_STATE) & SystemFlag.FAST_STOP
+    assert not client.read(10.1, WsgCommand.SYSTEM_STATE) & SystemFlag.FAST_STOP
     client.gripper.closed(10.2)
-    assert client.read(10.3, Command.SYSTEM_STATE) & SystemFlag.FAST_STOP
+    assert client.read(10.3, WsgCommand.SYSTEM_STATE) & SystemFlag.FAST_STOP
 
 
 def test_updates_keep_their_period_and_come_between_answers():
     client = Client()
-    client.send(10.0, update(Command.WIDTH, 50))
+    client.send(10.0, update(WsgCommand.WIDTH, 50))
     out = [reply for k in range(1, 101) for reply in client.wait(10.0 + 0.01 * k)]
     assert len(out) == pytest.approx(20, abs=1)
-    assert client.send(11.0, update(Command.WIDTH))[0].command == Command.WIDTH
+    assert client.send(11.0, update(WsgCommand.WIDTH))[0].command == WsgCommand.WIDTH
     assert client.wait(12.0) == []
 
 
@@ -219,11 +218,11 @@ def test_bad_and_unknown_requests_are_answered():
     spoilt = bytearray(data("wsg-grasp"))
     spoilt[-1] ^= 1
     out = client.replies.feed(client.gripper.receive(10.0, bytes(spoilt)))
-    assert out == [Reply(Command.GRASP, Status.CHECKSUM_ERROR)]
+    assert out == [WsgReply(WsgCommand.GRASP, WsgStatus.CHECKSUM_ERROR)]
     unknown = client.replies.feed(
-        client.gripper.receive(10.0, protocol.encode_request(Request(0x90)))
+        client.gripper.receive(10.0, protocol.encode_request(WsgRequest(0x90)))
     )
-    assert unknown == [Reply(0x90, Status.CMD_UNKNOWN)]
+    assert unknown == [WsgReply(0x90, WsgStatus.CMD_UNKNOWN)]
 
 
 def test_limits_are_the_published_ones():
@@ -234,7 +233,7 @@ def test_limits_are_the_published_ones():
 
 def test_over_tcp_a_torn_connection_latches_the_fast_stop():
     gripper = EmulatedWsg()
-    front = TcpFront(gripper)
+    front = TcpServer(gripper)
     front.start()
     for _ in range(2):
         with socket.create_connection(front.address, timeout=60) as client:

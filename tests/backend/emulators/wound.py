@@ -13,17 +13,17 @@ import numpy as np
 
 from tests.backend.devices.emulated_arm import CYCLE_US, SteppedWires
 from touchdown.backend.bench.assembly import make_scene
-from touchdown.backend.bench.emulated_bench import LATENCY_S, JoinedDynpick, JoinedScene
+from touchdown.backend.bench.emulated_scene import LATENCY_S, EmulatedScene, SceneDynpick
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.config.method import SAMPLES_PER_PROBE, TICK_S, StackSettings
 from touchdown.backend.config.simulation import SimulationSettings
 from touchdown.backend.core.clock import ManualClock
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import FloatArray
-from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickLanguage
-from touchdown.backend.devices.dynpick.protocol import Command
-from touchdown.backend.devices.force_torque.reader import Readout
-from touchdown.backend.devices.melfa.arm import MelfaArm
+from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickDriver
+from touchdown.backend.devices.dynpick.protocol import DynpickCommand
+from touchdown.backend.devices.force_torque.reader import WrenchStamper
+from touchdown.backend.devices.melfa.driver import MelfaArm
 from touchdown.backend.devices.protocols import PressCommand
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import SceneChoice
@@ -93,14 +93,14 @@ class WoundWires:
 
     def __init__(self, seed: int, settings: SimulationSettings, late_s: Callable[[float], float]):
         """``late_s``: how late the world is at the end of a cycle, by the time of that end."""
-        self.joined = JoinedScene(scene_of(seed, settings), HARDWARE.melfa)
+        self.joined = EmulatedScene(scene_of(seed, settings), HARDWARE.melfa)
         _take_piece(self.joined.world)
         self.clock, self._late_s = ManualClock(), late_s
-        self._sensor = JoinedDynpick(self.joined)
-        self._language = DynpickLanguage(HARDWARE, "wound")
-        self._readout = Readout(HARDWARE.ft, PERIOD_S, 1e-3 * HARDWARE.serial.latency_ms)
+        self._sensor = SceneDynpick(self.joined)
+        self._language = DynpickDriver(HARDWARE, "wound")
+        self._readout = WrenchStamper(HARDWARE.ft, PERIOD_S, 1e-3 * HARDWARE.serial.latency_ms)
         self.samples = SampleStream("force_torque", 6, 32_768)
-        self._sensor.receive(0.0, Command.START.value)
+        self._sensor.receive(0.0, DynpickCommand.START.value)
         self.wires = SteppedWires(self.joined.melfa, self.clock)
         self.wires.also = self._pass
         self.arm = MelfaArm(self.wires, self.samples, HARDWARE.melfa, self.clock.now_s)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from touchdown.backend.bench.assembly import (
-    Models,
+    BenchModels,
     SimulatedBenchChoice,
     model_in_use,
     simulated_session,
@@ -108,7 +108,7 @@ def test_auto_is_refused_and_step_is_not(tmp_path: Path, card: ModelCard) -> Non
     model = tmp_path / "pot.safetensors"
     save_checkpoint(model, checkpoint.arrays, other)
     piece, request = load_pieces().piece("pot"), StackRequest(model=str(model))
-    models = Models(None, HERE, 1.0)
+    models = BenchModels(None, HERE, 1.0)
     with pytest.raises(InputError, match="auto mode here: F/T frame"):
         models.check(request.scene(), piece)
     assert models.check(StackRequest(model=str(model), mode="step").scene(), piece) is not None
@@ -124,7 +124,7 @@ def test_the_session_takes_the_model_in_use(tmp_path: Path, card: ModelCard) -> 
     model = tmp_path / "pot.safetensors"
     mine = save_checkpoint(model, arrays, card)
     registry = ModelRegistry(tmp_path / "models")
-    models, piece = Models(registry, HERE, 1.0), load_pieces().piece("pot")
+    models, piece = BenchModels(registry, HERE, 1.0), load_pieces().piece("pot")
 
     def in_use() -> str:
         loaded = models.of(SceneChoice(), piece)
@@ -156,7 +156,7 @@ def test_a_run_keeps_its_model_though_the_file_is_damaged_and_the_next_is_refuse
     file = model if named else registry.in_use("pot")
     assert file is not None
     choice = SceneChoice(model=str(model) if named else None)
-    models, piece = Models(registry, HERE, 1.0), load_pieces().piece("pot")
+    models, piece = BenchModels(registry, HERE, 1.0), load_pieces().piece("pot")
     checked = models.check(choice, piece)
     assert checked is not None
     good = file.read_bytes()

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 
 from tests.backend.devices.emulated_arm import on_bench
 from touchdown.backend.bench.assembly import (
-    Models,
+    BenchModels,
     SimulatedBenchChoice,
     SimulatedScoring,
     make_scene,
@@ -24,7 +24,7 @@ from touchdown.backend.rig.host import Devices, RigHost
 from touchdown.backend.rig.link import LATE_S, NOT_STARTED, RigMotion
 from touchdown.backend.rig.memory import BACKEND_BEAT, STOPS, drop, make
 from touchdown.backend.rig.messages import pack, read_error, read_fault, receive
-from touchdown.backend.rig.remote import RigArm, RigForceTorque, RigGripper
+from touchdown.backend.rig.remote_devices import RigArm, RigForceTorque, RigGripper
 from touchdown.backend.runs.bench import SceneDevices
 from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.sensing.zeroing import gripper_payload
@@ -139,7 +139,7 @@ class InlineBench:
         self._mode = mode
         self._settings, self._method = SimulatedBenchChoice().settings(), method or StackSettings()
         self._catalogue, facts = load_pieces(None), describe_simulation(self._settings)
-        self._models = Models(None, facts, self._method.belief.pitch_mm)
+        self._models = BenchModels(None, facts, self._method.belief.pitch_mm)
         self.links, self._ends = [], ExitStack()
         self.session = Session(
             self._make_stage, lambda choice: {}, self._catalogue,

@@ -3,7 +3,7 @@
 import threading
 
 from touchdown.backend.core.faults import Fault, FaultError
-from touchdown.backend.devices.protocols import DeviceState, Health, Identity, Steps
+from touchdown.backend.devices.protocols import ConnectionSteps, DeviceState, Health, Identity
 
 LINES = ("force_torque", "tactile_left", "tactile_right", "gripper", "arm")
 
@@ -14,7 +14,7 @@ class ScriptedDevice:
     def __init__(self, name, log):
         self.name, self._log = name, log
         self.state, self.identity = DeviceState.CLOSED, None
-        self.steps, self.fault = Steps(), None
+        self.steps, self.fault = ConnectionSteps(), None
         self.serial, self.fails_at, self.hold = f"{name}-1", "", None
 
     @property

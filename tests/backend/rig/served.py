@@ -17,15 +17,14 @@ from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import Pose
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 from touchdown.backend.devices.interlock import Interlock
-from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaFront
-from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
-from touchdown.backend.devices.melfa.status import Orders
+from touchdown.backend.devices.melfa.driver import MelfaOrders
+from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
+from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.wsg.emulator import EmulatedWsg
-from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.emulation.loads import hanging, noisy
-from touchdown.backend.emulation.servers import TcpFront
+from touchdown.backend.emulation.fault_plan import Faults, add_noise, hanging_gripper
+from touchdown.backend.emulation.server import TcpServer
 from touchdown.backend.rig.link import RigLink
-from touchdown.backend.rig.remote import RigArm, RigForceTorque, RigGripper
+from touchdown.backend.rig.remote_devices import RigArm, RigForceTorque, RigGripper
 
 TOP = Pose(0.0, 0.0, 160.0)
 
@@ -36,14 +35,14 @@ class Served:
     ``serve`` makes the front of the arm, ``feel`` is what the wrist sensor feels at a time.
     """
 
-    def __init__(self, serve=MelfaFront, feel=hanging, **more):
+    def __init__(self, serve=MelfaServer, feel=hanging_gripper, **more):
         # A machine that is busy with other tests may stall: the controller waits for it.
         wanted = melfa_settings(servo_delay_s=0.05, mxt={"mxttout": 2000}, **more)
-        start = Orders(wanted).placing.joints(np.array([0.0, 0.0, 60.0]), READY_RAD)
+        start = MelfaOrders(wanted).placing.joints(np.array([0.0, 0.0, 60.0]), READY_RAD)
         self.arm = serve(EmulatedMelfa(wanted, start_rad=start))
-        sensor = EmulatedDynpick(noisy(feel))
-        self.wrist = TcpFront(sensor, faults=Faults("force_torque"))
-        self.gripper = TcpFront(EmulatedWsg())
+        sensor = EmulatedDynpick(add_noise(feel))
+        self.wrist = TcpServer(sensor, faults=Faults("force_torque"))
+        self.gripper = TcpServer(EmulatedWsg())
         host, port = self.gripper.address
         self.settings = HardwareSettings.model_validate(
             {

@@ -6,13 +6,13 @@ from tests.backend.devices.waiting import until
 from tests.backend.rig.scripted import LINES, held, scripted
 from touchdown.backend.core.faults import InputError, RefusedError
 from touchdown.backend.devices.interlock import Interlock
-from touchdown.backend.rig.connection import Connection
+from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.manual_control import latch_device_faults
 
 
 def made(**more):
     devices, log = scripted()
-    return Connection(devices, **more), devices, log
+    return BenchConnection(devices, **more), devices, log
 
 
 def line(connection, name):

@@ -8,14 +8,14 @@ from hypothesis import strategies as st
 
 from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.devices.interlock import Limits
-from touchdown.backend.rig.core import BACKEND_SILENT_S, Inbox, Outbox, RigCore
+from touchdown.backend.rig.safety import BACKEND_SILENT_S, Failsafe, FailsafeInput, FailsafeOutput
 
 ROUND_S = 0.004
 FOREVER = math.inf
 
 
 def core():
-    return RigCore(0.0, Limits())
+    return Failsafe(0.0, Limits())
 
 
 def reason(call):
@@ -28,8 +28,8 @@ def run(core, seconds, *, start_s=0.0, beats=None, stops=0, lease_s=FOREVER, mov
     """Return the first outbox that asks for something, with its time; beats stand if given."""
     for k in range(1, round(seconds / ROUND_S) + 1):
         now_s = start_s + k * ROUND_S
-        out = core.step(now_s, Inbox(k if beats is None else beats, stops, lease_s, moving))
-        if out != Outbox():
+        out = core.step(now_s, FailsafeInput(k if beats is None else beats, stops, lease_s, moving))
+        if out != FailsafeOutput():
             return now_s, out
     return None
 
@@ -46,7 +46,7 @@ def test_a_silent_backend_holds_a_motion_after_250_ms_and_latches():
     assert (out.hold, out.stop, out.leave) == (True, False, False)
     assert out.fault.code == out.why.code == "BACKEND-SILENT"
     assert reason(lambda: rig.refuse(1.0, FOREVER)) == "FAULT"
-    rig.step(1.0, Inbox(2, 0, FOREVER))
+    rig.step(1.0, FailsafeInput(2, 0, FOREVER))
     assert reason(lambda: rig.refuse(1.0, FOREVER)) == "FAULT"
     rig.reset(0, rig.faults)
     rig.refuse(1.0, FOREVER)
@@ -56,14 +56,14 @@ def test_a_silent_backend_beside_a_standing_arm_is_no_fault_but_nothing_starts()
     rig = core()
     assert run(rig, 1.0, beats=1, moving=False) is None
     assert reason(lambda: rig.refuse(1.0, FOREVER)) == "BACKEND-SILENT"
-    rig.step(1.1, Inbox(2, 0, FOREVER))
+    rig.step(1.1, FailsafeInput(2, 0, FOREVER))
     rig.refuse(1.1, FOREVER)
 
 
 def test_a_stall_of_the_rig_itself_is_not_taken_for_silence_of_the_backend():
     rig = core()
-    rig.step(0.1, Inbox(10, 0, FOREVER, moving=True))
-    assert rig.step(2.0, Inbox(500, 0, FOREVER, moving=True)) == Outbox()
+    rig.step(0.1, FailsafeInput(10, 0, FOREVER, moving=True))
+    assert rig.step(2.0, FailsafeInput(500, 0, FOREVER, moving=True)) == FailsafeOutput()
 
 
 def test_a_lapsed_lease_holds_and_is_no_fault():
@@ -98,19 +98,19 @@ def test_the_word_and_the_message_of_one_stop_are_one():
     rig = core()
     assert rig.stop(1)
     rig.reset(1, 0)
-    assert rig.step(0.1, Inbox(1, 1, FOREVER)) == Outbox()
+    assert rig.step(0.1, FailsafeInput(1, 1, FOREVER)) == FailsafeOutput()
     assert not rig.latched
 
 
 def test_without_a_backend_it_stops_and_leaves():
-    out = core().step(0.004, Inbox(1, 0, FOREVER, moving=True, gone=True))
+    out = core().step(0.004, FailsafeInput(1, 0, FOREVER, moving=True, gone=True))
     assert (out.stop, out.leave) == (True, True)
 
 
 def test_nothing_moves_beside_a_wrist_that_is_not_felt():
     rig = core()
     assert reason(lambda: rig.refuse_unfelt(0.0)) == "FT-STALE"
-    rig.step(1.0, Inbox(1, 0, FOREVER, wrench_s=1.0))
+    rig.step(1.0, FailsafeInput(1, 0, FOREVER, wrench_s=1.0))
     rig.refuse_unfelt(1.29)
     assert reason(lambda: rig.refuse_unfelt(1.31)) == "FT-STALE"
 
@@ -118,7 +118,7 @@ def test_nothing_moves_beside_a_wrist_that_is_not_felt():
 def test_a_number_that_is_none_permits_nothing():
     rig = core()
     assert reason(lambda: rig.refuse(0.1, math.nan)) == "NO-LEASE"
-    out = rig.step(0.1, Inbox(1, 0, math.nan, moving=True))
+    out = rig.step(0.1, FailsafeInput(1, 0, math.nan, moving=True))
     assert out.hold
 
 
@@ -134,5 +134,5 @@ def test_a_number_that_is_none_permits_nothing():
 def test_equal_inputs_give_equal_outputs_and_nothing_raises(steps):
     first, second = core(), core()
     for k, (beats, stops, lease_s, moving, gone) in enumerate(steps):
-        inbox = Inbox(beats, stops, lease_s, moving, gone)
+        inbox = FailsafeInput(beats, stops, lease_s, moving, gone)
         assert first.step(0.05 * k, inbox) == second.step(0.05 * k, inbox)

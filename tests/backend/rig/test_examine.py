@@ -2,11 +2,11 @@
 
 import pytest
 
-from touchdown.backend.bench.serving import Choice, emulate
+from touchdown.backend.bench.emulator_registry import EmulationChoice, emulate
 from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.devices.melfa.arm import MelfaArm
-from touchdown.backend.rig import connection as looking
-from touchdown.backend.rig.connection import examine
+from touchdown.backend.devices.melfa.driver import MelfaArm
+from touchdown.backend.rig import diagnostics as looking
+from touchdown.backend.rig.diagnostics import examine_devices
 
 
 @pytest.fixture
@@ -16,7 +16,7 @@ def short(monkeypatch):
 
 
 def test_each_device_is_asked_and_the_arm_stays_off(short, tmp_path):
-    served = [emulate(Choice(kind, port=None)) for kind in ("dynpick", "wsg", "melfa")]
+    served = [emulate(EmulationChoice(kind, port=None)) for kind in ("dynpick", "wsg", "melfa")]
     tables = {}
     for one in served:
         one.start()
@@ -26,7 +26,7 @@ def test_each_device_is_asked_and_the_arm_stays_off(short, tmp_path):
             (place.setdefault(second, {}) if second else place).update(table)
     tables["gelsight"] = {"by_id": str(tmp_path), "names": str(tmp_path), "nodes": str(tmp_path)}
     try:
-        found = {f.device: f for f in examine(HardwareSettings.model_validate(tables))}
+        found = {f.device: f for f in examine_devices(HardwareSettings.model_validate(tables))}
         controller = served[2].fronts[0]._device.controller
         assert not controller.servo
     finally:
@@ -46,7 +46,7 @@ def test_an_arm_that_is_away_says_what_to_check(short):
          "ft": {"driver": "dynpick", "address": "socket://127.0.0.1:9"},
          "wsg": {"host": "127.0.0.1", "port": 9}},
     )  # fmt: skip
-    found = list(examine(settings))
+    found = list(examine_devices(settings))
     assert not any(f.ok for f in found)
     assert all(f.fix for f in found)
     assert "cable" in found[-1].fix

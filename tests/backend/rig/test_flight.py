@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from touchdown.backend.core.events import FaultRaised, RunFinished, RunStarted
-from touchdown.backend.rig.flight_recorder import RESERVED_BYTES, FlightRecorder, Reserve
+from touchdown.backend.rig.flight_recorder import RESERVED_BYTES, FlightRecorder, ReservedFile
 from touchdown.backend.rig.link import GONE
 from touchdown.backend.rig.memory import drop, make
 
@@ -68,7 +68,7 @@ def child(folder, moment):
 
 def reserves(folder):
     """Whether this file system keeps room for files without a name."""
-    reserve = Reserve()
+    reserve = ReservedFile()
     able = reserve.take(folder, 4096)
     reserve.give_back()
     return able

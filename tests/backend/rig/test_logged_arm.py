@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.bench.logged_arm import ahead_of
-from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S
+from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 
 
 def test_what_was_missed_and_is_made_up_is_a_burst_and_one_late_command_is_none():

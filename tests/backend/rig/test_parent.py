@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from touchdown.backend.rig.residence import Parent, dying
+from touchdown.backend.rig.messages import ParentProcess, is_dying
 
 # proc(5): pid, name, state, five numbers, flags, ...; the 31st field holds the waiting signals.
 ALIVE = (
@@ -34,12 +34,12 @@ KILL, TERM = 1 << 8, 1 << 14
 def test_a_killed_process_is_known_before_it_gets_a_processor_to_die_on(
     name, state, flags, signals, found
 ):
-    assert dying(ALIVE % (name, state, flags, signals)) is found
+    assert is_dying(ALIVE % (name, state, flags, signals)) is found
 
 
 @pytest.mark.parametrize("line", [b"", b"14714 (python", b"14714 (python) S 1 2"])
 def test_half_a_line_says_nothing(line):
-    assert dying(line) is False
+    assert is_dying(line) is False
 
 
 # A grandchild that only tells how its parent is; the parent waits to be killed.
@@ -50,7 +50,7 @@ sys.stdin.read()
 """
 GRANDCHILD = """
 import sys, time
-from touchdown.backend.rig.residence import Parent
+from touchdown.backend.rig.messages import Parent
 parent = Parent()
 print(parent.gone(), flush=True)
 while not parent.gone():
@@ -61,7 +61,7 @@ print("gone", flush=True)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks the files of Linux")
 def test_the_death_of_a_parent_is_seen_and_its_life_too():
-    mine = Parent()
+    mine = ParentProcess()
     assert not mine.gone()
     mine.close()
     command = [sys.executable, "-c", CHILD, GRANDCHILD]

@@ -8,16 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchdown.backend.core.faults import RefusedError
-from touchdown.backend.devices.interlock import JigEvidence, ReleaseEvidence
-from touchdown.backend.devices.protocols import ByHand
-from touchdown.backend.rig.host import Measured, refuse_opening
+from touchdown.backend.devices.interlock import ByHand, JigEvidence, ReleaseEvidence
+from touchdown.backend.rig.safety import RigMeasurement, refuse_opening
 
 TOLD = ReleaseEvidence(
     verdict_stable=True, verdict_of_last_probe=True, verdict_age_s=1.0, margin_mm=1.0,
     required_margin_mm=0.0, quality_accepted=True, slip_mm=0.1, press_n=1.0, wrench_age_s=0.01,
     wrench_age_limit_s=0.015, moved_mm=0.01, width_change_mm=0.0, holding=True, approved=True,
 )  # fmt: skip
-MEASURED = Measured(
+MEASURED = RigMeasurement(
     press_n=1.0, wrench_age_s=0.01, moved_mm=0.01, width_change_mm=0.0, holding=True,
     devices_ready=True,
 )  # fmt: skip
@@ -76,7 +75,7 @@ def test_no_condition_of_the_evidence_can_be_left_out(name):
 
 
 def test_the_operator_may_drop_a_piece_from_an_arm_that_stands():
-    unknown = Measured(math.nan, math.nan, 0.0, math.nan, holding=True, devices_ready=False)
+    unknown = RigMeasurement(math.nan, math.nan, 0.0, math.nan, holding=True, devices_ready=False)
     refuse_opening(ByHand(confirmed=True), unknown)
     assert refusal(ByHand(confirmed=False), unknown) == "NOT-CONFIRMED"
     assert refusal(ByHand(confirmed=True), replace(unknown, moved_mm=1.0)) == "RIG-ARM-MOVING"

@@ -8,7 +8,7 @@ import pytest
 
 TOLD = """
 from pathlib import Path
-from touchdown.backend.rig.residence import lock_memory
+from touchdown.backend.rig.memory import lock_memory
 kept = lock_memory()
 lines = Path("/proc/self/status").read_text().splitlines()
 (locked,) = [int(line.split()[1]) for line in lines if line.startswith("VmLck")]

@@ -10,9 +10,9 @@ import pytest
 from tests.backend.rig.hosted import Hosted
 from tests.backend.rig.test_release import MEASURED, TOLD
 from touchdown.backend.core.faults import RefusedError, TouchdownError
-from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
-from touchdown.backend.devices.melfa.protocol_mxt import decode_request
-from touchdown.backend.rig.host import refuse_opening
+from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
+from touchdown.backend.devices.melfa.realtime_protocol import decode_mxt_request
+from touchdown.backend.rig.safety import refuse_opening
 
 CASES = 2000
 SENSELESS = (math.nan, math.inf, -math.inf, 1e308, -1e308)
@@ -61,7 +61,7 @@ def test_no_order_with_a_senseless_number_moves_anything(rig):
         taken.append((order, given))
     assert taken == []
     rig.rounds(0.1)
-    targets = [decode_request(data).target for _, data in rig.arms.wires.packets[sent:]]
+    targets = [decode_mxt_request(data).target for _, data in rig.arms.wires.packets[sent:]]
     assert len(targets) > 10
     assert all(np.isfinite(target.axes).all() for target in targets if target is not None)
     assert rig.arm.describe()["z_mm"] == before

@@ -9,7 +9,7 @@ import pytest
 
 from touchdown.backend.core.clock import ManualClock
 from touchdown.backend.core.streams import SampleStream
-from touchdown.backend.rig.timing import Timing, watch
+from touchdown.backend.rig.diagnostics import SensorTiming, measure_timing
 
 
 class Sensor:
@@ -34,7 +34,7 @@ class Sensor:
 
 
 @pytest.fixture
-def report() -> dict[str, Timing]:
+def report() -> dict[str, SensorTiming]:
     clock = ManualClock()
     sensors = {
         "steady": Sensor(clock, 4000, 1000),
@@ -50,7 +50,7 @@ def report() -> dict[str, Timing]:
             sensor.come(before_us)
 
     streams = {name: (one.newest, one.since) for name, one in sensors.items()}
-    return {one.name: one for one in watch(streams, clock.now_s, wait, 2.0)}
+    return {one.name: one for one in measure_timing(streams, clock.now_s, wait, 2.0)}
 
 
 def test_each_sensor_is_told_by_its_rate_its_age_and_its_gaps(report) -> None:

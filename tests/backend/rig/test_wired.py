@@ -12,16 +12,16 @@ from touchdown.backend.core.values import FINGERS
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.emulation.loads import hanging, noisy
-from touchdown.backend.emulation.servers import TcpFront
-from touchdown.backend.rig.connection import WiredDevices
+from touchdown.backend.emulation.fault_plan import add_noise, hanging_gripper
+from touchdown.backend.emulation.server import TcpServer
+from touchdown.backend.rig.remote_devices import BenchDevices
 
 
 def wired(**tables):
     frames = {finger: Stream(finger, 8) for finger in FINGERS}
     samples, poses = SampleStream("force_torque", 6, 4096), SampleStream("arm", 3, 64)
     settings = HardwareSettings.model_validate(tables)
-    return WiredDevices(settings, time.monotonic, frames, samples, poses, Interlock()), samples
+    return BenchDevices(settings, time.monotonic, frames, samples, poses, Interlock()), samples
 
 
 def test_sensors_come_first_and_the_arm_that_moves_on_them_last():
@@ -32,7 +32,7 @@ def test_sensors_come_first_and_the_arm_that_moves_on_them_last():
 
 
 def test_the_first_that_is_away_is_named_and_those_before_it_stay():
-    front = TcpFront(EmulatedDynpick(noisy(hanging)))
+    front = TcpServer(EmulatedDynpick(add_noise(hanging_gripper)))
     front.start()
     tables = {
         "ft": {"driver": "dynpick", "address": front.url},

@@ -7,7 +7,7 @@ import pytest
 from tests.backend.rig.hosted import Hosted
 from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.rig import process
-from touchdown.backend.rig.messages import Workers
+from touchdown.backend.rig.host import DeviceWorkers
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def test_an_order_waits_for_none_of_another_device_and_after_leaving_none_begins
             assert hold.wait(30.0)
         done.append(order["id"])
 
-    workers = Workers(("arm", "gripper"), carry_out)
+    workers = DeviceWorkers(("arm", "gripper"), carry_out)
     assert workers.give("arm", {"id": 1})
     assert workers.give("arm", {"id": 2})
     assert workers.give("gripper", {"id": 3})

@@ -11,7 +11,7 @@ from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.protocols import ArmStatus, GripStatus, RobotMode, SafetyMode
 from touchdown.backend.rig.host import Devices
-from touchdown.backend.rig.remote import RigForceTorque, RigGripper
+from touchdown.backend.rig.remote_devices import RigForceTorque, RigGripper
 
 ROUND_S = 0.004
 

@@ -21,7 +21,7 @@ from touchdown.backend.core.events import Event
 from touchdown.backend.core.scheduling import RepaintHold
 from touchdown.backend.core.streams import SampleStream, Stream
 from touchdown.backend.core.values import FINGERS, FloatArray, Pose
-from touchdown.backend.devices.guarded import GuardedArm, GuardedGripper
+from touchdown.backend.devices.guarded_devices import GuardedArm, GuardedGripper
 from touchdown.backend.devices.interlock import Interlock, Limits
 from touchdown.backend.devices.protocols import Arm
 from touchdown.backend.geometry.pieces import load_pieces

@@ -12,16 +12,16 @@ from functools import cache
 import numpy as np
 
 from tests.backend.rig.scripted import scripted
-from touchdown.backend.bench.gelsight_emulator import encode
 from touchdown.backend.calibration.cameras import dots_to_numbers
 from touchdown.backend.calibration.records import CalibrationStore
 from touchdown.backend.calibration.result import CalibrationEstimate, Quantity
 from touchdown.backend.config.hardware import GelsightSettings
 from touchdown.backend.core.streams import Stream
 from touchdown.backend.core.values import FINGERS, MARKERS, TactileFrame
-from touchdown.backend.devices.cameras.frames import Gate
+from touchdown.backend.devices.cameras.frames import PictureFilter
+from touchdown.backend.devices.gelsight.emulator import encode
 from touchdown.backend.devices.protocols import GripStatus
-from touchdown.backend.rig.connection import Connection
+from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.calibrations import GelCheck, accept_calibration
 from touchdown.backend.simulation.finger_camera import (
     TactileRenderer,
@@ -50,7 +50,7 @@ class Gel:
     def seen(self, mirror: str):
         """Return what the gate of the driver makes of them."""
         own = {"mirror": mirror}
-        gate = Gate("left", "left", GelsightSettings(crop_fraction=0.0, left=own), 0.0)
+        gate = PictureFilter("left", "left", GelsightSettings(crop_fraction=0.0, left=own), 0.0)
         return [gate.judge(0.0, sent) for sent in self._sent]
 
 
@@ -66,7 +66,7 @@ class GelBench:
         for finger in FINGERS:
             self.devices[f"tactile_{finger}"].describe = lambda: {"mirror": self.mirror}
         self.devices["gripper"].status = lambda: GripStatus(20.0, 0.0, holding=self.holding)
-        self.connection = Connection(self.devices)
+        self.connection = BenchConnection(self.devices)
         self.check = GelCheck(self.store, self.devices, self.frames, lambda cancel: self.shoot())
         self.connection.prove = self.check.prove
 

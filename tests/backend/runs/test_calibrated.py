@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
-from touchdown.backend.bench.lab import LabChoice, lab_session
+from touchdown.backend.bench.laboratory import LabChoice, lab_session
 from touchdown.backend.calibration.applied import calibrated_cameras, camera_conflicts
 from touchdown.backend.calibration.cameras import mirrored_dots, numbers_to_dots
 from touchdown.backend.calibration.records import CalibrationStore
@@ -24,7 +24,7 @@ from touchdown.backend.config.hardware import GelsightSettings
 from touchdown.backend.core.events import EpisodeRecorded
 from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.devices.protocols import Identity
-from touchdown.backend.rig.connection import Connection
+from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.calibrations import (
     accept_calibration,
     calibrations_for,
@@ -230,7 +230,7 @@ def test_a_lab_of_hardware_refuses_to_stack_and_looks_beside_its_file(
     template = files("touchdown.resources") / "benches" / "lab.toml"
     path = tmp_path / "lab.toml"
     path.write_text(template.read_text(encoding="utf-8"))
-    monkeypatch.setattr(Connection, "missing", lambda _self: ())
+    monkeypatch.setattr(BenchConnection, "missing", lambda _self: ())
     session = lab_session(LabChoice(path), keep=RecordingOptions(None))
     try:
         with pytest.raises(RefusedError, match=r"Payload: never calibrated.*calibrate payload"):

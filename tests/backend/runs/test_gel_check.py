@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.backend.runs.gel_bench import LOOKS, Gel, GelBench
-from touchdown.backend.bench.gelsight_emulator import other_gel, small_dots
+from touchdown.backend.devices.gelsight.emulator import other_gel, small_dots
 from touchdown.backend.runs.calibrations import GelCheck
 
 FINE = {finger: Gel(look, 3 + seed) for seed, (finger, look) in enumerate(LOOKS.items())}

@@ -11,7 +11,7 @@ from touchdown.backend.core.events import Refused, Said
 from touchdown.backend.core.faults import Fault, RefusedError
 from touchdown.backend.core.values import Pose
 from touchdown.backend.devices.interlock import LEASE_S
-from touchdown.backend.devices.jog import TOOL_SIGNS, JogOrder, way_of
+from touchdown.backend.devices.jog import TOOL_SIGNS, JogOrder, direction_of
 from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import ProbeRequest, SceneChoice, StackRequest
 
@@ -281,7 +281,7 @@ def test_the_tools_z_points_down(high):
     before = position(high)
     hold(high, 0.2, frame="TOOL", speed=-10.0)
     assert (position(high) - before)[2] > 1.0
-    assert way_of("y", "TOOL", 3.0) == (0.0, TOOL_SIGNS[1], 0.0)
+    assert direction_of("y", "TOOL", 3.0) == (0.0, TOOL_SIGNS[1], 0.0)
 
 
 def test_grip_then_open_needs_a_confirmation(session):

@@ -11,9 +11,14 @@ from touchdown.backend.core.events import Refused
 from touchdown.backend.core.faults import Fault, RefusedError
 from touchdown.backend.core.rotations import pose_rotation, rotation_vector, tilt_rad
 from touchdown.backend.core.values import FINGERS, Pose
-from touchdown.backend.devices.interlock import LEASE_S, Limits
+from touchdown.backend.devices.interlock import (
+    LEASE_S,
+    Limits,
+    falls_mm,
+    refuse_place,
+    refuse_turning,
+)
 from touchdown.backend.devices.jog import JOINTS, TURNS, JogOrder
-from touchdown.backend.devices.jog_limits import falls_mm, refuse_place, refuse_turning
 from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import ProbeRequest, SceneChoice
 

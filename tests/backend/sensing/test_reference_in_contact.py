@@ -13,13 +13,13 @@ from tests.backend.brisk import brisk_bench, brisk_method
 from tests.backend.sensing.known_truth import GELSIGHT, REST_FRAME, bump_field, rest_dots, warp
 from tests.backend.sensing.test_real_gels import LARGE
 from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.bench.gelsight_emulator import small_dots
 from touchdown.backend.cli.track import rest_reference
 from touchdown.backend.config.method import PolicySettings
 from touchdown.backend.core.events import Event, PhaseEntered
 from touchdown.backend.core.faults import InputError, RefusedError
 from touchdown.backend.core.streams import SampleStream, Stream
 from touchdown.backend.core.values import FINGERS, TactileFrame
+from touchdown.backend.devices.gelsight.emulator import small_dots
 from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import StackRequest
 from touchdown.backend.sensing.live import LiveSensing, RawStreams

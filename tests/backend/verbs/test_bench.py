@@ -12,7 +12,7 @@ from touchdown.backend.__main__ import main
 from touchdown.backend.cli import collect, stack
 from touchdown.backend.cli.bench import _timing_table
 from touchdown.backend.cli.connection import fill_in_scene
-from touchdown.backend.rig.timing import Timing
+from touchdown.backend.rig.diagnostics import SensorTiming
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def test_what_does_not_go_together_is_one_clear_error(lab, capsys, words, where)
 
 
 def test_the_table_of_times_is_whole_in_a_terminal_of_80_columns() -> None:
-    timing = Timing("tactile_right", 595, 200.0, 1020.3, 1150.9, 1225.2, 1129.4)
+    timing = SensorTiming("tactile_right", 595, 200.0, 1020.3, 1150.9, 1225.2, 1129.4)
     text = io.StringIO()
     Console(file=text, width=80).print(_timing_table([timing]))
     assert all(figure in text.getvalue() for figure in ("595", "1020.3", "1225.2", "1129.4"))

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from touchdown.backend.__main__ import main
-from touchdown.backend.bench.serving import SUFFERS
+from touchdown.backend.bench.emulator_registry import FAULT_DEVICES
 from touchdown.backend.cli import emulate
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.config.lab import load_lab
 from touchdown.backend.config.toml_file import read_settings
 from touchdown.backend.devices.wsg import protocol
-from touchdown.backend.devices.wsg.protocol import Command, Request
+from touchdown.backend.devices.wsg.protocol import WsgCommand, WsgRequest
 
 
 def free_port():
@@ -24,7 +24,7 @@ def free_port():
         return listener.getsockname()[1]
 
 
-@pytest.mark.parametrize("kind", sorted(SUFFERS))
+@pytest.mark.parametrize("kind", sorted(FAULT_DEVICES))
 def test_every_kind_serves_and_tells_its_bench_file(kind, capsys, tmp_path):
     folder = ["--folder", str(tmp_path)] if kind == "gelsight" else []
     assert main(["emulate", kind, *folder, "--for", "0.02", "--json"]) == 0
@@ -57,7 +57,7 @@ def test_a_client_of_its_own_reads_the_gripper(capsys, ends):
     end = ends.get(timeout=60.0)
     try:
         with socket.create_connection(("127.0.0.1", port), timeout=60.0) as client:
-            client.sendall(protocol.encode_request(Request(Command.WIDTH, (0, 0))))
+            client.sendall(protocol.encode_request(WsgRequest(WsgCommand.WIDTH, (0, 0))))
             while not replies:
                 heard = client.recv(100)
                 assert heard, "it closed the wire without an answer"

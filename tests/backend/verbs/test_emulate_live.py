@@ -9,13 +9,13 @@ import pytest
 from touchdown.backend.cli.emulate import FaultPrompt
 from touchdown.backend.devices.wsg.emulator import EmulatedWsg
 from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.emulation.servers import TcpFront
+from touchdown.backend.emulation.server import TcpServer
 
 
 @pytest.fixture
 def fronts():
     """A gripper and a sensor, begun but with no thread."""
-    made = [TcpFront(EmulatedWsg(), faults=Faults(name)) for name in ("gripper", "force_torque")]
+    made = [TcpServer(EmulatedWsg(), faults=Faults(name)) for name in ("gripper", "force_torque")]
     for front in made:
         front.faults.begin(time.monotonic())
     yield made

@@ -6,17 +6,22 @@ from typing import Any
 
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.dynpick import protocol as dynpick
-from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
 from touchdown.backend.devices.leptrino import protocol as leptrino
-from touchdown.backend.devices.melfa import protocol_monitor, protocol_mxt, protocol_r3
-from touchdown.backend.devices.melfa.protocol_mxt import Kind
+from touchdown.backend.devices.melfa import r3_protocol, realtime_protocol
+from touchdown.backend.devices.melfa.realtime_protocol import BlockKind
 from touchdown.backend.devices.netft import protocol as net_ft
 from touchdown.backend.devices.optoforce import protocol as optoforce
+from touchdown.backend.devices.wsg import gcl
 from touchdown.backend.devices.wsg import protocol as wsg_binary
-from touchdown.backend.devices.wsg import protocol_gcl
 
-MONITOR_KINDS = {901: Kind.FORCE, 902: Kind.ROBMON, 903: Kind.POSE, 904: Kind.FLOATS}
+MONITOR_KINDS = {
+    901: BlockKind.FORCE,
+    902: BlockKind.ROBMON,
+    903: BlockKind.POSE,
+    904: BlockKind.FLOATS,
+}
 """Stand-ins of the vectors for the data type numbers that no source gives."""
 
 
@@ -34,7 +39,7 @@ class Codec:
         if self.datagram is not None:
             try:
                 return [self.datagram(data)]
-            except WireError:
+            except ProtocolError:
                 return []
         decoder = self.stream()
         step = cut or max(1, len(data))
@@ -42,39 +47,43 @@ class Codec:
 
 
 def _monitor_reply(reply):
-    return protocol_monitor.encode_reply(reply, MONITOR_KINDS)
+    return realtime_protocol.encode_monitor_reply(reply, MONITOR_KINDS)
 
 
 def _monitor_message(data):
-    return protocol_monitor.decode_reply(data, MONITOR_KINDS)
+    return realtime_protocol.decode_monitor_reply(data, MONITOR_KINDS)
 
 
 def _wsg_request(message):
-    if isinstance(message, wsg_binary.Request):
+    if isinstance(message, wsg_binary.WsgRequest):
         return wsg_binary.encode_request(message)
-    raise WireError("type", "a refusal answers a frame that cannot be encoded")
+    raise ProtocolError("type", "a refusal answers a frame that cannot be encoded")
 
 
 OUT, IN = "pc-to-device", "device-to-pc"
 CODECS: dict[tuple[str, str], Codec] = {
     ("melfa-mxt", OUT): Codec(
-        protocol_mxt.encode_request, datagram=protocol_mxt.decode_request, exact=False
+        realtime_protocol.encode_mxt_request,
+        datagram=realtime_protocol.decode_mxt_request,
+        exact=False,
     ),
     ("melfa-mxt", IN): Codec(
-        protocol_mxt.encode_reply, datagram=protocol_mxt.decode_reply, exact=False
+        realtime_protocol.encode_mxt_reply, datagram=realtime_protocol.decode_mxt_reply, exact=False
     ),
     ("melfa-monitor", OUT): Codec(
-        protocol_monitor.encode_request, datagram=protocol_monitor.decode_request, exact=False
+        realtime_protocol.encode_monitor_request,
+        datagram=realtime_protocol.decode_monitor_request,
+        exact=False,
     ),
     ("melfa-monitor", IN): Codec(_monitor_reply, datagram=_monitor_message, exact=False),
     ("melfa-r3", OUT): Codec(
-        protocol_r3.encode_request, stream=protocol_r3.requests, end=b"\r", exact=False
+        r3_protocol.encode_request, stream=r3_protocol.requests, end=b"\r", exact=False
     ),
-    ("melfa-r3", IN): Codec(protocol_r3.encode_reply, stream=protocol_r3.replies, end=b"\r"),
+    ("melfa-r3", IN): Codec(r3_protocol.encode_reply, stream=r3_protocol.replies, end=b"\r"),
     ("wsg-binary", OUT): Codec(_wsg_request, stream=wsg_binary.requests),
     ("wsg-binary", IN): Codec(wsg_binary.encode_reply, stream=wsg_binary.replies),
-    ("wsg-gcl", OUT): Codec(protocol_gcl.encode, stream=protocol_gcl.lines, exact=False),
-    ("wsg-gcl", IN): Codec(protocol_gcl.encode, stream=protocol_gcl.lines, exact=False),
+    ("wsg-gcl", OUT): Codec(gcl.encode, stream=gcl.lines, exact=False),
+    ("wsg-gcl", IN): Codec(gcl.encode, stream=gcl.lines, exact=False),
     ("dynpick", OUT): Codec(lambda command: command.value, stream=dynpick.command_stream),
     ("dynpick", IN): Codec(dynpick.encode_record, stream=dynpick.records),
     ("leptrino", OUT): Codec(leptrino.encode, stream=leptrino.packets),

@@ -5,12 +5,17 @@ import math
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
 from touchdown.backend.devices.leptrino import protocol as leptrino
-from touchdown.backend.devices.melfa import protocol_r3
-from touchdown.backend.devices.melfa.protocol_mxt import Pose, RobotMonitor, kind_of, turns
+from touchdown.backend.devices.melfa import r3_protocol
+from touchdown.backend.devices.melfa.realtime_protocol import (
+    MelfaPose,
+    RobotMonitor,
+    kind_of,
+    turns,
+)
 from touchdown.backend.devices.optoforce import protocol as optoforce
+from touchdown.backend.devices.wsg import gcl as wsg_gcl
 from touchdown.backend.devices.wsg import protocol as wsg_binary
-from touchdown.backend.devices.wsg import protocol_gcl
-from touchdown.backend.devices.wsg.protocol import Command, SystemFlag
+from touchdown.backend.devices.wsg.protocol import SystemFlag, WsgCommand
 
 CPF = 1_000_000.0
 
@@ -21,7 +26,7 @@ def _wrench(wrench):
 
 def _block(block):
     facts = {"kind": kind_of(block).value}
-    if isinstance(block, Pose):
+    if isinstance(block, MelfaPose):
         return facts | {"axes": list(block.axes), "flag1": block.flag1, "flag2": block.flag2}
     if isinstance(block, RobotMonitor):
         return facts | {
@@ -96,7 +101,7 @@ def r3_request(message, vector):
 
 
 def _opened(answer):
-    o = protocol_r3.read_opened(answer)
+    o = r3_protocol.read_opened(answer)
     names = (
         "xyz_axes joint_axes program_ext parameter_ext robot_type controller series date version "
         "language robot_info serial taskmax"
@@ -106,8 +111,8 @@ def _opened(answer):
 
 
 def _state(answer):
-    s = protocol_r3.read_state(answer)
-    run = protocol_r3.Run
+    s = r3_protocol.read_state(answer)
+    run = r3_protocol.RunStatus
     names = "program line override edit_status error step task_program task_mode task_condition"
     return {name: getattr(s, name) for name in [*names.split(), "task_priority"]} | {
         "run_status": int(s.run),
@@ -118,18 +123,18 @@ def _state(answer):
         "running": run.RUNNING in s.run,
         "operation_enabled": run.OPERATION_ENABLED in s.run,
         "teach": run.TEACH in s.run,
-        "emergency": protocol_r3.Stop.EMERGENCY in s.stop,
+        "emergency": r3_protocol.StopStatus.EMERGENCY in s.stop,
     }
 
 
 def _progress(answer):
-    p = protocol_r3.read_progress(answer)
+    p = r3_protocol.read_progress(answer)
     status = {"run_status": int(p.run), "stop_status": int(p.stop)}
     return status | {"error": p.error, "step": p.step, "mech_number": p.mechanism}
 
 
 def _axes(answer):
-    r = protocol_r3.read_axes(answer)
+    r = r3_protocol.read_axes(answer)
     turning = {name for name in r.names if name in "ABC" or name[0] == "J"}
     axes = {
         name: math.degrees(value) if name in turning else value
@@ -143,8 +148,8 @@ def _axes(answer):
 
 
 def _variable(answer):
-    v = protocol_r3.read_variable(answer)
-    if isinstance(v, protocol_r3.Number):
+    v = r3_protocol.read_variable(answer)
+    if isinstance(v, r3_protocol.Number):
         return {"variable": v.name, "value": v.value}
     return {"variable": v.name, "position": list(v.numbers), "flags": list(v.flags)}
 
@@ -155,38 +160,38 @@ ANSWERS = {
     "run_status": _progress,
     "end_speed": _axes,
     "variable": _variable,
-    "override": lambda answer: {"override": protocol_r3.whole(answer)},
-    "hands": lambda answer: {"hands": [list(h) for h in protocol_r3.read_hands(answer)]},
+    "override": lambda answer: {"override": r3_protocol.whole(answer)},
+    "hands": lambda answer: {"hands": [list(h) for h in r3_protocol.read_hands(answer)]},
     "message": lambda answer: {"message": answer},
-    "bits": lambda answer: {"bits": protocol_r3.read_bits(answer)},
+    "bits": lambda answer: {"bits": r3_protocol.read_bits(answer)},
     "level": lambda answer: dict(
-        zip(("error", "level"), protocol_r3.read_error(answer), strict=True)
+        zip(("error", "level"), r3_protocol.read_error(answer), strict=True)
     ),
     "stop_signals": lambda answer: dict(
         zip(
             ("stop_signals", "emergency_signals"),
-            protocol_r3.read_stop_signals(answer),
+            r3_protocol.read_stop_signals(answer),
             strict=True,
         )
     ),
     "origin_set": lambda answer: dict(
-        zip(("origin_set", "axes"), protocol_r3.read_origin(answer), strict=True)
+        zip(("origin_set", "axes"), r3_protocol.read_origin(answer), strict=True)
     ),
     "count": lambda answer: dict(
-        zip(("name", "value", "count"), protocol_r3.read_parameter(answer), strict=True)
+        zip(("name", "value", "count"), r3_protocol.read_parameter(answer), strict=True)
     ),
 }
 
 
 def _ports(answer):
-    realtime, options = protocol_r3.read_ports(answer)
+    realtime, options = r3_protocol.read_ports(answer)
     return {"realtime_port": realtime, "option_ports": list(options)}
 
 
 ANSWERS["realtime_port"] = _ports
 
 
-def r3_reply(message: protocol_r3.Reply, vector):
+def r3_reply(message: r3_protocol.R3Reply, vector):
     facts = {"ok": message.ok, "alarm": message.alarm, "answer": message.answer}
     if not message.ok:
         return facts | {"error": message.error, "extra": message.answer.split(";")[1:]}
@@ -195,20 +200,20 @@ def r3_reply(message: protocol_r3.Reply, vector):
 
 
 WSG_FIELDS = {
-    Command.HOME: ("direction",),
-    Command.PREPOSITION: ("flags", "width", "speed"),
-    Command.GRASP: ("width", "speed"),
-    Command.RELEASE: ("width", "speed"),
-    Command.SET_SOFT_LIMITS: ("minus", "plus"),
-    Command.SET_ACCELERATION: ("value",),
-    Command.SET_FORCE_LIMIT: ("value",),
+    WsgCommand.HOME: ("direction",),
+    WsgCommand.PREPOSITION: ("flags", "width", "speed"),
+    WsgCommand.GRASP: ("width", "speed"),
+    WsgCommand.RELEASE: ("width", "speed"),
+    WsgCommand.SET_SOFT_LIMITS: ("minus", "plus"),
+    WsgCommand.SET_ACCELERATION: ("value",),
+    WsgCommand.SET_FORCE_LIMIT: ("value",),
 }
 WSG_REPLY_FIELDS = {
-    Command.SYSTEM_STATE: ("flags",),
-    Command.GRASP_STATE: ("state",),
-    Command.STATISTICS: ("total", "no_part", "lost_part"),
-    Command.SYSTEM_INFO: ("type", "hw_rev", "sw_rev", "serial"),
-    Command.SYSTEM_LIMITS: (
+    WsgCommand.SYSTEM_STATE: ("flags",),
+    WsgCommand.GRASP_STATE: ("state",),
+    WsgCommand.STATISTICS: ("total", "no_part", "lost_part"),
+    WsgCommand.SYSTEM_INFO: ("type", "hw_rev", "sw_rev", "serial"),
+    WsgCommand.SYSTEM_LIMITS: (
         "stroke",
         "min_speed",
         "max_speed",
@@ -219,10 +224,14 @@ WSG_REPLY_FIELDS = {
         "ovr_force",
     ),
 }
-UPDATES = {Command.SYSTEM_STATE, Command.GRASP_STATE, *range(Command.WIDTH, Command.FORCE + 1)}
+UPDATES = {
+    WsgCommand.SYSTEM_STATE,
+    WsgCommand.GRASP_STATE,
+    *range(WsgCommand.WIDTH, WsgCommand.FORCE + 1),
+}
 
 
-def wsg_request(message: wsg_binary.Request, vector):
+def wsg_request(message: wsg_binary.WsgRequest, vector):
     facts = {"id": message.command, "length": vector["fields"].get("length")}
     assert bytes.fromhex(vector["hex"])[4] == facts["length"]
     if message.command in UPDATES:
@@ -232,38 +241,38 @@ def wsg_request(message: wsg_binary.Request, vector):
             "on_change": bool(flags & 2),
             "period_ms": period_ms,
         }
-    if message.command == Command.ACKNOWLEDGE:
+    if message.command == WsgCommand.ACKNOWLEDGE:
         return facts | {"key": message.values[0].decode()}
-    if message.command == Command.STATISTICS:
+    if message.command == WsgCommand.STATISTICS:
         return facts | {"reset": bool(message.values[0])}
     if message.command not in WSG_FIELDS:
         return facts | {"payload": b"".join(message.values).hex()}
     return facts | dict(zip(WSG_FIELDS[message.command], message.values, strict=True))
 
 
-def wsg_reply(message: wsg_binary.Reply, vector):
+def wsg_reply(message: wsg_binary.WsgReply, vector):
     facts = {"id": message.command, "length": vector["fields"].get("length")}
     facts["status"] = message.status
-    if message.command == Command.SYSTEM_STATE:
+    if message.command == WsgCommand.SYSTEM_STATE:
         facts["flag_names"] = [f.name for f in SystemFlag if message.values[0] & f]
-    if message.command == Command.LOOP:
+    if message.command == WsgCommand.LOOP:
         return facts | {"payload": message.values[0].hex()}
     names = WSG_REPLY_FIELDS.get(message.command, ("value",)) if message.values else ()
     return facts | dict(zip(names, message.values, strict=True))
 
 
-def gcl(message: protocol_gcl.Line, vector):
+def gcl(message: wsg_gcl.GclLine, vector):
     match message:
-        case protocol_gcl.Call(command, arguments):
+        case wsg_gcl.Call(command, arguments):
             return {"command": command, "arguments": list(arguments)}
-        case protocol_gcl.Query(name):
+        case wsg_gcl.Query(name):
             return {"query": name}
-        case protocol_gcl.Assignment(name, value):
+        case wsg_gcl.Assignment(name, value):
             plain = list(value) if isinstance(value, tuple) else value
             return {"name": name, "set": name, "value": plain}
-        case protocol_gcl.Answer(kind, command):
+        case wsg_gcl.GclAnswer(kind, command):
             return {"kind": kind, "command": command}
-        case protocol_gcl.Failure(command, code):
+        case wsg_gcl.Failure(command, code):
             return {"kind": "ERR", "command": command, "code": code}
 
 
@@ -285,7 +294,7 @@ def leptrino_packet(message: leptrino.Packet, vector):
             facts |= {"rated": list(loads)}
         case leptrino.Filter(_, index):
             facts |= {"filter": index}
-        case leptrino.Sample(_, counts, status, reserve):
+        case leptrino.LeptrinoSample(_, counts, status, reserve):
             rated = vector["fields"]["rated"]
             facts |= {"raw": list(counts), "status": status, "reserve": reserve, "rated": rated}
             facts |= _wrench(message.wrench(rated))
@@ -295,9 +304,9 @@ def leptrino_packet(message: leptrino.Packet, vector):
 def ft300(message, vector):
     facts = {"slave": 9}
     match message:
-        case robotiq_ft300.Stop():
+        case robotiq_ft300.StreamStop():
             return {"jam_length": 50}
-        case robotiq_ft300.Sample(counts):
+        case robotiq_ft300.Ft300Sample(counts):
             return {"raw": list(counts)} | _wrench(message.wrench())
         case robotiq_ft300.Read(register, count):
             return facts | {"function": 3, "register": register, "count": count}
@@ -305,7 +314,7 @@ def ft300(message, vector):
             return facts | {"function": 6, "register": register, "values": [value]}
         case robotiq_ft300.WriteMany(register, values):
             return facts | {"function": 16, "register": register, "values": list(values)}
-        case robotiq_ft300.Written(register, count):
+        case robotiq_ft300.ModbusWritten(register, count):
             return facts | {"function": 16, "register": register, "count": count}
         case robotiq_ft300.Registers(values):
             return facts | {"function": 3, "values": list(values)} | _wrench(message.wrench())
@@ -315,9 +324,9 @@ def bota_message(message, vector):
     match message:
         case protocol.Boot():
             return {"boot": True}
-        case protocol.Reply(command, code):
+        case protocol.BotaReply(command, code):
             return {"reply_to": command, "code": code}
-        case protocol.Request(command, arguments):
+        case protocol.BotaRequest(command, arguments):
             return {"command": command, "arguments": list(arguments)}
     forces, torques = list(message.values[:3]), list(message.values[3:])
     facts = {"status": message.status, "timestamp_us": message.timestamp_us}

@@ -7,7 +7,7 @@ import pytest
 from tests.backend.wire.vectors import VECTORS, data
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.dynpick import protocol as dynpick
-from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
 from touchdown.backend.devices.leptrino import protocol as leptrino
 from touchdown.backend.devices.netft import protocol as net_ft
@@ -17,7 +17,7 @@ GOOD = "320411F7D1D5520A41EB82052\r\n"
 
 
 def test_a_dynpick_field_above_14_bits_is_refused():
-    with pytest.raises(WireError) as refusal:
+    with pytest.raises(ProtocolError) as refusal:
         dynpick.decode_record(b"04000" + b"2000" * 5 + b"\r\n")
     assert refusal.value.what == "range"
 
@@ -38,7 +38,7 @@ def test_dynpick_noise_without_line_ends_is_given_up():
 
 @pytest.mark.parametrize("text", [b"0,0,0,0,0,0\r\n", b"65.470,65.440\r\n", b"1,1,1,1,1,nan\r\n"])
 def test_a_dynpick_without_sensitivity_is_not_divided_by(text):
-    with pytest.raises(WireError):
+    with pytest.raises(ProtocolError):
         dynpick.decode_sensitivity(text)
 
 
@@ -57,7 +57,7 @@ def test_a_leptrino_sensor_that_refuses_says_why():
 
 def test_a_leptrino_rated_load_of_zero_is_refused():
     frame = leptrino.encode(leptrino.Rated((0.0,) * 6))
-    with pytest.raises(WireError):
+    with pytest.raises(ProtocolError):
         leptrino.decode(frame)
 
 
@@ -65,8 +65,8 @@ def test_ft300_stream_bytes_right_behind_the_answer():
     decoder = robotiq_ft300.incoming()
     out = decoder.feed(data("ft300-start-fc16-reply") + data("ft300-stream"))
     assert out == [
-        robotiq_ft300.Written(410, 1),
-        robotiq_ft300.Sample((100, -200, -1050, 100, -200, 50)),
+        robotiq_ft300.ModbusWritten(410, 1),
+        robotiq_ft300.Ft300Sample((100, -200, -1050, 100, -200, 50)),
     ]
 
 
@@ -74,16 +74,18 @@ def test_ft300_short_stop_is_no_stop():
     decoder = robotiq_ft300.requests()
     assert decoder.feed(b"\xff" * 49 + data("ft300-read-wrench")) == [robotiq_ft300.Read(180, 6)]
     assert decoder.feed(b"\xff" * 30) == []
-    assert decoder.feed(b"\xff" * 20) == [robotiq_ft300.Stop()]
+    assert decoder.feed(b"\xff" * 20) == [robotiq_ft300.StreamStop()]
 
 
 def test_ft300_refusal():
-    (message,) = robotiq_ft300.incoming().feed(robotiq_ft300.encode(robotiq_ft300.Refused(3, 2)))
-    assert message == robotiq_ft300.Refused(3, 2)
+    (message,) = robotiq_ft300.incoming().feed(
+        robotiq_ft300.encode(robotiq_ft300.ModbusRefusal(3, 2))
+    )
+    assert message == robotiq_ft300.ModbusRefusal(3, 2)
 
 
 def test_ft300_registers_of_another_count_are_no_wrench():
-    with pytest.raises(WireError):
+    with pytest.raises(ProtocolError):
         robotiq_ft300.Registers((1, 2, 3)).wrench()
 
 
@@ -92,16 +94,16 @@ def test_bota_marked_values_are_never_handed_on():
     assert not frame.usable
     assert all(math.isnan(value) for part in frame.wrench() for value in part)
     (over,) = protocol.incoming().feed(data("bota-frame-overrange"))
-    assert over.status & protocol.Status.OVER_RANGE
+    assert over.status & protocol.BotaStatus.OVER_RANGE
     assert over.wrench().force_n[0] == 600.0
 
 
 def test_bota_nan_counts_as_bad_unless_marked():
     values = (math.nan, 0.0, 0.0, 0.0, 0.0, 0.0)
     decoder = protocol.incoming()
-    assert decoder.feed(protocol.encode(protocol.Frame(0, values, 1, 20.0))) == []
+    assert decoder.feed(protocol.encode(protocol.BotaFrame(0, values, 1, 20.0))) == []
     assert decoder.bad_frames > 0
-    (frame,) = protocol.incoming().feed(protocol.encode(protocol.Frame(4, values, 1, 20.0)))
+    (frame,) = protocol.incoming().feed(protocol.encode(protocol.BotaFrame(4, values, 1, 20.0)))
     assert math.isnan(frame.values[0])
 
 
@@ -109,7 +111,7 @@ def test_a_bota_answer_behind_a_frame_that_it_cut_off():
     decoder = protocol.incoming()
     assert decoder.feed(data("bota-frame")[:20]) == []
     assert decoder.feed(b"r,0,C") == []
-    assert decoder.feed(b",0") == [protocol.Reply("C", 0)]
+    assert decoder.feed(b",0") == [protocol.BotaReply("C", 0)]
 
 
 def test_optoforce_scale_needs_as_many_numbers_as_axes():
@@ -123,7 +125,7 @@ def test_optoforce_scale_needs_as_many_numbers_as_axes():
 
 @pytest.mark.parametrize("code", [-1, 256])
 def test_an_optoforce_code_that_is_no_byte_is_refused(code):
-    with pytest.raises(WireError):
+    with pytest.raises(ProtocolError):
         optoforce.encode(optoforce.Config(code, 0))
 
 
@@ -151,20 +153,20 @@ def test_the_page_of_a_net_box():
     ],
 )
 def test_a_page_in_other_units_is_refused(fields, what):
-    with pytest.raises(WireError) as refusal:
+    with pytest.raises(ProtocolError) as refusal:
         net_ft.decode_page(PAGE.format(*fields).encode())
     assert refusal.value.what == what
 
 
 def test_a_page_without_a_field_names_it():
-    with pytest.raises(WireError, match="cfgcpf"):
+    with pytest.raises(ProtocolError, match="cfgcpf"):
         net_ft.decode_page(b"<scfgfu>N</scfgfu><scfgtu>N-m</scfgtu>")
 
 
 def test_a_calibration_in_pounds_is_refused():
     content = bytearray(data("netft-tcp-calibration-reply"))
     content[2] = 1
-    with pytest.raises(WireError) as refusal:
+    with pytest.raises(ProtocolError) as refusal:
         net_ft.decode_calibration(bytes(content))
     assert refusal.value.what == "unit"
 

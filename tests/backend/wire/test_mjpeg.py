@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchdown.backend.devices.framing import WireError
-from touchdown.backend.devices.gelsight.protocol import JpegStream, size_px
+from touchdown.backend.devices.cameras.frames import JpegStream, size_px
+from touchdown.backend.devices.framing import ProtocolError
 
 
 def jpeg(seed, width=64, height=48):
@@ -51,5 +51,5 @@ def test_the_size_is_that_of_the_picture(width, height):
     "content", [b"", b"\xff\xd8", PICTURES[0][:15], b"\xff\xd8\xff\xe0\x00\x00"]
 )
 def test_no_size_without_a_header(content):
-    with pytest.raises(WireError):
+    with pytest.raises(ProtocolError):
         size_px(content)

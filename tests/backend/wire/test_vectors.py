@@ -7,11 +7,11 @@ from tests.backend.wire.codecs import CODECS, IN, OUT
 from tests.backend.wire.vectors import VECTORS, data, only, same
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.dynpick import protocol as dynpick
-from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
-from touchdown.backend.devices.gelsight import protocol as gelsight_name
+from touchdown.backend.devices.gelsight import driver
 from touchdown.backend.devices.leptrino import protocol as leptrino
-from touchdown.backend.devices.melfa import protocol_mxt
+from touchdown.backend.devices.melfa import realtime_protocol
 from touchdown.backend.devices.netft import protocol as net_ft
 from touchdown.backend.devices.optoforce import protocol as optoforce
 from touchdown.backend.devices.wsg import protocol as wsg_binary
@@ -130,12 +130,12 @@ def test_answers_outside_the_stream():
 
 @pytest.mark.parametrize("name", [n for n in sorted(ALONE) if n.startswith("gelsight")])
 def test_the_card_name_gives_the_serial(name):
-    card, wanted = gelsight_name.decode(data(name)), VECTORS[name]["fields"]
+    card, wanted = driver.decode(data(name)), VECTORS[name]["fields"]
     assert {"name": card.name, "is_gelsight": card.is_gelsight, "serial": card.serial} == wanted
 
 
 ONE_FRAME = {
-    "melfa-mxt": protocol_mxt.decode_reply,
+    "melfa-mxt": realtime_protocol.decode_mxt_reply,
     "wsg-binary": wsg_binary.decode_reply,
     "dynpick": dynpick.decode_record,
     "leptrino": leptrino.decode,
@@ -148,7 +148,7 @@ ONE_FRAME = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_the_reason_of_a_refusal_is_the_documented_one(name):
-    with pytest.raises(WireError) as refusal:
+    with pytest.raises(ProtocolError) as refusal:
         ONE_FRAME[VECTORS[name]["device"]](data(name))
     assert refusal.value.what == VECTORS[name]["error"]
     assert 0 <= refusal.value.offset <= len(data(name))

@@ -17,7 +17,7 @@ import numpy as np
 
 from touchdown.backend.config.hardware import GelsightSettings
 from touchdown.backend.core.values import TactileFrame
-from touchdown.backend.devices.cameras.frames import Gate
+from touchdown.backend.devices.cameras.frames import PictureFilter
 from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker
 from touchdown.backend.sensing.picture_files import read_pictures
 
@@ -74,7 +74,7 @@ class DamagedStream:
         found = islice(read_pictures(GELSIGHT / clip), at - BEFORE, at + 1)
         *before, last = [self._encoded(frame.image, native, quality) for frame in found]
         self.content = last
-        self._gate = Gate("left", "tactile_left", self._settings, 0.0)
+        self._gate = PictureFilter("left", "tactile_left", self._settings, 0.0)
         self._tracker = DamageCheckingTracker("left")
         for k, content in enumerate(before):
             assert self._send(self._gate, self._tracker, k, content) is not None
@@ -93,7 +93,7 @@ class DamagedStream:
         worst_px = float(np.linalg.norm(field.position_px - self._truth_px, axis=1).max())
         return "wrong" if worst_px > WRONG_PX else "off" if worst_px > OFF_PX else "right"
 
-    def _fresh(self) -> tuple[Gate, DamageCheckingTracker]:
+    def _fresh(self) -> tuple[PictureFilter, DamageCheckingTracker]:
         # The detector has buffers that are views of each other: all copies share the one.
         detector = self._tracker.tracker._detector
         return copy.deepcopy(self._gate), copy.deepcopy(self._tracker, {id(detector): detector})

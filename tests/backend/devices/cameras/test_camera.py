@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from tests.backend.devices.waiting import until
-from touchdown.backend.bench.gelsight_emulator import GelsightFront
 from touchdown.backend.config.hardware import GelsightSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream, Stream
 from touchdown.backend.core.values import MARKERS, MarkerState
-from touchdown.backend.devices.cameras.driver import TactileCamera
 from touchdown.backend.devices.cameras.sources import FileSource
+from touchdown.backend.devices.gelsight.driver import TactileCamera
+from touchdown.backend.devices.gelsight.emulator import GelsightServer
 from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.emulation.fault_plan import Faults
 from touchdown.backend.sensing.live import LiveSensing, RawStreams
@@ -47,7 +47,7 @@ class Cameras:
         self.fronts = {}
         for seed, (finger, serial) in enumerate(SERIALS.items()):
             faults = Faults(f"tactile_{finger}")
-            front = GelsightFront(numbered(seed), folder, serial, rate_hz=RATE_HZ, faults=faults)
+            front = GelsightServer(numbered(seed), folder, serial, rate_hz=RATE_HZ, faults=faults)
             self.fronts[finger] = front
             front.start()
         places = {name: str(folder / where) for name, where in PLACES.items()}

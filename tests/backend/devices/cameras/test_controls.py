@@ -6,7 +6,7 @@ import struct
 import pytest
 
 from touchdown.backend.config.hardware import GelsightSettings
-from touchdown.backend.devices.cameras.system import find_controls, lock_controls
+from touchdown.backend.devices.cameras.sources import find_controls, lock_controls
 
 NEWER = {
     "User Controls": None,

@@ -6,14 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from touchdown.backend.bench.gelsight_emulator import encode
 from touchdown.backend.config.hardware import GelsightSettings
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.cameras.driver import TactileCamera
 from touchdown.backend.devices.cameras.frames import decode, fit
 from touchdown.backend.devices.cameras.sources import UvcSource
-from touchdown.backend.devices.cameras.system import FoundCamera, find_cameras
-from touchdown.backend.devices.framing import WireError
+from touchdown.backend.devices.framing import ProtocolError
+from touchdown.backend.devices.gelsight.driver import FoundCamera, TactileCamera, find_cameras
+from touchdown.backend.devices.gelsight.emulator import encode
 
 
 @pytest.fixture
@@ -99,9 +98,9 @@ def test_mirroring_turns_the_picture_over(mirror, corner):
 
 
 def test_what_is_not_four_to_three_or_damaged_is_refused():
-    with pytest.raises(WireError, match="shape"):
+    with pytest.raises(ProtocolError, match="shape"):
         fit(ramp(320, 320), 0.0, "none")
-    with pytest.raises(WireError):
+    with pytest.raises(ProtocolError):
         decode(encode(ramp(320, 240))[:80], 0.0)
 
 

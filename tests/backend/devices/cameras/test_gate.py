@@ -5,7 +5,12 @@ import numpy as np
 import pytest
 
 from touchdown.backend.config.hardware import GelsightSettings
-from touchdown.backend.devices.cameras.frames import DARK_FAULT, EQUAL_FAULT, EQUAL_INVALID, Gate
+from touchdown.backend.devices.cameras.frames import (
+    DARK_FAULT,
+    EQUAL_FAULT,
+    EQUAL_INVALID,
+    PictureFilter,
+)
 
 SETTINGS = GelsightSettings(crop_fraction=0.0)
 STILL = np.full((240, 320, 3), 90, dtype=np.uint8)
@@ -13,7 +18,7 @@ NOISE_GREY = 0.5
 
 
 def gate():
-    return Gate("left", "tactile_left", SETTINGS, 0.0)
+    return PictureFilter("left", "tactile_left", SETTINGS, 0.0)
 
 
 def test_the_third_equal_picture_is_none_and_the_tenth_a_fault():

@@ -15,8 +15,8 @@ from tests.backend.devices.waiting import until
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.streams import Stream
-from touchdown.backend.devices.cameras.lerobot import LeRobotSource, _maker
-from touchdown.backend.devices.cameras.registry import make_tactile
+from touchdown.backend.devices.discovery import make_tactile
+from touchdown.backend.devices.lerobot.driver import LeRobotSource, _maker
 from touchdown.backend.devices.protocols import DeviceState
 
 CLIP = Path(__file__).parents[3] / "data" / "gelsight" / "plug_3D_exp3_camera_2.avi"

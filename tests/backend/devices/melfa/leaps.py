@@ -6,7 +6,7 @@ import numpy as np
 
 from touchdown.backend.core.values import FloatArray
 from touchdown.backend.devices.protocols import CommandedMotion
-from touchdown.backend.devices.streamed.moves import Felt
+from touchdown.backend.devices.streamed.motion_programs import CycleInput
 
 
 class Leaping:
@@ -20,7 +20,7 @@ class Leaping:
         self.motion = CommandedMotion({})
         self._step_mm, self._left = step_mm, leaps
 
-    def next_mm(self, felt: Felt) -> FloatArray:
+    def next_mm(self, felt: CycleInput) -> FloatArray:
         if self._left == 0:
             self.motion.end()
             return felt.command_mm

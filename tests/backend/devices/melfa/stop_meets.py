@@ -8,8 +8,8 @@ import numpy as np
 
 from tests.backend.devices.emulated_arm import Rig
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.melfa.protocol_r3 import Request
-from touchdown.backend.devices.melfa.r3_client import Ticket
+from touchdown.backend.devices.melfa.command_channel import PendingRequest
+from touchdown.backend.devices.melfa.r3_protocol import R3Request
 
 
 def interrupted(rig: Rig, order: Callable[[], object], wanted: str | int) -> str | None:
@@ -19,15 +19,15 @@ def interrupted(rig: Rig, order: Callable[[], object], wanted: str | int) -> str
     """
     wires = rig.wires
     ask, finish = wires.ask, wires.finish
-    tickets: list[tuple[Ticket, str]] = []
+    tickets: list[tuple[PendingRequest, str]] = []
     pressed = False
 
-    def asked(request: Request, timeout_s: float) -> Ticket:
+    def asked(request: R3Request, timeout_s: float) -> PendingRequest:
         ticket = ask(request, timeout_s)
         tickets.append((ticket, f"{request.command} {request.argument}".strip()))
         return ticket
 
-    def finished(ticket: Ticket) -> None:
+    def finished(ticket: PendingRequest) -> None:
         nonlocal pressed
         finish(ticket)
         number = next(k for k, (one, _) in enumerate(tickets) if one is ticket)

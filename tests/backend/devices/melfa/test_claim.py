@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.melfa.faults import Claim
+from touchdown.backend.devices.melfa.sockets import ControllerLock
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="files stay where they are locked so")
 HOLDING = """
 import sys, tempfile
 tempfile.tempdir = sys.argv[1]
-from touchdown.backend.devices.melfa.faults import Claim
+from touchdown.backend.devices.melfa.sockets import Claim
 claim = Claim("10.0.0.1", 10001)
 print("held", flush=True)
 sys.stdin.read()
@@ -39,14 +39,14 @@ def test_a_killed_program_holds_no_arm_and_its_file_is_swept(folder):
         assert child.stdout.readline() == "held\n"
         # A program at another arm takes away what nobody holds: not this one.
         (folder / "touchdown-arm-10.0.0.9-1.lock").touch()
-        other = Claim("10.0.0.2", 10001)
+        other = ControllerLock("10.0.0.2", 10001)
         names = {path.name for path in folder.iterdir()}
         assert names == {"touchdown-arm-10.0.0.1-10001.lock", "touchdown-arm-10.0.0.2-10001.lock"}
         with pytest.raises(FaultError) as caught:
-            Claim("10.0.0.1", 10001)
+            ControllerLock("10.0.0.1", 10001)
         assert caught.value.fault.code == "ARM-TAKEN"
         child.send_signal(signal.SIGKILL)
-    mine = Claim("10.0.0.1", 10001)
+    mine = ControllerLock("10.0.0.1", 10001)
     mine.close()
     other.close()
     assert list(folder.iterdir()) == []
@@ -58,7 +58,7 @@ def test_among_many_that_come_and_go_there_is_one_at_a_time(folder):
     def come_and_go(number):
         for _ in range(60):
             try:
-                claim = Claim("arm", 1)
+                claim = ControllerLock("arm", 1)
             except FaultError:
                 continue
             holders.append(number)

@@ -12,7 +12,7 @@ from tests.backend.devices.contract_bench import PRESS, DevicesUnderTest
 from tests.backend.devices.emulated_arm import Rig, on_bench
 from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.core.values import Pose
-from touchdown.backend.devices.melfa.emulator_arm import WRITTEN
+from touchdown.backend.devices.melfa.emulated_controller import WRITTEN
 from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.simulation.devices.bench import SimulatedBench
 

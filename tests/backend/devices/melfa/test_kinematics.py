@@ -6,19 +6,20 @@ import numpy as np
 import pytest
 
 from touchdown.backend.core.faults import RefusedError
-from touchdown.backend.devices.melfa import emulator_arm
-from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
+from touchdown.backend.devices.melfa import emulated_controller
+from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
 from touchdown.backend.devices.melfa.kinematics import (
     LIMITS_RAD,
     STEPS_RAD,
-    Placing,
+    MelfaPlacement,
+    check_joints,
+    check_step,
     flange,
     hand_of,
     joints_for,
 )
-from touchdown.backend.devices.melfa.stream import check_joints, check_step
 
-PLACING = Placing((450.0, 20.0, -30.0), 0.3, math.pi, 180.0)
+PLACING = MelfaPlacement((450.0, 20.0, -30.0), 0.3, math.pi, 180.0)
 
 
 def any_joints(count, share=1.0):
@@ -28,7 +29,7 @@ def any_joints(count, share=1.0):
 
 def test_the_flange_is_where_the_chain_of_frames_puts_it():
     for joints in any_joints(200):
-        frame = emulator_arm.frame_of(joints)
+        frame = emulated_controller.frame_of(joints)
         position, hand = flange(joints)
         assert position == pytest.approx(frame[:3, 3], abs=1e-9)
         assert hand == pytest.approx(frame[:3, :3], abs=1e-12)
@@ -51,7 +52,7 @@ def test_joints_for_a_place_reach_it():
         check_joints(joints)
         assert PLACING.pivot_mm(joints) == pytest.approx(pivot, abs=1e-8)
         assert PLACING.turn(joints) == pytest.approx(np.eye(3), abs=1e-7)
-        solved = emulator_arm.solve(emulator_arm.frame_of(joints), joints + 0.05)
+        solved = emulated_controller.solve(emulated_controller.frame_of(joints), joints + 0.05)
         assert solved == pytest.approx(joints, abs=1e-7)
 
 
@@ -101,5 +102,5 @@ def test_angles_of_the_controller_mean_the_same_on_both_sides(euler):
     rng = np.random.default_rng(1)
     for angles in rng.uniform(-1.4, 1.4, (50, 3)):
         hand = hand_of(*angles, euler)
-        assert hand == pytest.approx(emulator_arm.hand_of(*angles, euler))
-        assert emulator_arm.angles_of(hand, euler) == pytest.approx(tuple(angles))
+        assert hand == pytest.approx(emulated_controller.hand_of(*angles, euler))
+        assert emulated_controller.angles_of(hand, euler) == pytest.approx(tuple(angles))

@@ -8,7 +8,7 @@ import pytest
 from tests.backend.devices.emulated_arm import Rig
 from tests.backend.devices.melfa.leaps import Leaping
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.melfa.protocol_mxt import Command, decode_request
+from touchdown.backend.devices.melfa.realtime_protocol import MxtCommand, decode_mxt_request
 from touchdown.backend.devices.protocols import DeviceState
 
 
@@ -25,4 +25,4 @@ def test_more_than_ten_cut_steps_in_a_row_are_a_fault(leaps, told):
     if told:
         with pytest.raises(FaultError, match="too large"):
             program.motion.result()
-        assert decode_request(rig.wires.packets[-1][1]).command is Command.END
+        assert decode_mxt_request(rig.wires.packets[-1][1]).command is MxtCommand.END

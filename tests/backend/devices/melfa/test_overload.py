@@ -9,7 +9,7 @@ from tests.backend.devices.emulated_arm import Rig
 from tests.backend.devices.melfa.test_press import PRESS, TOUCH_MM
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.force_torque.reader import OVERLOAD
-from touchdown.backend.devices.guarded import GuardedArm
+from touchdown.backend.devices.guarded_devices import GuardedArm
 from touchdown.backend.devices.interlock import Interlock
 
 

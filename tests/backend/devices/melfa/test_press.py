@@ -9,7 +9,8 @@ import pytest
 from tests.backend.devices.emulated_arm import Rig
 from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.devices.protocols import PressCommand
-from touchdown.backend.devices.streamed.compliance import ContactStiffness, SwingDetector, damping
+from touchdown.backend.devices.streamed.arm import ContactStiffnessEstimate
+from touchdown.backend.devices.streamed.compliance import SwingDetector, damping
 
 TOUCH_MM = 59.0
 PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 3.0, (30.0, 30.0, 15.0))
@@ -114,7 +115,7 @@ def test_the_stiffness_of_the_contact_is_found_and_damped_for(stiffness_n_mm):
 
 def slope_of(stiffness_n_mm):
     """A contact seen as it is commanded: the force answers 20 ms later."""
-    seen = ContactStiffness(0.020)
+    seen = ContactStiffnessEstimate(0.020)
     for k in range(600):
         t_s = 0.0035 * k
         seen.feed(t_s, -0.001 * k, max(0.0, stiffness_n_mm * 0.001 * (t_s - 0.020) / 0.0035))

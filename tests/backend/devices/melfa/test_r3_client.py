@@ -3,11 +3,11 @@
 import pytest
 
 from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.melfa.command_channel import R3Client
 from touchdown.backend.devices.melfa.faults import controller_fault, link_fault
-from touchdown.backend.devices.melfa.protocol_r3 import Request
-from touchdown.backend.devices.melfa.r3_client import R3Client
+from touchdown.backend.devices.melfa.r3_protocol import R3Request
 
-STATE, STOP, OVERRIDE = Request("STATE"), Request("STOP"), Request("OVRD")
+STATE, STOP, OVERRIDE = R3Request("STATE"), R3Request("STOP"), R3Request("OVRD")
 
 
 @pytest.fixture

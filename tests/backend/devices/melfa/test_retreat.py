@@ -16,7 +16,7 @@ from tests.backend.devices.emulated_arm import Rig
 from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.core.streams import Stream
 from touchdown.backend.core.values import FINGERS, Pose
-from touchdown.backend.devices.guarded import GuardedArm
+from touchdown.backend.devices.guarded_devices import GuardedArm
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.supervision import Supervision
 

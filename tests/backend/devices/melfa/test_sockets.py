@@ -9,16 +9,15 @@ import pytest
 
 from tests.backend.devices.emulated_arm import settings
 from tests.backend.devices.waiting import until
-from touchdown.backend.bench.serving import Choice, emulate
+from touchdown.backend.bench.emulator_registry import EmulationChoice, emulate
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import Pose
-from touchdown.backend.devices.melfa.arm import MelfaArm
-from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaFront
-from touchdown.backend.devices.melfa.emulator_controller import READY_RAD
-from touchdown.backend.devices.melfa.sockets import SocketWires
-from touchdown.backend.devices.melfa.status import Orders
+from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaOrders
+from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
+from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
+from touchdown.backend.devices.melfa.sockets import SocketLinks
 from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode
 
 START = np.array([0.0, 0.0, 60.0])
@@ -26,13 +25,13 @@ START = np.array([0.0, 0.0, 60.0])
 
 def front_of(**more):
     wanted = settings(servo_delay_s=0.05, **more)
-    start = Orders(wanted).placing.joints(START, READY_RAD)
-    return MelfaFront(EmulatedMelfa(wanted, start_rad=start))
+    start = MelfaOrders(wanted).placing.joints(START, READY_RAD)
+    return MelfaServer(EmulatedMelfa(wanted, start_rad=start))
 
 
 def arm_of(front):
     wrench = SampleStream("force_torque", 6, 1000)
-    wires = SocketWires(front.settings, time.monotonic)
+    wires = SocketLinks(front.settings, time.monotonic)
     return MelfaArm(wires, wrench, front.settings, time.monotonic)
 
 
@@ -111,13 +110,13 @@ def test_it_starts_moves_and_shuts_down_in_the_documented_order(front, arm):
 
 
 def test_the_rehearsal_controller_is_driven_by_the_bench_table_that_it_prints():
-    served = emulate(Choice("melfa"))
+    served = emulate(EmulationChoice("melfa"))
     served.start()
     table = {key.removeprefix("melfa").lstrip("."): dict(row) for key, row in served.bench.items()}
     told = {**table.pop(""), **table, "servo_timeout_s": 10.0, "realtime_priority": 0}
     wanted = HardwareSettings.model_validate({"melfa": told}).melfa
     arm = MelfaArm(
-        SocketWires(wanted, time.monotonic),
+        SocketLinks(wanted, time.monotonic),
         SampleStream("force_torque", 6, 10),
         wanted,
         time.monotonic,
@@ -141,7 +140,7 @@ def test_stop_goes_out_on_its_own_connection(front, arm):
 
 def front_z(front):
     controller = front._device.controller
-    return Orders(front.settings).placing.pivot_mm(controller.joints.true_rad)[2]
+    return MelfaOrders(front.settings).placing.pivot_mm(controller.joints.true_rad)[2]
 
 
 def test_an_emergency_stop_is_told_and_ends_all_commands(front, arm):
@@ -201,7 +200,7 @@ def test_a_controller_that_is_not_ready_is_refused_by_name(more, trouble, code):
 def test_another_arm_at_the_address_is_refused(front):
     wrench = SampleStream("force_torque", 6, 1000)
     wanted = front.settings.model_copy(update={"robot_type": "RV-8CRL"})
-    arm = MelfaArm(SocketWires(wanted, time.monotonic), wrench, wanted, time.monotonic)
+    arm = MelfaArm(SocketLinks(wanted, time.monotonic), wrench, wanted, time.monotonic)
     with pytest.raises(FaultError) as raised:
         connect(arm)
     assert raised.value.fault.code == "OTHER-ARM"
@@ -234,7 +233,7 @@ def test_nobody_at_the_address_is_one_fault():
         port = taken.getsockname()[1]
     wanted = settings(host="127.0.0.1", r3={"port": port})
     arm = MelfaArm(
-        SocketWires(wanted, time.monotonic),
+        SocketLinks(wanted, time.monotonic),
         SampleStream("force_torque", 6, 10),
         wanted,
         time.monotonic,

@@ -9,16 +9,22 @@ import pytest
 from tests.backend.devices.emulated_arm import Rig
 from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.core.values import Pose
-from touchdown.backend.devices.melfa.protocol_mxt import (
+from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,
-    Command,
-    Kind,
-    Reply,
+    BlockKind,
+    MxtCommand,
+    MxtReply,
     Values,
-    decode_request,
-    encode_reply,
+    decode_mxt_request,
+    encode_mxt_reply,
 )
-from touchdown.backend.devices.melfa.stream import MONITORS, Phase, Replies, Rung, rung
+from touchdown.backend.devices.melfa.stream import (
+    MONITORS,
+    Phase,
+    ReplyFilter,
+    SilenceLevel,
+    silence_level,
+)
 from touchdown.backend.devices.protocols import DeviceState, PressCommand, RobotMode, SafetyMode
 
 SPEED_MM_S = 20.0
@@ -35,7 +41,7 @@ def rig():
 
 
 def requests(rig, since=0):
-    return [(t_s, decode_request(data)) for t_s, data in rig.wires.packets[since:]]
+    return [(t_s, decode_mxt_request(data)) for t_s, data in rig.wires.packets[since:]]
 
 
 def places(rig, since=0):
@@ -59,10 +65,10 @@ def outage(rig, seconds):
 
 def test_the_first_packet_commands_nothing_and_the_first_command_is_the_echo(rig):
     sent = [request for _, request in requests(rig)]
-    assert sent[0].command is Command.NONE
+    assert sent[0].command is MxtCommand.NONE
     assert sent[0].target is None
     assert sent[0].monitors == MONITORS
-    moves = [request for request in sent if request.command is Command.MOVE]
+    moves = [request for request in sent if request.command is MxtCommand.MOVE]
     start = rig.device.controller.joints.command_rad
     assert all(move.target == moves[0].target for move in moves)
     assert np.array(moves[0].target.axes[:6]) == pytest.approx(start, abs=1e-7)
@@ -74,7 +80,7 @@ def test_a_position_that_jumps_at_the_start_is_taken_as_it_is_told():
     rig.device.stream.jump_rad = np.array([2e-4, 0, 0, 0, 0, 0])
     told = rig.device.controller.joints.command_rad[0] + 2e-4
     rig.arm.connect(1.0, threading.Event())
-    first = next(r for _, r in requests(rig) if r.command is Command.MOVE)
+    first = next(r for _, r in requests(rig) if r.command is MxtCommand.MOVE)
     assert first.target.axes[0] == pytest.approx(told, abs=1e-7)
 
 
@@ -119,19 +125,19 @@ def test_the_command_channel_keeps_its_distance_while_the_program_runs(rig):
 @pytest.mark.parametrize(
     ("missed", "silent_s", "found"),
     [
-        (0, CYCLE_S, Rung.GO),
-        (1, 1.4 * CYCLE_S, Rung.GO),
-        (2, 0.0, Rung.STAND),
-        (0, 2 * CYCLE_S, Rung.STAND),
-        (9, 9 * CYCLE_S, Rung.STAND),
-        (10, 0.0, Rung.HOLD),
-        (28, 28.9 * CYCLE_S, Rung.HOLD),
-        (29, 0.0, Rung.FAULT),
-        (0, 29 * CYCLE_S, Rung.FAULT),
+        (0, CYCLE_S, SilenceLevel.GO),
+        (1, 1.4 * CYCLE_S, SilenceLevel.GO),
+        (2, 0.0, SilenceLevel.STAND),
+        (0, 2 * CYCLE_S, SilenceLevel.STAND),
+        (9, 9 * CYCLE_S, SilenceLevel.STAND),
+        (10, 0.0, SilenceLevel.HOLD),
+        (28, 28.9 * CYCLE_S, SilenceLevel.HOLD),
+        (29, 0.0, SilenceLevel.FAULT),
+        (0, 29 * CYCLE_S, SilenceLevel.FAULT),
     ],
 )
 def test_the_ladder(missed, silent_s, found):
-    assert rung(missed, silent_s, CYCLE_S) is found
+    assert silence_level(missed, silent_s, CYCLE_S) is found
 
 
 def test_lost_packets_slow_it_down_and_nothing_else(rig):
@@ -226,8 +232,8 @@ def test_silence_is_a_fault_at_cycle_29_exactly(rig):
     assert rig.arm.fault.code == "MXT-LOST"
     rig.rest(0.1)
     after = [request.command for _, request in requests(rig, last_heard)]
-    assert after[-3:] == [Command.END] * 3
-    assert Command.MOVE not in after[cycles - 1 :]
+    assert after[-3:] == [MxtCommand.END] * 3
+    assert MxtCommand.MOVE not in after[cycles - 1 :]
     assert rig.wires.stops == 1
     with pytest.raises(FaultError):
         motion.result()
@@ -246,7 +252,7 @@ def test_a_driver_that_was_stopped_for_long_makes_nothing_up(rig):
     assert rig.arm.state is DeviceState.FAULT
     # After 57 cycles the controller has ended it by itself: its own reason is told.
     assert rig.arm.fault.code == "CONTROLLER"
-    assert {request.command for _, request in requests(rig, before)} == {Command.END}
+    assert {request.command for _, request in requests(rig, before)} == {MxtCommand.END}
     rig.arm.close()
     rig.device.controller.reset_error()
     here_mm, since = rig.true_mm, len(rig.wires.packets)
@@ -281,7 +287,7 @@ def test_stop_ends_the_stream_and_stops_the_controller(rig):
     assert motion.done
     assert rig.device.controller.program == ""
     rig.rest(0.3)
-    assert {request.command for _, request in requests(rig, before)} == {Command.END}
+    assert {request.command for _, request in requests(rig, before)} == {MxtCommand.END}
     assert rig.true_mm[2] - height < 0.1
     assert rig.arm.state is DeviceState.READY
 
@@ -293,7 +299,7 @@ def test_after_a_stop_the_next_command_begins_at_the_echo(rig):
     rig.rest(0.3)
     before = len(rig.wires.packets)
     motion = rig.arm.move_to(Pose(0.0, 0.0, 75.0), SPEED_MM_S)
-    assert requests(rig, before)[0][1].command is Command.NONE
+    assert requests(rig, before)[0][1].command is MxtCommand.NONE
     rig.rest(1.5)
     motion.result()
     assert steps_mm(rig, before).max() <= 1.05 * LEAD_MM
@@ -377,14 +383,14 @@ def test_a_place_out_of_reach_is_refused_and_nothing_too_fast_is_sent(rig):
 
 
 def reply(counter, *, monitors=MONITORS, joint=0.1):
-    joints = Values(Kind.JOINT, (joint,) * 6 + (0.0, 0.0))
-    kinds = {2: joints, 5: joints, 8: joints, 11: Values(Kind.CURRENT, (0,) * 8), 0: None}
+    joints = Values(BlockKind.JOINT, (joint,) * 6 + (0.0, 0.0))
+    kinds = {2: joints, 5: joints, 8: joints, 11: Values(BlockKind.CURRENT, (0,) * 8), 0: None}
     blocks = tuple(kinds[monitor] for monitor in monitors)
-    return encode_reply(Reply(Command.MOVE, monitors[0], monitors, blocks, counter))
+    return encode_mxt_reply(MxtReply(MxtCommand.MOVE, monitors[0], monitors, blocks, counter))
 
 
 def test_only_newer_replies_of_the_wanted_kind_count():
-    replies = Replies()
+    replies = ReplyFilter()
     assert replies.take([reply(7)]) is not None
     assert replies.take([reply(7)]) is None
     assert replies.take([reply(6)]) is None
@@ -397,7 +403,7 @@ def test_only_newer_replies_of_the_wanted_kind_count():
 
 
 def test_the_counter_wraps():
-    replies = Replies()
+    replies = ReplyFilter()
     assert replies.take([reply(2**32 - 1)]) is not None
     assert replies.take([reply(0)]) is not None
     assert replies.take([reply(2**32 - 1)]) is None

@@ -11,7 +11,11 @@ import numpy as np
 
 from tests.backend.devices.emulated_arm import Rig
 from touchdown.backend.core.values import Pose
-from touchdown.backend.devices.melfa.protocol_mxt import CYCLE_S, Command, decode_request
+from touchdown.backend.devices.melfa.realtime_protocol import (
+    CYCLE_S,
+    MxtCommand,
+    decode_mxt_request,
+)
 from touchdown.backend.devices.protocols import DeviceState, PressCommand
 
 SPEED_MM_S = 20.0
@@ -147,18 +151,18 @@ class Trial:
 
     def _broken(self, sent: int, fault: str) -> list[str]:
         rig, arm = self.rig, self.rig.arm
-        packets = [decode_request(data) for _, data in rig.wires.packets]
-        told = [p for p in packets if p.command is Command.MOVE]
+        packets = [decode_mxt_request(data) for _, data in rig.wires.packets]
+        told = [p for p in packets if p.command is MxtCommand.MOVE]
         joints = np.array([p.target.axes[:6] for p in told])
         places = np.array([rig.placing.pivot_mm(row) for row in joints])
         step_mm = np.linalg.norm(np.diff(places, axis=0), axis=1).max()
         after_end = [p.command for p in packets[sent:]]
-        ended = after_end.index(Command.END) if Command.END in after_end else len(after_end)
+        ended = after_end.index(MxtCommand.END) if MxtCommand.END in after_end else len(after_end)
         rows = {
             f"state {arm.state}": arm.state in self.allowed,
             f"fault {arm.fault}": arm.fault is None or arm.fault.code in self.codes,
             f"a step of {step_mm:.3f} mm": step_mm <= 1.05 * LEAD_MM,
-            "a command after the end": Command.MOVE not in after_end[ended:],
+            "a command after the end": MxtCommand.MOVE not in after_end[ended:],
             "the controller found it too fast": rig.device.stream.largest_share <= 0.5,
             f"error {rig.device.controller.error}": self._error_is_theirs(fault),
             "the arm still moves in a fault": arm.state is READY or not self._moves(),

@@ -11,14 +11,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from touchdown.backend.devices.streamed.compliance import AT_REST, Give, Law, Loop, give_way
+from touchdown.backend.devices.streamed.compliance import (
+    AT_REST,
+    AdmittanceLaw,
+    Deflection,
+    LoopDelays,
+    deflect,
+)
 
 
 @dataclass
 class Plant:
     """Commands reach the arm ``loop.dead_cycles`` late, and the arm lags behind by first order."""
 
-    loop: Loop
+    loop: LoopDelays
     place_mm: float = 0.0
     waiting: deque[float] = field(init=False)
 
@@ -33,7 +39,9 @@ class Plant:
         return self.place_mm
 
 
-def slowest_root(law: Law, loop: Loop, environment_n_mm: float, axis: int = 2) -> float:
+def slowest_root(
+    law: AdmittanceLaw, loop: LoopDelays, environment_n_mm: float, axis: int = 2
+) -> float:
     """Return the largest |root| of law and plant glued to a spring: stable below 1.
 
     Found column by column: each unit state is passed through one cycle of the shipped law.
@@ -49,7 +57,7 @@ def slowest_root(law: Law, loop: Loop, environment_n_mm: float, axis: int = 2) -
         d, v, g, place = state[:4]
         waiting = list(state[4:])
         force = -environment_n_mm * place
-        give = give_way(law, Give(_on(axis, d), _on(axis, v), _on(axis, g)), _on(axis, force))
+        give = deflect(law, Deflection(_on(axis, d), _on(axis, v), _on(axis, g)), _on(axis, force))
         waiting.append(give.d_mm[axis])
         share = 1.0 - math.exp(-loop.cycle_s / loop.arm_lag_s)
         after = place + share * (waiting[0] - place)
@@ -57,7 +65,7 @@ def slowest_root(law: Law, loop: Loop, environment_n_mm: float, axis: int = 2) -
     return float(np.abs(np.linalg.eigvals(1e6 * np.array(columns).T)).max())
 
 
-def largest_stable(law: Law, loop: Loop, axis: int = 2) -> float:
+def largest_stable(law: AdmittanceLaw, loop: LoopDelays, axis: int = 2) -> float:
     """Return the stiffness of the environment at which the loop begins to swing, N/mm."""
     low, high = 0.1, 2000.0
     while high / low > 1.001:
@@ -80,8 +88,8 @@ class Pressed:
 
 
 def press(
-    law: Law,
-    loop: Loop,
+    law: AdmittanceLaw,
+    loop: LoopDelays,
     environment_n_mm: float,
     speed_mm_s: float,
     *,
@@ -106,7 +114,7 @@ def press(
                 goal = reference - 1.5
             reference = max(reference - speed_mm_s * t, goal)
             if goal > -math.inf:
-                give = give_way(law, give, _on(2, felt))
+                give = deflect(law, give, _on(2, felt))
             command = reference + float(give.d_mm[2])
         plant.step(command)
     after = np.array(forces)

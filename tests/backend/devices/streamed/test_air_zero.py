@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from touchdown.backend.devices.streamed.compliance import AirZero
+from touchdown.backend.devices.streamed.arm import AirTare
 
 STEP_N = np.array([0.1, -0.2, 0.3])
 
@@ -12,7 +12,7 @@ def descended(until_s, block=7):
     """Air of one second at 1 kHz, then blocks on the way down; the sensor steps at 1.2 s."""
     t_s = np.arange(0.0, until_s, 1e-3)
     force_n = 5.0 + np.where(t_s[:, None] >= 1.2, STEP_N, 0.0)
-    zero = AirZero(t_s[:1000], force_n[:1000])
+    zero = AirTare(t_s[:1000], force_n[:1000])
     for first in range(1000, len(t_s), block):
         zero.feed(t_s[first : first + block], force_n[first : first + block])
     return zero
@@ -30,7 +30,7 @@ def test_a_contact_soon_after_the_start_has_the_air_before_it():
 
 
 def test_with_too_few_samples_nothing_is_said():
-    silent = AirZero(np.array([0.0, 0.001]), np.ones((2, 3)))
+    silent = AirTare(np.array([0.0, 0.001]), np.ones((2, 3)))
     silent.feed(np.empty(0), np.empty((0, 3)))
     assert silent.moved_n(5.0) == pytest.approx(np.zeros(3))
     # What is older than a second is forgotten; its air is not told of a later onset.

@@ -1,0 +1,193 @@
+"""Process of an emulated bench: one scene after the other, as lines of JSON on its input.
+
+A process of its own, so that the arm's stream of 3.5 ms shares no interpreter with drivers and
+plans. It ends when its input does.
+"""
+
+from __future__ import annotations
+
+import json
+import select
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import IO, Any
+
+from touchdown.backend.bench.assembly import make_scene
+from touchdown.backend.bench.emulated_scene import TruthServer, serve_bench, take_short_turns
+from touchdown.backend.config import SimulationSettings
+from touchdown.backend.core import Fault, FaultError, ProcessStallDetector, ThreadStallDetector
+from touchdown.backend.emulation import FaultPlan, TcpServer
+from touchdown.backend.geometry import load_pieces
+from touchdown.backend.runs import SceneChoice
+
+END_S = 1.5
+LOOK_S = 0.05
+REST_S, SET_S = 10.0, 60.0
+"""Who sets a scene waits for threads that end, for far less than this, and is done long before."""
+
+
+class EmulatedProcess:
+    """Starts the process with the first scene; ``close`` ends it.
+
+    ``tell`` hears at once, on a thread of its own, of a process that dies or stands still.
+    """
+
+    def __init__(self, tell: Callable[[Fault], None]) -> None:
+        self._child: subprocess.Popen[str] | None = None
+        self._tell = tell
+        self._serving, self._over = threading.Event(), threading.Event()
+        self._still = False
+
+    def set_scene(
+        self,
+        choice: SceneChoice,
+        settings: SimulationSettings,
+        plan: FaultPlan,
+        folder: Path,
+        pieces: Path | None = None,
+    ) -> tuple[str, int]:
+        """Emulate a scene with the bench file in ``folder``; return where its truth is told.
+
+        Raises ``FaultError`` if the process has died, or does not come to its orders.
+        """
+        self._serving.clear()
+        child = self._running()
+        order = {
+            "choice": asdict(choice),
+            "settings": settings.model_dump(mode="json"),
+            "plan": plan.model_dump(mode="json"),
+            "folder": str(folder),
+            "pieces": None if pieces is None else str(pieces),
+        }
+        assert child.stdin is not None
+        assert child.stdout is not None
+        try:
+            child.stdin.write(json.dumps(order) + "\n")
+            child.stdin.flush()
+        except BrokenPipeError as error:
+            raise FaultError(GONE) from error
+        answer = self._answer_of(child, child.stdout)
+        if not answer:
+            raise FaultError(GONE)
+        self._serving.set()
+        host, port = json.loads(answer)
+        return str(host), int(port)
+
+    def end_if_still(self) -> None:
+        """End a process that stands still now: nobody need wait for its devices any more."""
+        if self._still and self._child is not None:
+            self._over.set()
+            self._child.kill()
+
+    def close(self) -> None:
+        """End the process."""
+        self._over.set()
+        child, self._child = self._child, None
+        if child is None:
+            return
+        for pipe in (child.stdin, child.stdout):
+            if pipe is not None:
+                with suppress(BrokenPipeError):  # it has died with an order unread
+                    pipe.close()
+        try:
+            child.wait(END_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+
+    def _answer_of(self, child: subprocess.Popen[str], answers: IO[str]) -> str:
+        """Return its next line, "" at its end; one whose first thread rests is ended."""
+        rest, begun_s = ThreadStallDetector(child.pid, child.pid), time.monotonic()
+        try:
+            while not select.select([answers], [], [], LOOK_S)[0]:
+                now_s = time.monotonic()
+                if rest.look(now_s) > REST_S or now_s - begun_s > SET_S:
+                    child.kill()
+                    self.close()
+                    raise FaultError(NOT_SET)
+            return answers.readline()
+        except ValueError as error:  # closed meanwhile
+            raise FaultError(GONE) from error
+
+    def _running(self) -> subprocess.Popen[str]:
+        if self._child is None:
+            self._child = subprocess.Popen(
+                [sys.executable, "-m", __name__],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+            name, self._over = "emulated bench watch", threading.Event()
+            threading.Thread(
+                target=self._watch, args=(self._child, self._over), name=name, daemon=True
+            ).start()
+        return self._child
+
+    def _watch(self, child: subprocess.Popen[str], over: threading.Event) -> None:
+        watch = ProcessStallDetector(child.pid)
+        while not over.wait(LOOK_S):
+            if child.poll() is not None:
+                self._tell(GONE)
+                return
+            # Between two scenes it waits for an order.
+            still = watch.look(time.monotonic()) and self._serving.is_set()
+            if still and not self._still:
+                self._tell(STILL)
+            self._still = still
+
+
+GONE = Fault(
+    "BENCH-GONE",
+    "The process of the emulated bench has ended.",
+    "All emulated devices are gone.",
+    "Start anew; its last words are on standard error.",
+)
+STILL = Fault(
+    "BENCH-STILL",
+    "The process of the emulated bench stands still: nothing in it wants to run.",
+    "All emulated devices are silent.",
+    "Let it go on, or start anew.",
+)
+NOT_SET = Fault(
+    "SCENE-NOT-SET",
+    "The process of the emulated bench does not come to setting the scene.",
+    "It was ended, and all emulated devices with it.",
+    "Press Reset and start again: the next scene gets a process of its own.",
+)
+
+
+def serve(orders: IO[str], answers: IO[str]) -> None:
+    """Emulate the scene of each line until there are no more."""
+    with ExitStack() as present:
+        for line in orders:
+            present.close()
+            address = _set(json.loads(line), present)
+            answers.write(json.dumps(address) + "\n")
+            answers.flush()
+
+
+def _set(order: dict[str, Any], present: ExitStack) -> tuple[str, int]:
+    chosen = {**order["choice"], "bottoms": tuple(order["choice"]["bottoms"])}
+    pieces = None if order["pieces"] is None else Path(order["pieces"])
+    settings = SimulationSettings.model_validate(order["settings"])
+    scene = make_scene(load_pieces(pieces), SceneChoice(**chosen), settings)
+    plan = FaultPlan.model_validate(order["plan"])
+    joined, emulation = serve_bench(scene, Path(order["folder"]), plan)
+    told = TcpServer(TruthServer(joined))
+    for ending in (told.close, emulation.close, joined.close):
+        present.callback(ending)
+    take_short_turns()
+    joined.start()
+    emulation.start()
+    told.start()
+    return told.address
+
+
+if __name__ == "__main__":
+    serve(sys.stdin, sys.stdout)

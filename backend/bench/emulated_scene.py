@@ -1,0 +1,575 @@
+"""Emulated devices around one simulated scene, served with the bench file, scoring channel.
+
+The world follows the joints of the emulated controller in real time. The arm itself is stiff: the
+driver's compliance makes it give way. A world that is late takes the arm where it was at the time
+of each cycle, so that a sample is late but never wrongly stamped. The monitor records driver
+behaviour that a real bench must never see; it judges by what reached the devices over the wires.
+The scoring channel serves the truth, for scoring and never for a driver.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import math
+import socket
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from touchdown.backend.bench.emulator_registry import (
+    Emulation,
+    bench_toml,
+    camera_tables,
+    melfa_tables,
+)
+from touchdown.backend.config import HardwareSettings, MelfaSettings, ProbeSettings
+from touchdown.backend.core import (
+    FINGERS,
+    IDENTITY_ROTATION,
+    LEVEL_RAD,
+    Fault,
+    Finger,
+    FloatArray,
+    ImageArray,
+    rotation_vector,
+    set_realtime_priority,
+)
+from touchdown.backend.devices.dynpick import EmulatedDynpick
+from touchdown.backend.devices.gelsight import GelsightServer
+from touchdown.backend.devices.melfa import (
+    READY_RAD,
+    TIMEOUT_CYCLES,
+    EmulatedMelfa,
+    MelfaServer,
+    frame_of,
+    solve,
+)
+from touchdown.backend.devices.wsg import EmulatedWsg
+from touchdown.backend.emulation import (
+    DeviceServer,
+    FaultPlan,
+    Faults,
+    PtyServer,
+    TcpServer,
+    apply_faults,
+)
+from touchdown.backend.simulation import ArmCycle, CycleRecord, Scene, SceneTruth, World
+
+STILL_S = 0.2
+"""How long before now the arm is looked at once more, to know whether it stands."""
+REST_ROWS = 100
+"""Wrist samples of a bench that was just set up: what hangs on the sensor, without any contact."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriverObservations:
+    """Since the scene was set. ``step_share``: largest step of a joint, share of its top speed.
+
+    ``late_command_s``: how long after an error of the controller (an emergency stop, an alarm, the
+    servo off) a motion command still came. ``moving_mm``: how far the pivot went in the last 0.2 s.
+    ``openings``: how often the jaws were told to open while they held. ``barred``: motions asked of
+    a gripper whose fault nobody had acknowledged. ``force_n``: largest force on the wrist, beside
+    what hangs on it.
+    """
+
+    step_share: float
+    late_command_s: float
+    moving_mm: float
+    openings: int
+    barred: int
+    force_n: float
+
+    def __str__(self) -> str:
+        late = "no command after an error"
+        if self.late_command_s > 0.0:
+            late = f"last command {1e3 * self.late_command_s:.0f} ms after an error"
+        return (
+            f"largest step {100 * self.step_share:.1f} % of a joint's top speed; {late}; "
+            f"jaws opened on a piece {self.openings} times, "
+            f"{self.barred} motions asked of a gripper in a fault; "
+            f"strongest force {self.force_n:.1f} N"
+        )
+
+
+class WatchedGripper(Protocol):
+    """What is asked of the emulated gripper."""
+
+    openings: int
+    barred: int
+
+
+class DriverMonitor:
+    """Looks at the devices; ``gripper`` is set once there is one."""
+
+    def __init__(self, melfa: EmulatedMelfa) -> None:
+        self._melfa = melfa
+        self.gripper: WatchedGripper | None = None
+        self._rest: list[FloatArray] = []
+        self._rest_n: FloatArray = np.zeros(3)
+        self._force_n = 0.0
+
+    def feel(self, wrench: FloatArray) -> None:
+        """Take (N, 6) wrist samples of the world."""
+        force_n = wrench[:, :3]
+        if sum(map(len, self._rest)) < REST_ROWS:
+            self._rest.append(force_n)
+            self._rest_n = np.concatenate(self._rest).mean(axis=0)
+        if len(force_n):
+            strongest_n = np.linalg.norm(force_n - self._rest_n, axis=1).max()
+            self._force_n = max(self._force_n, float(strongest_n))
+
+    def told(self, moving_mm: float) -> DriverObservations:
+        """Return what was seen so far."""
+        stream, gripper = self._melfa.stream, self.gripper
+        return DriverObservations(
+            step_share=stream.largest_share,
+            late_command_s=stream.late_command_s,
+            moving_mm=moving_mm,
+            openings=0 if gripper is None else gripper.openings,
+            barred=0 if gripper is None else gripper.barred,
+            force_n=self._force_n,
+        )
+
+
+STIFF_N_MM = 1000.0
+NEXT_PROBE_MM = 2.0
+"""A descent below this height over first touch is another probe: its nuisances are drawn."""
+PICTURE_S = 0.040
+"""A world later than this takes no picture: it would be one of another time than it comes at, and
+without pictures the world catches up several times as fast."""
+BEHIND_S = 0.5
+"""A world later than this gives up catching up."""
+LATENCY_S = 0.020
+"""Age of a wrist sample when the sensor has it: the cycle in which it arises, and its computing."""
+KEPT = 500
+"""Wrist samples that are kept for the sensor."""
+CONTACT_MM = 0.02
+HAND_MM = 5.0
+"""On a bench with a jig a piece let go so high is in the hand of the operator, to be given back."""
+STILL_PX = 0.01
+"""A third of what the tracker errs by: a gel at rest is drawn anew once it has crept so far."""
+
+
+class EmulatedScene:
+    """One scene and what its devices have of it; time passes on a thread of its own."""
+
+    def __init__(self, scene: Scene, settings: MelfaSettings) -> None:
+        self._scene, self.world = scene, World(scene, still_px=STILL_PX)
+        self.frame = BenchFrame(settings)
+        start = self.frame.joints(self.world.drive.command_mm)
+        self.melfa = EmulatedMelfa(settings, start_rad=start)
+        self.world.drive.run(CarriedProgram(self))
+        self._witness = DriverMonitor(self.melfa)
+        self.melfa.controller.felt = self._felt_in_base
+        self._zero_s = 0.0
+        self._felt: tuple[float, FloatArray] = (0.0, np.zeros((1, 6)))
+        self._pictures: dict[Finger, ImageArray] = {}
+        self._stop = threading.Event()
+        self.priority = 0
+        """Real-time priority while time passes, where the user may have it; 0: as it is."""
+        self._thread = threading.Thread(target=self._run, name="world", daemon=True)
+        self.late = 0
+        """Cycles that were given up."""
+
+    @property
+    def scene(self) -> Scene:
+        """What was set up."""
+        return self._scene
+
+    def start(self) -> None:
+        """Let time pass."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop time."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    @property
+    def told_until_s(self) -> float:
+        """Until when (monotonic) the sensor has its samples: the world has come so far."""
+        return self._zero_s + self._felt[0] + LATENCY_S
+
+    def joints_rad(self, world_s: float) -> FloatArray:
+        """Return (6,) where the joints of the emulated arm were at a time of the world."""
+        return self.melfa.controller.joints_at(self._zero_s + world_s)
+
+    def wrench(self, now_s: float) -> tuple[float, ...]:
+        """Return what the wrist felt ``LATENCY_S`` before ``now_s`` (monotonic), N and N·m.
+
+        The newest sample there is, if the world has not come so far.
+        """
+        newest_s, rows = self._felt
+        rate_hz = self._scene.settings.wrist.rate_hz
+        behind = round((newest_s - (now_s - self._zero_s - LATENCY_S)) * rate_hz)
+        return tuple(rows[max(-1 - max(behind, 0), -len(rows))].tolist())
+
+    def _felt_in_base(self) -> FloatArray:
+        """Return the newest wrench (6,) in axes of the arm's base."""
+        newest, in_base = self._felt[1][-1], self.frame.in_base
+        return np.concatenate([in_base(newest[:3]), in_base(newest[3:])])
+
+    def picture(self, finger: Finger) -> ImageArray | None:
+        """Return the newest picture of a finger; None if it was given already."""
+        return self._pictures.pop(finger, None)
+
+    def truth(self, *, animate: bool = False) -> SceneTruth:
+        """Return how things really are."""
+        return self.world.truth(animate=animate)
+
+    def watch_gripper(self, gripper: WatchedGripper) -> None:
+        """Let what is asked of the gripper be seen, too."""
+        self._witness.gripper = gripper
+
+    def witnessed(self) -> DriverObservations:
+        """Return what the devices have seen of their driver so far."""
+        controller, pivot_mm = self.melfa.controller, self.frame.pivot_mm
+        now_s = controller.now_s
+        before_mm = pivot_mm(controller.joints_at(now_s - STILL_S))
+        way_mm = pivot_mm(controller.joints_at(now_s)) - before_mm
+        return self._witness.told(float(np.linalg.norm(way_mm)))
+
+    def step(self, behind_s: float = 0.0) -> CycleRecord:
+        """Advance the world, which is so late, by one cycle and hand out what was sensed."""
+        sensed = self.world.step(FINGERS if behind_s <= PICTURE_S else ())
+        self._witness.feel(sensed.wrench)
+        rows = np.concatenate([self._felt[1], sensed.wrench])[-KEPT:]
+        self._felt = (1e-6 * sensed.end_us, rows)
+        for finger in FINGERS:
+            if sensed.shots[finger]:
+                self._pictures[finger] = sensed.shots[finger][-1].image
+        return sensed
+
+    def _run(self) -> None:
+        """Step each cycle as soon as it is over: so it knows where the arm has come to."""
+        set_realtime_priority(self.priority)
+        self._zero_s = time.monotonic() - 1e-6 * self.world.now_us
+        while not self._stop.is_set():
+            over_s = self._zero_s + 1e-6 * (self.world.now_us + self.world.cycle_us)
+            wait_s = over_s - time.monotonic()
+            if wait_s > 0.0:
+                self._stop.wait(wait_s)
+            elif wait_s < -BEHIND_S:
+                self._give_up(-wait_s)
+            else:
+                self.step(-wait_s)
+
+    def _give_up(self, behind_s: float) -> None:
+        """Leave out so much time; no sample from before it is told of it."""
+        self._felt = (self._felt[0], self._felt[1][-1:])
+        self._zero_s += behind_s
+        self.late += round(1e6 * behind_s / self.world.cycle_us)
+
+
+class BenchFrame:
+    """Where the bench stands in the base of the arm, by the chain of joint frames."""
+
+    def __init__(self, settings: MelfaSettings) -> None:
+        yaw, hand = math.radians(settings.yaw_deg), math.radians(settings.hand_deg)
+        self._origin_mm, self._tool_mm = np.array(settings.origin_mm), settings.tool_mm
+        self._turn = _about_z(yaw)
+        self._hand = _about_z(yaw + hand) @ np.diag([1.0, -1.0, -1.0])
+        self._last: tuple[list[float], FloatArray] = ([], np.eye(4))
+
+    def _frame(self, joints_rad: FloatArray) -> FloatArray:
+        """Return (4, 4) of the flange; that of joints which stand is not computed again."""
+        last, joints = self._last, joints_rad.tolist()
+        if joints != last[0]:
+            self._last = last = (joints, frame_of(joints_rad))
+        return last[1]
+
+    def pivot_mm(self, joints_rad: FloatArray) -> FloatArray:
+        """Return (3,) where ``G`` is in the bench."""
+        frame = self._frame(joints_rad)
+        at_mm = frame[:3, 3] + self._tool_mm * frame[:3, 2]
+        return np.asarray(self._turn.T @ (at_mm - self._origin_mm))
+
+    def in_base(self, vector: FloatArray) -> FloatArray:
+        """Return a vector (3,) of the bench in axes of the base."""
+        return np.asarray(self._turn @ vector)
+
+    def turn(self, joints_rad: FloatArray) -> FloatArray:
+        """Return (3, 3) by how much the hand is turned; as good as unturned is unturned."""
+        hand = self._frame(joints_rad)[:3, :3]
+        turn = self._turn.T @ hand @ self._hand.T @ self._turn
+        return IDENTITY_ROTATION if np.linalg.norm(rotation_vector(turn)) <= LEVEL_RAD else turn
+
+    def joints(self, pivot_mm: FloatArray) -> FloatArray:
+        """Return (6,) joints that have ``G`` there, hand down; ``ValueError`` out of reach."""
+        frame = np.eye(4)
+        frame[:3, :3] = self._hand
+        frame[:3, 3] = self._origin_mm + self._turn @ pivot_mm - self._tool_mm * self._hand[:, 2]
+        found = solve(frame, READY_RAD)
+        if found is None:
+            raise ValueError("the scene is out of reach of the arm")
+        return found
+
+
+class CarriedProgram:
+    """The program of the world's arm: go where the joints of the emulated arm are."""
+
+    done = False
+    failure: Fault | None = None
+
+    def __init__(self, joined: EmulatedScene) -> None:
+        self._joined = joined
+        self.turn: FloatArray = IDENTITY_ROTATION
+        """The hand is turned as that of the emulated arm."""
+
+    def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
+        """Return where the arm was at the end of ``cycle``; a descent begins the next probe."""
+        joints_rad, frame = self._joined.joints_rad(cycle.end_s), self._joined.frame
+        here, holding = frame.pivot_mm(joints_rad), self._joined.world.holding
+        self.turn = frame.turn(joints_rad)
+        if holding is not None and not holding.sensed and here[2] < command_mm[2]:
+            height = float(here[2]) - holding.touch_height_mm
+            if CONTACT_MM < height < NEXT_PROBE_MM:
+                holding.begin_probe(ProbeSettings(stiffness_n_mm=(STIFF_N_MM,) * 3))
+        return here
+
+
+class SceneDynpick(EmulatedDynpick):
+    """The emulated wrist sensor of the scene: it tells of no time that the world has not seen."""
+
+    def __init__(self, joined: EmulatedScene, faults: Faults | None = None) -> None:
+        faults = faults or Faults("force_torque")
+        super().__init__(apply_faults(joined.wrench, faults))
+        self.pace.faults = faults
+        self._joined = joined
+
+    def due(self, now_s: float) -> bytes:
+        """Return the records of the stream as far as the world has come."""
+        return super().due(min(now_s, self._joined.told_until_s))
+
+
+class SceneWsg(EmulatedWsg):
+    """The emulated gripper whose jaws hold the piece of the scene."""
+
+    def __init__(self, joined: EmulatedScene, faults: Faults | None = None) -> None:
+        super().__init__(part_mm=joined.scene.piece.width_mm, faults=faults)
+        self._world, self._piece_mm = joined.world, joined.scene.piece.width_mm
+        self._held = self._in_hand = False
+        self.openings = 0
+        joined.watch_gripper(self)
+
+    def due(self, now_s: float) -> bytes:
+        """Return what the gripper sends, and let the world know of its jaws."""
+        hand = self._world.jaws
+        if hand.piece_present and self._faults.active("part_lost", now_s):
+            hand.lose()
+        self.jaws.part_mm = self._piece_mm if hand.piece_present else None
+        out = super().due(now_s)
+        motion = self.jaws.motion
+        if not self._held and self.jaws.force_n > 0.0:
+            self._held = True
+            hand.width_mm = self._piece_mm
+            hand.close(0.5 * self.jaws.force_n)
+        elif self._held and motion is not None and motion.velocity_mm_s > 0.0:
+            self._held = False
+            self.openings += 1
+            self._in_hand = self._is_taken()
+            hand.open_to(motion.target_mm, motion.velocity_mm_s)
+        elif self._in_hand and not hand.piece_present:
+            self._in_hand, hand.piece_present = False, True
+        elif motion is None and not (self._held or hand.piece_present) and self._is_taken():
+            # It stands where it was put, or lies where it fell: the operator sets up once more.
+            self._world.set_up_again()
+        return out
+
+    def _is_taken(self) -> bool:
+        """Whether an operator is there, and has the piece in the hand when the jaws let it go."""
+        world = self._world
+        return world.scene.jig and world.clear_mm(world.drive.command_mm) > HAND_MM
+
+
+def _about_z(angle_rad: float) -> FloatArray:
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+SERIALS: Mapping[Finger, str] = {"left": "LEFT-0001", "right": "RGHT-0001"}
+BENCH_FILE = "bench.toml"
+LAB_HEAD = """\
+# Lab file of an emulated bench: it holds as long as the bench is served.
+version = 1
+name = "Rehearsal"
+kind = "emulated"
+piece = "{piece}"
+bottom = "{bottom}"
+
+"""
+POLL_HZ = 100.0
+"""How often the cameras are asked for a new picture: once a cycle of the world, which takes them at
+the rate of the scene."""
+
+PRIORITY = 20
+"""Real-time priority of all devices: what they stand for loses no time to this computer's other
+work. Below that of the rig."""
+SENSOR_TICK_S = 0.004
+"""About a cycle of the arm, which feels once a cycle; each look wakes sensor and driver."""
+
+SWITCH_S = 0.0005
+"""Python's own 5 ms, waited for by thread after thread, made the arm miss ten cycles at a time."""
+
+
+def take_short_turns() -> None:
+    """For the process that serves a bench: no thread waits long behind those that render.
+
+    What was made so far stays, so the collector need not look through it either.
+    """
+    sys.setswitchinterval(SWITCH_S)
+    gc.collect()
+    gc.freeze()
+
+
+def serve_bench(
+    scene: Scene, folder: Path, plan: FaultPlan, host: str = "127.0.0.1"
+) -> tuple[EmulatedScene, Emulation]:
+    """Make arm, gripper, wrist sensor and both cameras of ``scene``; ports are free ones.
+
+    ``folder`` takes the links of sensor and cameras, and the bench file. Raises ``OSError``.
+    """
+    settings = HardwareSettings.model_validate({"melfa": {"mxt": {"mxttout": TIMEOUT_CYCLES}}})
+    joined = EmulatedScene(scene, settings.melfa)
+    folder.mkdir(parents=True, exist_ok=True)
+    arm = MelfaServer(joined.melfa, host, faults=Faults("arm", plan))
+    gripping = Faults("gripper", plan)
+    gripper = TcpServer(SceneWsg(joined, gripping), host, faults=gripping)
+    sensor = _sensor(joined, folder, Faults("force_torque", plan), host)
+    cameras = [_camera(joined, finger, folder, plan) for finger in FINGERS]
+    joined.priority = PRIORITY
+    for front in (arm, gripper, sensor, *cameras):
+        front.priority = PRIORITY
+    tables: dict[str, Mapping[str, object]] = {
+        **melfa_tables(arm),
+        "wsg": {"host": host, "port": gripper.address[1]},
+        "ft": {"driver": "dynpick", "address": sensor.url, "latency_ms": 1e3 * LATENCY_S},
+        **camera_tables(folder, SERIALS),
+    }
+    (folder / BENCH_FILE).write_text(bench_toml(tables), "utf-8")
+    return joined, Emulation((arm, gripper, sensor, *cameras), tables)
+
+
+def lab_toml(scene: Scene, emulation: Emulation) -> str:
+    """Return a lab file that leads to an emulated bench, with what a lab would have measured."""
+    wrist, tactile = scene.settings.wrist, scene.settings.tactile
+    bottoms = "+".join(body.name for body in scene.bottoms.bodies)
+    tables = {name: dict(table) for name, table in emulation.bench.items()}
+    tables["gelsight"] |= {
+        "mm_per_px_x": tactile.mm_per_px[0],
+        "mm_per_px_y": tactile.mm_per_px[0],
+    }
+    mounting = {
+        "sensor_height_mm": wrist.height_mm,
+        "sensor_yaw_rad": wrist.yaw_rad,
+        "payload_kg": wrist.payload_kg,
+        "payload_com_mm": list(wrist.payload_com_mm),
+    }
+    return LAB_HEAD.format(piece=scene.piece.name, bottom=bottoms) + bench_toml(
+        {"mounting": mounting, **tables}
+    )
+
+
+def _sensor(joined: EmulatedScene, folder: Path, faults: Faults, host: str) -> DeviceServer:
+    device = SceneDynpick(joined, faults)
+    front: TcpServer | PtyServer
+    if sys.platform == "win32":
+        front = TcpServer(device, host, faults=faults)
+    else:
+        front = PtyServer(device, faults=faults, link=folder / "force_torque")
+    front.tick_s = SENSOR_TICK_S
+    return front
+
+
+def _camera(joined: EmulatedScene, finger: Finger, folder: Path, plan: FaultPlan) -> GelsightServer:
+    faults = Faults(f"tactile_{finger}", plan)
+    return GelsightServer(
+        lambda now_s: joined.picture(finger),
+        folder,
+        SERIALS[finger],
+        rate_hz=POLL_HZ,
+        faults=faults,
+    )
+
+
+ANSWER_S = 2.0
+LONGEST = 4096
+TRUTH, SEEN = b"?\n", b"seen\n"
+
+
+class TruthServer:
+    """Answers every line with one line of JSON: the truth, or what the devices have seen."""
+
+    def __init__(self, joined: EmulatedScene) -> None:
+        self._joined = joined
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Return one line per line."""
+        told = b""
+        for line in data.splitlines(keepends=True):
+            if line == SEEN:
+                told += json.dumps(asdict(self._joined.witnessed())).encode() + b"\n"
+            elif line.endswith(b"\n"):
+                told += _line(self._joined.truth())
+        return told
+
+    def due(self, now_s: float) -> bytes:
+        """Nothing."""
+        return b""
+
+    def closed(self, now_s: float) -> None:
+        """Nothing."""
+
+
+class TruthClient:
+    """The truth of ``scene``, which another process emulates at ``address``."""
+
+    def __init__(self, scene: Scene, address: tuple[str, int]) -> None:
+        self._scene, self._address = scene, address
+
+    @property
+    def scene(self) -> Scene:
+        """What was set up."""
+        return self._scene
+
+    def truth(self, *, animate: bool = False) -> SceneTruth:
+        """Ask how things really are; raises ``OSError``."""
+        told = self._ask(TRUTH)
+        x, y = told.pop("offset_mm")
+        return SceneTruth(offset_mm=(x, y), fall=None, **told)
+
+    def witnessed(self) -> DriverObservations:
+        """Ask what the devices have seen of their driver; raises ``OSError``."""
+        return DriverObservations(**self._ask(SEEN))
+
+    def _ask(self, question: bytes) -> dict[str, Any]:
+        with socket.create_connection(self._address, timeout=ANSWER_S) as line:
+            line.sendall(question)
+            heard = b""
+            while not heard.endswith(b"\n") and len(heard) < LONGEST:
+                more = line.recv(LONGEST)
+                if not more:
+                    raise ConnectionResetError("the emulated bench is gone")
+                heard += more
+        answer: dict[str, Any] = json.loads(heard)
+        return answer
+
+
+def _line(truth: SceneTruth) -> bytes:
+    told = {
+        "offset_mm": list(truth.offset_mm),
+        "yaw_rad": truth.yaw_rad,
+        "margin_mm": truth.margin_mm,
+        "stands": truth.stands,
+        "slip_mm": truth.slip_mm,
+        "knocked_over": truth.knocked_over,
+    }
+    return json.dumps(told).encode() + b"\n"

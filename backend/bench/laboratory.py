@@ -1,0 +1,188 @@
+"""Session on the devices of a lab file.
+
+Nothing is connected at first: ``session.connection`` does that at the operator's order. The scene
+is set once all devices are ready.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from touchdown.backend.bench.assembly import BenchModels
+from touchdown.backend.bench.session import Session
+from touchdown.backend.calibration import (
+    CalibrationRecord,
+    CalibrationStore,
+    calibrated_cameras,
+    camera_conflicts,
+)
+from touchdown.backend.config import Lab, StackSettings, load_lab
+from touchdown.backend.core import BenchClock, InputError
+from touchdown.backend.devices import Limits
+from touchdown.backend.geometry import Piece, PieceLibrary, load_pieces
+from touchdown.backend.learning import ModelRegistry
+from touchdown.backend.placement import Estimator
+from touchdown.backend.rig import LATE_S, BenchConnection, BenchDevices, FlightRecorder
+from touchdown.backend.runs import (
+    GelCheck,
+    NoEstimator,
+    RecordingOptions,
+    SceneChoice,
+    SceneDevices,
+)
+from touchdown.backend.sensing import RawStreams, gripper_payload
+
+
+@dataclass(frozen=True, slots=True)
+class LabChoice:
+    """Which lab, by its file; ``pieces``: folder with further piece files.
+
+    ``any_gels``: connect also other gels than were calibrated, to calibrate them. ``campaign``:
+    on hardware, not without calibrations that hold.
+    """
+
+    file: Path
+    pieces: Path | None = None
+    any_gels: bool = False
+    campaign: bool = False
+
+
+def lab_session(
+    choice: LabChoice,
+    *,
+    keep: RecordingOptions | None = None,
+    method: StackSettings | None = None,
+    registry: ModelRegistry | None = None,
+) -> Session:
+    """Return a session on the devices of ``choice``; raises ``InputError`` for a bad file.
+
+    For a campaign it raises ``RefusedError`` naming the first calibration that does not hold, and
+    what measures it, before anything is connected; devices are compared when a run begins.
+    A model that fits the first piece is loaded now: later that would disturb the arm's stream.
+    """
+    written, catalogue = load_lab(choice.file), load_pieces(choice.pieces)
+    if choice.campaign and written.settings.kind == "hardware":
+        calibrations_of(written).in_use({}, required=True)
+    lab = _as_calibrated(written)
+    method = method or StackSettings()
+    bench = _LabBench(lab, catalogue, method, registry)
+    session = Session(
+        bench.make_stage, bench.check, catalogue,
+        settings=method, keep=keep or RecordingOptions(), facts=lab.facts,
+    )  # fmt: skip
+    bench.wire(session, any_gels=choice.any_gels).notices = otherwise_named(written)
+    return session
+
+
+def calibrations_of(lab: Lab) -> CalibrationStore:
+    """Return the calibrations of a lab, beside its file or where that says."""
+    bench = f"--bench {shlex.quote(str(lab.path))} --home"
+    return CalibrationStore(lab.calibrations, lab.settings.kind, bench)
+
+
+def otherwise_named(lab: Lab) -> dict[str, str]:
+    """Return, by device, where the calibration has another camera than the file; it counts."""
+    seats = _seats(lab)
+    if seats is None:
+        return {}
+    return camera_conflicts(lab.settings.gelsight, seats, calibrations_of(lab).command("camera"))
+
+
+def _as_calibrated(lab: Lab) -> Lab:
+    """Return the lab with its cameras as the newest calibration found them to sit."""
+    seats = _seats(lab)
+    if seats is None:
+        return lab
+    gelsight = calibrated_cameras(lab.settings.gelsight, seats)
+    return Lab(lab.path, lab.settings.model_copy(update={"gelsight": gelsight}))
+
+
+def _seats(lab: Lab) -> CalibrationRecord | None:
+    """Return the calibration of the cameras; age moves no camera to the other finger."""
+    kept = calibrations_of(lab).standing("camera", {})
+    return kept.record if kept.condition in ("valid", "expired") else None
+
+
+class _LabBench:
+    """Makes the scenes of a lab: always of the same devices."""
+
+    def __init__(
+        self,
+        lab: Lab,
+        catalogue: PieceLibrary,
+        method: StackSettings,
+        registry: ModelRegistry | None,
+    ) -> None:
+        self._lab, self._catalogue, self._clock = lab, catalogue, BenchClock()
+        self._models = BenchModels(registry, lab.facts, method.belief.pitch_mm)
+        first = SceneChoice(lab.settings.piece, tuple(lab.settings.bottom.split("+")))
+        self._scene(first)
+        try:
+            self._models.of(first, catalogue.top(first.piece))
+        except InputError:
+            # Without a model the bench can be moved, probed and collected on.
+            first = SceneChoice(first.piece, first.bottoms, estimates=False)
+        self._first = first
+
+    def wire(self, session: Session, *, any_gels: bool) -> BenchConnection:
+        """Make the drivers on the streams of ``session``; returns what connects them."""
+        raw, settings, session.usual = session.raw, self._lab.settings, self._first
+        self._wired = wired = BenchDevices(
+            settings, self._clock.now_s, raw.frames, raw.samples, raw.poses, session.interlock
+        )
+        recorder = FlightRecorder(lambda: wired.link.memory, lambda: session.run_folder)
+        session.hub.subscribe(recorder.note)
+        serials = settings.serials.model_dump()
+        connection = BenchConnection(wired.devices, serials)
+
+        def set_first() -> None:
+            # The scene of devices that were only connected again is still there.
+            if session.hand is None:
+                session.prepare(self._first)
+
+        connection.when_ready = set_first
+        session.calibrations = store = calibrations_of(self._lab)
+        connection.prove = GelCheck(None if any_gels else store, wired.devices, raw.frames).prove
+        limits = Limits(**settings.limits.model_dump())
+        session.join(connection, settings.name, limits, str(self._lab.path))
+        return connection
+
+    def make_stage(self, choice: SceneChoice, raw: RawStreams) -> SceneDevices:
+        """Return the devices as a scene: what stands on the bench is what the operator says."""
+        piece, settings, wired = self._scene(choice), self._lab.settings, self._wired
+        mounting = settings.mounting
+        return SceneDevices(
+            clock=self._clock,
+            devices=wired.devices,
+            arm=wired.arm,
+            gripper=wired.gripper,
+            piece=piece,
+            bottom="+".join(choice.bottoms),
+            advance=self._clock.wait,
+            scoring=None,
+            estimator=self._models.of(choice, piece) or NoEstimator(),
+            payload=gripper_payload(mounting.payload_kg, mounting.payload_com_mm),
+            outline=self._catalogue.bottom(choice.bottoms[-1]).face,
+            wrench_late_s=1e-3 * settings.ft.latency_ms + LATE_S,
+            real_time=True,
+        )
+
+    def check(self, choice: SceneChoice) -> Mapping[str, object]:
+        """Return what a run depends on here; raises ``InputError`` for a piece nobody knows."""
+        piece = self._scene(choice)
+        loaded: Estimator | None = self._models.check(choice, piece)
+        return {
+            "lab": self._lab.settings.model_dump(mode="json"),
+            "model": loaded
+            and {"piece": loaded.card.piece, "weights_sha256": loaded.card.weights_sha256},
+            "program": version("touchdown"),
+        }
+
+    def _scene(self, choice: SceneChoice) -> Piece:
+        for name in choice.bottoms:
+            self._catalogue.bottom(name)
+        return self._catalogue.top(choice.piece)

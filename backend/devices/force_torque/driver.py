@@ -1,0 +1,283 @@
+"""Interface of a wrist-sensor driver, with the links it talks over.
+
+A driver holds no thread and no port: ``ForceTorqueReader`` owns those. Addresses of links: the path
+of a serial port, ``socket://host:port`` (TCP), or ``udp://host:port``. Links raise ``OSError``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, TypeVar
+from urllib.parse import urlsplit
+
+import serial
+
+from touchdown.backend.core import TouchdownError
+from touchdown.backend.devices.framing import Wrench
+from touchdown.backend.devices.protocols import Identity
+
+CHUNK = 4096
+WRITE_S = 1.0
+
+
+class SensorLink(Protocol):
+    """One open wire; only its owner reads and writes."""
+
+    def read(self, limit_s: float) -> bytes:
+        """Return what has come, for UDP one datagram; nothing after ``limit_s``."""
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``."""
+
+    def drain(self) -> None:
+        """Throw away what has come so far."""
+
+    def close(self) -> None:
+        """Let go of the wire."""
+
+
+class SerialLink:
+    """A serial port of 8 data bits, no parity, opened for this program alone."""
+
+    def __init__(self, path: str, baud: int, chunk: int) -> None:
+        self._port = serial.Serial(path, baud, timeout=0.0, write_timeout=WRITE_S, exclusive=True)
+        self._chunk = chunk
+        # Read past pyserial where the system allows: at 1 kHz that costs half as much.
+        self._file: int | None = self._port.fileno() if os.name == "posix" else None
+        # The adapter shall hand over what it has at once; the system may refuse, or not know how.
+        with contextlib.suppress(OSError, ValueError, NotImplementedError, AttributeError):
+            self._port.set_low_latency_mode(True)
+
+    def read(self, limit_s: float) -> bytes:
+        """Return all that waits, once it is a few frames or the time is over."""
+        if self._file is None:
+            if self._port.timeout != limit_s:
+                self._port.timeout = limit_s
+            return bytes(self._port.read(self._chunk))
+        data, end_s = b"", time.monotonic() + limit_s
+        while len(data) < self._chunk:
+            left_s = end_s - time.monotonic()
+            if not select.select([self._file], [], [], max(left_s, 0.0))[0]:
+                break
+            more = os.read(self._file, CHUNK)
+            if not more:
+                raise ConnectionResetError("the port says that there is something, and has nothing")
+            data += more
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send."""
+        self._port.write(data)
+
+    def drain(self) -> None:
+        """Empty the buffer of the adapter."""
+        self._port.reset_input_buffer()
+
+    def close(self) -> None:
+        """Close the port."""
+        self._port.close()
+
+
+class TcpLink:
+    """A sensor behind a serial-to-network box, or an emulated one."""
+
+    def __init__(self, host: str, port: int, limit_s: float) -> None:
+        self._socket = socket.create_connection((host, port), timeout=limit_s)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def read(self, limit_s: float) -> bytes:
+        """Return what has come; ``ConnectionError`` once the other side has closed."""
+        self._socket.settimeout(limit_s)
+        try:
+            data = self._socket.recv(CHUNK)
+        except TimeoutError:
+            return b""
+        if not data:
+            raise ConnectionResetError("the other side has closed the connection")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send."""
+        self._socket.settimeout(WRITE_S)
+        self._socket.sendall(data)
+
+    def drain(self) -> None:
+        """Throw away what has come."""
+        while self.read(1e-3):
+            pass
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._socket.close()
+
+
+class UdpLink:
+    """Datagrams to and from one address."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self.host = host
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.connect((host, port))
+        except OSError:
+            self._socket.close()
+            raise
+
+    def read(self, limit_s: float) -> bytes:
+        """Return one datagram."""
+        self._socket.settimeout(limit_s)
+        try:
+            return self._socket.recv(CHUNK)
+        except (TimeoutError, BlockingIOError):
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send one datagram."""
+        self._socket.send(data)
+
+    def drain(self) -> None:
+        """Throw away the datagrams that wait."""
+        while self.read(1e-3):
+            pass
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+def open_link(address: str, *, baud: int, chunk: int, limit_s: float = 2.0) -> SensorLink:
+    """Open what ``address`` names; ``chunk`` bytes are a few frames of a serial sensor."""
+    parts = urlsplit(address)
+    if parts.scheme in ("socket", "udp"):
+        try:
+            host, port = parts.hostname, parts.port
+        except ValueError as error:
+            raise OSError(f"{address} is no address: {error}") from error
+        if not host or not port:
+            raise OSError(f"{address} lacks host or port")
+        return TcpLink(host, port, limit_s) if parts.scheme == "socket" else UdpLink(host, port)
+    return SerialLink(address, baud, chunk)
+
+
+AnswerT = TypeVar("AnswerT")
+AXES = 6
+"""Fx Fy Fz Tx Ty Tz."""
+
+
+class NotAnsweredError(TouchdownError):
+    """The sensor does not answer as it should; the text is a sentence for the operator."""
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchReading:
+    """One sample in the axes of the sensor, N and N·m; NaN if the sensor marks it invalid.
+
+    ``missed``: samples that the sensor took in between and that did not arrive. ``overload``: at
+    the end of the range. ``trouble``: a failure that the sensor itself tells, in words.
+    """
+
+    wrench: Wrench
+    missed: int = 0
+    overload: bool = False
+    trouble: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorDescription:
+    """What a sensor told at its start: who it is, (6,) rated N and N·m, and its period.
+
+    ``numbered``: it numbers its samples far enough that ``Reading.missed`` shows every loss.
+    """
+
+    identity: Identity
+    rated: tuple[float, ...]
+    period_s: float
+    numbered: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what no reader could use; ``ValueError``."""
+        if len(self.rated) != AXES or not self.period_s > 0:
+            raise ValueError(f"{AXES} rated loads and a period are needed, not {self}")
+
+
+class FrameErrors(NamedTuple):
+    """Frames refused in all and since the last good one; bytes that belonged to no frame."""
+
+    frames: int
+    in_a_row: int
+    discarded: int
+
+
+class WrenchDriver(Protocol):
+    """One make of sensor, for one connection."""
+
+    @property
+    def baud(self) -> int:
+        """Speed of its serial line."""
+
+    @property
+    def chunk(self) -> int:
+        """Bytes of about two frames: read together."""
+
+    def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
+        """Bring the sensor from any state to streaming; raises ``NotAnsweredError``, ``WireError``.
+
+        ``cancel`` ends the waiting.
+        """
+
+    def take(self, data: bytes) -> list[WrenchReading]:
+        """Return the samples that ``data`` completes, oldest first."""
+
+    @property
+    def refusals(self) -> FrameErrors:
+        """What could not be read so far."""
+
+    def stop(self, link: SensorLink) -> None:
+        """Leave a silent sensor behind."""
+
+
+def pause(cancel: threading.Event, seconds: float) -> None:
+    """Wait; raises ``NotAnsweredError`` when cancelled."""
+    if cancel.wait(seconds):
+        raise NotAnsweredError("Connecting was cancelled")
+
+
+def listen(
+    link: SensorLink,
+    cancel: threading.Event,
+    limit_s: float,
+    find: Callable[[bytes], AnswerT | None],
+) -> AnswerT | None:
+    """Hand what comes to ``find`` until it returns an answer; None after ``limit_s``."""
+    end_s = time.monotonic() + limit_s
+    while (left_s := end_s - time.monotonic()) > 0:
+        pause(cancel, 0.0)
+        found = find(link.read(min(left_s, 0.02)))
+        if found is not None:
+            return found
+    return None
+
+
+def ask(
+    link: SensorLink,
+    cancel: threading.Event,
+    request: bytes,
+    find: Callable[[bytes], AnswerT | None],
+    *,
+    limit_s: float = 0.2,
+    tries: int = 3,
+) -> AnswerT:
+    """Send ``request`` up to ``tries`` times until ``find`` knows the answer."""
+    for _ in range(tries):
+        link.write(request)
+        answer = listen(link, cancel, limit_s, find)
+        if answer is not None:
+            return answer
+    raise NotAnsweredError("The sensor sends nothing that is an answer")

@@ -1,0 +1,339 @@
+"""Driver of a GelSight Mini camera.
+
+One thread reads, one decodes; a newer picture replaces one that was not taken. A camera is found by
+the serial number in its card name, never by the order of video devices.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeAlias, TypeVar
+
+import numpy as np
+
+from touchdown.backend.config import GelsightSettings
+from touchdown.backend.core import Fault, FaultError, Finger, ImageArray, Stream, TactileFrame
+from touchdown.backend.devices.cameras import PictureFilter, PictureSource, link_fault, open_source
+from touchdown.backend.devices.protocols import ConnectionSteps, DeviceState, Health, Identity
+
+T = TypeVar("T")
+
+
+class Mailbox(Generic[T]):
+    """Holds at most one item; ``skipped`` counts those that were never taken."""
+
+    def __init__(self) -> None:
+        self._item: T | None = None
+        self._there = threading.Condition()
+        self.skipped = 0
+
+    def put(self, item: T) -> None:
+        """Offer an item."""
+        with self._there:
+            self.skipped += self._item is not None
+            self._item = item
+            self._there.notify()
+
+    def take(self, limit_s: float) -> T | None:
+        """Return the newest item and leave none behind; None if none comes in time."""
+        with self._there:
+            self._there.wait_for(lambda: self._item is not None, limit_s)
+            item, self._item = self._item, None
+            return item
+
+
+LONGEST = 256
+
+
+@dataclass(frozen=True, slots=True)
+class CardName:
+    """Name of a video device; ``serial`` is None if it is no GelSight Mini or cut off."""
+
+    name: str
+    serial: str | None
+    is_gelsight: bool
+
+
+def decode(content: bytes) -> CardName:
+    """Return what the content of a ``/sys/class/video4linux/*/name`` file says."""
+    name = content[:LONGEST].decode("utf-8", "replace").strip("\n\x00 ")
+    if "GelSight Mini" not in name:
+        return CardName(name, None, is_gelsight=False)
+    serial = re.search(r"\b[A-Z0-9]{4}-[A-Z0-9]{4}\b", name)
+    return CardName(name, serial[0] if serial else None, is_gelsight=True)
+
+
+BY_ID = "*-index0"
+"""The second node of a camera carries no pictures."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundCamera:
+    """A GelSight Mini: its serial number and the path to open."""
+
+    serial: str
+    path: Path
+
+
+def find_cameras(by_id: Path, names: Path, nodes: Path) -> list[FoundCamera]:
+    """Return all GelSight Minis, by serial number.
+
+    ``by_id``: the system's folder of stable links; where it has none, ``names``: the folder of
+    card names, and ``nodes``: where its devices are. What changes while it is read is left out.
+    """
+    found = {camera.serial: camera for camera in _by_name(names, nodes)}
+    found.update((camera.serial, camera) for camera in _by_id(by_id))
+    return [found[serial] for serial in sorted(found)]
+
+
+def _by_id(folder: Path) -> Iterator[FoundCamera]:
+    for link in sorted(folder.glob(BY_ID)):
+        card = decode(link.name.replace("_", " ").encode())
+        if card.serial is not None and link.exists():
+            yield FoundCamera(card.serial, link)
+
+
+def _by_name(folder: Path, nodes: Path) -> Iterator[FoundCamera]:
+    for entry in sorted(folder.glob("video*"), key=_number):
+        try:
+            index = (entry / "index").read_text("ascii").strip()
+            card = decode((entry / "name").read_bytes())
+        except (OSError, UnicodeDecodeError):
+            continue
+        if index == "0" and card.serial is not None:
+            yield FoundCamera(card.serial, nodes / entry.name)
+
+
+def _number(entry: Path) -> int:
+    digits = re.search(r"\d+$", entry.name)
+    return int(digits[0]) if digits else -1
+
+
+CAPACITY = 256
+READ_S = 0.05
+TAKE_S = 0.1
+JOIN_S = 1.0
+STALE_S = 0.12
+RATE_WINDOW_S = 1.0
+GONE_S = 0.045
+"""So long without a new valid picture, a camera whose device has left the system was unplugged."""
+RETRY_S = (0.5, 1.0, 1.5)
+Captured: TypeAlias = tuple[float, int, bytes | ImageArray]
+
+
+class TactileCamera:
+    """``finger`` of ``settings``; pictures are stamped by ``now_s`` when they arrive.
+
+    ``identity``: who it is, where ``open_camera`` needs no path that leads to it.
+    """
+
+    def __init__(
+        self,
+        finger: Finger,
+        settings: GelsightSettings,
+        now_s: Callable[[], float],
+        frames: Stream[TactileFrame] | None = None,
+        open_camera: Callable[[Path, GelsightSettings], PictureSource] = open_source,
+        identity: Identity | None = None,
+    ) -> None:
+        self.finger: Finger = finger
+        self.name = f"tactile_{finger}"
+        self._settings = settings
+        self._own = settings.left if finger == "left" else settings.right
+        self._now_s, self._open_camera, self._given = now_s, open_camera, identity
+        self._frames = frames or Stream(self.name, CAPACITY)
+        self._newest: Mailbox[Captured] = Mailbox()
+        self._stop, self._first = threading.Event(), threading.Event()
+        self._threads: list[threading.Thread] = []
+        self._state = DeviceState.CLOSED
+        self._identity: Identity | None = None
+        self._facts: Mapping[str, float] = {}
+        self._arrivals: deque[float] = deque(maxlen=512)
+        self._received = self._damaged = self.reopened = self._sequence = 0
+        self._gate = self._new_gate()
+        self.steps = ConnectionSteps()
+        self.fault: Fault | None = None
+
+    @property
+    def state(self) -> DeviceState:
+        """Where the connection is in its life; FAULT while the camera is gone or hangs."""
+        return self._state
+
+    @property
+    def identity(self) -> Identity | None:
+        """Known once connected."""
+        return self._identity
+
+    @property
+    def frames(self) -> Stream[TactileFrame]:
+        """Pictures as they arrive."""
+        return self._frames
+
+    @property
+    def health(self) -> Health:
+        """Delivered pictures per second, age of the newest, counts; lost: never delivered."""
+        now_s, arrivals = self._now_s(), list(self._arrivals)
+        newest_s = arrivals[-1] if arrivals else float("-inf")
+        rate_hz = sum(t > now_s - RATE_WINDOW_S for t in arrivals) / RATE_WINDOW_S
+        lost = self._damaged + self._gate.invalid + self._newest.skipped
+        return Health(rate_hz, now_s - newest_s, self._received, lost)
+
+    def describe(self) -> Mapping[str, str | float]:
+        """Return condition, scale, and what the camera answered to format and controls."""
+        stale = self._state is DeviceState.READY and self.health.age_s > STALE_S
+        return {
+            "kind": self._identity.model if self._identity else "GelSight Mini",
+            "condition": "stale" if stale else self._state.value,
+            "mm_per_px_x": self._settings.mm_per_px_x,
+            "mm_per_px_y": self._settings.mm_per_px_y,
+            "mirror": self._own.mirror,
+            "invalid": self._gate.invalid,
+            "skipped": self._newest.skipped,
+            "reopened": self.reopened,
+            **self._facts,
+        }
+
+    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Find the camera by its number, open it, wait for the first bright picture."""
+        if self._state is DeviceState.READY:
+            return
+        self.close()
+        self._state, self.fault = DeviceState.CONNECTING, None
+        self.steps.begin()
+        self._stop, self._first, self._newest = threading.Event(), threading.Event(), Mailbox()
+        self._received = self._damaged = self.reopened = self._sequence = 0
+        self._gate = self._new_gate()
+        self._arrivals.clear()
+        targets = (self._watch, self._deliver)
+        self._threads = [
+            threading.Thread(target=run, args=(self._stop,), name=self.name, daemon=True)
+            for run in targets
+        ]
+        for thread in self._threads:
+            thread.start()
+        end_s = self._now_s() + timeout_s
+        while not self._first.wait(READ_S) or cancel.is_set():
+            if cancel.is_set():
+                self.close()
+                raise FaultError(link_fault(self.name, "Connecting was cancelled."))
+            if self._now_s() > end_s:
+                self.close()
+                raise FaultError(self._why or link_fault(self.name, "No picture comes."))
+
+    def close(self) -> None:
+        """Stop reading and release the camera; one that blocks is left to end by itself."""
+        self._stop.set()
+        for thread in self._threads:
+            thread.join(JOIN_S)
+        self._threads = []
+        self._state = DeviceState.CLOSED
+
+    def _new_gate(self) -> PictureFilter:
+        return PictureFilter(self.finger, self.name, self._settings, self._now_s())
+
+    def find(self) -> Path:
+        """Return where the camera is now; raises ``FaultError``."""
+        if self._given is not None:
+            self._identity = self._given
+            return Path(self.name)
+        if self._own.file:
+            self._identity = Identity("", "video file", Path(self._own.file).name, "")
+            return Path(self._own.file)
+        folders = self._settings.by_id, self._settings.names, self._settings.nodes
+        found = {camera.serial: camera.path for camera in find_cameras(*map(Path, folders))}
+        if self._own.serial not in found:
+            there = ", ".join(found) or "none"
+            what = f"No camera with the number '{self._own.serial}' is plugged in (there: {there})."
+            raise FaultError(link_fault(self.name, what))
+        self._identity = Identity("GelSight", "GelSight Mini", self._own.serial, "")
+        return found[self._own.serial]
+
+    def _watch(self, stop: threading.Event) -> None:
+        """Own the camera; take it again, and only this one, whenever it was lost."""
+        tries = 0
+        while not stop.is_set():
+            try:
+                path = self.find()
+                self.steps.reached("identify")
+                node = path.resolve()
+                source = self._open_camera(path, self._settings)
+                self.steps.reached("configure")
+            except (OSError, FaultError) as error:
+                what = error.fault if isinstance(error, FaultError) else None
+                self._fail(what or link_fault(self.name, f"The camera cannot be opened: {error}."))
+                stop.wait(RETRY_S[min(tries, len(RETRY_S) - 1)])
+                tries += 1
+                continue
+            self._facts = source.facts
+            try:
+                self._read(source, node, stop)
+            except OSError as error:
+                self._fail(link_fault(self.name, f"The camera is lost: {error}."))
+            finally:
+                source.close()
+            self.reopened += not stop.is_set()
+            tries = 0
+
+    def _read(self, source: PictureSource, node: Path, stop: threading.Event) -> None:
+        """Read until told to stop, or until the camera falls silent or its ``node`` is gone.
+
+        Numbers go on over a replug.
+        """
+        begun_s = heard_s = new_s = self._now_s()
+        damaged = self._damaged
+        before: bytes | ImageArray | None = None
+        while not stop.is_set():
+            content = source.read(READ_S)
+            now_s, self._damaged = self._now_s(), damaged + source.lost
+            if content is not None:
+                heard_s = now_s
+                self._newest.put((now_s, self._sequence, content))
+                self._sequence += 1
+                new_s = now_s if before is None or not np.array_equal(content, before) else new_s
+                before = content
+            elif now_s - heard_s > self._settings.silence_s:
+                raise OSError(f"no picture for {now_s - heard_s:.1f} s")
+            # What is read of a camera that is gone may be called a picture, or be the last one.
+            shown_s = max(begun_s, self._arrivals[-1] if self._arrivals else begun_s)
+            shown_s = min(shown_s, new_s)
+            if self._given is None and now_s - shown_s > GONE_S and not node.exists():
+                raise OSError("it was unplugged")
+
+    def _deliver(self, stop: threading.Event) -> None:
+        """Take what was read until told to stop."""
+        while not stop.is_set():
+            taken = self._newest.take(TAKE_S)
+            if taken is not None:
+                self._take(*taken)
+
+    def _take(self, t_s: float, sequence: int, content: bytes | ImageArray) -> None:
+        """Hand a picture on, unless it is none."""
+        image = self._gate.judge(t_s, content)
+        if self._gate.fault is not None:
+            self._fail(self._gate.fault)
+        if image is not None:
+            jpeg = isinstance(content, bytes)
+            self._hand_on(TactileFrame(self.finger, sequence, t_s, image, jpeg))
+
+    def _hand_on(self, frame: TactileFrame) -> None:
+        self._frames.put(frame.t_s, frame)
+        self._received += 1
+        self._arrivals.append(frame.t_s)
+        self.fault = None
+        self._state = DeviceState.READY
+        self.steps.reached("first sample")
+        self._first.set()
+
+    @property
+    def _why(self) -> Fault | None:
+        return self.fault
+
+    def _fail(self, fault: Fault) -> None:
+        self.fault = fault
+        if self._first.is_set():
+            self._state = DeviceState.FAULT

@@ -1,0 +1,233 @@
+"""Emulated GelSight Mini: a folder that looks like the system's, a named pipe in place of a device.
+
+``by-id`` holds the stable links, ``names`` the card names, ``nodes`` the devices: two of each, as a
+real camera has them, of which the second carries no pictures. After a replug the nodes have other
+numbers.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from touchdown.backend.core import Clock, ImageArray, Thinned
+from touchdown.backend.emulation import DeviceServer, Faults
+
+PictureFunction = Callable[[float], ImageArray | None]
+"""(now) -> the picture to send, None if there is no new one."""
+WIDTH_PX = 320
+"""Width of the pictures that ``OTHER`` and ``TILE_COLUMNS`` are of."""
+OTHER = np.array([[1.0, 0.012, 3.0], [-0.01, 0.985, 4.0]])
+"""Where another gel of the same kind has its dots: some 5 px off, as two real sensors."""
+TILE_ROWS, TILE_COLUMNS = (8, 232), (12, 308)
+"""Seven by nine pitches of either gel, of 320 x 240 px: side by side they go on as one grid."""
+SMALLER = 0.88
+"""Makes 8 x 10 dots of 7 x 9."""
+RATE_HZ = 25.0
+QUALITY = 95
+DARKENING, HALVED = 16, 0.5
+SERIAL = "2D8Y-69GR"
+IDLE_S = 0.01
+
+
+class GelsightServer(DeviceServer):
+    """Writes pictures into ``folder`` at ``rate_hz`` until closed; several may share a folder."""
+
+    def __init__(
+        self,
+        pictures: PictureFunction,
+        folder: Path,
+        serial: str = SERIAL,
+        *,
+        rate_hz: float = RATE_HZ,
+        clock: Clock | None = None,
+        faults: Faults | None = None,
+    ) -> None:
+        super().__init__(clock, faults or Faults("tactile_left"))
+        self._pictures, self._folder, self._serial = pictures, folder, serial
+        self._period_s = 1.0 / rate_hz
+        self._last: bytes | None = None
+        self._thinned = Thinned()
+        self._light, self._seen_s = 1.0, 0.0
+        for part in ("by-id", "names", "nodes"):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+        self._node = self._plug()
+        self._file: int | None = None
+
+    @property
+    def url(self) -> str:
+        """The stable link to the pictures."""
+        return str(self._link(0))
+
+    def close(self) -> None:
+        """Stop and take the device away."""
+        super().close()
+        self._pull()
+
+    def _link(self, index: int) -> Path:
+        name = f"usb-Arducam_GelSight_Mini_R0B_{self._serial}:_Ge-video-index{index}"
+        return self._folder / "by-id" / name
+
+    def _plug(self) -> Path:
+        """Make the pipe under the first free even number, a mute one beside it, and what leads
+        there; return the first.
+        """
+        number = 0
+        while True:
+            node = self._node_of(number)
+            try:
+                os.mkfifo(node)
+                break
+            except FileExistsError:
+                number += 2
+        self._mute = self._node_of(number + 1)
+        self._mute.unlink(missing_ok=True)  # of one that was killed
+        os.mkfifo(self._mute)
+        for index, one in enumerate((node, self._mute)):
+            entry = self._folder / "names" / one.name
+            entry.mkdir(exist_ok=True)
+            (entry / "name").write_text(f"GelSight Mini R0B {self._serial}: Ge\n", "utf-8")
+            (entry / "index").write_text(f"{index}\n", "ascii")
+            link = self._link(index)
+            link.unlink(missing_ok=True)
+            link.symlink_to(Path("..") / "nodes" / one.name)
+        return node
+
+    def _node_of(self, number: int) -> Path:
+        return self._folder / "nodes" / f"video{number}"
+
+    def _pull(self) -> None:
+        self._hang_up()
+        for index, one in enumerate((self._node, self._mute)):
+            link = self._link(index)
+            if link.is_symlink() and link.readlink().name == one.name:
+                link.unlink()
+            shutil.rmtree(self._folder / "names" / one.name, ignore_errors=True)
+            one.unlink(missing_ok=True)
+
+    def _run(self) -> None:
+        due_s = self._clock.now_s()
+        while not self._stop.is_set():
+            if self._is_unplugged():
+                self._replug()
+            now_s = self._clock.now_s()
+            if now_s < due_s:
+                self._stop.wait(min(due_s - now_s, IDLE_S))
+                continue
+            due_s = max(due_s + self._period_s, now_s - self._period_s)
+            picture = self._picture(now_s)
+            taken = [] if picture is None else [picture]
+            for out in self.faults.outgoing(now_s, taken):
+                self._write(self.damage(out))
+
+    def _replug(self) -> None:
+        """Be away as long as the fault lasts; come back as another node."""
+        before = self._node
+        self._pull()
+        while self._is_unplugged() and not self._stop.wait(IDLE_S):
+            pass
+        try:
+            before.touch()
+            self._node = self._plug()
+            before.unlink()
+        except FileNotFoundError:
+            # The folder was taken away meanwhile: there is nowhere to come back to.
+            self._stop.set()
+
+    def _picture(self, now_s: float) -> bytes | None:
+        picture = self._pictures(now_s)
+        slow = self.faults.find("slow", now_s)
+        if picture is None:
+            return None
+        if slow is not None and slow.hz is not None and not self._thinned.takes(now_s, slow.hz):
+            return None
+        if self._last is not None and self.faults.active("freeze", now_s):
+            return self._last
+        if self.faults.active("dark", now_s):
+            picture = np.asarray(picture // DARKENING, dtype=np.uint8)
+        picture = self._changed(picture, now_s)
+        self._last = encode(picture)
+        return self._last
+
+    def _changed(self, picture: ImageArray, now_s: float) -> ImageArray:
+        """Return the picture in the light that is left, of the gel that is fitted."""
+        for kind, fitted in GELS.items():
+            if self.faults.active(kind, now_s):
+                picture = fitted(picture)
+        fading = self.faults.active("fade", now_s)
+        self._light = self._light * HALVED ** (now_s - self._seen_s) if fading else 1.0
+        self._seen_s = now_s
+        return np.asarray(picture * self._light, dtype=np.uint8) if fading else picture
+
+    def _write(self, out: bytes) -> None:
+        """Write one picture while somebody reads; what nobody takes in time is lost."""
+        if not self._answered():
+            return
+        rest, file = memoryview(out), self._file
+        while rest and file is not None and not self._stop.is_set():
+            try:
+                rest = rest[os.write(file, rest) :]
+            except BlockingIOError:
+                if not select.select([], [file], [], self._period_s)[1]:
+                    break
+            except BrokenPipeError:
+                self._hang_up()
+                return
+        self._gave(out[: len(out) - len(rest)])
+
+    def _answered(self) -> bool:
+        """Whether somebody reads the pipe; opens it for writing when the first one does."""
+        if self._file is None:
+            with contextlib.suppress(OSError):  # nobody reads
+                self._file = os.open(self._node, os.O_WRONLY | os.O_NONBLOCK)
+                self.clients += 1
+        return self._file is not None
+
+    def _hang_up(self) -> None:
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+
+
+def encode(picture: ImageArray) -> bytes:
+    """Return the JPEG of a picture as the camera makes it: quality 95, no colour subsampling."""
+    options = [
+        cv2.IMWRITE_JPEG_QUALITY,
+        QUALITY,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+    ]
+    _, content = cv2.imencode(".jpg", picture, options)
+    return bytes(content)
+
+
+def other_gel(picture: ImageArray) -> ImageArray:
+    """Return what the camera saw if another gel of the same kind were fitted."""
+    height, width = picture.shape[:2]
+    sized = OTHER * np.array([1.0, 1.0, width / WIDTH_PX])
+    moved = cv2.warpAffine(picture, sized, (width, height), borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, dtype=np.uint8)
+
+
+def small_dots(picture: ImageArray) -> ImageArray:
+    """Return what the camera saw if a gel of 8 x 10 small dots were fitted."""
+    height, width = picture.shape[:2]
+    scale = width / WIDTH_PX
+    rows, columns = (
+        slice(*(round(scale * px) for px in ends)) for ends in (TILE_ROWS, TILE_COLUMNS)
+    )
+    wider = np.tile(picture[rows, columns], (2, 2, 1))
+    cut = wider[: round(height / SMALLER), : round(width / SMALLER)]
+    smaller = cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(smaller, dtype=np.uint8)
+
+
+GELS = {"other_gel": other_gel, "small_dots": small_dots}
+"""What a fault of this kind fits in place of the gel."""

@@ -1,0 +1,559 @@
+"""Command channel of a MELFA controller: request queue, start-up sequence, state polling.
+
+``R3Client`` is a pure state machine ``step(now, bytes) -> bytes`` with one request on the wire. A
+request without a reply in time is given up, but its reply is still owed: it is waited for and
+dropped, so that no reply is matched to another request. Before a stream opens, the cycles of this
+computer are measured.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from touchdown.backend.config import MelfaSettings, is_loopback
+from touchdown.backend.core import Fault, FaultError, FloatArray
+from touchdown.backend.devices.framing import ProtocolError
+from touchdown.backend.devices.melfa.faults import (
+    controller_fault,
+    link_fault,
+    other_arm_fault,
+    starved_fault,
+    unlimited_fault,
+)
+from touchdown.backend.devices.melfa.kinematics import MelfaPlacement, hand_of
+from touchdown.backend.devices.melfa.r3_protocol import (
+    AxisReading,
+    ControllerState,
+    R3Reply,
+    R3Request,
+    RunStatus,
+    encode_request,
+    read_axes,
+    read_error,
+    read_opened,
+    read_parameter,
+    read_state,
+    replies,
+)
+from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
+from touchdown.backend.devices.melfa.stream import FAULT_CYCLES, HOLD_CYCLES
+from touchdown.backend.devices.protocols import STOPPED, ConnectionStep, Identity
+
+PACE_S = 0.1
+"""Between two exchanges while a program of the controller runs."""
+TIMEOUT_S, DOWN_S = 1.0, 3.0
+
+
+class PendingRequest:
+    """One request on its way; ``wait`` on it, then ask for the ``answer``."""
+
+    def __init__(self, request: R3Request, timeout_s: float) -> None:
+        self.request, self.timeout_s = request, timeout_s
+        self.until_s = math.inf
+        self._ended = threading.Event()
+        self._reply: R3Reply | None = None
+        self._fault: Fault | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether it was answered or given up."""
+        return self._ended.is_set()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until it ends; return whether it did."""
+        return self._ended.wait(timeout_s)
+
+    def end(self, reply: R3Reply | None, fault: Fault | None = None) -> None:
+        """End with a reply, or with the reason why there is none."""
+        self._reply, self._fault = reply, fault
+        self._ended.set()
+
+    @property
+    def reply(self) -> R3Reply:
+        """The reply; raises ``FaultError`` if there is none."""
+        if self._fault is not None or self._reply is None:
+            raise FaultError(self._fault or link_fault("The controller did not answer."))
+        return self._reply
+
+    @property
+    def answer(self) -> str:
+        """What follows QoK; raises ``FaultError`` if the request was refused or not answered."""
+        reply = self.reply
+        if not reply.ok:
+            raise FaultError(controller_fault(reply.error))
+        return reply.answer
+
+
+class R3Client:
+    """``ask`` from any thread; ``step`` from the owner of the wire."""
+
+    def __init__(self, reply_gap_s: float) -> None:
+        self._gap_s = reply_gap_s
+        self._decoder = replies()
+        self._waiting: deque[PendingRequest] = deque()
+        self._lock = threading.Lock()
+        self._current: PendingRequest | None = None
+        self._owed = 0
+        self._over: Fault | None = None
+        self._ready_s = -math.inf
+        self._byte_s = -math.inf
+        self._silent_since_s = math.inf
+        self.paced = False
+        """True while a program runs: exchanges keep their distance."""
+
+    @property
+    def bad_replies(self) -> int:
+        """Replies that could not be read."""
+        return self._decoder.bad_frames
+
+    def ask(self, request: R3Request, timeout_s: float = TIMEOUT_S) -> PendingRequest:
+        """Put a request in line; STOP goes before all that is not yet sent."""
+        ticket = PendingRequest(request, timeout_s)
+        with self._lock:
+            if self._over is not None:
+                ticket.end(None, self._over)
+            elif request.command == "STOP":
+                self._waiting.appendleft(ticket)
+            else:
+                self._waiting.append(ticket)
+        return ticket
+
+    def step(self, now_s: float, data: bytes) -> bytes:
+        """Take what came; return what goes out. Raises ``FaultError`` when the link is down."""
+        for reply in self._receive(now_s, data):
+            self._take(now_s, reply)
+        current = self._current
+        if current is not None and now_s >= current.until_s:
+            self._current, self._owed = None, self._owed + 1
+            name = current.request.command.rstrip("=")
+            current.end(None, link_fault(f"The controller did not answer to {name}."))
+        if now_s - self._silent_since_s >= DOWN_S:
+            fault = link_fault(f"The controller has been silent for {DOWN_S:.0f} s.")
+            self.end(fault)
+            raise FaultError(fault)
+        return self._send(now_s)
+
+    def end(self, fault: Fault) -> None:
+        """Give up everything, also what is yet to be asked: the wire is gone."""
+        with self._lock:
+            self._over = fault
+            left = [*([self._current] if self._current else []), *self._waiting]
+            self._current = None
+            self._waiting.clear()
+        for ticket in left:
+            ticket.end(None, fault)
+
+    def _receive(self, now_s: float, data: bytes) -> list[R3Reply]:
+        if data:
+            self._byte_s = now_s
+            return self._decoder.feed(data)
+        if self._decoder.pending and now_s - self._byte_s >= self._gap_s:
+            return self._decoder.flush()
+        return []
+
+    def _take(self, now_s: float, reply: R3Reply) -> None:
+        self._silent_since_s = math.inf
+        if self._owed:
+            self._owed -= 1
+        elif self._current is not None:
+            ticket, self._current = self._current, None
+            ticket.end(reply)
+        self._ready_s = now_s + (PACE_S if self.paced else 0.0)
+
+    def _send(self, now_s: float) -> bytes:
+        with self._lock:
+            if self._current is not None or self._owed or not self._waiting:
+                return b""
+            urgent = self._waiting[0].request.command == "STOP"
+            if now_s < self._ready_s and not urgent:
+                return b""
+            ticket = self._waiting.popleft()
+            self._current = ticket
+        ticket.until_s = now_s + ticket.timeout_s
+        self._silent_since_s = min(self._silent_since_s, now_s)
+        return encode_request(ticket.request) + b"\r"
+
+
+CycleFunction = Callable[[float, tuple[bytes, ...]], bytes | None]
+"""(now, datagrams that came) -> the packet of this cycle, None if there is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class CycleTimes:
+    """Of the wake-ups of the real-time wire: number, late by more than a cycle, latest (s).
+
+    ``realtime``: whether its owner has real-time priority.
+    """
+
+    wakes: int = 0
+    late: int = 0
+    latest_s: float = 0.0
+    realtime: bool = False
+
+    def after(self, over_s: float) -> CycleTimes:
+        """Return them after one more wake-up, so much after its deadline."""
+        late = self.late + (over_s > CYCLE_S)
+        return CycleTimes(self.wakes + 1, late, max(self.latest_s, over_s), self.realtime)
+
+
+class ControllerLinks(Protocol):
+    """One command channel, one STOP lane, one real-time wire.
+
+    ``cycle`` is called once per control cycle by the owner of the real-time wire; ``lost`` when
+    the command channel is gone.
+    """
+
+    times: CycleTimes
+
+    @property
+    def bad_replies(self) -> int:
+        """Replies of the command channel that could not be read."""
+
+    def open(self, cycle: CycleFunction, lost: Callable[[Fault], None]) -> None:
+        """Connect; raises ``FaultError``."""
+
+    def ask(self, request: R3Request, timeout_s: float) -> PendingRequest:
+        """Send a request in its turn."""
+
+    def finish(self, ticket: PendingRequest) -> None:
+        """Wait until the ticket has ended."""
+
+    def watch_anew(self) -> None:
+        """Count ``times`` from now on."""
+
+    def pause(self, seconds: float) -> None:
+        """Let time pass between two questions."""
+
+    def pace(self, running: bool) -> None:
+        """Say whether a program of the controller runs."""
+
+    def stop_now(self, packet: bytes) -> None:
+        """Send STOP on its own lane and ``packet`` on the real-time wire; wait for nothing."""
+
+    def close(self) -> None:
+        """Close all; a second time changes nothing."""
+
+
+STATE_S = 0.1
+PLACE_S = 0.04
+"""Only while no program runs: the controller asks for 100 ms between exchanges then."""
+PROBING_STATE_S = 0.35
+STATE, PLACE = R3Request("STATE"), R3Request("PPOS", "F")
+
+AskFunction = Callable[[R3Request, float], PendingRequest]
+
+
+class ControllerPoller:
+    """``step`` once per cycle; it never waits."""
+
+    def __init__(self, ask: AskFunction, placing: MelfaPlacement, euler: str) -> None:
+        self._ask, self._placing, self._euler = ask, placing, euler
+        self._ticket: PendingRequest | None = None
+        self._next_s = -math.inf
+        self._state_s = -math.inf
+        self.state: ControllerState | None = None
+        self.place_mm: FloatArray | None = None
+        """(3,) where ``G`` is, of the last answer; taken by who reads it."""
+        self.fault: Fault | None = None
+        """An error of the controller, or a program that ended by itself."""
+
+    @property
+    def ended(self) -> bool:
+        """Whether the controller has told that no program runs."""
+        return self.state is not None and RunStatus.RUNNING not in self.state.run
+
+    def step(self, now_s: float, *, streaming: bool, probing: bool = False) -> None:
+        """Read the answer that came, ask the next question when it is time.
+
+        ``probing``: the force program runs, so that questions keep their distance; then most of
+        them are for the place.
+        """
+        if self._ticket is not None:
+            if not self._ticket.done:
+                return
+            self._read(self._ticket, streaming=streaming)
+            self._ticket = None
+        if now_s < self._next_s:
+            return
+        due = streaming or now_s - self._state_s >= (PROBING_STATE_S if probing else STATE_S)
+        if due:
+            self._state_s = now_s
+        self._next_s = now_s + (STATE_S if streaming else PLACE_S)
+        self._ticket = self._ask(STATE if due else PLACE, TIMEOUT_S)
+
+    def _read(self, ticket: PendingRequest, *, streaming: bool) -> None:
+        try:
+            if ticket.request == PLACE:
+                self.place_mm = self._of_reading(read_axes(ticket.answer))
+                return
+            self.state = state = read_state(ticket.answer)
+        except FaultError as error:
+            self.fault = error.fault
+        except ProtocolError as error:
+            self.fault = link_fault(f"The controller does not answer as it should: {error}.")
+        else:
+            if state.error:
+                self.fault = controller_fault(state.error)
+            elif streaming and RunStatus.RUNNING not in state.run:
+                self.fault = ENDED
+
+    def _of_reading(self, reading: AxisReading) -> FloatArray:
+        axes = dict(zip(reading.names, reading.values, strict=True))
+        x, y, z, a, b, c = (axes[name] for name in "XYZABC")
+        return self._placing.from_flange(np.array([x, y, z]), hand_of(a, b, c, self._euler))
+
+
+ENDED = Fault(
+    "MXT-ENDED",
+    "The controller's real-time program has ended by itself.",
+    "The arm stands still; the gripper was not opened.",
+    "Look at the controller, press Reset, then connect the arm again.",
+    "arm",
+)
+
+
+WARN_S, REFUSE_S = HOLD_CYCLES * CYCLE_S, FAULT_CYCLES * CYCLE_S
+"""A gap in which the ladder would hold the arm; one in which it would end the stream."""
+LOOK_S = 0.1
+
+
+def notice_of_idle_check(
+    wires: ControllerLinks, settings: MelfaSettings, go_on: Callable[[], None]
+) -> str:
+    """Watch for ``settings.idle_check_s``; return what the operator should know, "" for nothing.
+
+    Raises ``FaultError`` RIG-STARVED for a gap that would end the stream of an arm that is not
+    emulated on this computer; ``go_on`` raises where connecting is cancelled meanwhile.
+    """
+    if not settings.idle_check_s:
+        return ""
+    wires.watch_anew()
+    watched_s = 0.0
+    while watched_s < settings.idle_check_s:
+        go_on()
+        wires.pause(LOOK_S)
+        watched_s += LOOK_S
+    times = wires.times
+    gap_s = CYCLE_S + times.latest_s if times.wakes else watched_s
+    if gap_s <= WARN_S:
+        return ""
+    if gap_s > REFUSE_S and not is_loopback(settings.host):
+        raise FaultError(starved_fault(gap_s, settings.idle_check_s))
+    return (
+        f"This computer left the arm without a cycle for {1e3 * gap_s:.0f} ms while it stood: "
+        "end what else keeps it busy, or allow real-time priority."
+    )
+
+
+POLL_S = 0.1
+ANSWER_S = 1.0
+RUN_S = 5.0
+CLIENT = "TOUCHDOWN"
+"""How this program calls itself to the controller."""
+RESETS = (
+    "Connecting once more in the same window resets this error; from elsewhere reset it at the "
+    "controller."
+)
+
+
+class Console:
+    """Speaks to one controller; every refusal is a ``FaultError`` with its number.
+
+    Once it was ``stopped``, or connecting was cancelled, it begins nothing: no motors, no program.
+    """
+
+    def __init__(
+        self,
+        wires: ControllerLinks,
+        settings: MelfaSettings,
+        stopped: threading.Event,
+        cancel: threading.Event,
+        alarm: int = 0,
+    ) -> None:
+        """``alarm``: the error for which the connection before was refused, 0 for none."""
+        self._wires, self._settings = wires, settings
+        self.alarm = alarm
+        """The controller's error for which this connection is refused: the next one resets it."""
+        self._stopped, self._cancel = stopped, cancel
+        self.unlimited = False
+        """Whether the controller would wait for packets for ever, and that was allowed."""
+        self.notice = ""
+        """What the operator should know of this connection; "" for nothing."""
+
+    def again(self, cancel: threading.Event) -> Console:
+        """Return the console of the next connection, which knows what was told in this one."""
+        return Console(self._wires, self._settings, self._stopped, cancel, self.alarm)
+
+    def ask(self, command: str, argument: str = "", timeout_s: float = ANSWER_S) -> str:
+        """Send one request and return its answer."""
+        ticket = self._wires.ask(R3Request(command, argument), timeout_s)
+        self._wires.finish(ticket)
+        return ticket.answer
+
+    def state(self) -> ControllerState:
+        """Return the state of the controller."""
+        return read_state(self.ask("STATE"))
+
+    # -- start-up ---------------------------------------------------------------------------------
+
+    def start_up(self, reached: Callable[[ConnectionStep], None]) -> Identity:
+        """Go from an open wire to a running real-time program; raises ``FaultError``."""
+        try:
+            identity = self._identify()
+            reached("identify")
+            self._reset_alarm()
+            self._require_no_error()
+            self._require_time_limit()
+            self.notice = notice_of_idle_check(self._wires, self._settings, self._go_on)
+            self._go_on()
+            self.servo_on()
+            self._go_on()
+            self.run_stream()
+            reached("configure")
+        except ProtocolError as error:
+            fault = link_fault(f"The controller does not answer as it should: {error}.")
+            raise FaultError(fault) from error
+        return identity
+
+    def examine(self) -> Identity:
+        """Return who answers and leave it as it was: nothing is switched on."""
+        try:
+            identity = self._identify()
+            self._require_no_error()
+            self._require_time_limit()
+            self.ask("CLOSE")
+        except ProtocolError as error:
+            fault = link_fault(f"The controller does not answer as it should: {error}.")
+            raise FaultError(fault) from error
+        return identity
+
+    def run_stream(self) -> None:
+        """Start the controller's program that opens the stream, and wait until it runs."""
+        if RunStatus.RUNNING in self.state().run:
+            # Of a connection that broke: it is ended, never taken over.
+            self.ask("STOP")
+            self._wait_for_end()
+        self._go_on()
+        self.ask("SLOTINIT")
+        self._run(self._settings.mxt.program, "The real-time program does not start.")
+
+    def run_probe(self, values: Mapping[str, float]) -> None:
+        """Write the variables of the force program, read them back, and run it."""
+        program = self._settings.fsc.program
+        if RunStatus.RUNNING in self.state().run:
+            self.ask("STOP")
+        self._wait_for_end()
+        self.ask("SLOTINIT")
+        self.ask("PRGLOAD=", program)
+        for name, value in values.items():
+            self._go_on()
+            self.ask("HOT", f"{program};{name}={value:g}")
+            told = self.ask("VAL", name)
+            if not re.fullmatch(rf"{name}=([-+0-9.Ee]+)", told):
+                raise FaultError(link_fault(f"The controller tells '{told}' of {name}."))
+            if not math.isclose(float(told.split("=")[1]), value, rel_tol=1e-3, abs_tol=1e-6):
+                raise FaultError(link_fault(f"The controller did not take {name} = {value:g}."))
+        self._run(program, "The force program does not start.")
+
+    def _run(self, program: str, what: str) -> None:
+        """Run a program, unless STOP came; one that was on its way as STOP came is stopped too."""
+        self._go_on()
+        self._wires.pace(running=True)
+        self.ask("RUN", f"{program};1")
+        try:
+            self._poll(RunStatus.RUNNING, RUN_S, what)
+            self._go_on()
+        except FaultError:
+            self.ask("STOP")
+            self._wires.pace(running=False)
+            raise
+
+    def _go_on(self) -> None:
+        """Raise ``FaultError`` once nothing more may begin."""
+        if self._stopped.is_set():
+            raise FaultError(STOPPED)
+        if self._cancel.is_set():
+            raise FaultError(link_fault("Connecting was cancelled."))
+
+    def _identify(self) -> Identity:
+        opened = read_opened(self.ask("OPEN=", CLIENT))
+        wanted = self._settings.robot_type
+        if not opened.robot_type.startswith(wanted):
+            raise FaultError(other_arm_fault(opened.robot_type, wanted))
+        return Identity("Mitsubishi", opened.robot_type, self._settings.host, opened.version)
+
+    def _reset_alarm(self) -> None:
+        """Reset the error for which the last connection was refused, as was told then.
+
+        The controller refuses while an emergency stop is pressed, and its error is told again.
+        """
+        if self.alarm and read_error(self.ask("ERROR"))[0] == self.alarm:
+            self._go_on()
+            self.ask("CNTL", "ON")
+            with suppress(FaultError):
+                self.ask("RSTALRM")
+
+    def _require_no_error(self) -> None:
+        found, _ = read_error(self.ask("ERROR"))
+        self.alarm = found
+        if found:
+            fault = controller_fault(found, self.ask("ERRORMES", str(found)))
+            raise FaultError(replace(fault, next_step=f"{fault.next_step} {RESETS}"))
+
+    def _require_time_limit(self) -> None:
+        try:
+            _, value, _ = read_parameter(self.ask("PAR", "MXTTOUT"))
+        except FaultError:
+            value = "-1"
+        self.unlimited = not value.isdecimal()
+        if self.unlimited and not self._settings.mxt.allow_unlimited:
+            raise FaultError(unlimited_fault())
+
+    def servo_on(self) -> None:
+        """Switch the motors on and wait until they are; raises ``FaultError``."""
+        self.ask("CNTL", "ON")
+        self.ask("OVRD=", str(self._settings.override_start))
+        self._go_on()
+        self.ask("SRV", "ON")
+        self._poll(
+            RunStatus.SERVO_ON, self._settings.servo_timeout_s, "The servo does not come on."
+        )
+
+    def _poll(self, bit: RunStatus, limit_s: float, what: str) -> None:
+        waited_s = 0.0
+        while bit not in self.state().run:
+            self._go_on()
+            if waited_s >= limit_s:
+                raise FaultError(link_fault(what))
+            self._wires.pause(POLL_S)
+            waited_s += POLL_S
+
+    # -- shutdown ---------------------------------------------------------------------------------
+
+    def shut_down(self) -> None:
+        """Switch off, give the right back; the stream has ended."""
+        self.servo_off()
+        self.ask("CNTL", "OFF")
+        self.ask("CLOSE")
+
+    def servo_off(self) -> None:
+        """Stop, wait until nothing runs, switch the motors off; the stream has ended."""
+        self.ask("STOP")
+        self._wait_for_end()
+        self.ask("SRV", "OFF")
+
+    def _wait_for_end(self) -> None:
+        waited_s = 0.0
+        while RunStatus.RUNNING in self.state().run and waited_s < RUN_S:
+            self._wires.pause(POLL_S)
+            waited_s += POLL_S
+        self._wires.pace(running=False)

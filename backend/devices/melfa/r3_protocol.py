@@ -1,0 +1,552 @@
+"""R3, the command channel protocol of a MELFA controller: ASCII requests, each with one reply.
+
+Only the commands of ``ALLOWED`` can be encoded or decoded: none that reboots, moves the origin,
+releases brakes, deletes programs or writes parameters. Angles are degrees on the wire, rad in the
+messages. Source: BFP-A4288-V; MELFA-BASIC detailed specifications (position constants).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from enum import IntFlag
+
+from touchdown.backend.devices.framing import LineStream, ProtocolError, Wrench, wrench_of
+from touchdown.backend.devices.melfa.realtime_protocol import MelfaPose
+
+LONGEST_REQUEST, LONGEST_REPLY = 255, 4096
+EDIT_SLOT = 9
+"""TASKMAX + 1 with the factory setting."""
+
+_PROGRAM = r"[A-Za-z0-9_]{1,12}"
+_VARIABLE_NAME = r"[A-Za-z][A-Za-z0-9_]{0,15}"
+_WRITE = _VARIABLE_NAME + r"=[-+0-9.,()Ee]{1,160}"
+_MOTION = r"(?i:MOV|MVS|SPD|JOVRD|OVRD) [A-Za-z0-9_+\-.,() ]{1,160}"
+
+ALLOWED: dict[str, str] = {
+    "OPEN=": r"[A-Za-z0-9]{1,32}",
+    "CLOSE": "",
+    "CNTL": "ON|OFF",
+    "SRV": "ON|OFF",
+    "OVRD=": r"[1-9][0-9]?|100",
+    "OVRD": "",
+    "PRGLOAD=": _PROGRAM,
+    "RUN": rf"(?:{_PROGRAM})?(?:;[01])?",
+    "STOP": "",
+    "CSTOP": "",
+    "STOPON": "",
+    "STOPOFF": "",
+    "SLOTINIT": "",
+    "RSTPRG": "",
+    "RSTALRM": "",
+    "STATE": "",
+    "DSTATE": "",
+    "ERROR": "",
+    "ERRORMES": r"[0-9]{1,5}",
+    "PPOS": "F",
+    "JPOS": "F",
+    "EXEC": _MOTION,
+    "EXEC2=": _MOTION,
+    "JOG": r"0[0-5];00;[0-9A-F]{2};[0-9A-F]{2};0[0-2](?:;0[0-2])?",
+    "HNDON": "[1-8]",
+    "HNDOFF": "[1-8]",
+    "HNDSTS": "",
+    "OUT=": r"[0-9]{1,5};[0-9A-F]{4}",
+    "OUT": r"[0-9]{1,5}",
+    "IN": r"[0-9]{1,5}",
+    "VAL=": _WRITE,
+    "VAL": rf"<;[A-Z]|{_VARIABLE_NAME}",
+    "HOT": rf"{_PROGRAM};{_WRITE}",
+    "TOOLSET=": r"[0-9]|1[0-6]",
+    "TOOLRD": "",
+    "MOVSP": "",
+    "ALIGN": "",
+    "ATENA": "",
+    "STPSIG": "",
+    "CALIB": "",
+    "PAR": r"[A-Z0-9]{1,12}",
+    "OPSTSRD": r"[0-9]{1,2}",
+}
+"""Every command that may go out, and what its argument may look like."""
+
+_PATTERNS = [
+    (command, re.compile(ALLOWED[command])) for command in sorted(ALLOWED, key=len, reverse=True)
+]
+_ADDRESS = re.compile(r"([0-3]?);([0-9]|[12][0-9]|3[0-3]|);")
+_HEAD = re.compile(r"[Qq](?:[Oo][Kk]|[Ee][Rr])")
+_FORBIDDEN_BYTES = re.compile(rb"[\x00-\x08\x0a\x0c-\x1f\x7f]")
+
+
+@dataclass(frozen=True, slots=True)
+class R3Request:
+    """One command; ``robot`` and ``slot`` are 1 unless given, 0 means all, None sends neither."""
+
+    command: str
+    argument: str = ""
+    robot: int | None = 1
+    slot: int | None = 1
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """The parts of the argument."""
+        return tuple(re.split("[;\v]", self.argument))
+
+
+@dataclass(frozen=True, slots=True)
+class R3Reply:
+    """One reply: ``head`` is QoK, or Qok while an error is active, or QeR with the error number."""
+
+    head: str
+    answer: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether the command was accepted."""
+        return self.head[1] in "oO"
+
+    @property
+    def alarm(self) -> bool:
+        """Whether an error is active: an inference from printed samples."""
+        return self.ok and self.head[2] == "k"
+
+    @property
+    def error(self) -> int:
+        """Why the command was refused; 0 if it was not."""
+        found = None if self.ok else re.match(r"[0-9]{1,5}", self.answer)
+        return int(found[0]) if found else 0
+
+
+def jog(mode: int, minus_axes: int, plus_axes: int, inching: int = 0) -> R3Request:
+    """Return one jog command; the controller stops by itself 140 ms after the last.
+
+    ``mode``: 0 joint, 1 XYZ, 2 tool, 4 three-axis XYZ, 5 cylinder. Axis bits 1 X or J1 to 32 C
+    or J6. ``inching``: 0 off, 1 high, 2 low.
+    """
+    return R3Request("JOG", f"{mode:02d};00;{minus_axes:02X};{plus_axes:02X};{inching:02d}")
+
+
+def encode_request(request: R3Request) -> bytes:
+    """Return the text without its end; raises ``WireError`` for all that ``ALLOWED`` lacks."""
+    if (request.robot is None) != (request.slot is None):
+        raise ProtocolError("address", "r3 request")
+    address = "" if request.robot is None else f"{request.robot};{request.slot};"
+    try:
+        content = f"{address}{request.command}{request.argument}".encode("ascii")
+    except UnicodeEncodeError as error:
+        raise ProtocolError("text", "r3 request", error.start) from error
+    if decode_request(content) != request:
+        raise ProtocolError("command", "r3 request", len(address))
+    return content
+
+
+def decode_request(content: bytes) -> R3Request:
+    """Return the request of one text without its end; raises ``WireError``."""
+    if len(content) > LONGEST_REQUEST:
+        raise ProtocolError("length", "r3 request", LONGEST_REQUEST)
+    text = _text(content, "ascii", "r3 request")
+    found = _ADDRESS.match(text)
+    rest = text[found.end() :] if found else text
+    robot, slot = (int(part) if part else 1 for part in found.groups()) if found else (None, None)
+    for command, argument in _PATTERNS:
+        if rest.startswith(command) and argument.fullmatch(rest, len(command)):
+            return R3Request(command, rest[len(command) :], robot, slot)
+    raise ProtocolError("command", "r3 request", len(text) - len(rest))
+
+
+def encode_reply(reply: R3Reply) -> bytes:
+    """Return the text without its end."""
+    try:
+        content = (reply.head + reply.answer).encode("latin-1")
+    except UnicodeEncodeError as error:
+        raise ProtocolError("text", "r3 reply", error.start) from error
+    if decode_reply(content) != reply:
+        raise ProtocolError("head", "r3 reply")
+    return content
+
+
+def decode_reply(content: bytes) -> R3Reply:
+    """Return the reply of one text without its end; raises ``WireError``."""
+    if len(content) > LONGEST_REPLY:
+        raise ProtocolError("length", "r3 reply", LONGEST_REPLY)
+    text = _text(content, "latin-1", "r3 reply")
+    if _HEAD.match(text) is None:
+        raise ProtocolError("head", "r3 reply")
+    return R3Reply(text[:3], text[3:])
+
+
+def requests() -> LineStream[R3Request]:
+    """Return the decoder of a controller: CR, LF, both, or ``flush`` after a short gap."""
+    return LineStream(decode_request, LONGEST_REQUEST)
+
+
+def replies() -> LineStream[R3Reply]:
+    """Return the decoder of whoever commands one."""
+    return LineStream(decode_reply, LONGEST_REPLY)
+
+
+def _text(content: bytes, encoding: str, where: str) -> str:
+    bad = _FORBIDDEN_BYTES.search(content)
+    if bad:
+        raise ProtocolError("text", where, bad.start())
+    try:
+        return content.decode(encoding)
+    except UnicodeDecodeError as error:
+        raise ProtocolError("text", where, error.start) from error
+
+
+_ANGLES = re.compile(r"[ABC]|J[1-8]")
+_NAME = re.compile(r"[XYZABC]|J[1-8]|L[12]")
+_NUMBER = re.compile(r"[-+]?[0-9]{1,9}(?:\.[0-9]{1,9})?")
+_NO_FLAGS = "****,****"
+_VARIABLE_ASSIGNMENT = re.compile(r"([A-Za-z][A-Za-z0-9_]{0,15})=(.+)")
+_POSITION = re.compile(r"\(([^()]*)\)\(([0-9]{1,10}),([0-9]{1,10})\)")
+
+
+@dataclass(frozen=True, slots=True)
+class AxisReading:
+    """Answer to PPOSF or JPOSF: named axes in mm and rad.
+
+    ``flags`` are None for joints. ``override`` in %. Limit bits 1 X or J1 to 32 C or J6.
+    """
+
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    flags: tuple[int, int] | None
+    override: int
+    speed_mm_s: float
+    plus_limit: int = 0
+    minus_limit: int = 0
+
+    def answer(self) -> str:
+        """Return the text of the answer."""
+        axes = (f"{n};{_to_wire(n, v):.2f};" for n, v in zip(self.names, self.values, strict=True))
+        flags = _NO_FLAGS if self.flags is None else f"{self.flags[0]},{self.flags[1]}"
+        limits = f"{self.plus_limit:02X}{self.minus_limit:02X}0000"
+        return f"{''.join(axes)};{flags};{self.override};{self.speed_mm_s:.2f};{limits}"
+
+
+def read_axes(answer: str) -> AxisReading:
+    """Return the reading; raises ``WireError``."""
+    axes, mark, rest = answer.partition(";;")
+    parts, tail = axes.split(";"), rest.split(";")
+    if not mark or len(parts) % 2 or len(tail) != 4:
+        raise ProtocolError("fields", "r3 position")
+    names = tuple(parts[::2])
+    if not all(map(_NAME.fullmatch, names)) or len(set(names)) != len(names):
+        raise ProtocolError("name", "r3 position")
+    values = tuple(
+        _from_wire(name, number(text)) for name, text in zip(names, parts[1::2], strict=True)
+    )
+    limits = re.fullmatch(r"([0-9A-F]{2})([0-9A-F]{2})[0-9A-F]{4}", tail[3])
+    if limits is None:
+        raise ProtocolError("limits", "r3 position")
+    plus, minus = int(limits[1], 16), int(limits[2], 16)
+    return AxisReading(names, values, _flags(tail[0]), whole(tail[1]), number(tail[2]), plus, minus)
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """A position variable as it stands: six numbers (mm and deg, or N and N·m) and two flags."""
+
+    name: str
+    numbers: tuple[float, ...]
+    flags: tuple[int, int]
+
+    def pose(self) -> MelfaPose:
+        """Return it as a place: mm and rad."""
+        axes = (*self.numbers[:3], *map(math.radians, self.numbers[3:]), 0.0, 0.0)
+        return MelfaPose(axes, *self.flags)
+
+    def wrench(self) -> Wrench:
+        """Return it as a force variable such as ``P_FsCurD``: N and N·m."""
+        return wrench_of(self.numbers)
+
+    def answer(self) -> str:
+        """Return the printed form."""
+        inner = ",".join(f"{value:+.2f}" for value in self.numbers)
+        return f"{self.name}=({inner})({self.flags[0]},{self.flags[1]})"
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A number variable."""
+
+    name: str
+    value: float
+
+    def answer(self) -> str:
+        """Return the printed form."""
+        whole_number = math.isfinite(self.value) and self.value == int(self.value)
+        return (
+            f"{self.name}={self.value:+.0f}" if whole_number else f"{self.name}={self.value:+.6f}"
+        )
+
+
+def read_variable(answer: str) -> Position | Number:
+    """Return the variable of an answer to VAL; raises ``WireError``."""
+    found = _VARIABLE_ASSIGNMENT.fullmatch(answer)
+    if found is None:
+        raise ProtocolError("fields", "r3 variable")
+    place = _POSITION.fullmatch(found[2])
+    if place is None:
+        return Number(found[1], number(found[2]))
+    numbers = tuple(map(number, place[1].split(",")))
+    if len(numbers) != 6:
+        raise ProtocolError("fields", "r3 variable", len(found[1]) + 1)
+    return Position(found[1], numbers, (int(place[2]), int(place[3])))
+
+
+def number(text: str) -> float:
+    """Return a decimal number without exponent; raises ``WireError``."""
+    if _NUMBER.fullmatch(text) is None:
+        raise ProtocolError("number", "r3 answer")
+    return float(text)
+
+
+def whole(text: str) -> int:
+    """Return a whole number, not negative; raises ``WireError``."""
+    if re.fullmatch(r"[0-9]{1,10}", text) is None:
+        raise ProtocolError("number", "r3 answer")
+    return int(text)
+
+
+def _flags(text: str) -> tuple[int, int] | None:
+    if text == _NO_FLAGS:
+        return None
+    first, _, second = text.partition(",")
+    return whole(first), whole(second)
+
+
+def _from_wire(name: str, value: float) -> float:
+    return math.radians(value) if _ANGLES.fullmatch(name) else value
+
+
+def _to_wire(name: str, value: float) -> float:
+    return math.degrees(value) if _ANGLES.fullmatch(name) else value
+
+
+EMERGENCY_ERRORS = frozenset({50, 51, 61, 70, 71})
+OUT_OF_RANGE_ERRORS = frozenset({2601, 2602, 2603, 2800, 2801, 2802, 2810})
+NOT_READY_ERRORS = frozenset({2000, 5120, 5600, 5610, 5620, 5630, 5640, 6020})
+REJECTED_ERRORS = frozenset({4140, 4340, 4350})
+"""Any other number is a fault of the device."""
+
+
+class RunStatus(IntFlag):
+    """Run status."""
+
+    REPEAT = 0x01
+    CYCLE_STOP = 0x02
+    MACHINE_LOCK = 0x04
+    TEACH = 0x08
+    TEACH_RUNNING = 0x10
+    SERVO_ON = 0x20
+    RUNNING = 0x40
+    OPERATION_ENABLED = 0x80
+
+
+class StopStatus(IntFlag):
+    """Stop status."""
+
+    EMERGENCY = 0x01
+    STOP = 0x02
+    WAIT = 0x04
+    STOP_SIGNAL = 0x08
+    PROGRAM_SELECT_ENABLED = 0x10
+    PSEUDO_INPUT = 0x40
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerInfo:
+    """Answer to OPEN: who the controller is. ``jog_speeds`` in %; axes as bits."""
+
+    xyz_axes: int
+    joint_axes: int
+    flags: tuple[int, int]
+    jog_speeds: tuple[int, ...]
+    program_ext: str
+    parameter_ext: str
+    robot_type: str
+    controller: str
+    series: str
+    date: str
+    version: str
+    language: str
+    robot_info: str
+    serial: str
+    taskmax: int
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerState:
+    """Answer to STATE; ``error`` 0 is none."""
+
+    program: str
+    line: int
+    override: int
+    edit_status: int
+    run: RunStatus
+    stop: StopStatus
+    error: int
+    step: int
+    mechanism: int
+    task_program: str
+    task_mode: str
+    task_condition: str
+    task_priority: int
+    mechanism_in_use: int
+
+    def answer(self) -> str:
+        """Return the text of the answer, with as many empty fields as the printed sample."""
+        status = f"{self.run:02X}{self.stop:02X}{self.error}"
+        front = f"{self.program};{self.line};{self.override};{self.edit_status};{status}"
+        tail = f"{self.task_program};{self.task_mode};{self.task_condition};{self.task_priority}"
+        return f"{front};{self.step};{self.mechanism};;;;;;;;{tail};{self.mechanism_in_use}"
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramProgress:
+    """Answer to DSTATE."""
+
+    run: RunStatus
+    stop: StopStatus
+    error: int
+    step: int
+    mechanism: int
+
+    def answer(self) -> str:
+        """Return the text of the answer."""
+        return f"{self.run:02X}{self.stop:02X}{self.error};{self.step};{self.mechanism}"
+
+
+def read_opened(answer: str) -> ControllerInfo:
+    """Return the answer to OPEN; raises ``WireError``."""
+    parts = _parts(answer, 16, "r3 open")
+    flag1, flag2 = (whole(part) for part in _pair(parts[2], ","))
+    return ControllerInfo(
+        _hexadecimal(parts[0]),
+        _hexadecimal(parts[1]),
+        (flag1, flag2),
+        tuple(map(_hexadecimal, parts[3].split(","))),
+        parts[4],
+        parts[5],
+        parts[6],
+        parts[7],
+        parts[8],
+        parts[9],
+        parts[10],
+        parts[11],
+        parts[13],
+        parts[14],
+        whole(parts[15]),
+    )
+
+
+def read_state(answer: str) -> ControllerState:
+    """Return the answer to STATE; the number of empty fields in its middle is left open."""
+    parts = _parts(answer, 12, "r3 state")
+    run, stop, error = _status(parts[4])
+    line, override, edit_status, step, mechanism = (whole(parts[i]) for i in (1, 2, 3, 5, 6))
+    task_program, mode, condition, priority, in_use = parts[-5:]
+    return ControllerState(
+        parts[0],
+        line,
+        override,
+        edit_status,
+        run,
+        stop,
+        error,
+        step,
+        mechanism,
+        task_program,
+        mode,
+        condition,
+        whole(priority),
+        whole(in_use),
+    )
+
+
+def read_progress(answer: str) -> ProgramProgress:
+    """Return the answer to DSTATE; raises ``WireError``."""
+    parts = _parts(answer, 3, "r3 dstate")
+    return ProgramProgress(*_status(parts[0]), whole(parts[1]), whole(parts[2]))
+
+
+def read_error(answer: str) -> tuple[int, int]:
+    """Return number and level (1 high, 2 low, 3 caution) of the active error; (0, 0) if none."""
+    if not answer:
+        return 0, 0
+    error, level = _pair(answer, ";")
+    return whole(error), whole(level)
+
+
+def read_hands(answer: str) -> tuple[tuple[int, int, int], ...]:
+    """Return (signal, 1 open or 2 closed, type) of each hand; -1 where there is none."""
+    texts = answer.split(";")
+    if len(texts) % 3 or not all(re.fullmatch(r"-1|[0-9]{1,5}", text) for text in texts):
+        raise ProtocolError("fields", "r3 hands")
+    numbers = list(map(int, texts))
+    return tuple(zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True))
+
+
+def read_stop_signals(answer: str) -> tuple[int, int]:
+    """Return the stop and the emergency lines as bits."""
+    stop, emergency = _pair(answer, ";")
+    return whole(stop), whole(emergency)
+
+
+def read_parameter(answer: str) -> tuple[str, str, int]:
+    """Return name, value and count of a parameter."""
+    name, *value, count = _parts(answer, 3, "r3 parameter")
+    return name, ";".join(value), whole(count)
+
+
+def read_bits(answer: str) -> int:
+    """Return 16 signals."""
+    if len(answer) != 4:
+        raise ProtocolError("fields", "r3 signals", len(answer))
+    return _hexadecimal(answer)
+
+
+def read_origin(answer: str) -> tuple[bool, int]:
+    """Return whether the origin is set, and for which axes as bits."""
+    found = re.fullmatch(r"([A-Z])([0-9A-F]{2})([0-9A-F]{2})", answer)
+    if found is None:
+        raise ProtocolError("fields", "r3 origin")
+    return found[1] == "N", _hexadecimal(found[2])
+
+
+def read_ports(answer: str) -> tuple[int, tuple[int, ...]]:
+    """Return the real-time port and those of the command channels from OPSTSRD."""
+    realtime = re.search(r"PortNo\(R-time\) ([0-9]{1,5})", answer)
+    options = re.search(r"PortNo\(OPT[0-9-]+\) ([0-9]{1,5}(?:/[0-9]{1,5})*)", answer)
+    if realtime is None or options is None:
+        raise ProtocolError("fields", "r3 options")
+    return int(realtime[1]), tuple(map(int, options[1].split("/")))
+
+
+def _parts(answer: str, least: int, where: str) -> list[str]:
+    parts = answer.split(";")
+    if len(parts) < least:
+        raise ProtocolError("fields", where, len(answer))
+    return parts
+
+
+def _pair(text: str, mark: str) -> tuple[str, str]:
+    first, found, second = text.partition(mark)
+    if not found:
+        raise ProtocolError("fields", "r3 answer", len(text))
+    return first, second
+
+
+def _status(text: str) -> tuple[RunStatus, StopStatus, int]:
+    if len(text) < 5:
+        raise ProtocolError("fields", "r3 status", len(text))
+    return RunStatus(_hexadecimal(text[:2])), StopStatus(_hexadecimal(text[2:4])), whole(text[4:])
+
+
+def _hexadecimal(text: str) -> int:
+    if re.fullmatch(r"[0-9A-F]{1,8}", text) is None:
+        raise ProtocolError("number", "r3 answer")
+    return int(text, 16)

@@ -1,0 +1,444 @@
+"""Real-time packets of a MELFA controller: external control (MXT), monitor.
+
+Packets of 196 bytes with 40-byte data blocks; mm and rad, little-endian. The data type numbers of
+the monitor are settings. Source: CR800 Ethernet Function manual BFP-A3379, 3.3.2, 3.4.5, tables 3-1
+to 3-7. Joint data of the RV-5AS-D: arm model and joint limits of the vendor's ROS 2 driver.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+from touchdown.backend.devices.framing import ProtocolError, require_length
+
+BLOCK_BYTES = 40
+
+_POSE = struct.Struct("<8f2I")
+_FLOATS = struct.Struct("<8f8x")
+_INTEGERS = struct.Struct("<8i8x")
+_FORCE = struct.Struct("<6f16x")
+_ROBMON = struct.Struct("<6f2h6shI")
+
+
+class BlockKind(Enum):
+    """What a block holds."""
+
+    NONE = "none"
+    POSE = "pose"
+    JOINT = "joint"
+    PULSE = "pulse"
+    CURRENT = "current"
+    FORCE = "force"
+    FLOATS = "float8"
+    ROBMON = "robmon"
+
+
+@dataclass(frozen=True, slots=True)
+class MelfaPose:
+    """x, y, z (mm), rotations a, b, c about X, Y, Z (rad), l1, l2, and the structure flags."""
+
+    axes: tuple[float, ...]
+    flag1: int
+    flag2: int
+
+
+@dataclass(frozen=True, slots=True)
+class Values:
+    """Eight joints (rad), pulses, currents (%), plain numbers, or six of force (N, N·m)."""
+
+    kind: BlockKind
+    axes: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RobotMonitor:
+    """State of motion: speeds mm/s, distances mm, transport factor %.
+
+    ``accelerating``: 0 stopped, 1 accelerating, 2 constant, 3 decelerating.
+    """
+
+    speed_feedback_mm_s: float
+    remaining_feedback_mm: float
+    speed_command_mm_s: float
+    remaining_command_mm: float
+    gap: float
+    transport_factor: float
+    accelerating: int
+    step: int
+    program: str
+    temperature_c: float
+    cycle_counter: int
+
+
+Block = MelfaPose | Values | RobotMonitor | None
+
+_LAYOUTS = {
+    BlockKind.JOINT: _FLOATS,
+    BlockKind.FLOATS: _FLOATS,
+    BlockKind.PULSE: _INTEGERS,
+    BlockKind.CURRENT: _INTEGERS,
+    BlockKind.FORCE: _FORCE,
+}
+
+
+def kind_of(block: Block) -> BlockKind:
+    """Return what ``block`` holds."""
+    if block is None:
+        return BlockKind.NONE
+    if isinstance(block, MelfaPose):
+        return BlockKind.POSE
+    return block.kind if isinstance(block, Values) else BlockKind.ROBMON
+
+
+def encode_block(block: Block) -> bytes:
+    """Return 40 bytes; raises ``WireError`` for numbers that are none or do not fit."""
+    try:
+        return _pack(block)
+    except (struct.error, OverflowError, ValueError) as error:
+        raise ProtocolError("range", "melfa block") from error
+
+
+def _pack(block: Block) -> bytes:
+    if block is None:
+        return bytes(BLOCK_BYTES)
+    if isinstance(block, MelfaPose):
+        return _POSE.pack(*_finite(block.axes), block.flag1, block.flag2)
+    if isinstance(block, Values):
+        return _LAYOUTS[block.kind].pack(*_finite(block.axes))
+    numbers = (
+        block.speed_feedback_mm_s,
+        block.remaining_feedback_mm,
+        block.speed_command_mm_s,
+        block.remaining_command_mm,
+        block.gap,
+        block.transport_factor,
+    )
+    name = block.program.encode("ascii")
+    if len(name) > 6:
+        raise ProtocolError("length", "melfa program name")
+    tenths = round(block.temperature_c * 10)
+    return _ROBMON.pack(
+        *_finite(numbers), block.accelerating, block.step, name, tenths, block.cycle_counter
+    )
+
+
+def decode_block(kind: BlockKind, data: bytes, where: str, offset: int) -> Block:
+    """Return the block of 40 bytes; ``where`` and ``offset`` name it in an error."""
+    try:
+        return _unpack(kind, data)
+    except ProtocolError as error:
+        raise ProtocolError(error.what, where, offset) from error
+
+
+def _unpack(kind: BlockKind, data: bytes) -> Block:
+    if kind is BlockKind.NONE:
+        return None
+    if kind is BlockKind.POSE:
+        *axes, flag1, flag2 = _POSE.unpack(data)
+        return MelfaPose(_finite(tuple(axes)), flag1, flag2)
+    if kind is not BlockKind.ROBMON:
+        return Values(kind, _finite(_LAYOUTS[kind].unpack(data)))
+    *numbers, accelerating, step, name, tenths, counter = _ROBMON.unpack(data)
+    program = name.rstrip(b"\x00")
+    if not program.isascii() or b"\x00" in program:
+        raise ProtocolError("text", "melfa program name")
+    a, b, c, d, e, f = _finite(tuple(numbers))
+    text = program.decode("ascii")
+    return RobotMonitor(a, b, c, d, e, f, accelerating, step, text, tenths / 10, counter)
+
+
+def _finite(numbers: tuple[float, ...]) -> tuple[float, ...]:
+    # The sum is none if a number is none, and found several times as fast.
+    if not math.isfinite(sum(numbers)) and not all(map(math.isfinite, numbers)):
+        raise ProtocolError("number", "melfa block")
+    return numbers
+
+
+def turns(flag2: int) -> tuple[int, ...]:
+    """Return the turn counts of J1 to J8, -8 to 7, that ``flag2`` packs."""
+    nibbles = (flag2 >> 4 * joint & 0xF for joint in range(8))
+    return tuple(nibble - 16 if nibble & 8 else nibble for nibble in nibbles)
+
+
+PACKET_BYTES = 196
+
+_HEAD = struct.Struct("<4H")
+_MXT_SIGNALS = struct.Struct("<6HI")
+_SLOT = struct.Struct("<2H")
+_SLOTS = (64, 108, 152)
+
+SEND_KINDS = {0: BlockKind.NONE, 1: BlockKind.POSE, 2: BlockKind.JOINT, 3: BlockKind.PULSE}
+MONITOR_KINDS = {
+    0: BlockKind.NONE,
+    **{
+        number: (BlockKind.POSE, BlockKind.JOINT, BlockKind.PULSE)[(number - 1) % 3]
+        for number in range(1, 10)
+    },
+    10: BlockKind.CURRENT,
+    11: BlockKind.CURRENT,
+}
+"""Content of each monitor type: 1-3 command, 4-6 after filter, 7-9 encoder, 10, 11 currents."""
+
+
+class MxtCommand(IntEnum):
+    """What the packet asks for; the first packet must be NONE."""
+
+    NONE = 0
+    MOVE = 1
+    END = 255
+
+
+@dataclass(frozen=True, slots=True)
+class MxtSignals:
+    """Digital signals: direction codes 0 none, 1 output, 2 input; 16 bits from ``head``."""
+
+    send: int = 0
+    receive: int = 0
+    head: int = 0
+    mask: int = 0
+    bits: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class MxtRequest:
+    """To the controller: an absolute ``target`` and the four monitor types wanted."""
+
+    command: MxtCommand
+    target: Block = None
+    monitors: tuple[int, int, int, int] = (0, 0, 0, 0)
+    counter: int = 0
+    signals: MxtSignals = MxtSignals()
+    timeouts: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class MxtReply:
+    """From the controller: the monitored ``blocks`` with their types.
+
+    ``timeouts``: cycles without a packet; ``counter``: number of the exchange; both wrap.
+    ``send_type`` repeats the type of the first block.
+    """
+
+    command: MxtCommand
+    send_type: int
+    monitors: tuple[int, int, int, int]
+    blocks: tuple[Block, Block, Block, Block]
+    counter: int
+    signals: MxtSignals = MxtSignals()
+    timeouts: int = 0
+
+
+def encode_mxt_request(request: MxtRequest) -> bytes:
+    """Return the 196 bytes; raises ``WireError`` if a number does not fit or is none."""
+    kind = kind_of(request.target)
+    send_type = next((code for code, known in SEND_KINDS.items() if known is kind), None)
+    if send_type is None:
+        raise ProtocolError("type", "mxt target", 2)
+    blocks = (request.target, None, None, None)
+    return _join_mxt_packet(request, send_type, blocks)
+
+
+def encode_mxt_reply(reply: MxtReply) -> bytes:
+    """Return the 196 bytes."""
+    kinds = tuple(map(kind_of, reply.blocks))
+    if kinds != tuple(MONITOR_KINDS.get(number) for number in reply.monitors):
+        raise ProtocolError("type", "mxt reply", 4)
+    return _join_mxt_packet(reply, reply.send_type, reply.blocks)
+
+
+def _join_mxt_packet(
+    packet: MxtRequest | MxtReply, send_type: int, blocks: tuple[Block, ...]
+) -> bytes:
+    signals = packet.signals
+    io = (signals.send, signals.receive, signals.head, signals.mask, signals.bits)
+    try:
+        first, *others = packet.monitors
+        parts = [
+            _HEAD.pack(packet.command, send_type, first, 0),
+            encode_block(blocks[0]),
+            _MXT_SIGNALS.pack(*io, packet.timeouts, packet.counter),
+        ]
+        for monitor, block in zip(others, blocks[1:], strict=True):
+            parts += [_SLOT.pack(monitor, 0), encode_block(block)]
+    except struct.error as error:
+        raise ProtocolError("range", "mxt packet") from error
+    return b"".join(parts)
+
+
+def decode_mxt_request(data: bytes) -> MxtRequest:
+    """Return the request of one datagram; raises ``WireError``."""
+    command, send_type, monitors, signals, timeouts, counter = _open_mxt_packet(data)
+    if send_type not in SEND_KINDS:
+        raise ProtocolError("type", "mxt request", 2)
+    target = decode_block(SEND_KINDS[send_type], data[8 : 8 + BLOCK_BYTES], "mxt target", 8)
+    return MxtRequest(command, target, monitors, counter, signals, timeouts)
+
+
+def decode_mxt_reply(data: bytes) -> MxtReply:
+    """Return the reply of one datagram; raises ``WireError``."""
+    command, send_type, monitors, signals, timeouts, counter = _open_mxt_packet(data)
+    starts = (8, *(slot + _SLOT.size for slot in _SLOTS))
+    first, second, third, fourth = (
+        decode_block(MONITOR_KINDS[number], data[at : at + BLOCK_BYTES], "mxt reply", at)
+        for number, at in zip(monitors, starts, strict=True)
+    )
+    blocks = (first, second, third, fourth)
+    return MxtReply(command, send_type, monitors, blocks, counter, signals, timeouts)
+
+
+def _open_mxt_packet(
+    data: bytes,
+) -> tuple[MxtCommand, int, tuple[int, int, int, int], MxtSignals, int, int]:
+    require_length(data, PACKET_BYTES, "mxt packet")
+    number, send_type, first, _ = _HEAD.unpack_from(data, 0)
+    try:
+        command = MxtCommand(number)
+    except ValueError as error:
+        raise ProtocolError("command", "mxt packet") from error
+    *io, timeouts, counter = _MXT_SIGNALS.unpack_from(data, 48)
+    second, third, fourth = (_SLOT.unpack_from(data, slot)[0] for slot in _SLOTS)
+    monitors = (first, second, third, fourth)
+    for number, at in zip(monitors, (4, *_SLOTS), strict=True):
+        if number not in MONITOR_KINDS:
+            raise ProtocolError("type", "mxt packet", at)
+    return command, send_type, monitors, MxtSignals(*io), timeouts, counter
+
+
+START, END = 1, 255
+
+_MONITOR_SIGNALS = struct.Struct("<2H3I")
+
+BlockKinds = Mapping[int, BlockKind]
+"""What each data type number of this controller stands for; 0 is none."""
+DataTypes = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorRequest:
+    """START with four data types, or END."""
+
+    command: int
+    types: DataTypes = (0, 0, 0, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorReply:
+    """One cycle: four blocks, 32 input and output signals from their heads, and a counter."""
+
+    types: DataTypes
+    blocks: tuple[Block, Block, Block, Block]
+    counter: int
+    input_head: int = 0
+    output_head: int = 0
+    inputs: int = 0
+    outputs: int = 0
+
+
+def encode_monitor_request(request: MonitorRequest) -> bytes:
+    """Return the 196 bytes."""
+    return _join_monitor_packet(
+        request.command, request.types, (None,) * 4, bytes(_MONITOR_SIGNALS.size)
+    )
+
+
+def decode_monitor_request(data: bytes) -> MonitorRequest:
+    """Return the request of one datagram; raises ``WireError``."""
+    command, types = _open_monitor_packet(data)
+    return MonitorRequest(command, types)
+
+
+def encode_monitor_reply(reply: MonitorReply, kinds: BlockKinds) -> bytes:
+    """Return the 196 bytes."""
+    if tuple(map(kind_of, reply.blocks)) != tuple(_kind(kinds, number) for number in reply.types):
+        raise ProtocolError("type", "monitor reply", 4)
+    heads = reply.input_head, reply.output_head
+    try:
+        signals = _MONITOR_SIGNALS.pack(*heads, reply.inputs, reply.outputs, reply.counter)
+    except struct.error as error:
+        raise ProtocolError("range", "monitor reply", 48) from error
+    return _join_monitor_packet(START, reply.types, reply.blocks, signals)
+
+
+def decode_monitor_reply(data: bytes, kinds: BlockKinds) -> MonitorReply:
+    """Return the reply of one datagram; an unknown data type is a ``WireError``."""
+    command, types = _open_monitor_packet(data)
+    if command != START:
+        raise ProtocolError("command", "monitor reply")
+    starts = (8, *(slot + _SLOT.size for slot in _SLOTS))
+    first, second, third, fourth = (
+        decode_block(_kind(kinds, number), data[at : at + BLOCK_BYTES], "monitor reply", at)
+        for number, at in zip(types, starts, strict=True)
+    )
+    input_head, output_head, inputs, outputs, counter = _MONITOR_SIGNALS.unpack_from(data, 48)
+    blocks = (first, second, third, fourth)
+    return MonitorReply(types, blocks, counter, input_head, output_head, inputs, outputs)
+
+
+def _kind(kinds: BlockKinds, number: int) -> BlockKind:
+    if number == 0:
+        return BlockKind.NONE
+    if number not in kinds:
+        raise ProtocolError("type", "monitor reply", 4)
+    return kinds[number]
+
+
+def _join_monitor_packet(
+    command: int, types: DataTypes, blocks: tuple[Block, ...], signals: bytes
+) -> bytes:
+    first, *others = types
+    try:
+        parts = [_HEAD.pack(command, 0, first, 0), encode_block(blocks[0]), signals]
+        for number, block in zip(others, blocks[1:], strict=True):
+            parts += [_SLOT.pack(number, 0), encode_block(block)]
+    except struct.error as error:
+        raise ProtocolError("range", "monitor packet") from error
+    return b"".join(parts)
+
+
+def _open_monitor_packet(data: bytes) -> tuple[int, DataTypes]:
+    require_length(data, PACKET_BYTES, "monitor packet")
+    command, _, first, _ = _HEAD.unpack_from(data, 0)
+    if command not in (START, END):
+        raise ProtocolError("command", "monitor packet")
+    second, third, fourth = (_SLOT.unpack_from(data, slot)[0] for slot in _SLOTS)
+    return command, (first, second, third, fourth)
+
+
+CYCLE_S = 0.0035
+"""Control cycle of a CR800."""
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """One joint: ``axis`` of rotation, ``rise_mm`` along z from the joint before it.
+
+    ``limit_rad`` to both sides, highest speed and acceleration.
+    """
+
+    axis: str
+    rise_mm: float
+    limit_rad: float
+    speed_rad_s: float
+    acceleration_rad_s2: float
+
+    @property
+    def step_rad(self) -> float:
+        """Largest step in one cycle at the highest speed."""
+        return self.speed_rad_s * CYCLE_S
+
+
+JOINTS = (
+    Joint("z", 0.0, 4.18879, 2.16421, 6.0),
+    Joint("y", 254.0, 2.58309, 2.16421, 6.0),
+    Joint("y", 410.0, 2.61799, 2.16421, 6.0),
+    Joint("z", 0.0, 3.49066, 3.4383, 9.0),
+    Joint("y", 500.0, 2.0944, 6.21337, 18.0),
+    Joint("z", 0.0, 3.49066, 6.28318, 18.0),
+)
+"""J1 to J6; at zero the arm stands straight up."""
+FLANGE_MM = 125.0
+"""From the crossing of the wrist axes to the flange."""

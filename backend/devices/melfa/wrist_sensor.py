@@ -1,0 +1,126 @@
+"""Driver of the force sense of a MELFA controller by its real-time monitor.
+
+UDP, one packet per cycle. The number of its data type is in the controller's manual alone
+(BFP-A3379 3.4.6): a setting without default.
+"""
+
+from __future__ import annotations
+
+import threading
+
+from touchdown.backend.config import HardwareSettings
+from touchdown.backend.core import InputError
+from touchdown.backend.devices.force_torque import (
+    FrameErrors,
+    SensorDescription,
+    SensorLink,
+    WrenchReading,
+    ask,
+    pause,
+)
+from touchdown.backend.devices.framing import ProtocolError, wrench_of
+from touchdown.backend.devices.melfa import realtime_protocol
+from touchdown.backend.devices.melfa.realtime_protocol import (
+    CYCLE_S,
+    END,
+    PACKET_BYTES,
+    START,
+    BlockKind,
+    MonitorReply,
+    MonitorRequest,
+    Values,
+)
+from touchdown.backend.devices.protocols import Identity
+
+SETTLE_S = 0.05
+COUNTER_TURN = 1 << 32
+
+
+def monitor_address(settings: HardwareSettings) -> str:
+    """Return where the monitor answers if nobody says otherwise: at the arm's own controller."""
+    return f"udp://{settings.melfa.host}:{settings.melfa.monitor.port}"
+
+
+class MelfaWrenchDriver:
+    """Old and doubled packets are dropped by their counter; a gap counts as lost."""
+
+    baud = 0
+    chunk = PACKET_BYTES
+
+    def __init__(self, settings: HardwareSettings, address: str) -> None:
+        number = settings.melfa.monitor.type_force
+        if number is None:
+            raise InputError(
+                "The number of the force in the real-time monitor is not known.",
+                "melfa.monitor.type_force",
+                "Copy it from section 3.4.6 of the controller's Ethernet manual, or name another "
+                "sensor as ft.driver.",
+            )
+        self._number, self._address = number, address
+        own = settings.melfa.fs
+        self._rated = (own.rated_n,) * 3 + (own.rated_nm,) * 3
+        self._last: int | None = None
+        self._bad = self._bad_in_a_row = self._discarded = 0
+
+    def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
+        """End a stream that may still run, start one, and see that it carries the force."""
+        self.stop(link)
+        pause(cancel, SETTLE_S)
+        link.drain()
+        self._last = None
+        types = (self._number, 0, 0, 0)
+        ask(
+            link,
+            cancel,
+            realtime_protocol.encode_monitor_request(MonitorRequest(START, types)),
+            self._started,
+        )
+        identity = Identity("Mitsubishi Electric", "force sense", self._address, "")
+        return SensorDescription(identity, self._rated, CYCLE_S, numbered=True)
+
+    def take(self, data: bytes) -> list[WrenchReading]:
+        """Return the sample of one datagram, unless it is old."""
+        reply = self._reply(data)
+        if reply is None:
+            return []
+        missed, last = 0, self._last
+        if last is not None:
+            step = (reply.counter - last) % COUNTER_TURN
+            if step == 0 or step > COUNTER_TURN // 2:
+                return []
+            missed = step - 1
+        self._last = reply.counter
+        block = reply.blocks[0]
+        assert isinstance(block, Values)
+        pairs = zip(block.axes, self._rated, strict=True)
+        overload = any(abs(value) >= rated for value, rated in pairs)
+        return [WrenchReading(wrench_of(block.axes), missed, overload)]
+
+    @property
+    def refusals(self) -> FrameErrors:
+        """Datagrams that were none."""
+        return FrameErrors(self._bad, self._bad_in_a_row, self._discarded)
+
+    def stop(self, link: SensorLink) -> None:
+        """Three times: a datagram may be lost."""
+        for _ in range(3):
+            link.write(realtime_protocol.encode_monitor_request(MonitorRequest(END)))
+
+    def _started(self, data: bytes) -> bool | None:
+        return True if self._reply(data) is not None else None
+
+    def _reply(self, data: bytes) -> MonitorReply | None:
+        """Return what one datagram says, if it carries the force and nothing else."""
+        if not data:
+            return None
+        try:
+            reply = realtime_protocol.decode_monitor_reply(data, {self._number: BlockKind.FORCE})
+            if reply.types[0] != self._number:
+                raise ProtocolError("type", "monitor reply", 4)
+        except ProtocolError:
+            self._bad += 1
+            self._bad_in_a_row += 1
+            self._discarded += len(data)
+            return None
+        self._bad_in_a_row = 0
+        return reply

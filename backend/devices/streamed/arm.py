@@ -1,0 +1,498 @@
+"""Orders that every streamed arm carries out with a level hand: follow, press, unload.
+
+A press moves down at constant speed until contact is declared, then is compliant on a ramp that
+counts from the back-dated onset; the reference never rises. After the motion the arm stays
+compliant until the next command. The zero of the wrist sensor is taken in air just before contact:
+0.2 N of drift would give 0.013 mm at 15 N/mm. Callers hold the lock of the stream.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from touchdown.backend.core import (
+    Fault,
+    FaultError,
+    FloatArray,
+    OnsetDetector,
+    OnsetRule,
+    RefusedError,
+    SampleStream,
+)
+from touchdown.backend.devices.protocols import (
+    ARM,
+    HELD,
+    NO_WRENCH,
+    NOTHING_MOVED,
+    RETREAT_MM,
+    RETREAT_MM_S,
+    STOPPED,
+    ArmPress,
+    CommandedMotion,
+    Health,
+    PressCommand,
+)
+from touchdown.backend.devices.streamed.compliance import (
+    DESIGN_N_MM,
+    OLD_S,
+    SPEED_MM_S,
+    STIFF_N_MM,
+    TRIP_N,
+    AdmittanceLaw,
+    Compliance,
+    LoopDelays,
+    admittance_law,
+    fastest_approach_mm_s,
+)
+from touchdown.backend.devices.streamed.motion_programs import (
+    ACCELERATION_MM_S2,
+    CycleInput,
+    JogProgram,
+    MotionProgram,
+    TravelProgram,
+    UnloadProgram,
+)
+
+AIR_WINDOW_S = 0.2
+"""Length of the air that is averaged."""
+ONSET_GAP_S = 0.05
+"""It ends so long before the onset, which is known within 0.05 mm only."""
+KEPT_S = 1.0
+"""The onset lies by less than this before the newest sample."""
+AIR_LEAST_SAMPLES = 10
+
+
+class AirTare:
+    """``t_s`` (n,), ``force_n`` (n, 3): untared samples in air, up to the start of a press."""
+
+    def __init__(self, t_s: FloatArray, force_n: FloatArray) -> None:
+        self.start_n = force_n[t_s >= t_s[-1] - AIR_WINDOW_S].mean(axis=0)
+        """(3,) mean at the start of the press."""
+        self._blocks = deque([(t_s, force_n)])
+
+    def feed(self, t_s: FloatArray, force_n: FloatArray) -> None:
+        """Take finite samples (n,), (n, 3) on the way down."""
+        if not len(t_s):
+            return
+        self._blocks.append((t_s, force_n))
+        while self._blocks[0][0][-1] < t_s[-1] - KEPT_S:
+            self._blocks.popleft()
+
+    def moved_n(self, onset_s: float) -> FloatArray:
+        """Return (3,) by how much the air before ``onset_s`` differs from that of the start.
+
+        Zero where there are too few samples to tell.
+        """
+        t_s, force_n = (np.concatenate(part) for part in zip(*self._blocks, strict=True))
+        air = (t_s >= onset_s - ONSET_GAP_S - AIR_WINDOW_S) & (t_s <= onset_s - ONSET_GAP_S)
+        if np.count_nonzero(air) < AIR_LEAST_SAMPLES:
+            return np.zeros(3)
+        return np.asarray(force_n[air].mean(axis=0) - self.start_n)
+
+
+LOW_N, HIGH_N = 1.0, 5.0
+STIFFNESS_LEAST_SAMPLES = 4
+
+
+class ContactStiffnessEstimate:
+    """Takes command and force once per cycle; the force answers a loop delay later."""
+
+    def __init__(self, delay_s: float) -> None:
+        self._delay_s = delay_s
+        self._commands: deque[tuple[float, float]] = deque(maxlen=64)
+        self._seen: list[tuple[float, float]] = []
+        self.found_n_mm: float | None = None
+        """Found once the force has risen from 1 to 5 N; a softer contact is never found."""
+
+    def feed(self, t_s: float, command_z_mm: float, force_n: float) -> None:
+        """Take the height commanded at ``t_s`` and the press force felt then."""
+        self._commands.append((t_s, command_z_mm))
+        if self.found_n_mm is not None:
+            return
+        if not force_n >= LOW_N:
+            # One rise tells it: what bounces in between belongs to no slope.
+            self._seen.clear()
+        elif force_n <= HIGH_N:
+            times, heights = zip(*self._commands, strict=True)
+            self._seen.append((float(np.interp(t_s - self._delay_s, times, heights)), force_n))
+        elif len(self._seen) >= STIFFNESS_LEAST_SAMPLES:
+            self.found_n_mm = self._slope()
+
+    def _slope(self) -> float:
+        heights, forces = np.array(self._seen).T
+        away = heights - heights.mean()
+        return float(-(away @ forces) / max(float(away @ away), 1e-9))
+
+
+SILENT_S = 0.3
+"""In contact the arm draws back from what it has not felt for this long."""
+
+
+class PressProgram:
+    """Holds one press. ``before``: wrench samples (n,), (n, 3) in air up to now, for the zero."""
+
+    fragile = True
+    speed_mm_s = SPEED_MM_S
+    turn: FloatArray | None = None
+
+    def __init__(
+        self,
+        motion: ArmPress,
+        command: PressCommand,
+        law: AdmittanceLaw,
+        loop: LoopDelays,
+        before: tuple[FloatArray, FloatArray],
+    ) -> None:
+        self.motion, self._command = motion, command
+        self._law, self._loop = law, loop
+        self._detector = OnsetDetector(OnsetRule(threshold_n=command.threshold_n))
+        t_s, force_n = before
+        self._air = AirTare(t_s, force_n)
+        self._detector.feed(t_s, force_n[:, 2])
+        self._felt_s = float(t_s[-1])
+        self._speed_mm_s = 0.0
+        self._start_z_mm: float | None = None
+        self._way: list[tuple[float, float]] = []
+        self._zero_mm = self._depth_mm = 0.0
+        self._rise_to_mm: float | None = None
+        self.stiffness = ContactStiffnessEstimate(loop.delay_s)
+        self.compliance: Compliance | None = None
+
+    def next_mm(self, felt: CycleInput) -> FloatArray:
+        """Return the next command."""
+        if self.compliance is None and not self._touched(felt):
+            self.stiffness.feed(felt.now_s, float(felt.command_mm[2]), 0.0)
+            return self._descend(felt)
+        comply = self.compliance
+        assert comply is not None
+        comply.feel(felt.now_s, felt.t_s, felt.force_n)
+        self._weigh(comply, felt)
+        self._judge(comply, felt.now_s)
+        if self._rise_to_mm is not None:
+            self._retract(comply, felt)
+        elif not comply.swinging:
+            self._ramp(comply, felt)
+        return comply.command_mm(felt.now_s)
+
+    def cut(self, command_mm: FloatArray) -> None:
+        """Go on from where the command really is."""
+        if self.compliance is not None:
+            self.compliance.cut(command_mm)
+
+    def still(self) -> None:
+        """Begin the descent again from zero speed."""
+        self._speed_mm_s = 0.0
+
+    # -- before contact ---------------------------------------------------------------------------
+
+    def _touched(self, felt: CycleInput) -> bool:
+        """Whether contact is declared; then the arm is compliant from here on."""
+        if self._start_z_mm is None:
+            self._start_z_mm = float(felt.command_mm[2])
+        self._way.append((felt.now_s, float(felt.command_mm[2])))
+        finite = np.isfinite(felt.force_n).all(axis=1)
+        if finite.any():
+            self._air.feed(felt.t_s[finite], felt.force_n[finite])
+            self._detector.feed(felt.t_s[finite], felt.force_n[finite, 2])
+            self._felt_s = float(felt.t_s[finite][-1])
+        onset_s = self._detector.onset_s
+        if onset_s is None or self.motion.done:
+            return False
+        self.motion.detected_s, self.motion.onset_s = self._detector.detected_s, onset_s
+        t_s, z_mm = zip(*self._way, strict=True)
+        # The arm was where the command had been a loop delay before, less the sensor's own part.
+        lag_s = self._loop.arm_lag_s + self._loop.cycle_s
+        self._zero_mm = float(np.interp(onset_s - lag_s, t_s, z_mm))
+        self.compliance = Compliance(
+            self._law, self._loop, felt.command_mm, self._air.start_n, self._air.moved_n(onset_s)
+        )
+        return True
+
+    def _descend(self, felt: CycleInput) -> FloatArray:
+        after = felt.command_mm.copy()
+        if not felt.now_s - self._felt_s <= OLD_S:
+            # No way is gone towards the support without feeling it.
+            self.motion.end(UNFELT)
+        if self.motion.done:
+            return after
+        command = self._command
+        most = self._speed_mm_s + ACCELERATION_MM_S2 * felt.cycle_s
+        self._speed_mm_s = min(command.approach_mm_s, most)
+        after[2] -= self._speed_mm_s * felt.cycle_s
+        assert self._start_z_mm is not None
+        if self._start_z_mm - after[2] > command.max_travel_mm:
+            self.motion.end(no_contact(command.max_travel_mm))
+            return felt.command_mm
+        return after
+
+    # -- in contact -------------------------------------------------------------------------------
+
+    def _ramp(self, comply: Compliance, felt: CycleInput) -> None:
+        command, onset_s = self._command, self.motion.onset_s
+        assert onset_s is not None
+        elapsed_s = felt.now_s + felt.cycle_s - onset_s
+        if not self.motion.done:
+            planned_mm = command.depth_mm * min(1.0, elapsed_s / command.ramp_s)
+            gained_mm = planned_mm - self._depth_mm
+            self._depth_mm += comply.speed_share * max(gained_mm, 0.0)
+            z_mm = self._zero_mm - self._depth_mm
+            comply.reference_mm[2] = min(float(comply.reference_mm[2]), z_mm)
+        if elapsed_s >= command.hold_s:
+            self.motion.end()
+
+    def _weigh(self, comply: Compliance, felt: CycleInput) -> None:
+        """See how stiff the contact is, once: damp it accordingly, or draw back from it."""
+        if self.stiffness.found_n_mm is not None:
+            return
+        self.stiffness.feed(felt.now_s, float(felt.command_mm[2]), comply.press_n)
+        found_n_mm = self.stiffness.found_n_mm
+        if found_n_mm is None or found_n_mm <= DESIGN_N_MM:
+            return
+        if found_n_mm > STIFF_N_MM:
+            self._draw_back(comply, _too_stiff(found_n_mm))
+        elif not comply.swinging:
+            comply.law = admittance_law(self._loop, self._command.stiffness_n_mm, STIFF_N_MM)
+
+    def _judge(self, comply: Compliance, now_s: float) -> None:
+        """End the motion, and draw back if need be: too much force, none felt, or a swing."""
+        if comply.tripped and self._rise_to_mm is None:
+            self._draw_back(comply, TRIPPED)
+        elif not comply.silent_s(now_s) <= OLD_S:
+            self.motion.end(UNFELT)
+            if self._rise_to_mm is None and comply.silent_s(now_s) > SILENT_S:
+                self._draw_back(comply, UNFELT)
+        elif comply.swinging:
+            self.motion.end(SWINGING)
+            if self._rise_to_mm is None and comply.still_swinging(now_s):
+                self._draw_back(comply, SWINGING)
+
+    def retreat(self) -> bool:
+        """Draw back if there is a contact, for a reason from outside; whether there is one."""
+        if self.compliance is None:
+            return False
+        if self._rise_to_mm is None:
+            self._draw_back(self.compliance, STOPPED)
+        return True
+
+    def _draw_back(self, comply: Compliance, fault: Fault) -> None:
+        self.motion.end(fault)
+        self._rise_to_mm = float(comply.reference_mm[2]) + RETREAT_MM
+
+    def _retract(self, comply: Compliance, felt: CycleInput) -> None:
+        assert self._rise_to_mm is not None
+        z_mm = float(comply.reference_mm[2]) + RETREAT_MM_S * felt.cycle_s
+        comply.reference_mm[2] = min(z_mm, self._rise_to_mm)
+
+
+def no_contact(travel_mm: float) -> Fault:
+    """Return the fault of a descent that met nothing on its way."""
+    return Fault(
+        "NO-CONTACT",
+        f"No contact on {travel_mm:.1f} mm of descent.",
+        HELD,
+        "Check the height of the support and the force/torque sensor.",
+        ARM,
+    )
+
+
+def _too_stiff(found_n_mm: float) -> Fault:
+    return Fault(
+        "CONTACT-STIFF",
+        f"The contact has {found_n_mm:.0f} N/mm: there is no gel in the path.",
+        "The arm draws back by 2 mm; the gripper was not opened.",
+        "Does the gripper itself touch the board?",
+        ARM,
+    )
+
+
+UNFELT = Fault(
+    "FT-STALE",
+    "The wrist sensor fell silent while the arm was pressing.",
+    "The press is void; in contact the arm draws back by 2 mm. The gripper was not opened.",
+    "Check the force/torque sensor and its cable, then press again.",
+    ARM,
+)
+TRIPPED = Fault(
+    "FT-TRIP",
+    "The force went over the trip limit while pressing.",
+    "The arm draws back by 2 mm; the gripper was not opened.",
+    "Check the piece and the support, then press Reset.",
+    ARM,
+)
+SWINGING = Fault(
+    "CONTACT-SWINGS",
+    "The contact is stiffer than the arm can hold: the force swings.",
+    "The press is void; the arm is damped, and draws back if that does not calm it.",
+    "Is there a gel between gripper and support? Press more slowly.",
+    ARM,
+)
+
+
+RECENT_AIR_S = 1.0
+VELOCITY_NAMES = ("x_mm_s", "y_mm_s", "z_mm_s", "rx_rad_s", "ry_rad_s", "rz_rad_s")
+
+
+class ProgramRunner(Protocol):
+    """What carries programs out, one command per cycle."""
+
+    @property
+    def program(self) -> object | None:
+        """What goes on, or went on last."""
+
+    @property
+    def command_mm(self) -> FloatArray:
+        """(3,) commanded place of ``G``."""
+
+    def run(self, program: MotionProgram) -> None:
+        """Take ``program`` in place of any other."""
+
+
+class StreamedOrders:
+    """Makes programs; keeps the contact of the last press until it is left."""
+
+    def __init__(self, loop: LoopDelays) -> None:
+        self.loop = loop
+        self._press: PressProgram | None = None
+
+    def leave(self) -> None:
+        """Forget the contact: the arm goes elsewhere."""
+        self._press = None
+
+    def press_n(self) -> float:
+        """Return the felt press force by the zero of the contact law; NaN without contact."""
+        contact = self._contact()
+        return math.nan if contact is None else float(contact.felt_n[2])
+
+    def follow(
+        self, core: ProgramRunner, velocity_mm_s: FloatArray, until_s: float
+    ) -> CommandedMotion:
+        """Begin to follow a velocity (3,) until then, or go on with another."""
+        self.leave()
+        program = core.program
+        if not isinstance(program, JogProgram) or program.motion.done:
+            program = JogProgram(jogging(velocity_mm_s))
+            core.run(program)
+        program.renew(velocity_mm_s, until_s)
+        return program.motion
+
+    def press(
+        self, core: ProgramRunner, command: PressCommand, before: tuple[FloatArray, FloatArray]
+    ) -> ArmPress:
+        """Begin a press; ``before``: samples in air up to now.
+
+        Raises ``RefusedError`` if the approach is too fast for the delay of this loop.
+        """
+        law = admittance_law(self.loop, command.stiffness_n_mm)
+        fastest = fastest_approach_mm_s(law, self.loop, TRIP_N, command.depth_mm)
+        if not 0.0 < command.approach_mm_s <= fastest:
+            raise RefusedError(
+                "APPROACH-SPEED",
+                f"{command.approach_mm_s:.1f} mm/s: a contact could reach {TRIP_N:.0f} N over "
+                f"{fastest:.1f} mm/s.",
+            )
+        motion = ArmPress({**told_of(command), "damping_n_s_mm": law.damping})
+        self._press = PressProgram(motion, command, law, self.loop, before)
+        core.run(self._press)
+        return motion
+
+    def unload(self, core: ProgramRunner, force_n: float, speed_mm_s: float) -> CommandedMotion:
+        """Begin to rise; raises ``FaultError`` unless the last press has touched."""
+        compliance = self._contact()
+        if compliance is None:
+            raise FaultError(NOT_PRESSING)
+        motion = CommandedMotion({"force_n": force_n, "speed_mm_s": speed_mm_s})
+        core.run(UnloadProgram(motion, compliance, force_n, speed_mm_s))
+        return motion
+
+    def retreat(self, core: ProgramRunner) -> None:
+        """Draw back: a press along its own law, everything else straight up from its command."""
+        if self._press is not None and core.program is self._press and self._press.retreat():
+            return
+        self.leave()
+        up_mm = core.command_mm + np.array([0.0, 0.0, RETREAT_MM])
+        core.run(TravelProgram(CommandedMotion({"z_mm": float(up_mm[2])}), up_mm, RETREAT_MM_S))
+
+    def _contact(self) -> Compliance | None:
+        return None if self._press is None else self._press.compliance
+
+
+def jogging(velocity_mm_s: FloatArray, turn_rad_s: FloatArray | None = None) -> CommandedMotion:
+    """Return the motion of a jog with velocity (3,) and turn (3,)."""
+    turn = np.zeros(3) if turn_rad_s is None else turn_rad_s
+    values = [*velocity_mm_s.tolist(), *turn.tolist()]
+    return CommandedMotion(dict(zip(VELOCITY_NAMES, values, strict=True)))
+
+
+def air_before(wrench: SampleStream, now_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return the times (n,) and forces (n, 3) of the last second; ``FaultError`` if there are none.
+
+    Only finite samples count.
+    """
+    air = wrench.window(now_s - RECENT_AIR_S, now_s)
+    finite = np.isfinite(air.values).all(axis=1)
+    if not finite.any():
+        raise FaultError(NO_WRENCH)
+    return air.t_s[finite], air.values[finite, :3]
+
+
+def told_of(command: PressCommand) -> dict[str, float]:
+    """Return what is sent of a press, by name."""
+    return {
+        "depth_mm": command.depth_mm,
+        "ramp_s": command.ramp_s,
+        "hold_s": command.hold_s,
+        "approach_mm_s": command.approach_mm_s,
+        "threshold_n": command.threshold_n,
+        "max_travel_mm": command.max_travel_mm,
+        "stiffness_z_n_mm": command.stiffness_n_mm[2],
+    }
+
+
+NOT_PRESSING = Fault(
+    "NOT-PRESSING",
+    "There is no press to unload: the last one felt no contact, or the arm has moved since.",
+    NOTHING_MOVED,
+    "Press first.",
+    ARM,
+)
+
+
+RATE_WINDOW_S = 1.0
+KEPT = 32_768
+
+
+class PositionRecord:
+    """``poses``: position of ``G``, mm in the bench. One thread puts, any reads."""
+
+    def __init__(self, now_s: Callable[[], float], poses: SampleStream | None = None) -> None:
+        self._now_s = now_s
+        self.poses = poses or SampleStream(ARM, 3, KEPT)
+        self.begin()
+
+    def begin(self) -> None:
+        """Count anew: a connection begins."""
+        self.received = 0
+        self._arrivals: deque[float] = deque(maxlen=512)
+
+    def put(self, now_s: float, place_mm: FloatArray) -> None:
+        """Take where ``G`` (3,) was measured at ``now_s``."""
+        self.poses.put(np.array([now_s]), place_mm[None])
+        self.received += 1
+        self._arrivals.append(now_s)
+
+    def latest_mm(self, max_age_s: float) -> tuple[float, float, float]:
+        """Return the newest place; raises ``StaleSampleError`` if it is older."""
+        _, (x_mm, y_mm, z_mm) = self.poses.latest(self._now_s(), max_age_s)
+        return float(x_mm), float(y_mm), float(z_mm)
+
+    def health(self, lost: int) -> Health:
+        """Return rate over the last second, age of the newest, and counts with ``lost``."""
+        now_s, arrivals = self._now_s(), self._arrivals.copy()
+        rate_hz = sum(t_s > now_s - RATE_WINDOW_S for t_s in arrivals) / RATE_WINDOW_S
+        age_s = now_s - arrivals[-1] if arrivals else math.inf
+        return Health(rate_hz, age_s, self.received, lost)

@@ -1,0 +1,395 @@
+"""Motion programs of a streamed arm, one command per controller cycle.
+
+Each program gives the next command for ``G`` in the bench. It advances by one cycle per call,
+however late the call comes: missed cycles are skipped, never made up.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from touchdown.backend.core import (
+    IDENTITY_ROTATION,
+    Fault,
+    FloatArray,
+    rotation_from_vector,
+    rotation_vector,
+)
+from touchdown.backend.devices.protocols import ARM, HELD, CommandedMotion
+from touchdown.backend.devices.streamed.compliance import Compliance
+
+ACCELERATION_MM_S2 = 500.0
+AT_ZERO = np.zeros(6)
+UNLOAD_MM = 10.0
+ARRIVED_MM, ARRIVED_S = 0.02, 0.3
+"""A move has ended when the arm is measured this near its end, or this long after its command."""
+
+
+@dataclass(frozen=True, slots=True)
+class CycleInput:
+    """One cycle: bench time, cycle length, command and measured place (3,), new wrench samples.
+
+    ``t_s`` (n,), ``force_n`` (n, 3): environment on tool, untared. ``turn`` (3, 3): commanded turn
+    of the hand. ``sent_rad``, ``measured_rad`` (6,): joints as commanded and as measured.
+    """
+
+    now_s: float
+    cycle_s: float
+    command_mm: FloatArray
+    measured_mm: FloatArray
+    t_s: FloatArray
+    force_n: FloatArray
+    turn: FloatArray = field(default_factory=lambda: IDENTITY_ROTATION)
+    sent_rad: FloatArray = field(default_factory=lambda: AT_ZERO)
+    measured_rad: FloatArray = field(default_factory=lambda: AT_ZERO)
+
+
+class MotionProgram(Protocol):
+    """One command in progress. It may go on (compliant) after its motion has ended."""
+
+    @property
+    def motion(self) -> CommandedMotion:
+        """What whoever ordered it watches."""
+
+    @property
+    def speed_mm_s(self) -> float:
+        """Highest speed it moves with: the lead limit follows from it."""
+
+    @property
+    def fragile(self) -> bool:
+        """Whether a hold in between makes it void."""
+
+    @property
+    def turn(self) -> FloatArray | None:
+        """Turn (3, 3) of the hand after the next cycle; None: it stays as it is."""
+
+    def next_mm(self, felt: CycleInput) -> FloatArray:
+        """Return the next command (3,)."""
+
+    def cut(self, command_mm: FloatArray) -> None:
+        """Take note that the command was cut to (3,) by the lead limit."""
+
+    def still(self) -> None:
+        """Take note that the arm stands: begin again from zero speed."""
+
+
+def eased_mm_s(speed_mm_s: float, most_mm_s: float, left_mm: float, cycle_s: float) -> float:
+    """Return the speed of the next cycle: up by the acceleration, and down in time for the end."""
+    faster = speed_mm_s + ACCELERATION_MM_S2 * cycle_s
+    return min(faster, most_mm_s, braked(ACCELERATION_MM_S2, left_mm, cycle_s))
+
+
+def braked(acceleration: float, left: float, cycle_s: float) -> float:
+    """Return the highest speed from which whole cycles of braking end within ``left``."""
+    a_t = acceleration * cycle_s
+    # Whole cycles of braking from v cover v (v + a T) / 2 a: solved for v.
+    return 0.5 * a_t * (math.sqrt(1.0 + 8.0 * left / (a_t * cycle_s)) - 1.0)
+
+
+class TravelProgram:
+    """Straight to a place."""
+
+    fragile = False
+    turn: FloatArray | None = None
+
+    def __init__(self, motion: CommandedMotion, target_mm: FloatArray, speed_mm_s: float) -> None:
+        self.motion, self.speed_mm_s = motion, speed_mm_s
+        self._target_mm, self._now_mm_s = target_mm.copy(), 0.0
+        self._told_s: float | None = None
+
+    def next_mm(self, felt: CycleInput) -> FloatArray:
+        """Return the next point of the line."""
+        way = self._target_mm - felt.command_mm
+        left_mm = float(np.linalg.norm(way))
+        speed = eased_mm_s(self._now_mm_s, self.speed_mm_s, left_mm, felt.cycle_s)
+        step_mm = speed * felt.cycle_s
+        if left_mm - step_mm <= 1e-4:
+            self._now_mm_s = 0.0
+            self._watch_arrival(felt)
+            return self._target_mm.copy()
+        self._now_mm_s = speed
+        return np.asarray(felt.command_mm + way * (step_mm / left_mm))
+
+    def _watch_arrival(self, felt: CycleInput) -> None:
+        self._told_s = felt.now_s if self._told_s is None else self._told_s
+        away_mm = float(np.linalg.norm(felt.measured_mm - self._target_mm))
+        if away_mm <= ARRIVED_MM or felt.now_s - self._told_s >= ARRIVED_S:
+            self.motion.end()
+
+    def cut(self, command_mm: FloatArray) -> None:
+        """Nothing: the next cycle sets out from where the command is."""
+
+    def still(self) -> None:
+        """Begin again from zero speed."""
+        self._now_mm_s = 0.0
+
+
+class JogProgram:
+    """Follows a velocity until its time is up, then brakes. Renewed in place: it never jerks."""
+
+    fragile = False
+    turn: FloatArray | None = None
+
+    def __init__(self, motion: CommandedMotion, velocity_mm_s: FloatArray | None = None) -> None:
+        """``velocity_mm_s``: what it begins with; it brakes unless renewed."""
+        self.motion = motion
+        self._asked_mm_s, self._until_s = np.zeros(3), -math.inf
+        self._now_mm_s = np.zeros(3) if velocity_mm_s is None else velocity_mm_s.copy()
+        self.speed_mm_s = float(np.linalg.norm(self._now_mm_s))
+
+    def renew(self, velocity_mm_s: FloatArray, until_s: float) -> None:
+        """Take another velocity (3,), good until ``until_s``."""
+        self._asked_mm_s, self._until_s = velocity_mm_s.copy(), until_s
+        self.speed_mm_s = max(self.speed_mm_s, float(np.linalg.norm(velocity_mm_s)))
+
+    def next_mm(self, felt: CycleInput) -> FloatArray:
+        """Return the next point."""
+        over = felt.now_s >= self._until_s
+        wanted = np.zeros(3) if over else self._asked_mm_s
+        change = wanted - self._now_mm_s
+        size, most = float(np.linalg.norm(change)), ACCELERATION_MM_S2 * felt.cycle_s
+        if size <= most:
+            self._now_mm_s = wanted.copy()
+        else:
+            self._now_mm_s = self._now_mm_s + change * (most / size)
+        if over and not self._now_mm_s.any():
+            self.motion.end()
+        return np.asarray(felt.command_mm + self._now_mm_s * felt.cycle_s)
+
+    def cut(self, command_mm: FloatArray) -> None:
+        """Nothing: the next cycle sets out from where the command is."""
+
+    def still(self) -> None:
+        """Begin again from zero speed."""
+        self._now_mm_s = np.zeros(3)
+
+
+class UnloadProgram:
+    """Rises in contact until the press force has fallen to ``force_n``, then stands stiffly."""
+
+    fragile = False
+    turn: FloatArray | None = None
+
+    def __init__(
+        self, motion: CommandedMotion, compliance: Compliance, force_n: float, speed_mm_s: float
+    ) -> None:
+        self.motion, self.speed_mm_s = motion, speed_mm_s
+        self._compliance, self._force_n = compliance, force_n
+        self._start_mm: float | None = None
+
+    def next_mm(self, felt: CycleInput) -> FloatArray:
+        """Return the next command; the reference stands while nothing is felt."""
+        comply = self._compliance
+        if self._start_mm is None:
+            comply.rebase(felt.command_mm)
+            self._start_mm = float(comply.reference_mm[2])
+        # Also once it has ended: whether the piece may be let go is asked of this force.
+        comply.feel(felt.now_s, felt.t_s, felt.force_n)
+        if self.motion.done:
+            return felt.command_mm
+        press_n = float(comply.felt_n[2])
+        if press_n <= self._force_n:
+            self.motion.end()
+            return felt.command_mm
+        if math.isfinite(press_n):
+            comply.reference_mm[2] += self.speed_mm_s * felt.cycle_s
+        if comply.reference_mm[2] - self._start_mm > UNLOAD_MM:
+            self.motion.end(not_unloaded(press_n))
+            return felt.command_mm
+        return comply.command_mm(felt.now_s)
+
+    def cut(self, command_mm: FloatArray) -> None:
+        """Give way from where the command really is."""
+        self._compliance.cut(command_mm)
+
+    def still(self) -> None:
+        """Nothing: the law has its own speed."""
+
+
+def not_unloaded(press_n: float) -> Fault:
+    """Return the fault of rising without being relieved."""
+    return Fault(
+        "NOT-UNLOADED",
+        f"{press_n:.1f} N press force after rising {UNLOAD_MM:.0f} mm.",
+        HELD,
+        "Check the force/torque sensor.",
+        ARM,
+    )
+
+
+ACCELERATION_RAD_S2 = 2.0
+ARRIVED_RAD = 2e-5
+
+
+def eased(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
+    """Return the velocity of the next cycle: ``wanted``, changed by ``most`` at the most."""
+    change = wanted - now
+    size = float(np.linalg.norm(change))
+    return wanted.copy() if size <= most else np.asarray(now + change * (most / size))
+
+
+class RotationTravelProgram:
+    """Straight to a place while the hand turns evenly: neither goes faster than its speed."""
+
+    fragile = False
+
+    def __init__(
+        self,
+        motion: CommandedMotion,
+        target: tuple[FloatArray, FloatArray],
+        speeds: tuple[float, float],
+    ) -> None:
+        """``target``: (3,) mm and (3, 3) turn; ``speeds``: mm/s and rad/s."""
+        self.motion, (self.speed_mm_s, self.speed_rad_s) = motion, speeds
+        self._target_mm, self._target_turn = target
+        self.turn: FloatArray | None = None
+        self._pace = 0.0
+        self._told_s: float | None = None
+
+    def next_mm(self, felt: CycleInput) -> FloatArray:
+        """Return the next point of the way; ``turn`` is the turn there."""
+        way_mm = self._target_mm - felt.command_mm
+        way_rad = rotation_vector(self._target_turn @ felt.turn.T)
+        left_mm, left_rad = float(np.linalg.norm(way_mm)), float(np.linalg.norm(way_rad))
+        # All in seconds at full speed, so that both ways end together.
+        left_s = max(left_mm / self.speed_mm_s, left_rad / self.speed_rad_s)
+        per_s = min(ACCELERATION_MM_S2 / self.speed_mm_s, ACCELERATION_RAD_S2 / self.speed_rad_s)
+        pace = min(self._pace + per_s * felt.cycle_s, 1.0, braked(per_s, left_s, felt.cycle_s))
+        if left_s - pace * felt.cycle_s <= 1e-6:
+            self._pace = 0.0
+            self.turn = self._target_turn
+            self._watch_arrival(felt)
+            return self._target_mm.copy()
+        self._pace = pace
+        share = pace * felt.cycle_s / left_s
+        self.turn = rotation_from_vector(share * way_rad) @ felt.turn
+        return np.asarray(felt.command_mm + share * way_mm)
+
+    def _watch_arrival(self, felt: CycleInput) -> None:
+        self._told_s = felt.now_s if self._told_s is None else self._told_s
+        behind = np.abs(felt.sent_rad - felt.measured_rad).max()
+        if behind <= ARRIVED_RAD or felt.now_s - self._told_s >= ARRIVED_S:
+            self.motion.end()
+
+    def cut(self, command_mm: FloatArray) -> None:
+        """Nothing: the next cycle sets out from where the command is."""
+
+    def still(self) -> None:
+        """Begin again from zero speed."""
+        self._pace = 0.0
+
+
+class RotationJogProgram:
+    """Follows a velocity and a turn until its time is up, then brakes. Renewed in place."""
+
+    fragile = False
+
+    def __init__(
+        self,
+        motion: CommandedMotion,
+        now: tuple[FloatArray, FloatArray] | None = None,
+    ) -> None:
+        """``now``: velocity (3,) and turn (3,) that it begins with; it brakes unless renewed."""
+        self.motion = motion
+        self._mm_s, self._rad_s = now or (np.zeros(3), np.zeros(3))
+        self._asked = (np.zeros(3), np.zeros(3), -math.inf)
+        self.speed_mm_s = float(np.linalg.norm(self._mm_s))
+        self.speed_rad_s = float(np.linalg.norm(self._rad_s))
+        self.turn: FloatArray | None = None
+
+    def renew(self, velocity_mm_s: FloatArray, turn_rad_s: FloatArray, until_s: float) -> None:
+        """Take another velocity (3,) and turn (3,), good until ``until_s``."""
+        self._asked = (velocity_mm_s.copy(), turn_rad_s.copy(), until_s)
+        self.speed_mm_s = max(self.speed_mm_s, float(np.linalg.norm(velocity_mm_s)))
+        self.speed_rad_s = max(self.speed_rad_s, float(np.linalg.norm(turn_rad_s)))
+
+    def next_mm(self, felt: CycleInput) -> FloatArray:
+        """Return the next point; ``turn`` is the turn there."""
+        velocity, turning, until_s = self._asked
+        over, rest = felt.now_s >= until_s, np.zeros(3)
+        cycle_s = felt.cycle_s
+        self._mm_s = eased(self._mm_s, rest if over else velocity, ACCELERATION_MM_S2 * cycle_s)
+        self._rad_s = eased(self._rad_s, rest if over else turning, ACCELERATION_RAD_S2 * cycle_s)
+        if over and not self._mm_s.any() and not self._rad_s.any():
+            self.motion.end()
+        self.turn = rotation_from_vector(self._rad_s * cycle_s) @ felt.turn
+        return np.asarray(felt.command_mm + self._mm_s * cycle_s)
+
+    def cut(self, command_mm: FloatArray) -> None:
+        """Nothing: the next cycle sets out from where the command is."""
+
+    def still(self) -> None:
+        """Begin again from zero speed."""
+        self._mm_s, self._rad_s = np.zeros(3), np.zeros(3)
+
+
+class JointTravelProgram:
+    """All joints to their ends at once; none goes faster than ``speed_rad_s``."""
+
+    fragile = False
+
+    def __init__(self, motion: CommandedMotion, target_rad: FloatArray, speed_rad_s: float) -> None:
+        self.motion, self.speed_rad_s = motion, speed_rad_s
+        self._target_rad, self._now_rad_s = target_rad.copy(), 0.0
+        self._told_s: float | None = None
+
+    def next_rad(self, felt: CycleInput) -> FloatArray:
+        """Return the next joints (6,)."""
+        way = self._target_rad - felt.sent_rad
+        left = float(np.abs(way).max())
+        speed = min(
+            self._now_rad_s + ACCELERATION_RAD_S2 * felt.cycle_s,
+            self.speed_rad_s,
+            braked(ACCELERATION_RAD_S2, left, felt.cycle_s),
+        )
+        if left - speed * felt.cycle_s <= 1e-7:
+            self._now_rad_s = 0.0
+            self._told_s = felt.now_s if self._told_s is None else self._told_s
+            behind = np.abs(self._target_rad - felt.measured_rad).max()
+            if behind <= ARRIVED_RAD or felt.now_s - self._told_s >= ARRIVED_S:
+                self.motion.end()
+            return self._target_rad.copy()
+        self._now_rad_s = speed
+        return np.asarray(felt.sent_rad + way * (speed * felt.cycle_s / left))
+
+    def still(self) -> None:
+        """Begin again from zero speed."""
+        self._now_rad_s = 0.0
+
+
+class JointJogProgram:
+    """Turns joints until the time is up, then brakes. Renewed in place."""
+
+    fragile = False
+
+    def __init__(self, motion: CommandedMotion, now_rad_s: FloatArray | None = None) -> None:
+        """``now_rad_s``: joint speeds (6,) that it begins with; it brakes unless renewed."""
+        self.motion = motion
+        self._now_rad_s = np.zeros(6) if now_rad_s is None else now_rad_s.copy()
+        self._asked_rad_s, self._until_s = np.zeros(6), -math.inf
+        self.speed_rad_s = float(np.abs(self._now_rad_s).max())
+
+    def renew(self, speeds_rad_s: FloatArray, until_s: float) -> None:
+        """Take other joint speeds (6,), good until ``until_s``."""
+        self._asked_rad_s, self._until_s = speeds_rad_s.copy(), until_s
+        self.speed_rad_s = max(self.speed_rad_s, float(np.abs(speeds_rad_s).max()))
+
+    def next_rad(self, felt: CycleInput) -> FloatArray:
+        """Return the next joints (6,)."""
+        over = felt.now_s >= self._until_s
+        wanted = np.zeros(6) if over else self._asked_rad_s
+        self._now_rad_s = eased(self._now_rad_s, wanted, ACCELERATION_RAD_S2 * felt.cycle_s)
+        if over and not self._now_rad_s.any():
+            self.motion.end()
+        return np.asarray(felt.sent_rad + self._now_rad_s * felt.cycle_s)
+
+    def still(self) -> None:
+        """Begin again from zero speed."""
+        self._now_rad_s = np.zeros(6)
+
+
+JointProgram = JointTravelProgram | JointJogProgram

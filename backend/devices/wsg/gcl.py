@@ -1,0 +1,362 @@
+"""Text protocol of Weiss WSG grippers (GCL), translated to the messages of the binary protocol.
+
+One command, query or answer per line. For grippers whose text interface cannot be switched off. It
+has no limits, no acceleration and no force limit of its own: those of the settings count, and the
+force travels with the grip. Source: GCL reference manual (contents), public clients.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import TypeAlias
+
+from touchdown.backend.config import WsgSettings
+from touchdown.backend.devices.framing import LineStream, ProtocolError
+from touchdown.backend.devices.protocols import Identity
+from touchdown.backend.devices.wsg.protocol import (
+    MAKER,
+    SystemFlag,
+    WsgCommand,
+    WsgReply,
+    WsgRequest,
+    WsgStatus,
+)
+
+LONGEST = 256
+LARGEST = 1e9
+
+_NAME = rb"[A-Z][A-Z0-9]*(?:\[[0-9]{1,3}\])?"
+_CALL = re.compile(rb"([A-Z][A-Z0-9]*)\((.*)\)")
+_QUERY = re.compile(rb"(" + _NAME + rb")\?")
+_ASSIGNMENT = re.compile(rb"(" + _NAME + rb")=(.*)")
+_ANSWER = re.compile(rb"(ACK|FIN) ([A-Z][A-Z0-9]*)")
+_ERROR = re.compile(rb"ERR ([A-Z][A-Z0-9]*) ([0-9]{1,5})(?: (.*))?")
+_ARGUMENT = re.compile(r'"([^"]*)"|(true|false)|([-+0-9.]+)')
+_PRINTABLE = re.compile(rb"[ -~]*")
+
+Scalar: TypeAlias = float | int | str | bool
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """``COMMAND(arguments)``; a text argument travels in quotation marks."""
+
+    command: str
+    arguments: tuple[Scalar, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """``NAME?``."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """``NAME=value``: set, echoed, or the answer to a query; text is kept as it stands."""
+
+    name: str
+    value: Scalar | tuple[Scalar, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class GclAnswer:
+    """``ACK`` accepted, ``FIN`` carried out."""
+
+    kind: str
+    command: str
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """``ERR``: a status code of the binary protocol, and a text in verbose mode."""
+
+    command: str
+    code: int
+    text: str = ""
+
+
+GclLine = Call | Query | Assignment | GclAnswer | Failure
+
+
+def encode(line: GclLine) -> bytes:
+    """Return the line with its LF; raises ``WireError`` unless it reads back as the same."""
+    content = _text(line).encode("ascii", "replace")
+    if decode(content) != line:
+        raise ProtocolError("text", "gcl line")
+    return content + b"\n"
+
+
+def decode(content: bytes) -> GclLine:
+    """Return the message of one line without its end; raises ``WireError``."""
+    if len(content) > LONGEST or _PRINTABLE.fullmatch(content) is None:
+        raise ProtocolError("text", "gcl line")
+    if found := _ANSWER.fullmatch(content):
+        return GclAnswer(found[1].decode(), found[2].decode())
+    if found := _ERROR.fullmatch(content):
+        return Failure(found[1].decode(), int(found[2]), (found[3] or b"").decode())
+    if found := _CALL.fullmatch(content):
+        return Call(found[1].decode(), _arguments(found[2].decode()))
+    if found := _QUERY.fullmatch(content):
+        return Query(found[1].decode())
+    if found := _ASSIGNMENT.fullmatch(content):
+        return Assignment(found[1].decode(), _value(found[2].decode()))
+    raise ProtocolError("text", "gcl line")
+
+
+def lines() -> LineStream[GclLine]:
+    """Return the decoder of either direction; takes LF and CR LF."""
+    return LineStream(decode, LONGEST)
+
+
+def _text(line: GclLine) -> str:
+    match line:
+        case GclAnswer(kind, command):
+            return f"{kind} {command}"
+        case Failure(command, code, text):
+            return f"ERR {command} {code} {text}" if text else f"ERR {command} {code}"
+        case Call(command, arguments):
+            return f"{command}({_joined(arguments)})"
+        case Query(name):
+            return f"{name}?"
+        case Assignment(name, tuple() as values):
+            return f"{name}=[{_joined(values)}]"
+        case Assignment(name, str() | int() | float() as value):
+            return f"{name}={_number_text(value)}"
+    raise ProtocolError("type", "gcl line")
+
+
+def _joined(values: tuple[Scalar, ...]) -> str:
+    return ",".join(f'"{v}"' if isinstance(v, str) else _number_text(v) for v in values)
+
+
+def _number_text(value: Scalar) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        if not math.isfinite(value) or abs(value) > LARGEST:
+            raise ProtocolError("range", "gcl number")
+        return f"{Decimal(repr(value)):f}"
+    return str(value)
+
+
+def _number(text: str) -> float | int:
+    if re.fullmatch(r"[-+]?[0-9]{1,15}", text):
+        return int(text)
+    if re.fullmatch(r"[-+]?[0-9]{1,15}\.[0-9]*", text):
+        return float(text)
+    raise ProtocolError("number", "gcl number")
+
+
+def _arguments(text: str) -> tuple[Scalar, ...]:
+    arguments: list[Scalar] = []
+    at = 0
+    while text:
+        found = _ARGUMENT.match(text, at)
+        if found is None:
+            raise ProtocolError("text", "gcl arguments", at)
+        quoted, truth, number = found.groups()
+        value = quoted if quoted is not None else truth == "true" if truth else _number(number)
+        arguments.append(value)
+        at = found.end()
+        if at == len(text):
+            break
+        if text[at] != ",":
+            raise ProtocolError("text", "gcl arguments", at)
+        at += 1
+    return tuple(arguments)
+
+
+def _value(text: str) -> Scalar | tuple[Scalar, ...]:
+    if text.startswith("[") and text.endswith("]"):
+        return _arguments(text[1:-1])
+    if text in ("true", "false"):
+        return text == "true"
+    try:
+        return _number(text)
+    except ProtocolError:
+        return text
+
+
+QUERY_S = 0.2
+"""Everything is asked for so often: it keeps the connection alive, whatever AUTOSEND does."""
+FLAGS = (
+    SystemFlag.REFERENCED,
+    SystemFlag.FAST_STOP,
+    SystemFlag.TEMP_FAULT,
+    SystemFlag.POWER_FAULT,
+    SystemFlag.CURR_FAULT,
+    SystemFlag.FINGER_FAULT,
+)
+"""Those that matter, each asked for by its bit. MOVING is not asked for: told this seldom it would
+be old, and a stop on its word would end a grip that stands."""
+READINGS = {WsgCommand.GRASP_STATE: "GRIPSTATE", WsgCommand.WIDTH: "POS", WsgCommand.FORCE: "FORCE"}
+SELVES = ("DEVTYPE", "VERSION", "SN")
+"""Who it is: three texts."""
+CALLS = {
+    WsgCommand.STOP: "STOP",
+    WsgCommand.FAST_STOP: "FASTSTOP",
+    WsgCommand.ACKNOWLEDGE: "FSACK",
+    WsgCommand.DISCONNECT: "BYE",
+}
+UNKNOWN_TO_TEXT = (WsgCommand.SYSTEM_LIMITS, WsgCommand.GET_ACCELERATION)
+
+
+class GclProtocol:
+    """Says requests as lines; answers itself what the text protocol does not know."""
+
+    def __init__(self, settings: WsgSettings) -> None:
+        self._settings = settings
+        self._decoder = lines()
+        self._own: deque[WsgReply] = deque()
+        self._force_sum_n = settings.force_min_n
+        self._width_mm = 0.0
+        self._moves: dict[str, WsgCommand] = {"HOME": WsgCommand.HOME, "GRIP": WsgCommand.GRASP}
+        self._bits: dict[SystemFlag, bool] = {}
+        self._texts: dict[str, str] = {}
+        self._sent_of_itself: set[str] = set()
+        self._next_s: float | None = None
+        self._greeted = False
+
+    @property
+    def bad_frames(self) -> int:
+        """Lines that were none."""
+        return self._decoder.bad_frames
+
+    def encode(self, requests: Iterable[WsgRequest]) -> bytes:
+        """Return the lines."""
+        lines = [line for request in requests for line in self._lines(request)]
+        if lines and not self._greeted:
+            self._greeted = True
+            lines.append(Assignment("VERBOSE", 0))
+        return b"".join(map(encode, lines))
+
+    def take(self, data: bytes) -> list[WsgReply]:
+        """Return the replies; with no data those to requests that it answers itself."""
+        replies: list[WsgReply] = []
+        while self._own:
+            replies.append(self._own.popleft())
+        for line in self._decoder.feed(data):
+            replies += self._understand(line)
+        return replies
+
+    def due(self, now_s: float) -> bytes:
+        """Return the queries that keep the connection alive."""
+        if self._next_s is not None and now_s < self._next_s:
+            return b""
+        self._next_s = now_s + QUERY_S
+        queries = [*map(Query, READINGS.values()), *self._flag_queries()]
+        return b"".join(map(encode, queries))
+
+    def identity(self, told: WsgReply, address: str) -> Identity:
+        """Return what it says of itself."""
+        kind, version, serial = (
+            value.decode() if isinstance(value, bytes) else "" for value in told.values
+        )
+        return Identity(MAKER, kind, serial or address, version)
+
+    # -- requests ---------------------------------------------------------------------------------
+
+    def _lines(self, request: WsgRequest) -> list[GclLine]:
+        command, values = request.command, request.values
+        if command == WsgCommand.SET_FORCE_LIMIT:
+            self._force_sum_n = float(values[0])
+            return self._answered(WsgReply(command, WsgStatus.SUCCESS))
+        if command in UNKNOWN_TO_TEXT:
+            return self._answered(WsgReply(command, WsgStatus.NOT_AVAILABLE))
+        if command == WsgCommand.SYSTEM_STATE:
+            return list(self._flag_queries())
+        if command == WsgCommand.SYSTEM_INFO:
+            self._texts.clear()
+            return [Query(name) for name in SELVES]
+        if command in READINGS:
+            return self._reading(READINGS[WsgCommand(command)], int(values[1]) if values else 0)
+        if command in CALLS:
+            return [Call(CALLS[WsgCommand(command)])]
+        return [self._motion(WsgCommand(command), tuple(float(value) for value in values))]
+
+    def _answered(self, reply: WsgReply) -> list[GclLine]:
+        self._own.append(reply)
+        return []
+
+    def _flag_queries(self) -> list[Query]:
+        return [Query(f"SYSFLAGS[{flag.bit_length() - 1}]") for flag in FLAGS]
+
+    def _reading(self, name: str, period_ms: int) -> list[GclLine]:
+        lines: list[GclLine] = [Query(name)]
+        if period_ms and name not in self._sent_of_itself:
+            self._sent_of_itself.add(name)
+            third = self._settings.gcl_autosend_third == "true"
+            lines.insert(0, Call("AUTOSEND", (name, period_ms, third)))
+        return lines
+
+    def _motion(self, command: WsgCommand, values: tuple[float, ...]) -> GclLine:
+        """Return the call that begins a motion; the one under this name is this motion from now."""
+        if command is WsgCommand.HOME:
+            return Call("HOME", (int(values[0]),) if values[0] else ())
+        if command is WsgCommand.GRASP:
+            return Call("GRIP", (self._force_sum_n, *values))
+        width_mm, speed_mm_s = values[-2:]
+        opens_mm = width_mm - self._width_mm
+        if command is WsgCommand.RELEASE and opens_mm > 0.0:
+            self._moves["RELEASE"] = command
+            share = 1.0 if self._settings.gcl_release == "width" else 0.5
+            return Call("RELEASE", (share * opens_mm, speed_mm_s))
+        self._moves["MOVE"] = command
+        return Call("MOVE", (width_mm, speed_mm_s))
+
+    # -- answers ----------------------------------------------------------------------------------
+
+    def _understand(self, line: GclLine) -> list[WsgReply]:
+        match line:
+            case GclAnswer("ACK", name) if name in self._moves:
+                return [WsgReply(self._moves[name], WsgStatus.CMD_PENDING)]
+            case GclAnswer("FIN", name) if name in self._moves:
+                return [WsgReply(self._moves[name], WsgStatus.SUCCESS)]
+            case GclAnswer("ACK", name):
+                return self._obeyed(name)
+            case Failure(name, code):
+                command = self._moves.get(name) or _called(name)
+                return [WsgReply(command, code)] if command is not None else []
+            case Assignment(name, value) if isinstance(value, str | int | float):
+                return self._told(name, value)
+        return []
+
+    def _obeyed(self, name: str) -> list[WsgReply]:
+        if name == "FSACK":
+            self._bits.clear()  # what was told before belongs to the time before
+        command = _called(name)
+        return [] if command is None else [WsgReply(command, WsgStatus.SUCCESS)]
+
+    def _told(self, name: str, value: str | float) -> list[WsgReply]:
+        for command, reading in READINGS.items():
+            if name == reading and not isinstance(value, str):
+                self._width_mm = float(value) if command is WsgCommand.WIDTH else self._width_mm
+                return [WsgReply(command, WsgStatus.SUCCESS, (value,))]
+        if name in SELVES:
+            self._texts[name] = str(value).strip('"')
+            if len(self._texts) == len(SELVES):
+                told = tuple(self._texts[key].encode() for key in SELVES)
+                return [WsgReply(WsgCommand.SYSTEM_INFO, WsgStatus.SUCCESS, told)]
+        if name.startswith("SYSFLAGS[") and not isinstance(value, str):
+            return self._flag(int(name[9:-1]), bool(value))
+        return []
+
+    def _flag(self, bit: int, up: bool) -> list[WsgReply]:
+        """Take one flag; return them all once each has been told."""
+        self._bits[SystemFlag(1 << bit)] = up
+        if not all(flag in self._bits for flag in FLAGS):
+            return []
+        flags = sum(int(flag) for flag in FLAGS if self._bits[flag])
+        self._bits.clear()
+        return [WsgReply(WsgCommand.SYSTEM_STATE, WsgStatus.SUCCESS, (flags,))]
+
+
+def _called(name: str) -> WsgCommand | None:
+    return next((command for command, call in CALLS.items() if call == name), None)

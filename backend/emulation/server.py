@@ -1,0 +1,366 @@
+"""Servers of emulated devices: TCP port, pseudo terminal, datagrams.
+
+One client at a time; a second one waits. Datagram answers go to the last sender. The device itself
+is a function of time and bytes. Both directions are logged.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+import socket
+import threading
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from touchdown.backend.core import Clock, MonotonicClock, set_realtime_priority
+from touchdown.backend.emulation.fault_plan import Faults
+
+TICK_S = 0.002
+"""Longest sleep between two looks at the device: as finely as a stream is timed."""
+UNPLUGGED_S = 0.01
+CHUNK = 4096
+LOG_LENGTH = 20_000
+
+
+class EmulatedDevice(Protocol):
+    """A device as its wire sees it."""
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Take bytes; return what is answered at once."""
+
+    def due(self, now_s: float) -> bytes:
+        """Return what the device sends of itself up to now."""
+
+    def closed(self, now_s: float) -> None:
+        """Take note that the client has gone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """Bytes that went one way: ``incoming`` is towards the device."""
+
+    t_s: float
+    incoming: bool
+    data: bytes
+
+
+class DeviceServer(ABC):
+    """Runs one device on a thread of its own until ``close``.
+
+    ``faults`` are those of its wire; ``damage`` may be set at any time: it gets all outgoing bytes
+    and returns what really goes out.
+    """
+
+    def __init__(self, clock: Clock | None = None, faults: Faults | None = None) -> None:
+        self._clock = clock or MonotonicClock()
+        self.faults = faults or Faults("")
+        self._stop = threading.Event()
+        self.log: deque[Exchange] = deque(maxlen=LOG_LENGTH)
+        self.received = self.sent = self.clients = 0
+        self.damage: Callable[[bytes], bytes] = bytes
+        self.priority = 0
+        """Real-time priority while it serves, where the user may have it; 0: as it is."""
+        self._thread = threading.Thread(target=self._begin, name="emulator", daemon=True)
+
+    @property
+    @abstractmethod
+    def url(self) -> str:
+        """Address for a driver."""
+
+    def start(self) -> None:
+        """Begin to serve; the times of the faults count from here."""
+        self.faults.begin(self._clock.now_s())
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop serving; returns when the thread has ended."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def inject(self, kind: str, for_s: float | None = None, **more: float) -> None:
+        """Let a fault begin now."""
+        self.faults.inject(self._clock.now_s(), kind, for_s, **more)
+
+    def _begin(self) -> None:
+        set_realtime_priority(self.priority)
+        self._run()
+
+    @abstractmethod
+    def _run(self) -> None:
+        """Serve until ``_stop`` is set."""
+
+    def _is_unplugged(self) -> bool:
+        return self.faults.active("unplug", self._clock.now_s())
+
+    def _took(self, data: bytes) -> float:
+        """Count and log what came; return the time."""
+        now_s = self._clock.now_s()
+        self.received += len(data)
+        self.log.append(Exchange(now_s, True, data))
+        return now_s
+
+    def _gave(self, data: bytes) -> None:
+        self.sent += len(data)
+        self.log.append(Exchange(self._clock.now_s(), False, data))
+
+
+class StreamServer(DeviceServer):
+    """A front whose wire carries a stream of bytes; looks at its device every ``tick_s``."""
+
+    tick_s = TICK_S
+
+    def __init__(
+        self, device: EmulatedDevice, clock: Clock | None = None, faults: Faults | None = None
+    ) -> None:
+        super().__init__(clock, faults)
+        self._device = device
+
+    def _serve(
+        self, file: int, read: Callable[[], bytes], write: Callable[[bytes], object]
+    ) -> None:
+        """Exchange bytes with one client until it goes, the plug is pulled or the front closes."""
+        with selectors.DefaultSelector() as selector:
+            selector.register(file, selectors.EVENT_READ)
+            while not self._stop.is_set() and not self._is_unplugged():
+                answer = b""
+                if selector.select(self.tick_s):
+                    data = read()
+                    if not data:
+                        return
+                    answer = self._device.receive(self._took(data), data)
+                now_s = self._clock.now_s()
+                messages = self.faults.outgoing(now_s, (answer, self._device.due(now_s)))
+                if out := self.damage(b"".join(messages)):
+                    write(out)
+                    self._gave(out)
+
+
+class TcpServer(StreamServer):
+    """A device behind a TCP port; ``port`` 0 takes a free one."""
+
+    def __init__(
+        self,
+        device: EmulatedDevice,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        clock: Clock | None = None,
+        faults: Faults | None = None,
+    ) -> None:
+        super().__init__(device, clock, faults)
+        self._listener = self._listen((host, port))
+        self.address: tuple[str, int] = self._listener.getsockname()[:2]
+
+    @property
+    def url(self) -> str:
+        """Address for a serial driver."""
+        return f"socket://{self.address[0]}:{self.address[1]}"
+
+    def close(self) -> None:
+        """Stop serving and free the port."""
+        super().close()
+        self._listener.close()
+
+    def _listen(self, address: tuple[str, int]) -> socket.socket:
+        listener = socket.create_server(address, backlog=1)
+        listener.settimeout(0.05)
+        return listener
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            if self._is_unplugged():
+                self._listener.close()
+                while self._is_unplugged() and not self._stop.wait(UNPLUGGED_S):
+                    pass
+                if not self._stop.is_set():
+                    self._listener = self._listen(self.address)
+                continue
+            try:
+                client, _ = self._listener.accept()
+            except TimeoutError:
+                continue
+            self.clients += 1
+            with client, contextlib.suppress(ConnectionError, TimeoutError):
+                client.settimeout(1.0)
+                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._serve(client.fileno(), partial(client.recv, CHUNK), client.sendall)
+            self._device.closed(self._clock.now_s())
+
+
+class PtyServer(StreamServer):
+    """A device behind a pseudo terminal (Linux, macOS); ``url`` is the path of its serial port.
+
+    ``link`` is a name that always points to the present terminal: after a replug it is another one.
+    """
+
+    def __init__(
+        self,
+        device: EmulatedDevice,
+        clock: Clock | None = None,
+        faults: Faults | None = None,
+        link: Path | None = None,
+    ) -> None:
+        super().__init__(device, clock, faults)
+        self._link = link
+        self.plugs = 0
+        """How often it was plugged in."""
+        self._plug()
+
+    @property
+    def url(self) -> str:
+        """Path of the serial port."""
+        return str(self._link or self._path)
+
+    def close(self) -> None:
+        """Stop serving and remove the port."""
+        super().close()
+        self._unplug()
+
+    def _plug(self) -> None:
+        import tty
+
+        self._master, slave = os.openpty()
+        self._files: tuple[int, ...] = (self._master, slave)
+        tty.setraw(slave)
+        self._path = os.ttyname(slave)
+        if self._link is not None:
+            self._name(self._link)
+        self.plugs += 1
+
+    def _name(self, link: Path) -> None:
+        """Lead ``link`` to the terminal, at once; only when it begins must its folder be there."""
+        fresh = link.with_name(f"{link.name}.new")
+        try:
+            fresh.unlink(missing_ok=True)
+            fresh.symlink_to(self._path)
+            fresh.replace(link)
+        except FileNotFoundError:
+            if not self._thread.is_alive():
+                raise
+
+    def _unplug(self) -> None:
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+        for file in self._files:
+            os.close(file)
+        self._files = ()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            os.set_blocking(self._master, False)
+            self._serve(self._master, partial(os.read, self._master, CHUNK), self._write)
+            if not self._is_unplugged():
+                continue
+            self._device.closed(self._clock.now_s())
+            self._unplug()
+            while self._is_unplugged() and not self._stop.wait(UNPLUGGED_S):
+                pass
+            self._plug()
+
+    def _write(self, out: bytes) -> None:
+        # Nobody reads: what does not fit is lost, as in the buffer of an adapter.
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._master, out)
+
+
+AT_ONCE = 64
+"""Datagrams taken before the device is asked again what is due."""
+
+
+class EmulatedDatagrams(Protocol):
+    """A device as its network socket sees it."""
+
+    def receive(self, now_s: float, data: bytes) -> Sequence[bytes]:
+        """Take one datagram; return those that answer at once."""
+
+    def due(self, now_s: float) -> Sequence[bytes]:
+        """Return the datagrams that the device sends of itself up to now."""
+
+
+class UdpServer(DeviceServer):
+    """A device behind a UDP port; ``port`` 0 takes a free one."""
+
+    def __init__(
+        self,
+        device: EmulatedDatagrams,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        clock: Clock | None = None,
+        faults: Faults | None = None,
+    ) -> None:
+        super().__init__(clock, faults)
+        self._device = device
+        self._socket = self._bind((host, port))
+        self.address: tuple[str, int] = self._socket.getsockname()[:2]
+        self._client: tuple[str, int] | None = None
+
+    @property
+    def url(self) -> str:
+        """Address for a driver."""
+        return f"udp://{self.address[0]}:{self.address[1]}"
+
+    def close(self) -> None:
+        """Stop serving and free the port."""
+        super().close()
+        self._socket.close()
+
+    def _bind(self, address: tuple[str, int]) -> socket.socket:
+        bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            bound.bind(address)
+        except OSError:
+            bound.close()
+            raise
+        bound.setblocking(False)
+        return bound
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            if not self._is_unplugged():
+                self._exchange()
+                continue
+            self._socket.close()
+            while self._is_unplugged() and not self._stop.wait(UNPLUGGED_S):
+                pass
+            if not self._stop.is_set():
+                self._socket = self._bind(self.address)
+
+    def _exchange(self) -> None:
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._socket, selectors.EVENT_READ)
+            while not self._stop.is_set() and not self._is_unplugged():
+                answers: list[bytes] = []
+                if selector.select(TICK_S):
+                    answers = self._take()
+                now_s = self._clock.now_s()
+                for out in self.faults.outgoing(now_s, [*answers, *self._device.due(now_s)]):
+                    self._send(self.damage(out))
+
+    def _take(self) -> list[bytes]:
+        """Take what waits; return the answers."""
+        answers: list[bytes] = []
+        for _ in range(AT_ONCE):
+            try:
+                data, client = self._socket.recvfrom(CHUNK)
+            except (BlockingIOError, ConnectionError):
+                break
+            if client != self._client:
+                self._client = client
+                self.clients += 1
+            answers.extend(self._device.receive(self._took(data), data))
+        return answers
+
+    def _send(self, out: bytes) -> None:
+        if self._client is None or not out:
+            return
+        # A client that has gone answers with an error of its system; a full buffer loses it.
+        with contextlib.suppress(ConnectionError, BlockingIOError):
+            self._socket.sendto(out, self._client)
+            self._gave(out)

@@ -1,0 +1,414 @@
+"""Devices of a bench file as the backend holds them.
+
+Arm, gripper and wrist sensor are proxies of those in the real-time process, which starts with the
+first connection; cameras, which have no deadlines, live in this process. Measured positions and
+wrenches lie in the session's streams; the rest is read from the state that the rig shows every 20
+ms.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, astuple
+from typing import Any
+
+import numpy as np
+
+from touchdown.backend.config import HardwareSettings
+from touchdown.backend.core import (
+    FINGERS,
+    Fault,
+    Finger,
+    FloatArray,
+    Pose,
+    SampleStream,
+    Stream,
+    TactileFrame,
+)
+from touchdown.backend.devices import (
+    STILL,
+    TURN_RAD_S,
+    ArmStatus,
+    ConnectionSteps,
+    Device,
+    DeviceState,
+    GripStatus,
+    Health,
+    Identity,
+    Interlock,
+    Joints,
+    PressCommand,
+    ReleaseAuthorisation,
+    RobotMode,
+    SafetyMode,
+    Vector,
+    make_tactile,
+)
+from touchdown.backend.devices.melfa import PLACE_LATE_S
+from touchdown.backend.rig.link import RigLink, RigMotion
+from touchdown.backend.rig.messages import read_fault, read_identity
+from touchdown.backend.rig.process import make_devices
+
+
+class _Remote:
+    """Connection, identity and health of one device of the rig; the first that connects starts it.
+
+    ``open_ones``: which devices of this link are open; the process ends with the last.
+    """
+
+    def __init__(
+        self, name: str, link: RigLink, now_s: Callable[[], float], open_ones: set[str]
+    ) -> None:
+        self._name, self._link, self._now_s, self._open = name, link, now_s, open_ones
+
+    @property
+    def name(self) -> str:
+        """Name of the device."""
+        return self._name
+
+    @property
+    def _row(self) -> Mapping[str, Any]:
+        return self._link.row(self._name) if self._name in self._open else {}
+
+    @property
+    def state(self) -> DeviceState:
+        """Where the connection is in its life; FAULT when the rig is lost."""
+        if self._name in self._open and self._link.lost is not None:
+            return DeviceState.FAULT
+        return DeviceState(self._row.get("state", "closed"))
+
+    @property
+    def fault(self) -> Fault | None:
+        """Why the device is in FAULT."""
+        if self._name in self._open and self._link.lost is not None:
+            return self._link.lost
+        return read_fault(self._row.get("fault"))
+
+    @property
+    def steps(self) -> ConnectionSteps:
+        """How far the connection has come."""
+        steps = ConnectionSteps()
+        steps.done = self._row.get("steps", 0)
+        return steps
+
+    @property
+    def identity(self) -> Identity | None:
+        """Known once connected."""
+        return read_identity(self._row.get("identity"))
+
+    @property
+    def health(self) -> Health:
+        """Rate, age, counts; nothing before the connection."""
+        rate_hz, newest_s, received, lost = self._row.get("health", (0.0, -math.inf, 0, 0))
+        return Health(rate_hz, self._now_s() - newest_s, received, lost)
+
+    def describe(self) -> Mapping[str, str | float]:
+        """Raw fields of the device, and of the process that drives it."""
+        hello = self._link.hello
+        return {
+            **self._row.get("fields", {}),
+            "rig": "running" if self._link.running else "not running",
+            "rig_realtime": "yes" if hello.get("realtime") else "no",
+            "rig_memory": "kept" if hello.get("locked") else "may be moved to disk",
+        }
+
+    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Connect in the rig; raises ``FaultError``. ``cancel`` is handed on while it lasts."""
+        if self.state is DeviceState.READY:
+            return
+        self._link.start()
+        self._open.add(self._name)
+        done = threading.Event()
+        watch = threading.Thread(target=self._hand_on, args=(cancel, done), daemon=True)
+        watch.start()
+        try:
+            self._link.order(f"{self._name}.connect", timeout_s=timeout_s, **self._known())
+        except BaseException:
+            self._leave()
+            raise
+        finally:
+            done.set()
+            watch.join()
+
+    def close(self) -> None:
+        """Close in the rig; the process ends with the last device. Nothing is let go."""
+        if self._name not in self._open:
+            return
+        if self._link.running:
+            self._link.order(f"{self._name}.close")
+        self._leave()
+
+    def _known(self) -> Mapping[str, Any]:
+        """Return what the rig should know of the time before."""
+        return {}
+
+    def _leave(self) -> None:
+        self._open.discard(self._name)
+        if not self._open:
+            self._link.close()
+
+    def _hand_on(self, cancel: threading.Event, done: threading.Event) -> None:
+        while not done.wait(0.02):
+            if cancel.is_set():
+                self._link.cancel()
+                return
+
+
+class RigForceTorque(_Remote):
+    """The wrist sensor of the rig."""
+
+    @property
+    def samples(self) -> SampleStream:
+        """Fx Fy Fz Tx Ty Tz in N and N·m, tool axes; NaN where there is no measurement."""
+        return self._link.samples
+
+    @property
+    def rated(self) -> FloatArray:
+        """(6,) rated range, N and N·m; NaN before the first connection."""
+        return np.array(self._row.get("rated", [math.nan] * 6))
+
+    @property
+    def slow_since_s(self) -> float | None:
+        """When it began to deliver less than half of its samples; None while it does not."""
+        slow_s: float | None = self._row.get("slow_since_s")
+        return slow_s
+
+
+class RigArm(_Remote):
+    """The arm of the rig."""
+
+    place_late_s = 0.0
+    """By how much later than a stream the arm may tell its place."""
+
+    @property
+    def poses(self) -> SampleStream:
+        """Measured position of ``G``, mm in the bench, once per cycle."""
+        return self._link.poses
+
+    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Connect in the rig; what was measured on the way up belongs to no connection yet."""
+        known = self.state is DeviceState.READY
+        super().connect(timeout_s, cancel)
+        if not known:
+            self._link.settle()
+
+    def status(self) -> ArmStatus:
+        """Return the status words."""
+        if self._link.lost is not None and self._name in self._open:
+            return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.FAULT, 0.0, 0)
+        row = self._row.get("status")
+        if row is None:
+            return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
+        mode, safety, override, error = row
+        return ArmStatus(RobotMode(mode), SafetyMode(safety), override, error)
+
+    def servo(self, on: bool) -> None:
+        """Switch the motors; may take seconds."""
+        self._link.order("arm.servo", on=on)
+
+    def pose(self, max_age_s: float) -> Pose:
+        """Return the measured pose; raises ``StaleSampleError`` if it is older."""
+        _, values = self.poses.latest(self._now_s(), max_age_s + self.place_late_s)
+        x, y, z = values.tolist()
+        return Pose(x, y, z, *(self._row.get("turn") or STILL))
+
+    # -- motion -----------------------------------------------------------------------------------
+
+    def move_to(self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S) -> RigMotion:
+        """Move straight to ``target``, turning on the way."""
+        return self._link.move(
+            "arm.move_to", target=astuple(target), speed_mm_s=speed_mm_s, turn_rad_s=turn_rad_s
+        )
+
+    def jog(self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL) -> RigMotion:
+        """Follow a velocity and a turn for ``for_s``; a renewal goes on without a jerk."""
+        return self._link.move(
+            "arm.jog", velocity_mm_s=velocity_mm_s, for_s=for_s, turn_rad_s=turn_rad_s
+        )
+
+    def press(self, command: PressCommand) -> RigMotion:
+        """Press compliantly from here straight down."""
+        return self._link.move("arm.press", **asdict(command))
+
+    def unload(self, force_n: float, speed_mm_s: float) -> RigMotion:
+        """Rise until the press force is ``force_n``."""
+        return self._link.move("arm.unload", force_n=force_n, speed_mm_s=speed_mm_s)
+
+    def halt(self) -> None:
+        """Brake and stand still; the stream goes on."""
+        if self._link.running:
+            self._link.order("arm.halt")
+
+    def retreat(self) -> None:
+        """Draw back from what the arm touches, then stand; waits for nothing."""
+        self._link.retreat()
+
+    def stop(self) -> None:
+        """End the stream and stop the controller; waits for nothing."""
+        self._link.stop()
+
+    # -- joints -----------------------------------------------------------------------------------
+
+    @property
+    def rotates(self) -> bool:
+        """Whether the hand turns, and joints can be driven one by one."""
+        return bool(self._link.hello.get("joint_ranges"))
+
+    def joints_rad(self, max_age_s: float) -> Joints:
+        """Return the measured joints; raises ``StaleSampleError`` if they are older."""
+        self.poses.latest(self._now_s(), max_age_s)
+        return tuple(self._row.get("joints") or ())
+
+    @property
+    def joint_limits_rad(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest angle of each joint."""
+        return tuple((low, high) for low, high in self._link.hello.get("joint_ranges", ()))
+
+    def place_of(self, joints_rad: Joints) -> Pose:
+        """Return the pose that these joints give the hand. Moves nothing."""
+        return Pose(*self._link.order("arm.place_of", joints_rad=joints_rad)["value"])
+
+    def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> RigMotion:
+        """Turn the joints for ``for_s``; a renewal goes on without a jerk."""
+        return self._link.move("arm.jog_joints", speeds_rad_s=speeds_rad_s, for_s=for_s)
+
+    def move_joints(self, target_rad: Joints, speed_rad_s: float) -> RigMotion:
+        """Turn all joints to ``target_rad``; none goes faster than ``speed_rad_s``."""
+        return self._link.move("arm.move_joints", target_rad=target_rad, speed_rad_s=speed_rad_s)
+
+
+class RigGripper(_Remote):
+    """The gripper of the rig."""
+
+    lost_holding = False
+
+    def _known(self) -> Mapping[str, Any]:
+        return {"lost_holding": self.lost_holding}
+
+    def _leave(self) -> None:
+        row = self._row
+        if row:
+            died_holding = self._link.lost is not None and row["grip"][2]
+            self.lost_holding = bool(row["lost_holding"] or died_holding)
+        super()._leave()
+
+    def status(self) -> GripStatus:
+        """Return what the gripper told last."""
+        grip = self._row.get("grip")
+        if grip is None:
+            return GripStatus(math.nan, math.nan, holding=False)
+        width_mm, force_n, holding = grip
+        return GripStatus(width_mm, force_n, holding)
+
+    @property
+    def homed(self) -> bool:
+        """Whether it knows where its jaws are; True for one that need not be homed."""
+        return bool(self._row.get("homed", False))
+
+    def home(self) -> RigMotion:
+        """Find the origin, with empty jaws only; ``RefusedError`` where it is not homed so."""
+        return self._link.move("gripper.home")
+
+    def acknowledge(self) -> None:
+        """Take a fast stop or fault as seen, on the operator's word."""
+        self._link.order("gripper.acknowledge")
+
+    def grip(self, force_n: float) -> RigMotion:
+        """Close until a piece is held with ``force_n`` per finger."""
+        return self._link.move("gripper.grip", force_n=force_n)
+
+    def open_to(self, width_mm: float, speed_mm_s: float) -> RigMotion:
+        """Open (or close) to ``width_mm``; refused while a piece is held."""
+        return self._link.move("gripper.open_to", width_mm=width_mm, speed_mm_s=speed_mm_s)
+
+    def open_held(
+        self, right: ReleaseAuthorisation, width_mm: float, speed_mm_s: float
+    ) -> RigMotion:
+        """Open on a held piece if ``right`` and what the rig measures allow it."""
+        return self._link.move(
+            "gripper.open_held",
+            right=type(right).__name__,
+            evidence=asdict(right),
+            width_mm=width_mm,
+            speed_mm_s=speed_mm_s,
+        )
+
+    def stop(self) -> None:
+        """Stop where it is; keeps the grip. Waits for nothing."""
+        self._link.stop_gripper()
+
+
+CONNECT_S = 10.0
+WAIT_S = 0.01
+
+
+class BenchDevices:
+    """Drivers by a bench file; they put what they sense into the given streams.
+
+    ``now_s`` runs in step with the computer's own monotonic clock. ``interlock`` permits motion:
+    its lease, its latch and its limits reach the rig. Raises ``InputError`` for bad settings.
+    """
+
+    def __init__(
+        self,
+        settings: HardwareSettings,
+        now_s: Callable[[], float],
+        frames: Mapping[Finger, Stream[TactileFrame]],
+        samples: SampleStream,
+        poses: SampleStream,
+        interlock: Interlock,
+    ) -> None:
+        make_devices(settings, now_s)  # what the settings lack is told now, not in the rig
+        self.link = RigLink(settings, now_s, samples, poses, interlock)
+        open_ones: set[str] = set()
+        self.force_torque = RigForceTorque("force_torque", self.link, now_s, open_ones)
+        self.gripper = RigGripper("gripper", self.link, now_s, open_ones)
+        self.tactile = {
+            finger: make_tactile(finger, settings, now_s, frames[finger]) for finger in FINGERS
+        }
+        self.arm = RigArm("arm", self.link, now_s, open_ones)
+        if settings.melfa.stiffness_mode == "controller":
+            self.arm.place_late_s = PLACE_LATE_S
+
+    @property
+    def devices(self) -> Mapping[str, Device]:
+        """All five by name, sensors first and the arm last: as they are connected."""
+        cameras = {camera.name: camera for camera in self.tactile.values()}
+        ordered: dict[str, Device] = {"force_torque": self.force_torque, **cameras}
+        return {**ordered, "gripper": self.gripper, "arm": self.arm}
+
+    def connect(
+        self,
+        cancel: threading.Event,
+        tell: Callable[[str], None] = lambda name: None,
+        limit_s: float = CONNECT_S,
+    ) -> None:
+        """Connect all, each within ``limit_s``; ``tell`` hears the name of each before.
+
+        Raises the first ``FaultError``.
+
+        The arm moves on what the wrist feels, so it comes last; what is connected stays so.
+        """
+        for name, device in self.devices.items():
+            tell(name)
+            device.connect(limit_s, cancel)
+
+    def home(self) -> None:
+        """Home the gripper if it needs it; raises ``FaultError``.
+
+        On the operator's word only: with a piece between the jaws the origin would be wrong.
+        """
+        if self.gripper.homed:
+            return
+        motion, never = self.gripper.home(), threading.Event()
+        while not motion.done:
+            never.wait(WAIT_S)
+        motion.result()
+
+    def close(self) -> None:
+        """Close all, the arm first, then the rig process."""
+        for device in reversed(tuple(self.devices.values())):
+            device.close()
+        self.link.close()

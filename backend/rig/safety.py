@@ -1,0 +1,375 @@
+"""Safety rules of the real-time process: reactions to silence, limits of orders, release conditions.
+
+Pure functions and state machines, no clock, thread or wire::
+
+    backend's heartbeat older than 250 ms    HOLD; a motion under way is a fault until reset
+    motion lease not renewed for 2 s         HOLD; a new order is needed (jogs end before)
+    STOP asked                               STOP, latched until reset
+    backend gone (pipe closed, no parent)    STOP, then the process ends
+    error of this program                    STOP and a fault
+
+The backend's guards check orders as well: here no order reaches a wire beyond the limits. Every
+condition is a positive comparison, so that NaN and missing values are refused, each by its own
+name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from touchdown.backend.core import Fault, Pose, RefusedError
+from touchdown.backend.devices import (
+    LEASE_S,
+    MAX_WIDTH_CHANGE_MM,
+    STATIONARY_MM,
+    UNLOADED_N,
+    Arm,
+    ByHand,
+    Gripper,
+    HomingGripper,
+    JigEvidence,
+    Limits,
+    Motion,
+    PressCommand,
+    ReleaseAuthorisation,
+    ReleaseEvidence,
+    jig_refusal,
+    refuse_outside,
+    release_refusal,
+)
+
+BACKEND_SILENT_S = 0.25
+"""The backend beats at least every 50 ms."""
+LAPSED_S = 2.0 - LEASE_S
+"""A run whose thread is late by this much beyond its lease has lost its motion: disks take time."""
+WRENCH_SILENT_S = 0.3
+"""A wrist sensor that is silent for longer forbids new motion."""
+
+
+@dataclass(frozen=True, slots=True)
+class FailsafeInput:
+    """What the round found: words of the shared memory, and how the devices are.
+
+    ``moving``: whether a motion of the arm is under way; ``gone``: the backend is no more;
+    ``wrench_s``: time of the newest finite wrench (-inf before the first).
+    """
+
+    beats: int
+    stops: int
+    lease_until_s: float
+    moving: bool = False
+    gone: bool = False
+    wrench_s: float = -math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class FailsafeOutput:
+    """What is to be done now, the strongest first; ``fault`` is told, ``leave`` ends the process.
+
+    ``why``: what a motion that ends by this is reported with, None for an ordinary stop.
+    """
+
+    stop: bool = False
+    hold: bool = False
+    leave: bool = False
+    fault: Fault | None = None
+    why: Fault | None = None
+
+
+class Failsafe:
+    """Latches and watchdogs of one rig; not thread-safe: its owner locks."""
+
+    def __init__(self, now_s: float, limits: Limits) -> None:
+        self.limits = limits
+        self._beats, self._beat_s = -1, now_s
+        self._silent = False
+        self._lease_until_s = -math.inf
+        self._wrench_s = -math.inf
+        self._stops = self._stops_reset = 0
+        self._faults: list[Fault] = []
+        self._faults_reset = 0
+
+    @property
+    def latched(self) -> bool:
+        """Whether a STOP or a fault waits for the operator's reset."""
+        return self._stops > self._stops_reset or len(self._faults) > self._faults_reset
+
+    @property
+    def stops(self) -> int:
+        """How many STOPs this rig has taken."""
+        return self._stops
+
+    @property
+    def faults(self) -> int:
+        """How many faults this rig has raised; the newest carries this number."""
+        return len(self._faults)
+
+    # -- one round --------------------------------------------------------------------------------
+
+    def step(self, now_s: float, inbox: FailsafeInput) -> FailsafeOutput:
+        """Take what came, return what is to be done."""
+        if inbox.beats != self._beats:
+            self._beats, self._beat_s, self._silent = inbox.beats, now_s, False
+        self._lease_until_s = inbox.lease_until_s
+        self._wrench_s = max(self._wrench_s, inbox.wrench_s)
+        if inbox.gone:
+            return FailsafeOutput(stop=True, leave=True)
+        if inbox.stops > self._stops:
+            self._stops = inbox.stops
+            return FailsafeOutput(stop=True)
+        if not now_s - self._beat_s <= BACKEND_SILENT_S:
+            return self._fall_silent(now_s - self._beat_s, moving=inbox.moving)
+        if inbox.moving and not now_s <= inbox.lease_until_s + LAPSED_S:
+            return FailsafeOutput(hold=True, why=LAPSED)
+        return FailsafeOutput()
+
+    def _fall_silent(self, silent_s: float, *, moving: bool) -> FailsafeOutput:
+        known, self._silent = self._silent, True
+        if known or not moving:
+            return FailsafeOutput(hold=moving)
+        fault = silent_fault(silent_s)
+        return FailsafeOutput(hold=True, fault=self.latch(fault), why=fault)
+
+    # -- what is told by message ------------------------------------------------------------------
+
+    def latch(self, fault: Fault) -> Fault:
+        """Keep a fault until it is reset."""
+        self._faults.append(fault)
+        return fault
+
+    def stop(self, stops: int) -> bool:
+        """Latch STOP number ``stops``; return whether it is news."""
+        news = stops > self._stops
+        self._stops = max(self._stops, stops)
+        return news
+
+    def reset(self, stops: int, faults: int) -> None:
+        """Clear what the operator has seen: STOPs and faults up to these numbers."""
+        self._stops_reset = max(self._stops_reset, min(stops, self._stops))
+        self._faults_reset = max(self._faults_reset, min(faults, len(self._faults)))
+
+    def refuse(self, now_s: float, lease_until_s: float) -> None:
+        """Raise ``RefusedError`` unless motion may start now; the order carries its lease."""
+        if self._stops > self._stops_reset:
+            raise RefusedError("STOPPED", "The rig process was stopped: press Reset first.")
+        if len(self._faults) > self._faults_reset:
+            raise RefusedError("FAULT", f"{self._faults[-1].what} Press Reset first.")
+        if self._silent:
+            raise RefusedError("BACKEND-SILENT", "The program that gave this order is silent.")
+        if not now_s <= max(lease_until_s, self._lease_until_s):
+            raise RefusedError("NO-LEASE", "Nobody holds a live motion lease.")
+
+    def refuse_unfelt(self, now_s: float) -> None:
+        """Raise ``RefusedError`` while the wrist is silent: the arm moves on what it feels."""
+        age_s = now_s - self._wrench_s
+        if not age_s <= WRENCH_SILENT_S:
+            raise RefusedError("FT-STALE", "The wrist sensor is silent: nothing moves without it.")
+
+
+def silent_fault(silent_s: float) -> Fault:
+    """Return the fault of a backend that stopped beating while the arm moved."""
+    return Fault(
+        "BACKEND-SILENT",
+        f"The program stood still for {1e3 * silent_s:.0f} ms while the arm moved.",
+        "The arm was held; the gripper was not opened.",
+        "Look at the load of this computer, then press Reset.",
+        "arm",
+    )
+
+
+LAPSED = Fault(
+    "LEASE-LAPSED",
+    "The permission to move was not renewed in time.",
+    "The arm was held; the gripper was not opened.",
+    "Give the order again.",
+    "arm",
+)
+
+
+Arguments = Mapping[str, Any]
+RIGHTS: dict[str, type[ReleaseEvidence] | type[JigEvidence] | type[ByHand]] = {
+    right.__name__: right for right in (ReleaseEvidence, JigEvidence, ByHand)
+}
+MOVES = frozenset(
+    {"arm.move_to", "arm.jog", "arm.jog_joints", "arm.move_joints", "arm.press", "arm.unload"}
+)
+"""What moves the arm: only with a lease, without latch, beside a wrist sensor that is felt."""
+JAWS = frozenset({"gripper.grip", "gripper.open_to", "gripper.open_held"})
+"""What moves the jaws in a run: only with a lease and without latch."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriverOrders:
+    """What arm and gripper can be told; ``open_held`` asks the release table first."""
+
+    arm: Arm
+    gripper: Gripper
+    may_open: Callable[[ReleaseAuthorisation], None]
+
+    def give(self, name: str, arguments: Arguments, limits: Limits) -> Motion | list[float] | None:
+        """Carry order ``name`` out; return its motion, a value, or None."""
+        known = {
+            "arm.servo": self._servo,
+            "arm.move_to": self._move_to,
+            "arm.jog": self._jog,
+            "arm.jog_joints": self._jog_joints,
+            "arm.move_joints": self._move_joints,
+            "arm.press": self._press,
+            "arm.unload": self._unload,
+            "arm.halt": self._halt,
+            "arm.place_of": self._place_of,
+            "gripper.home": self._home,
+            "gripper.acknowledge": self._acknowledge,
+            "gripper.grip": self._grip,
+            "gripper.open_to": self._open_to,
+            "gripper.open_held": self._open_held,
+        }
+        if name not in known:
+            raise ValueError(f"there is no order {name!r}")
+        return known[name](arguments, limits)
+
+    # -- arm --------------------------------------------------------------------------------------
+
+    def _servo(self, given: Arguments, limits: Limits) -> None:
+        self.arm.servo(bool(given["on"]))
+
+    def _move_to(self, given: Arguments, limits: Limits) -> Motion:
+        target = Pose(*given["target"])
+        refuse_outside(target, limits)
+        _refuse_fast("SPEED", given["speed_mm_s"], limits.speed_mm_s)
+        _refuse_fast("TURN-SPEED", given["turn_rad_s"], limits.turn_rad_s)
+        return self.arm.move_to(target, given["speed_mm_s"], given["turn_rad_s"])
+
+    def _jog(self, given: Arguments, limits: Limits) -> Motion:
+        velocity, turning = given["velocity_mm_s"], given["turn_rad_s"]
+        _refuse_fast("SPEED", math.hypot(*velocity), limits.jog_mm_s)
+        _refuse_fast("TURN-SPEED", math.hypot(*turning), limits.turn_rad_s)
+        return self.arm.jog(tuple(velocity), given["for_s"], tuple(turning))
+
+    def _jog_joints(self, given: Arguments, limits: Limits) -> Motion:
+        speeds = tuple(given["speeds_rad_s"])
+        _refuse_fast("TURN-SPEED", max(map(abs, speeds)), limits.turn_rad_s)
+        return self.arm.jog_joints(speeds, given["for_s"])
+
+    def _move_joints(self, given: Arguments, limits: Limits) -> Motion:
+        _refuse_fast("TURN-SPEED", given["speed_rad_s"], limits.turn_rad_s)
+        return self.arm.move_joints(tuple(given["target_rad"]), given["speed_rad_s"])
+
+    def _press(self, given: Arguments, limits: Limits) -> Motion:
+        stiffness = tuple(given["stiffness_n_mm"])
+        command = PressCommand(**{**given, "stiffness_n_mm": stiffness})
+        nominal_n = stiffness[2] * command.depth_mm
+        if not nominal_n <= limits.probe_n:
+            raise RefusedError("PRESS-FORCE", f"Nominal {nominal_n:.1f} N is over the limit.")
+        _refuse_fast("APPROACH-SPEED", command.approach_mm_s, limits.contact_speed_mm_s)
+        return self.arm.press(command)
+
+    def _unload(self, given: Arguments, limits: Limits) -> Motion:
+        _refuse_fast("SPEED", given["speed_mm_s"], limits.speed_mm_s)
+        return self.arm.unload(given["force_n"], given["speed_mm_s"])
+
+    def _halt(self, given: Arguments, limits: Limits) -> None:
+        self.arm.halt()
+
+    def _place_of(self, given: Arguments, limits: Limits) -> list[float]:
+        place = self.arm.place_of(tuple(given["joints_rad"]))
+        return [place.x_mm, place.y_mm, place.z_mm, place.rx_rad, place.ry_rad, place.rz_rad]
+
+    # -- gripper ----------------------------------------------------------------------------------
+
+    def _home(self, given: Arguments, limits: Limits) -> Motion:
+        return self._homing().home()
+
+    def _acknowledge(self, given: Arguments, limits: Limits) -> None:
+        self._homing().acknowledge()
+
+    def _homing(self) -> HomingGripper:
+        if not isinstance(self.gripper, HomingGripper):
+            raise RefusedError("NO-HOMING", "This gripper is not homed from here.")
+        return self.gripper
+
+    def _grip(self, given: Arguments, limits: Limits) -> Motion:
+        return self.gripper.grip(given["force_n"])
+
+    def _open_to(self, given: Arguments, limits: Limits) -> Motion:
+        if self.gripper.status().holding:
+            raise RefusedError("HOLDING", "A piece is held: it is let go by a right only.")
+        return self.gripper.open_to(given["width_mm"], given["speed_mm_s"])
+
+    def _open_held(self, given: Arguments, limits: Limits) -> Motion:
+        right = RIGHTS[given["right"]](**given["evidence"])
+        self.may_open(right)
+        return self.gripper.open_to(given["width_mm"], given["speed_mm_s"])
+
+
+def _refuse_fast(name: str, speed: float, most: float) -> None:
+    """Raise ``RefusedError`` unless ``speed`` is within 0 to ``most``; NaN refuses."""
+    if not 0.0 <= speed <= most * (1.0 + 1e-9):
+        raise RefusedError(name, f"A speed of {speed:.3g} is not within 0 to {most:.3g}.")
+
+
+OLD_S = 0.05
+"""A wrench older than this is no evidence."""
+
+
+@dataclass(frozen=True, slots=True)
+class RigMeasurement:
+    """What the rig itself measures: NaN where it does not know.
+
+    ``press_n``: by the contact law's own zero; ``moved_mm``: largest travel of the arm as it
+    stands (``travelled_mm``); ``width_change_mm`` since the piece was gripped; ``devices_ready``:
+    all of them.
+    """
+
+    press_n: float
+    wrench_age_s: float
+    moved_mm: float
+    width_change_mm: float
+    holding: bool
+    devices_ready: bool
+
+
+def refuse_opening(right: ReleaseAuthorisation, measured: RigMeasurement) -> None:
+    """Raise ``RefusedError`` with the name of the first condition that does not hold."""
+    refusal = next(_rows(right, measured), None)
+    if refusal is not None:
+        raise RefusedError(*refusal)
+
+
+def _rows(right: ReleaseAuthorisation, m: RigMeasurement) -> Iterator[tuple[str, str]]:
+    if isinstance(right, ByHand):
+        if not right.confirmed:
+            yield "NOT-CONFIRMED", "A piece is held: opening drops it. Confirm first."
+    else:
+        release = isinstance(right, ReleaseEvidence)
+        told = release_refusal(right) if release else jig_refusal(right)  # type: ignore[arg-type]
+        if told is not None:
+            yield told
+        yield from _ready_rows(m)
+    if not 0 <= m.moved_mm <= STATIONARY_MM:
+        yield "RIG-ARM-MOVING", "The rig measures that the arm is not standing still."
+    if isinstance(right, ReleaseEvidence):
+        yield from _pressed_rows(m)
+
+
+def _ready_rows(m: RigMeasurement) -> Iterator[tuple[str, str]]:
+    if not m.devices_ready:
+        yield "RIG-DEVICES", "Arm, wrist sensor and gripper are not all ready."
+    if not m.holding:
+        yield "RIG-NOT-HOLDING", "The gripper tells that it holds no piece."
+    if not abs(m.width_change_mm) <= MAX_WIDTH_CHANGE_MM:
+        change_mm = m.width_change_mm
+        yield "RIG-WIDTH", f"The jaws moved by {change_mm:.2f} mm since the piece was gripped."
+
+
+def _pressed_rows(m: RigMeasurement) -> Iterator[tuple[str, str]]:
+    if not 0 <= m.wrench_age_s <= OLD_S:
+        yield "RIG-WRENCH-OLD", "The rig has no fresh wrench."
+    if not UNLOADED_N[0] <= m.press_n <= UNLOADED_N[1]:
+        yield (
+            "RIG-NOT-UNLOADED",
+            f"The rig feels {m.press_n:.2f} N: not {UNLOADED_N[0]} to {UNLOADED_N[1]} N.",
+        )

@@ -1,7 +1,8 @@
 """Training processes that start in milliseconds: forked from one that has torch loaded already.
 
-What runs in them is ``touchdown.backend.learning.process`` as ever, in a process of its own, with its own
-pipes and exit status; only the 3 s of importing torch for each of some forty children are spared.
+What runs in them is ``touchdown.backend.learning.process`` as ever, in a process of its own,
+with its own pipes and exit status. Only the 3 s of importing torch are saved, for each of about
+forty children.
 ``cold_start`` marks a test that takes the ordinary start.
 """
 

@@ -203,7 +203,8 @@ class HandPresenter:
         note = note or self._link.interlock.degraded
         warn = bool(note)
         if not note and rotation_angle_rad(pose) > LEVEL_RAD:
-            note = f"Turned by {math.degrees(rotation_angle_rad(pose)):.1f}\N{DEGREE SIGN}: level it to probe"
+            turned_deg = math.degrees(rotation_angle_rad(pose))
+            note = f"Turned by {turned_deg:.1f}\N{DEGREE SIGN}: level it to probe"
         if not note and any(room.why == "TURN-LOW" for room in rooms.values()):
             clear_mm = self._link.interlock.limits.turn_clear_mm
             note = f"To turn, the face must be {clear_mm:.0f} mm off the surface: jog +Z"

@@ -334,7 +334,8 @@ class RunTracker:
         called where another program has the dataset open, and used after this one is closed.
         """
         about = RunInfo(
-            uuid7(), kind, "running", time.time_ns(), seed, program_stamp(), dict(settings), manifest,
+            uuid7(), kind, "running", time.time_ns(), seed, program_stamp(), dict(settings),
+            manifest,
             hardware=hardware_info(), environment=package_versions(), chain=self._heads(),
         )  # fmt: skip
         return ActiveRun(self._folder, about)

@@ -1,5 +1,6 @@
-"""``touchdown calibrate``: measure payload, board, tool, wrist and cameras of a bench, and accept the
-results.
+"""``touchdown calibrate``: measure the parts of a bench, accept the results.
+
+Parts: payload, board, tool, wrist, cameras.
 """
 
 from __future__ import annotations

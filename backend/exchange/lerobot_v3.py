@@ -1,4 +1,4 @@
-"""LeRobotDataset v3.0: parquet rows per tick, many episodes per file, videos one after the other."""
+"""LeRobotDataset v3.0: parquet rows per tick, many episodes and videos per file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Video encoding of a LeRobot dataset: H.264, quality 10, a key frame at least every tenth image."""
+"""Video encoding of a LeRobot dataset: H.264, quality 10, at least one key frame in ten images."""
 
 from __future__ import annotations
 

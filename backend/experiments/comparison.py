@@ -1,5 +1,6 @@
-"""Comparison of strategies as tables and a page, with the share of the way from the paper's method to
-the oracle.
+"""Comparison of strategies as tables and a page.
+
+The share tells how far a strategy gets from the paper's method to the oracle.
 
 One oracle knows the outline of the bottom, the other only that it is round. A share counts only the
 trials and groups that paper, strategy and oracle have in common. Its interval is that of a

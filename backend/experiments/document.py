@@ -1,4 +1,4 @@
-"""A report as a document of sections, tables and pictures, rendered as one self-contained HTML page.
+"""A report as a document of sections, tables and pictures, rendered as one HTML page.
 
 Charts are SVG text drawn from numbers alone. SVG that comes from a file is checked: one element
 that draws and loads nothing. The Review workspace shows the same document.

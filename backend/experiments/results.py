@@ -1,5 +1,4 @@
-"""Result files of the experiments: read and checked, turned into a report beside the paper's numbers,
-and written with their pages.
+"""Result files of the experiments: read, checked, turned into a report beside the paper's numbers.
 
 A file of another format, or a damaged one, is one ``InputError``.
 """

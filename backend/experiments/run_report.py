@@ -1,5 +1,6 @@
-"""One self-contained HTML page for a set of runs, with belief maps, wrench traces and decisions probe
-by probe.
+"""One self-contained HTML page for a set of runs.
+
+It shows belief maps, wrench traces and decisions, probe by probe.
 
 ``belief_film`` keeps the course of a simulated trial as a strip of belief maps.
 """

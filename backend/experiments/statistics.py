@@ -1,5 +1,4 @@
-"""Statistics of the experiments: rates, means, binary verdicts, reliability and paired changes, with
-95 % intervals.
+"""Statistics of the experiments: rates, means, verdicts, paired changes, 95 % intervals.
 
 Rates have Wilson intervals, means normal ones over independent groups. ``reliability_curve`` sorts
 probabilities into bins of equal mass; its ``ece`` is the expected calibration error. ``iou_change``

@@ -1,5 +1,6 @@
-"""Strategies beyond the paper as jobs: closed-loop trials of Table 3 and verdicts on the probe groups
-of Table 2.
+"""Strategies beyond the paper as jobs: closed-loop trials and verdicts on groups of probes.
+
+The trials are those of Table 3, the groups those of Table 2.
 
 A cell is one piece over one bottom under one strategy. It is cut into jobs of a few trials or
 groups, so that an interrupted experiment resumes and a table can be read at any time. Every

@@ -1,4 +1,4 @@
-"""Tables 1 to 3 of the paper, from the jobs that measure them to JSON rows beside the printed numbers.
+"""Tables 1 to 3 of the paper, from jobs to JSON rows beside the printed numbers.
 
 Paper: Ota et al., "Tactile Estimation of Extrinsic Contact Patch for Stable Placement", ICRA 2024,
 arXiv 2309.14552. Printed values are in % except Table III (successes of 10); keys: piece, bottom.

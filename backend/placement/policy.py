@@ -182,11 +182,13 @@ def choose_action(
         return give_up("The model returned no usable estimate: giving up without a release.")
     probes = len(belief.visits)
     if probes >= settings.max_probes:
-        return give_up(f"{describe_situation(stability, judged_by.margin_mm)} after {probes} probes, "
+        situation = describe_situation(stability, judged_by.margin_mm)
+        return give_up(f"{situation} after {probes} probes, "
                         "the most allowed: giving up.")  # fmt: skip
     aim = _aim(stability, belief, offset_mm, settings, judged_by.delta)
     if aim is None:
-        return give_up(f"{describe_situation(stability, judged_by.margin_mm)} and no better place is "
+        situation = describe_situation(stability, judged_by.margin_mm)
+        return give_up(f"{situation} and no better place is "
                         "known: giving up.")  # fmt: skip
     return shift_towards(stability, aim, offset_mm, settings.longest_step_mm, judged_by.margin_mm)
 

@@ -1,4 +1,4 @@
-"""Safety rules of the real-time process: reactions to silence, limits of orders, release conditions.
+"""Safety rules of the real-time process: silent links, limits of orders, release.
 
 Pure functions and state machines, no clock, thread or wire::
 

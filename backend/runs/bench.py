@@ -1,4 +1,4 @@
-"""Bench of a trial as seen by a plan: guarded devices, sensing, estimator, operator prompt, store."""
+"""Bench of a trial as seen by a plan: devices, sensing, estimator, operator prompt, store."""
 
 from __future__ import annotations
 

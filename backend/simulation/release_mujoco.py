@@ -184,7 +184,8 @@ def shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes:
         return f'<geom type="cylinder" pos="{format_metres(0, 0, middle)}" size="{size}"/>'
     x, y = outline.half_extents_mm
     if {(abs(a), abs(b)) for a, b in outline.vertices_mm} == {(x, y)}:
-        return f'<geom type="box" pos="{format_metres(0, 0, middle)}" size="{format_metres(x, y, half)}"/>'
+        centre, size = format_metres(0, 0, middle), format_metres(x, y, half)
+        return f'<geom type="box" pos="{centre}" size="{size}"/>'
     corners = " ".join(
         format_metres(a, b, height) for height in (low_mm, high_mm) for a, b in outline.vertices_mm
     )

@@ -21,7 +21,8 @@ def compared(tree):
                 yield from (right.id for right in node.comparators if isinstance(right, ast.Name))
 
 
-NO_PACE = {("touchdown.app.calibrate.presenter", "STANDINGS_S"), ("touchdown.app.collect.origin", "WINDOW_S"),
+NO_PACE = {("touchdown.app.calibrate.presenter", "STANDINGS_S"),
+           ("touchdown.app.collect.origin", "WINDOW_S"),
            ("touchdown.app.label.editing", "PAUSE_S")}  # fmt: skip
 """Compared likewise, but nothing is drawn by it at once."""
 

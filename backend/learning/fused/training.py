@@ -162,7 +162,7 @@ class ProbeSequences:
 def prepare_sequences(
     arrays: Arrays, modes: NDArray[np.float32], *, mirror: bool
 ) -> ProbeSequences:
-    """Prepare the sequences of ``touchdown.backend.experiments.fusion``, with mirror images if wanted.
+    """Prepare sequences of ``experiments.fusion``, with mirror images if wanted.
 
     By so many at a time: all marker fields at once would fill the memory.
     """

@@ -35,7 +35,8 @@ def make(tmp_path: Path) -> Make:
             for name, size in expected_arrays(shape).items()
         }
         card = ModelCard(
-            arch=ARCH, hyper=NetworkSizes(**shape.as_json()), modality="FT", piece=piece, geometry="g",
+            arch=ARCH, hyper=NetworkSizes(**shape.as_json()), modality="FT", piece=piece,
+            geometry="g",
             base_rate=0.5, seed=seed, program_version="0", weights_sha256="",
         )  # fmt: skip
         path = tmp_path / f"{piece}-{seed}.safetensors"

@@ -75,7 +75,7 @@ pictures: setup ## make the pictures of README and guide anew, in docs/img
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.pictures 2>/dev/null
 
 models: setup ## make the models that ship, from nothing (the longest target: about 50 min)
-	@$(BIN)/touchdown models --pieces pot,mushroom --episodes 4000 --epochs 18 --seed 2
+	@$(BIN)/touchdown models --pieces pot,mushroom,mug --episodes 4000 --epochs 18 --seed 2
 	@$(BIN)/touchdown models --pieces barrel --episodes 8000 --epochs 22 --seed 3
 
 exchange-check: setup ## load an export with the real readers (installs them aside: several GB)

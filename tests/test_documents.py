@@ -31,13 +31,37 @@ def test_links_lead_somewhere(path):
     assert [link for link in local if not (path.parent / link).exists()] == []
 
 
+def _anchors(path):
+    headings = re.findall(r"^#+ (.+)$", path.read_text("utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", text).strip().lower().replace(" ", "-") for text in headings}
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=_name)
+def test_links_name_headings_that_exist(path):
+    links = re.findall(r"\]\(([^)#\s:]*)#([^)\s]+)\)", path.read_text("utf-8"))
+    missing = [
+        f"{file}#{anchor}"
+        for file, anchor in links
+        if file.endswith(".md") and anchor not in _anchors((path.parent / file).resolve())
+    ]
+    assert missing == []
+
+
 @pytest.mark.parametrize("path", DOCUMENTS, ids=_name)
 def test_examples_name_what_exists(path):
     for block in _blocks(path.read_text("utf-8"), "python"):
         for node in ast.walk(ast.parse(block)):
-            if isinstance(node, ast.ImportFrom) and node.module.startswith(("backend", "widgets")):
+            if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] == "touchdown":
                 module = importlib.import_module(node.module)
                 assert [a.name for a in node.names if not hasattr(module, a.name)] == []
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=_name)
+def test_named_paths_exist(path):
+    named = re.findall(
+        r"`((?:app|backend|docs|resources|tests|widgets)/[\w./-]+)`", path.read_text("utf-8")
+    )
+    assert [each for each in named if not (ROOT / each).exists()] == []
 
 
 def test_json_examples_are_json():

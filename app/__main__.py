@@ -40,9 +40,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
     import PySide6
 
-    from touchdown.app.start import bad_pair
+    from touchdown.app.start import incompatibility
 
-    wrong = bad_pair(sys.version_info[:2], PySide6.__version__)
+    wrong = incompatibility(sys.version_info[:2], PySide6.__version__)
     if wrong is None and not _display() and "QT_QPA_PLATFORM" not in os.environ:
         wrong = "There is no display. Without one use 'make demo' or 'touchdown stack'."
     if wrong is not None:

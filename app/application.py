@@ -11,57 +11,57 @@ from PySide6.QtCore import QObject
 from PySide6.QtGui import QIcon
 from PySide6.QtWidgets import QApplication
 
-from touchdown.app.connect import BenchPanels
+from touchdown.app.connect import BenchDialogs
 from touchdown.app.shell import (
     USUAL,
-    Actions,
+    ActionRegistry,
     Appearance,
-    ChipsPresenter,
-    Closing,
-    Command,
-    Desk,
-    DeskDialogs,
+    BenchLink,
+    CloseConfirmation,
+    CommandDialogs,
+    DeviceChipsPresenter,
+    DeviceInspectorPresenter,
     ErrorBox,
-    InspectPresenter,
     LayoutMenu,
-    Layouts,
-    Link,
+    LayoutsPresenter,
     MainWindow,
     ServoSwitch,
     SpeedOverride,
-    StopKey,
+    StopKeyFilter,
+    WindowCommand,
     WindowSettings,
     Workspace,
-    clock,
+    WorkspaceContext,
+    bench_caption,
     ignored_words,
+    key_bindings,
     load_settings,
     log,
-    moving,
-    note,
-    pill_of,
-    pulled_back,
-    rows_of,
+    log_event,
+    may_be_moving,
+    move_on_screen,
+    pill_state,
     save_settings,
+    show_event,
     stopped_card,
-    tell,
-    words_of,
+    time_of_day,
 )
-from touchdown.app.tour import Tour, stops_of
+from touchdown.app.tour import Tour, tour_stops
 from touchdown.app.workspaces import FIRST, Workspaces
 from touchdown.backend.core import Event, EventQueue, TouchdownError
-from touchdown.widgets.base import Pump, load_resources
+from touchdown.widgets.base import EventPump, load_resources
 from touchdown.widgets.shell import CardText, FaultCards, PillState, TopBar, TourStop
 
 
-class Arrival:
+class BenchLoader:
     """At most one bench on its way. ``take`` is called by the pump."""
 
     def __init__(self) -> None:
-        self._arrived: list[Link | Exception] = []
-        self._make: Callable[[], Link] | None = None
+        self._arrived: list[BenchLink | Exception] = []
+        self._make: Callable[[], BenchLink] | None = None
         self.waiting = False
 
-    def begin(self, make: Callable[[], Link]) -> None:
+    def begin(self, make: Callable[[], BenchLink]) -> None:
         """Build the bench; does nothing while one is on its way."""
         if self.waiting:
             return
@@ -75,15 +75,15 @@ class Arrival:
         self.begin(self._make)
         return True
 
-    def take(self) -> Link | Exception | None:
+    def take(self) -> BenchLink | Exception | None:
         """Return what arrived, or None."""
         if not self._arrived:
             return None
         self.waiting = False
         return self._arrived.pop()
 
-    def _build(self, make: Callable[[], Link]) -> None:
-        arrived: Link | Exception = RuntimeError("an error that nobody expected")
+    def _build(self, make: Callable[[], BenchLink]) -> None:
+        arrived: BenchLink | Exception = RuntimeError("an error that nobody expected")
         try:
             arrived = make()
         except (TouchdownError, OSError, ValueError, ImportError, RuntimeError) as error:
@@ -93,7 +93,7 @@ class Arrival:
             self._arrived.append(arrived)
 
 
-def failed_card(error: Exception, again: Callable[[], None]) -> CardText:
+def bench_failed_card(error: Exception, again: Callable[[], None]) -> CardText:
     """Return the card of a bench that could not be prepared; ``again`` tries once more."""
     return CardText(
         "CONNECT",
@@ -112,8 +112,8 @@ MOST_PARTS = 8
 class TouchdownApp(QObject):
     """Owns window, workspaces and pump. The bench arrives later, from a thread."""
 
-    link: Link | None = None
-    panels: BenchPanels | None = None
+    link: BenchLink | None = None
+    panels: BenchDialogs | None = None
     _servo: ServoSwitch | None = None
     _holds: Callable[[], bool] | None = None
 
@@ -131,19 +131,21 @@ class TouchdownApp(QObject):
         self.cards = FaultCards(self.reset)
         self.bar = TopBar(self.theme, self.stop)
         self._speed = SpeedOverride(self.bar, self.say)
-        desk = Desk(self.theme, self.cards, runs, self.say, self.go, self._show_keys, self.remember)
+        desk = WorkspaceContext(
+            self.theme, self.cards, runs, self.say, self.go, self._show_keys, self.remember
+        )
         self.workspaces = Workspaces(desk, settings.pages, self._place, self._warn)
         self.window = MainWindow(self.theme, self.bar, self.cards, self.workspaces.all)
         self.window.may_close = self._may_close
-        self._closing = Closing(self.cards, self.stop, self.window.close)
-        self._arrival, self._mailbox = Arrival(), EventQueue()
-        self._chips: ChipsPresenter | None = None
-        self.inspect: InspectPresenter | None = None
-        self.actions = Actions(
-            self.window, rows_of(self._commands(), self.workspaces.all), settings.keys
+        self._closing = CloseConfirmation(self.cards, self.stop, self.window.close)
+        self._arrival, self._mailbox = BenchLoader(), EventQueue()
+        self._chips: DeviceChipsPresenter | None = None
+        self.inspect: DeviceInspectorPresenter | None = None
+        self.actions = ActionRegistry(
+            self.window, key_bindings(self._commands(), self.workspaces.all), settings.keys
         )
-        self.dialogs = DeskDialogs(self.window, self.actions, self.go, self.remember)
-        self.layouts = Layouts(
+        self.dialogs = CommandDialogs(self.window, self.actions, self.go, self.remember)
+        self.layouts = LayoutsPresenter(
             settings_file.with_name("layouts.json"),
             self.say,
             partial(self._disk_refused, "saving the layouts"),
@@ -164,29 +166,29 @@ class TouchdownApp(QObject):
         self.workspaces[front]
         self.look.refit = self._refit
         self.look.dress(self.window)
-        self.pump = Pump(self, self._pull, hold=self._hushed)
+        self.pump = EventPump(self, self._pull, hold=self._hushed)
         self._add_parts()
-        self._stop_key = StopKey(self, self.stop, self._moving)
+        self._stop_key = StopKeyFilter(self, self.stop, self._moving)
         application.installEventFilter(self._stop_key)
         self._show_connecting()
         self.go(front)
 
     # -- life -------------------------------------------------------------------------------------
 
-    def connect_bench(self, make: Callable[[], Link]) -> None:
+    def connect_bench(self, make: Callable[[], BenchLink]) -> None:
         """Build the bench on a thread of its own; the window stays alive meanwhile."""
         self._show_connecting()
         self._arrival.begin(make)
 
-    def attach(self, link: Link) -> None:
+    def attach(self, link: BenchLink) -> None:
         """Take a bench that is ready and show it."""
         self.link = link
         link.hub.subscribe(self._mailbox)
-        self._chips = ChipsPresenter(link, self.bar)
-        self.inspect = InspectPresenter(link, self.bar, self.window)
+        self._chips = DeviceChipsPresenter(link, self.bar)
+        self.inspect = DeviceInspectorPresenter(link, self.bar, self.window)
         self.workspaces.attach(link)
-        self.window.show_bench(words_of(link))
-        self.panels = BenchPanels(link, self.theme, self.window, self.cards)
+        self.window.show_bench(bench_caption(link))
+        self.panels = BenchDialogs(link, self.theme, self.window, self.cards)
         self.panels.open_connect()
         self._speed.attach(link)
         self._servo = ServoSwitch(link, self.bar, self.cards)
@@ -272,7 +274,7 @@ class TouchdownApp(QObject):
         if self.link is not None:
             self.link.stop()
             log.info("STOP by the operator")
-            self.cards.show_card(stopped_card(clock()))
+            self.cards.show_card(stopped_card(time_of_day()))
 
     def reset(self) -> None:
         """Clear the latch and the cards."""
@@ -295,34 +297,34 @@ class TouchdownApp(QObject):
         coming.enter()
 
     def _moving(self) -> bool:
-        return self.link is not None and moving(self.link)
+        return self.link is not None and may_be_moving(self.link)
 
-    def _commands(self) -> list[Command]:
+    def _commands(self) -> list[WindowCommand]:
         pages = [
-            Command(ws.name, f"{ws.title} workspace", ws.key, partial(self.go, ws.name))
+            WindowCommand(ws.name, f"{ws.title} workspace", ws.key, partial(self.go, ws.name))
             for ws in self.workspaces.all
         ]
         return [
             *pages,
-            Command("connect", "Connect the bench", "Ctrl+L", self._connect_again),
-            Command("limits", "Limits of motion and force", "", self._show_limits),
-            Command("calibrate", "Calibrate: payload, board, tool, wrist, cameras", "Ctrl+Shift+K",
+            WindowCommand("connect", "Connect the bench", "Ctrl+L", self._connect_again),
+            WindowCommand("limits", "Limits of motion and force", "", self._show_limits),
+            WindowCommand("calibrate", "Calibrate: payload, board, tool, wrist, cameras", "Ctrl+Shift+K",
                     self._show_calibrations),
-            Command("layout", "Reset the layout", "Ctrl+0", self._reset_layout),
-            Command("layouts", "Layouts of this workspace", "Ctrl+Alt+L", self._show_layouts),
-            Command("lock", "Lock or unlock the layout", "", lambda: self.layouts.toggle_lock()),
-            Command("save-layout", "Save the layout under a name", "",
+            WindowCommand("layout", "Reset the layout", "Ctrl+0", self._reset_layout),
+            WindowCommand("layouts", "Layouts of this workspace", "Ctrl+Alt+L", self._show_layouts),
+            WindowCommand("lock", "Lock or unlock the layout", "", lambda: self.layouts.toggle_lock()),
+            WindowCommand("save-layout", "Save the layout under a name", "",
                     lambda: self.layout_menu.ask_name()),
-            Command("theme", "Next theme: dark, light, high contrast, as the system", "Ctrl+T",
+            WindowCommand("theme", "Next theme: dark, light, high contrast, as the system", "Ctrl+T",
                     self._next_theme),
-            Command("larger", "Larger text", "Ctrl++", self.look.larger),
-            Command("smaller", "Smaller text", "Ctrl+-", self.look.smaller),
-            Command("keys", "Key sheet", "F1", self._show_keys),
-            Command("palette", "Find a command", "Ctrl+K", self._show_palette),
+            WindowCommand("larger", "Larger text", "Ctrl++", self.look.larger),
+            WindowCommand("smaller", "Smaller text", "Ctrl+-", self.look.smaller),
+            WindowCommand("keys", "Key sheet", "F1", self._show_keys),
+            WindowCommand("palette", "Find a command", "Ctrl+K", self._show_palette),
             *self._speed.commands,
-            Command("fullscreen", "Full screen", "F11", self._full_screen),
-            Command("tour", "Tour of the window", "Ctrl+F1", lambda: self.tour.begin()),
-            Command("quit", "Quit", "Ctrl+Q", self._quit),
+            WindowCommand("fullscreen", "Full screen", "F11", self._full_screen),
+            WindowCommand("tour", "Tour of the window", "Ctrl+F1", lambda: self.tour.begin()),
+            WindowCommand("quit", "Quit", "Ctrl+Q", self._quit),
         ]  # fmt: skip
 
     def _wire_rail(self) -> None:
@@ -355,7 +357,7 @@ class TouchdownApp(QObject):
 
     def _pull_back(self) -> None:
         screens = [screen.availableGeometry() for screen in QApplication.screens()]
-        self.window.setGeometry(pulled_back(self.window.geometry(), screens))
+        self.window.setGeometry(move_on_screen(self.window.geometry(), screens))
 
     def _show_layouts(self) -> None:
         self.layout_menu.show(self.window.rail["layouts"])
@@ -365,7 +367,7 @@ class TouchdownApp(QObject):
         self.say(f"Theme: {self.look.words()}.")
 
     def _stops(self) -> tuple[TourStop, ...]:
-        return stops_of(self.window, self.bar, self.workspaces)
+        return tour_stops(self.window, self.bar, self.workspaces)
 
     def _tour_ended(self) -> None:
         self.toured = True
@@ -427,8 +429,8 @@ class TouchdownApp(QObject):
         self.workspaces.take(fact)
         if self.panels is not None:
             self.panels.calibrate.take(fact)
-        note(fact)
-        tell(fact, self.link, self.cards, self.say)
+        log_event(fact)
+        show_event(fact, self.link, self.cards, self.say)
 
     def _show_connecting(self) -> None:
         self.bar.pill.show_state(PillState("CONNECTING", "ring", "blue", "preparing the bench"))
@@ -437,7 +439,7 @@ class TouchdownApp(QObject):
     def _connect_failed(self, error: Exception) -> None:
         self.bar.pill.show_state(PillState("NO DEVICES", "ring", "grey"))
         self.workspaces.show_waiting("No bench", "Nothing is connected.")
-        self.cards.show_card(failed_card(error, self._connect_again))
+        self.cards.show_card(bench_failed_card(error, self._connect_again))
 
     def _draw_frame(self) -> None:
         if self.link is None or self._chips is None:
@@ -454,4 +456,4 @@ class TouchdownApp(QObject):
             self._closing.draw(self.link)
             pace = f"{self.pace:.2f}\N{MULTIPLICATION SIGN} real time" if self.pace else ""
             self.window.show_right(pace)
-        self.bar.pill.show_state(pill_of(self.link))
+        self.bar.pill.show_state(pill_state(self.link))

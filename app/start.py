@@ -15,11 +15,18 @@ from PySide6.QtWidgets import QApplication
 from touchdown.app.application import TouchdownApp
 from touchdown.app.benchmark import Measurement
 from touchdown.app.review import ReviewWorkspace
-from touchdown.app.shell import ErrorBox, Link, end_for_sure, install, log_to, settings_path
+from touchdown.app.shell import (
+    BenchLink,
+    ErrorBox,
+    exit_after_timeout,
+    install_error_hooks,
+    log_to,
+    settings_path,
+)
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import calibrations_folder, data_folder, models_folder
 
-SWITCH_S = 0.0005
+THREAD_SWITCH_S = 0.0005
 """Window and bench hand over to each other this often.
 
 A decision is hundreds of short library calls, each of which waits for its turn again. On two busy
@@ -29,12 +36,12 @@ cores 2 ms gave a median of 20 ms a decision and 40 ms of lag (p99), 0.5 ms gave
 
 def run(args: argparse.Namespace) -> int:
     """Run the window until it is closed."""
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(THREAD_SWITCH_S)
     application = QApplication(sys.argv[:1])
     application.setApplicationName("Touchdown")
     application.setDesktopFileName("touchdown")
     box = ErrorBox()
-    restore = install(box)
+    restore = install_error_hooks(box)
     log_to(data_folder() / "log")
     path = settings_path()
     if args.reset_layout:
@@ -45,12 +52,12 @@ def run(args: argparse.Namespace) -> int:
         if args.measure:
             Measurement(main, args.after, _print)
         elif args.grab is not None:
-            _Grab(main, args)
+            _WindowGrab(main, args)
         return application.exec()
     finally:
         main.close()
         # What hangs now holds no label and moves nothing.
-        end_for_sure()
+        exit_after_timeout()
         restore()
 
 
@@ -71,10 +78,12 @@ def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
         review.presenter.open(args.replay)
     # Whoever asks for something at the start wants that, not a tour.
     main.tour_due = not (args.grab or args.measure or args.page or args.replay)
-    main.connect_bench(partial(bench_of, args.bench, tuple(args.inject)))
+    main.connect_bench(partial(open_bench, args.bench, tuple(args.inject)))
 
 
-def live_bench(settings: Path | None = None, disturbances: tuple[str, ...] = ()) -> Link:
+def open_simulated_bench(
+    settings: Path | None = None, disturbances: tuple[str, ...] = ()
+) -> BenchLink:
     """Build the simulated bench with a first scene to look at (on the connecting thread).
 
     ``disturbances``: texts such as ``force_torque:stop@30``, in seconds of the bench clock.
@@ -96,11 +105,11 @@ def live_bench(settings: Path | None = None, disturbances: tuple[str, ...] = ())
     )
     session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
     session.prepare(SceneChoice())
-    settle_memory()
+    freeze_garbage()
     return session
 
 
-def bench_of(file: Path | None, disturbances: tuple[str, ...] = ()) -> Link:
+def open_bench(file: Path | None, disturbances: tuple[str, ...] = ()) -> BenchLink:
     """Build the bench of a file: a lab's devices, not yet connected, or a simulated bench.
 
     Raises ``InputError`` for ``disturbances`` of a lab's devices.
@@ -108,7 +117,7 @@ def bench_of(file: Path | None, disturbances: tuple[str, ...] = ()) -> Link:
     from touchdown.backend.config import is_lab_file
 
     if file is None or not is_lab_file(file):
-        return live_bench(file, disturbances)
+        return open_simulated_bench(file, disturbances)
     if disturbances:
         raise InputError(
             "Only the simulated bench has faults on demand.",
@@ -124,11 +133,11 @@ def bench_of(file: Path | None, disturbances: tuple[str, ...] = ()) -> Link:
         keep=RecordingOptions(data_folder() / "runs"),
         registry=ModelRegistry(models_folder()),
     )
-    settle_memory()
+    freeze_garbage()
     return session
 
 
-def settle_memory() -> None:
+def freeze_garbage() -> None:
     """Take everything loaded so far out of the garbage collector's sight.
 
     Modules, widgets and models stay until the end. Each full collection walked all of them, and
@@ -138,7 +147,7 @@ def settle_memory() -> None:
     gc.freeze()
 
 
-class _Grab(QObject):
+class _WindowGrab(QObject):
     """Starts a run once the bench is there and saves a picture after a while."""
 
     def __init__(self, main: TouchdownApp, args: argparse.Namespace) -> None:
@@ -170,7 +179,7 @@ def _print(figures: dict[str, float]) -> None:
 INSTALL = 'pip install "PySide6-Essentials>=6.8,!=6.9.1,<6.12"'
 
 
-def bad_pair(python: tuple[int, int], pyside: str) -> str | None:
+def incompatibility(python: tuple[int, int], pyside: str) -> str | None:
     """Return one line on what is wrong with this pair, or None.
 
     6.12.0 loses reference counts of True and None on CPython before 3.12 and aborts; 6.9.1 draws

@@ -119,7 +119,7 @@ class Tour(QObject):
         return lit.intersected(self._window.rect())
 
 
-def stops_of(
+def tour_stops(
     window: MainWindow, bar: TopBar, workspaces: Mapping[str, Workspace]
 ) -> tuple[TourStop, ...]:
     """Return the stops, in the order of a day at the bench."""
@@ -153,10 +153,10 @@ def stops_of(
     )  # fmt: skip
 
 
-W = TypeVar("W", bound=Workspace)
+WorkspaceT = TypeVar("WorkspaceT", bound=Workspace)
 
 
-def _of(workspaces: Mapping[str, Workspace], kind: type[W]) -> W:
+def _of(workspaces: Mapping[str, Workspace], kind: type[WorkspaceT]) -> WorkspaceT:
     """Return the workspace of this kind, with its page."""
     found = workspaces[kind.name]
     assert isinstance(found, kind)

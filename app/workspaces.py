@@ -11,12 +11,12 @@ from shiboken6 import isValid
 from touchdown.app.collect import CollectWorkspace
 from touchdown.app.operate import OperateWorkspace
 from touchdown.app.review import ReviewWorkspace
-from touchdown.app.shell import Desk, Link, Memory, Workspace, ignored_words
+from touchdown.app.shell import BenchLink, Memory, Workspace, WorkspaceContext, ignored_words
 from touchdown.app.stack import StackWorkspace
 from touchdown.app.train import TrainWorkspace
 from touchdown.backend.core import Event
 
-WORKSPACES: tuple[Callable[[Desk], Workspace], ...] = (
+WORKSPACES: tuple[Callable[[WorkspaceContext], Workspace], ...] = (
     OperateWorkspace,
     CollectWorkspace,
     TrainWorkspace,
@@ -41,7 +41,7 @@ class Workspaces(Mapping[str, Workspace]):
 
     def __init__(
         self,
-        desk: Desk,
+        desk: WorkspaceContext,
         remembered: Mapping[str, Memory],
         place: Callable[[Workspace], Iterator[None]],
         warn: Callable[[str], None],
@@ -53,7 +53,7 @@ class Workspaces(Mapping[str, Workspace]):
         self._begun: dict[str, Iterator[None]] = {}
         self._ahead: QTimer | None = None
         self._waiting = ("", "")
-        self._link: Link | None = None
+        self._link: BenchLink | None = None
         self._facts: list[Event] = []
 
     def __getitem__(self, name: str) -> Workspace:
@@ -108,7 +108,7 @@ class Workspaces(Mapping[str, Workspace]):
 
     # -- to all that have a page; the others hear of it when theirs is made ------------------------
 
-    def attach(self, link: Link) -> None:
+    def attach(self, link: BenchLink) -> None:
         """Take a bench that is ready."""
         self._link = link
         for ws in self.ready:

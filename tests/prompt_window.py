@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from touchdown.widgets.base.freshness import Pump
+from touchdown.widgets.base.freshness import EventPump
 
 PACES = {
     "touchdown.app.calibrate.presenter": "PERIOD_S",
@@ -31,7 +31,7 @@ def prompt(request: pytest.FixtureRequest) -> Iterator[None]:
     """Let nothing wait for the wall clock, but in tests marked ``usual_pace``."""
     with pytest.MonkeyPatch.context() as patch:
         if request.node.get_closest_marker("usual_pace") is None:
-            patch.setitem(Pump.__init__.__kwdefaults__, "budget_s", float("inf"))
+            patch.setitem(EventPump.__init__.__kwdefaults__, "budget_s", float("inf"))
             for module, name in PACES.items():
                 patch.setattr(importlib.import_module(module), name, 0.0)
         yield

@@ -32,7 +32,7 @@ from touchdown.backend.annotations.values import AnswerContext, EpisodeContext, 
 from touchdown.backend.core.values import Outcome, PlaceAction
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import RunState
-from touchdown.widgets.shell.fault_cards import CardText, Question
+from touchdown.widgets.shell.fault_cards import CardQuestion, CardText
 
 SIZES = ((1280, 720), (1600, 940))
 THEMES = ("dark", "light", "contrast")
@@ -275,7 +275,7 @@ class Stage:
         yield "cards-folded"
         main.reset()
         answers = (("Keep holding", list), ("Open and let it go", list))
-        main.cards.ask(Question("A piece is held. Opening lets it go.", answers))
+        main.cards.ask(CardQuestion("A piece is held. Opening lets it go.", answers))
         yield "question"
         main.cards.withdraw()
 

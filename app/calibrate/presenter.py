@@ -11,8 +11,13 @@ from typing import cast
 
 from PySide6.QtWidgets import QWidget
 
-from touchdown.app.calibrate.sheet import CalibrateSheet, Intents, PlaceForm, SheetLook
-from touchdown.app.shell import Link, busy, refusal_card, why_no_run
+from touchdown.app.calibrate.sheet import (
+    CalibrateIntents,
+    CalibrateSheet,
+    CalibrationView,
+    PlaceForm,
+)
+from touchdown.app.shell import BenchLink, is_run_active, refusal_card, start_obstacle
 from touchdown.backend.calibration import (
     CALIBRATION_KINDS,
     CALIBRATION_NAMES,
@@ -88,7 +93,7 @@ COUNTS: dict[CalibrationName, str] = {
 """Which figure of the residuals is held against the limit."""
 
 
-def days_words(days_left: float) -> str:
+def validity_text(days_left: float) -> str:
     """Say for how long a calibration still holds."""
     days = int(days_left)
     return "less than a day" if days < 1 else "1 day" if days == 1 else f"{days} days"
@@ -105,7 +110,7 @@ class CalibratePresenter:
 
     def __init__(
         self,
-        link: Link,
+        link: BenchLink,
         theme: Theme,
         window: QWidget,
         cards: FaultCards,
@@ -132,7 +137,9 @@ class CalibratePresenter:
                 self._theme,
                 [CALIBRATION_KINDS[what].title for what in CALIBRATION_NAMES],
                 PlaceForm(catalogue.tops, catalogue.bottoms, self._usual()),
-                Intents(self._choose, self._measure, self._link.engine.cancel, self._accept),
+                CalibrateIntents(
+                    self._choose, self._measure, self._link.engine.cancel, self._accept
+                ),
             )
         self._read_s = float("-inf")
         self.draw(at_once=True)
@@ -238,12 +245,12 @@ class CalibratePresenter:
             names = device_names(self._link.devices)
             self._standings = {what: store.standing(what, names) for what in CALIBRATION_NAMES}
 
-    def _look(self) -> SheetLook:
-        what, active = self._chosen, busy(self._link)
+    def _look(self) -> CalibrationView:
+        what, active = self._chosen, is_run_active(self._link)
         found = None if self._running == what else self._measured.get(what)
         mine = self._running == what
-        why = NO_STORE if self._link.calibrations is None else why_no_run(self._link)
-        return SheetLook(
+        why = NO_STORE if self._link.calibrations is None else start_obstacle(self._link)
+        return CalibrationView(
             rows=tuple(self._row(each) for each in CALIBRATION_NAMES),
             chosen=CALIBRATION_NAMES.index(what),
             title=CALIBRATION_KINDS[what].title,
@@ -299,7 +306,7 @@ class CalibratePresenter:
             needed = standing.condition != "missing" or self._link.facts.mode == "hardware"
             return standing.why[:1].upper() + standing.why[1:], "bad" if needed else ""
         file = standing.record.file
-        left = days_words(standing.record.days_left(datetime.now(UTC)))
+        left = validity_text(standing.record.days_left(datetime.now(UTC)))
         also = f"; {standing.notice}" if standing.notice else ""
         return f"{file.residual:.2g} of {file.limit:g} {file.unit}, holds {left}{also}", "good"
 

@@ -29,8 +29,8 @@ from touchdown.app.shell import QuestionRow
 from touchdown.backend.calibration import CalibrationName
 from touchdown.backend.core import FINGERS, Finger
 from touchdown.backend.runs import CalibrateRequest
-from touchdown.widgets.base import Captioned, Theme, label, rule, set_property, ui_font
-from touchdown.widgets.forms import inset
+from touchdown.widgets.base import CaptionedView, Theme, label, rule, set_property, ui_font
+from touchdown.widgets.forms import inset_spin_boxes
 from touchdown.widgets.plots import draw_message
 from touchdown.widgets.views import LEAST, TactileView
 
@@ -137,7 +137,7 @@ class PlaceForm(QWidget):
         for spin in (self.x_mm, self.y_mm, self.pitch_mm):
             spin.setDecimals(2)
             spin.setSuffix(" mm")
-            inset(spin)
+            inset_spin_boxes(spin)
         self.hand_over = QCheckBox("Hand the piece over (no jig)")
         first, second = QHBoxLayout(), QHBoxLayout()
         self._titles: dict[QWidget, QWidget] = {}
@@ -183,7 +183,7 @@ VALUE_COLUMNS = 2
 
 
 @dataclass(frozen=True, slots=True)
-class SheetLook:
+class CalibrationView:
     """Everything that changes. ``rows``: (condition, tone) per calibration; ``chosen`` of them.
 
     ``steps`` with the number of the one under way (-1: none); ``figure`` is the residual in words;
@@ -220,7 +220,7 @@ class SheetLook:
 
 
 @dataclass(frozen=True, slots=True)
-class Intents:
+class CalibrateIntents:
     """What the operator can ask for."""
 
     choose: Callable[[int], None]
@@ -234,13 +234,13 @@ class CalibrateSheet(QDialog):
 
     def __init__(
         self, parent: QWidget, theme: Theme, titles: Sequence[str], form: PlaceForm,
-        intents: Intents,
+        intents: CalibrateIntents,
     ) -> None:  # fmt: skip
         super().__init__(parent)
         self.setModal(False)
         self.setWindowTitle("Calibrate")
         self._intents, self.form = intents, form
-        self._shown: SheetLook | None = None
+        self._shown: CalibrationView | None = None
         self.choices = [QPushButton(title) for title in titles]
         self.conditions = [label("", "small") for _ in titles]
         self._group = QButtonGroup(self)
@@ -260,7 +260,7 @@ class CalibrateSheet(QDialog):
         self._arrange(parent)
         self._wire()
 
-    def show_look(self, look: SheetLook) -> None:
+    def show_look(self, look: CalibrationView) -> None:
         """Show how it stands now."""
         before, self._shown = self._shown, look
         if look == before:
@@ -289,7 +289,7 @@ class CalibrateSheet(QDialog):
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _show_values(self, look: SheetLook) -> None:
+    def _show_values(self, look: CalibrationView) -> None:
         for index in range(MOST_VALUES):
             name, value = look.values[index] if index < len(look.values) else ("", "")
             for widget, text in ((self.names[index], name), (self.values[index], value)):
@@ -301,7 +301,7 @@ class CalibrateSheet(QDialog):
         self.note.setText(look.note)
         set_property(self.note, "tone", "bad" if look.note_bad else "")
 
-    def _show_buttons(self, look: SheetLook) -> None:
+    def _show_buttons(self, look: CalibrationView) -> None:
         self.measure.setText("Measure" if look.within is None else "Repeat")
         self.measure.setEnabled(not look.busy and not look.why)
         self.measure.setToolTip(look.why or "The arm moves. STOP works as ever.")
@@ -368,7 +368,7 @@ class CalibrateSheet(QDialog):
         pair.setContentsMargins(0, 0, 0, 0)
         for finger, view in self.fingers.items():
             view.setFixedSize(LEAST)
-            pair.addWidget(Captioned(f"{finger.capitalize()} finger", view))
+            pair.addWidget(CaptionedView(f"{finger.capitalize()} finger", view))
         seen = QHBoxLayout()
         seen.addWidget(self._pictures)
         seen.addWidget(self.bars, 1)

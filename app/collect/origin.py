@@ -46,11 +46,11 @@ class RecorderGauge:
         rate = self.bytes_a_minute(now_s)
         text = f"{free / 1e9:.1f} GB free, {rate / 1e6:.1f} MB/min"
         if rate > 0:
-            text += f", room for {time_words(60.0 * free / rate)}"
+            text += f", room for {duration_text(60.0 * free / rate)}"
         return f"Nearly full: {text}" if free < LOW_BYTES else text
 
 
-class Pace:
+class CampaignPace:
     """How long the rest of a campaign takes, from the last probes."""
 
     def __init__(self) -> None:
@@ -70,10 +70,10 @@ class Pace:
         if len(self._at_s) < 2 or left <= 0:
             return ""
         each_s = (self._at_s[-1] - self._at_s[0]) / (len(self._at_s) - 1)
-        return f"{left} left, about {time_words(left * each_s)} at {each_s:.1f} s each"
+        return f"{left} left, about {duration_text(left * each_s)} at {each_s:.1f} s each"
 
 
-def time_words(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
     """Write a length of time with two figures at most: "40 s", "12 min", "3 h 20 min", "8 days"."""
     if seconds < 90:
         return f"{seconds:.0f} s"
@@ -86,7 +86,7 @@ def time_words(seconds: float) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class OriginNote:
+class OriginCheckNote:
     """Felt centre of the bottom minus the origin, in mm; ``used``: the origin was moved there."""
 
     residual_mm: tuple[float, float]
@@ -96,11 +96,11 @@ class OriginNote:
     used: bool = False
 
     @classmethod
-    def of(cls, fact: OriginChecked, at: datetime) -> OriginNote:
+    def of(cls, fact: OriginChecked, at: datetime) -> OriginCheckNote:
         """Return the note of a check made at ``at``."""
         return cls(fact.residual_mm, fact.sigma_mm, fact.agrees, f"{at:%Y-%m-%d %H:%M}")
 
-    def taken(self) -> OriginNote:
+    def taken(self) -> OriginCheckNote:
         """Return the note once the origin was moved by it."""
         return replace(self, used=True)
 
@@ -109,7 +109,7 @@ class OriginNote:
         return asdict(self)
 
 
-def note_of(memory: object) -> OriginNote | None:
+def origin_note(memory: object) -> OriginCheckNote | None:
     """Return a remembered note; None for none. Raises ``ValueError`` for what makes no sense."""
     if memory is None:
         return None
@@ -119,12 +119,12 @@ def note_of(memory: object) -> OriginNote | None:
         x, y = (float(v) for v in memory["residual_mm"])
         sigma_mm = float(memory["sigma_mm"])
         at = str(memory["at"])
-        return OriginNote((x, y), sigma_mm, bool(memory["agrees"]), at, bool(memory["used"]))
+        return OriginCheckNote((x, y), sigma_mm, bool(memory["agrees"]), at, bool(memory["used"]))
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError("no note") from error
 
 
-def residual_words(note: OriginNote | None) -> str:
+def residual_text(note: OriginCheckNote | None) -> str:
     """Write residual, uncertainty, judgement and date."""
     if note is None:
         return "Origin not checked yet."

@@ -10,13 +10,13 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QFontMetrics, QResizeEvent
 from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 
-from touchdown.app.collect.origin import OriginNote, residual_words
+from touchdown.app.collect.origin import OriginCheckNote, residual_text
 from touchdown.app.collect.probes import SIGNALS
-from touchdown.app.shell import Link
+from touchdown.app.shell import BenchLink
 from touchdown.backend.core import FINGERS, Finger, StaleSampleError
 from touchdown.backend.devices import Arm
-from touchdown.widgets.base import Age, Captioned, Panel, Theme, ui_font
-from touchdown.widgets.forms import HealthPanel, LastProbePanel, TargetIntents, TargetPanel
+from touchdown.widgets.base import Age, CaptionedView, Panel, Theme, ui_font
+from touchdown.widgets.forms import LastProbePanel, PairHealthPanel, TargetIntents, TargetPanel
 from touchdown.widgets.lists import EpisodeTable
 from touchdown.widgets.plots import DistributionView, TracePlot
 from touchdown.widgets.views import TactileView
@@ -56,7 +56,7 @@ class CollectPage(QWidget):
         theme, intents = self._theme, self._intents
         titles = {"left": "Left", "right": "Right"}
         self.tactile: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
-        self.captions = {f: Captioned(titles[f], self.tactile[f]) for f in FINGERS}
+        self.captions = {f: CaptionedView(titles[f], self.tactile[f]) for f in FINGERS}
         self.force = TracePlot(theme, "Force", "F", "N", 10.0)
         self.moment = TracePlot(theme, "Moment", "T", "N\N{MIDDLE DOT}m", 0.2)
         choose = intents.choose_dot
@@ -72,7 +72,7 @@ class CollectPage(QWidget):
         self.table = EpisodeTable(theme, intents.choose_row)
         self.deleted = QCheckBox("Deleted too")
         self.deleted.setToolTip("Show probes that were discarded")
-        self.health = HealthPanel()
+        self.health = PairHealthPanel()
         self._recorder_panel = Panel("Recorder")
         self.recorder = self._recorder_panel.detail
         self.recorder.setAccessibleName("Recorder")
@@ -157,8 +157,8 @@ class CollectPage(QWidget):
         self.maps.header.addWidget(self.signal)
         line = QHBoxLayout()
         line.setSpacing(16)
-        self.coverage_caption = Captioned("Coverage", self.coverage)
-        self.distribution_caption = Captioned("Distribution", self.distribution)
+        self.coverage_caption = CaptionedView("Coverage", self.coverage)
+        self.distribution_caption = CaptionedView("Distribution", self.distribution)
         line.addWidget(self.coverage_caption, 1)
         line.addWidget(self.distribution_caption, 1)
         self.maps.column.addLayout(line, 1)
@@ -187,13 +187,13 @@ class OriginField:
 
     def __init__(self, target: TargetPanel) -> None:
         self._target = target
-        self.note: OriginNote | None = None
+        self.note: OriginCheckNote | None = None
 
-    def show_note(self, note: OriginNote | None) -> None:
+    def show_note(self, note: OriginCheckNote | None) -> None:
         """Show what the last check found."""
         self.note = note
         usable = note is not None and not note.used
-        self._target.show_residual(residual_words(note), usable=usable)
+        self._target.show_residual(residual_text(note), usable=usable)
 
     def take_residual(self) -> None:
         """Add the residual of the last check, once."""
@@ -203,7 +203,7 @@ class OriginField:
             y.setValue(y.value() + self.note.residual_mm[1])
             self.show_note(self.note.taken())
 
-    def set_here(self, link: Link | None) -> None:
+    def set_here(self, link: BenchLink | None) -> None:
         """Set it to where the arm is now: the operator jogged it over the centre of the bottom."""
         arm = None if link is None else link.devices.get("arm")
         if link is None or arm is None:

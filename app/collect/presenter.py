@@ -9,11 +9,17 @@ from datetime import datetime
 
 from PySide6.QtWidgets import QApplication
 
-from touchdown.app.collect.origin import OriginNote, Pace, RecorderGauge
+from touchdown.app.collect.origin import CampaignPace, OriginCheckNote, RecorderGauge
 from touchdown.app.collect.page import CollectPage, OriginField
-from touchdown.app.collect.probes import Harvest, Held, read_pair, read_probe
-from touchdown.app.collect.requests import Standing, buttons, decide_stored, request_of, words_of
-from touchdown.app.shell import ACTIVE, Commits, Link, refusal_card
+from touchdown.app.collect.probes import PairProbes, ProbeRecord, read_pair, read_probe
+from touchdown.app.collect.requests import (
+    CampaignState,
+    apply_decision,
+    campaign_buttons,
+    collect_request,
+    probe_text,
+)
+from touchdown.app.shell import ACTIVE_STATES, BenchLink, SaveWorker, refusal_card
 from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, check_person
 from touchdown.backend.core import (
     CampaignBegan,
@@ -42,11 +48,11 @@ from touchdown.backend.runs import (
     current_campaign,
     newest_campaign,
 )
-from touchdown.widgets.forms import ProbeWords, TargetButtons
+from touchdown.widgets.forms import ProbeText, TargetButtons
 from touchdown.widgets.shell import CardText, FaultCards
 
 
-class Probes:
+class ProbesPresenter:
     """Maps, table and findings of one pair. ``chosen``: the probe that is looked at, "" for the
     one that was recorded ``last``. ``failed`` is told what could not be read.
     """
@@ -54,14 +60,14 @@ class Probes:
     def __init__(
         self,
         page: CollectPage,
-        reader: Commits,
+        reader: SaveWorker,
         catalogue: PieceLibrary,
         failed: Callable[[Exception], None],
     ) -> None:
         self._page, self._reader, self._catalogue = page, reader, catalogue
         self._failed = failed
         self.dataset: Dataset | None = None
-        self.harvest: Harvest | None = None
+        self.harvest: PairProbes | None = None
         self.chosen = self.last = ""
         self._pair = ("", "")
         self._read_from: Dataset | None = None
@@ -72,7 +78,7 @@ class Probes:
         """Uuid of the probe that is shown, "" if there is none."""
         return self.chosen or self.last
 
-    def held(self) -> Held | None:
+    def held(self) -> ProbeRecord | None:
         """Return the probe that is shown, None if it is not of this pair."""
         return None if self.harvest is None else self.harvest.get(self.shown)
 
@@ -102,26 +108,26 @@ class Probes:
         except InputError:
             return
         self._pair, self._read_from, dataset = pair, self.dataset, self.dataset
-        self.harvest, self._stale, self.last, self.chosen = Harvest(face, outline), True, "", ""
+        self.harvest, self._stale, self.last, self.chosen = PairProbes(face, outline), True, "", ""
         if dataset is None:
             return
         self._page.episodes.detail.setText("reading")
 
-        def done(held: list[Held]) -> None:
+        def done(held: list[ProbeRecord]) -> None:
             if pair == self._pair and dataset is self._read_from:
-                self.harvest = Harvest(face, outline, held)
+                self.harvest = PairProbes(face, outline, held)
                 self.last, self._stale = self.harvest.newest, True
                 self._judge()
 
         self._reader.submit(lambda: read_pair(dataset, *pair), done, self._failed)
 
-    def read(self, uuid: str, came: Callable[[Held], None] | None = None) -> None:
+    def read(self, uuid: str, came: Callable[[ProbeRecord], None] | None = None) -> None:
         """Read a probe again; with ``came`` it is new, read with its signals and handed on."""
         dataset = self.dataset
         if dataset is None:
             return
 
-        def done(held: Held) -> None:
+        def done(held: ProbeRecord) -> None:
             if came is not None:
                 came(held)
             self.put(held)
@@ -132,7 +138,7 @@ class Probes:
             self._failed,
         )
 
-    def put(self, held: Held) -> None:
+    def put(self, held: ProbeRecord) -> None:
         """Take a probe, or a later state of one, if it is of the pair."""
         if self.harvest is not None and (held.entry.piece, held.entry.bottom) == self._pair:
             self.harvest.put(held)
@@ -161,7 +167,7 @@ class Probes:
 
     # -- showing ----------------------------------------------------------------------------------
 
-    def draw(self, words: Callable[[Held | None], ProbeWords]) -> None:
+    def draw(self, words: Callable[[ProbeRecord | None], ProbeText]) -> None:
         """Show the probes if they changed; ``words`` tells of the one that is shown."""
         if not self._stale or self.harvest is None:
             return
@@ -180,10 +186,10 @@ class Probes:
         page.probe.show_words(words(self.held()))
 
 
-TAKEN_BACK = frozenset(("discard", "redo", "skip"))
+DISCARDING_DECISIONS = frozenset(("discard", "redo", "skip"))
 
 
-class Progress:
+class CampaignProgress:
     """Follows the facts of a run, and what is decided beside it about probes of its campaign."""
 
     def __init__(self) -> None:
@@ -211,7 +217,7 @@ class Progress:
 
     def decided(self, fact: EpisodeDecided) -> None:
         """Take a decision that the run carried out; its next probe tells the same number."""
-        if fact.decision in TAKEN_BACK and fact.uuid in self._accepted - self._taken_back:
+        if fact.decision in DISCARDING_DECISIONS and fact.uuid in self._accepted - self._taken_back:
             self._taken_back.add(fact.uuid)
             self._done -= 1
 
@@ -238,19 +244,23 @@ class CollectPresenter:
         self,
         page: CollectPage,
         cards: FaultCards,
-        reader: Commits,
+        reader: SaveWorker,
         catalogue: PieceLibrary,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._page, self._cards, self._reader, self._now_s = page, cards, reader, now_s
-        self.probes = Probes(page, reader, catalogue, self._failed)
+        self.probes = ProbesPresenter(page, reader, catalogue, self._failed)
         self.origin = OriginField(page.target)
         self.person = ""
-        self.link: Link | None = None
+        self.link: BenchLink | None = None
         self._asking = self._mine = False
         self._asked: HandOverAwaited | MountingAwaited | None = None
         self._campaign, self._go_on = "", ""
-        self._pace, self._gauge, self._progress = Pace(), RecorderGauge(), Progress()
+        self._pace, self._gauge, self._progress = (
+            CampaignPace(),
+            RecorderGauge(),
+            CampaignProgress(),
+        )
         self._gauge_s = float("-inf")
         self._buttons: TargetButtons | None = None
 
@@ -261,7 +271,7 @@ class CollectPresenter:
         """The dataset that is open."""
         return self.probes.dataset
 
-    def attach(self, link: Link) -> None:
+    def attach(self, link: BenchLink) -> None:
         """Take a bench; it collects into the dataset that is open."""
         self.link = link
         link.dataset = self.dataset
@@ -294,7 +304,7 @@ class CollectPresenter:
         elif self._asking:
             self.decide("keep")
         else:
-            self._begin(request_of(self._page.target.form(), self.person))
+            self._begin(collect_request(self._page.target.form(), self.person))
 
     def go_on(self) -> None:
         """Go on with the newest campaign, or say that its mounting is as it was."""
@@ -302,7 +312,7 @@ class CollectPresenter:
             self._answer(False)
         elif self._campaign:
             form = self._page.target.form()
-            self._begin(request_of(form, self.person, campaign=self._campaign))
+            self._begin(collect_request(form, self.person, campaign=self._campaign))
 
     def _answer(self, yes: bool) -> None:
         if self.link is not None:
@@ -311,7 +321,7 @@ class CollectPresenter:
 
     def _begin(self, request: CollectRequest) -> None:
         link = self.link
-        if link is None or link.status().state in ACTIVE:
+        if link is None or link.status().state in ACTIVE_STATES:
             return
         if not request.person:
             # The line below the button says so; here the name can be typed at once.
@@ -367,13 +377,13 @@ class CollectPresenter:
         else:
             dataset, person = self.dataset, self.person
             self._reader.submit(
-                lambda: decide_stored(dataset, person, uuid, decision),
+                lambda: apply_decision(dataset, person, uuid, decision),
                 self._decided_beside,
                 self._failed,
             )
         self.probes.restyle()
 
-    def _decided_beside(self, held: Held) -> None:
+    def _decided_beside(self, held: ProbeRecord) -> None:
         """Have the bar and *Go on* follow a decision that is in the dataset by now."""
         self.probes.put(held)
         if self._mine:
@@ -434,7 +444,7 @@ class CollectPresenter:
             self._asked = None
             self._page.target.detail.setText(fact.phase)
         elif isinstance(fact, OriginChecked):
-            self.origin.show_note(OriginNote.of(fact, datetime.now()))
+            self.origin.show_note(OriginCheckNote.of(fact, datetime.now()))
 
     def _show_pair(self, piece: str, bottom: str) -> None:
         """Follow a campaign of another pair: one that goes on has its own plan."""
@@ -497,8 +507,8 @@ class CollectPresenter:
 
     def draw(self) -> None:
         """Show what changed."""
-        now = Standing(self.person, self.dataset, self._mine, self._go_on, self._asked)
-        wanted = buttons(self.link, now)
+        now = CampaignState(self.person, self.dataset, self._mine, self._go_on, self._asked)
+        wanted = campaign_buttons(self.link, now)
         if wanted != self._buttons:
             self._buttons = wanted
             focused = QApplication.focusWidget()
@@ -515,6 +525,6 @@ class CollectPresenter:
         """Show the probes if they changed."""
         self.probes.draw(self._words)
 
-    def _words(self, held: Held | None) -> ProbeWords:
+    def _words(self, held: ProbeRecord | None) -> ProbeText:
         back = bool(self.probes.chosen)
-        return words_of(held, asking=self._asking and not back, running=self._mine, back=back)
+        return probe_text(held, asking=self._asking and not back, running=self._mine, back=back)

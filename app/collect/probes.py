@@ -13,7 +13,7 @@ from touchdown.backend.core import EpisodeQuality, FloatArray, InputError
 from touchdown.backend.episodes import Coverage, ExaminedEpisode, count_coverage
 from touchdown.backend.geometry import Outline
 from touchdown.backend.runs import Signals, counts_for_coverage, last_signals, read_probe_summary
-from touchdown.widgets.lists import EpisodeRow
+from touchdown.widgets.lists import EpisodeTableRow
 from touchdown.widgets.plots import Bins, DistributionScene, reach_of
 
 SIGNALS: tuple[tuple[str, str, float], ...] = (
@@ -24,12 +24,12 @@ SIGNALS: tuple[tuple[str, str, float], ...] = (
     ("Fz", "N", 1.0),
 )
 """What the distribution is coloured by, in the order of ``ProbeCollected.signals``."""
-MOST_READ = 400
+MAX_SIGNALS_READ = 400
 """Signals of so many of the newest probes are read when a dataset is opened."""
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class ProbeRecord:
     """One probe: its row of the index and where it was; if it was read, where it was meant to go
     and its signals.
     """
@@ -46,10 +46,10 @@ class Held:
         return counts_for_coverage(self.entry)
 
 
-def read_probe(dataset: Dataset, entry: EpisodeEntry, *, signals: bool) -> Held:
+def read_probe(dataset: Dataset, entry: EpisodeEntry, *, signals: bool) -> ProbeRecord:
     """Read one probe; a damaged file leaves its signals unknown."""
     x_mm, y_mm = dataset.labels.head(entry.uuid).label.offset_mm.tolist()
-    held = Held(entry, (x_mm, y_mm))
+    held = ProbeRecord(entry, (x_mm, y_mm))
     if not signals or entry.deleted:
         return held
     try:
@@ -64,17 +64,17 @@ def read_probe(dataset: Dataset, entry: EpisodeEntry, *, signals: bool) -> Held:
     )
 
 
-def read_pair(dataset: Dataset, piece: str, bottom: str) -> list[Held]:
+def read_pair(dataset: Dataset, piece: str, bottom: str) -> list[ProbeRecord]:
     """Read the probes of a pair, oldest first; signals of the newest ``MOST_READ`` only."""
     entries = dataset.episodes(EpisodeFilter(piece=piece, bottom=bottom, deleted=None))
-    late = len(entries) - MOST_READ
+    late = len(entries) - MAX_SIGNALS_READ
     return [read_probe(dataset, e, signals=at >= late) for at, e in enumerate(entries)]
 
 
-class Harvest:
+class PairProbes:
     """The probes of one pair in the order in which they were recorded."""
 
-    def __init__(self, face: Outline, bottom: Outline, held: Iterable[Held] = ()) -> None:
+    def __init__(self, face: Outline, bottom: Outline, held: Iterable[ProbeRecord] = ()) -> None:
         self._face, self._bottom = face, bottom
         self._outline = bottom.polygon(96)
         self._held = {h.entry.uuid: h for h in held}
@@ -87,7 +87,7 @@ class Harvest:
     def __contains__(self, uuid: object) -> bool:
         return uuid in self._held
 
-    def put(self, held: Held) -> None:
+    def put(self, held: ProbeRecord) -> None:
         """Take a probe, or a later state of one."""
         before = self._held.get(held.entry.uuid)
         if before is not None and held.seen is None:
@@ -100,7 +100,7 @@ class Harvest:
         self._held[held.entry.uuid] = held
         self._coverage = None
 
-    def get(self, uuid: str) -> Held | None:
+    def get(self, uuid: str) -> ProbeRecord | None:
         """Return one probe, None if it is not of this pair."""
         return self._held.get(uuid)
 
@@ -124,7 +124,7 @@ class Harvest:
 
     # -- shown ------------------------------------------------------------------------------------
 
-    def shown(self) -> list[Held]:
+    def shown(self) -> list[ProbeRecord]:
         """Return what is drawn as dots: all that is not deleted and has a displacement."""
         return [
             h for h in self._held.values() if not h.entry.deleted and np.isfinite(h.offset_mm).all()
@@ -144,7 +144,7 @@ class Harvest:
         bins = Bins(seen.counts, seen.possible, seen.centre_mm(0, 0), seen.bin_mm)
         return replace(self._scene(self.shown(), chosen), bins=bins, title="episodes per bin")
 
-    def _scene(self, shown: Sequence[Held], chosen: str) -> DistributionScene:
+    def _scene(self, shown: Sequence[ProbeRecord], chosen: str) -> DistributionScene:
         points = np.array([h.offset_mm for h in shown], dtype=np.float64).reshape(-1, 2)
         uuids = [h.entry.uuid for h in shown]
         return DistributionScene(
@@ -167,43 +167,43 @@ class Harvest:
             ]
         ).reshape(-1, 2)
 
-    def rows(self, *, deleted: bool) -> list[EpisodeRow]:
+    def rows(self, *, deleted: bool) -> list[EpisodeTableRow]:
         """Return the table, newest first."""
-        made = [row_of(at, h) for at, h in enumerate(self._held.values(), 1)]
+        made = [probe_row(at, h) for at, h in enumerate(self._held.values(), 1)]
         return [row for row in reversed(made) if deleted or not row.deleted]
 
 
-def row_of(number: int, held: Held) -> EpisodeRow:
+def probe_row(number: int, held: ProbeRecord) -> EpisodeTableRow:
     """Write one probe as a row of the table."""
     entry = held.entry
     local = datetime.fromtimestamp(entry.recorded_ns * 1e-9, UTC).astimezone()
     today = datetime.now(UTC).astimezone().date()
-    return EpisodeRow(
+    return EpisodeTableRow(
         entry.uuid,
         str(number),
         "deleted" if entry.deleted else entry.state,
-        quality_words(entry.quality),
-        pair_words(held.offset_mm),
+        quality_text(entry.quality),
+        displacement_text(held.offset_mm),
         f"{local:%H:%M:%S}" if local.date() == today else f"{local:%y-%m-%d}",
         flagged=entry.flagged,
         deleted=entry.deleted,
-        grip=grip_words(entry.grip_id),
+        grip=grip_text(entry.grip_id),
         person=entry.person,
         distance_mm=float(np.nan_to_num(np.hypot(*held.offset_mm), nan=-1.0)),
     )
 
 
-def grip_words(grip_id: str) -> str:
+def grip_text(grip_id: str) -> str:
     """Return mounting and grip of a campaign such as "1.3", or the name that others gave."""
     return ".".join(part.rpartition("-")[2] for part in grip_id.split("/")[-2:])
 
 
-def quality_words(quality: EpisodeQuality) -> str:
+def quality_text(quality: EpisodeQuality) -> str:
     """Return "ok" or the first reason against it."""
     return "ok" if quality.accepted else "; ".join(quality.reasons) or "refused"
 
 
-def pair_words(at_mm: tuple[float, float], digits: int = 1, unit: str = "") -> str:
+def displacement_text(at_mm: tuple[float, float], digits: int = 1, unit: str = "") -> str:
     """Write a displacement such as "+1.5, +0.3"; "none" for a probe that has none."""
     if not np.isfinite(at_mm).all():
         return "none"

@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from touchdown.app.collect.probes import Held, pair_words, quality_words, read_probe
-from touchdown.app.shell import ACTIVE, Link, why_no_run
+from touchdown.app.collect.probes import ProbeRecord, displacement_text, quality_text, read_probe
+from touchdown.app.shell import ACTIVE_STATES, BenchLink, start_obstacle
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.core import EpisodeDecision, HandOverAwaited, MountingAwaited
 from touchdown.backend.runs import (
@@ -19,15 +19,15 @@ from touchdown.backend.runs import (
     hand_over_message,
     mounting_question,
 )
-from touchdown.widgets.forms import ProbeWords, TargetButtons, TargetForm
-from touchdown.widgets.lists import Arrangement
+from touchdown.widgets.forms import ProbeText, TargetButtons, TargetForm
+from touchdown.widgets.lists import TableArrangement
 
 
-def words_of(held: Held | None, *, asking: bool, running: bool, back: bool) -> ProbeWords:
+def probe_text(held: ProbeRecord | None, *, asking: bool, running: bool, back: bool) -> ProbeText:
     """Return a probe in words. ``back``: an older one is looked at, or no run goes on."""
     if held is None:
         detail = "The first one is on its way." if running else "Press Start collecting (F5)."
-        return ProbeWords("No probe yet", detail=detail)
+        return ProbeText("No probe yet", detail=detail)
     entry = held.entry
     accepted = entry.quality.accepted
     verdict, tone = ("\N{CHECK MARK} Observation", "good") if accepted else (
@@ -37,32 +37,32 @@ def words_of(held: Held | None, *, asking: bool, running: bool, back: bool) -> P
         verdict, tone = "Discarded", ""
     elif entry.flagged:
         verdict += ", flagged"
-    return ProbeWords(
+    return ProbeText(
         verdict,
         tone,
-        f"{_where(held)}, {entry.uuid[-8:]}",
-        _detail(held, back=back, running=running),
+        f"{_place_text(held)}, {entry.uuid[-8:]}",
+        _detail_text(held, back=back, running=running),
         asking,
-        _allowed(held, live=running and not back),
+        _allowed_decisions(held, live=running and not back),
     )
 
 
-def _where(held: Held) -> str:
+def _place_text(held: ProbeRecord) -> str:
     """Say the displacement, if it is known, and the item of the plan, if there was one."""
-    at = f"x, y {pair_words(held.offset_mm, 2, ' mm')}"
+    at = f"x, y {displacement_text(held.offset_mm, 2, ' mm')}"
     if not np.isfinite(held.offset_mm).all():
         at = "No displacement"
     item = held.entry.plan_item
     return f"{at}, no plan" if item is None else f"{at}, item {item + 1}"
 
 
-def _detail(held: Held, *, back: bool, running: bool) -> str:
+def _detail_text(held: ProbeRecord, *, back: bool, running: bool) -> str:
     quality = held.entry.quality
     if not quality.accepted:
-        return f"{quality_words(quality)}. It is kept with its reasons and probed again."
+        return f"{quality_text(quality)}. It is kept with its reasons and probed again."
     parts = [f"slip {quality.slip_mm:.2f} mm"]
     if held.commanded_mm is not None:
-        parts.insert(0, f"commanded {pair_words(held.commanded_mm, 2, ' mm')}")
+        parts.insert(0, f"commanded {displacement_text(held.commanded_mm, 2, ' mm')}")
     if held.signals is not None:
         parts.append(f"Fz {held.signals[4]:.1f} N at the end")
     if quality.dropped_frames:
@@ -75,7 +75,7 @@ def _detail(held: Held, *, back: bool, running: bool) -> str:
     return text
 
 
-def _allowed(held: Held, *, live: bool) -> tuple[str, ...]:
+def _allowed_decisions(held: ProbeRecord, *, live: bool) -> tuple[str, ...]:
     if held.entry.deleted:
         return () if live else ("keep",)
     if live:
@@ -83,7 +83,9 @@ def _allowed(held: Held, *, live: bool) -> tuple[str, ...]:
     return ("discard", "flag") if held.entry.plan_item is None else ("discard", "flag", "skip")
 
 
-def decide_stored(dataset: Dataset, person: str, uuid: str, decision: EpisodeDecision) -> Held:
+def apply_decision(
+    dataset: Dataset, person: str, uuid: str, decision: EpisodeDecision
+) -> ProbeRecord:
     """Carry out a decision about a probe that no run waits for; return it as it is then.
 
     A discarded one is probed again when its campaign goes on, a skipped one is not; keep brings a
@@ -105,7 +107,7 @@ ANSWERS = "Fitted anew", "As it was"
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class CampaignState:
     """How things stand: whose page it is, what is open, and what the run in progress waits for.
 
     ``mine``: the run that goes on collects. ``go_on``: what the last campaign still lacks.
@@ -118,11 +120,11 @@ class Standing:
     asked: HandOverAwaited | MountingAwaited | None
 
 
-def buttons(link: Link | None, now: Standing) -> TargetButtons:
+def campaign_buttons(link: BenchLink | None, now: CampaignState) -> TargetButtons:
     """Return which buttons may be pressed."""
     state = RunState.IDLE if link is None else link.status().state
-    active = state in ACTIVE
-    why = why_not(link, now)
+    active = state in ACTIVE_STATES
+    why = campaign_obstacle(link, now)
     paused = state in (RunState.PAUSED, RunState.PAUSING)
     return TargetButtons(
         start=not why and not active,
@@ -132,25 +134,25 @@ def buttons(link: Link | None, now: Standing) -> TargetButtons:
         go_on=now.go_on,
         why_not=why,
         in_contact=not active and _in_contact(link),
-        ask=_question(now) if active else "",
+        ask=_open_question(now) if active else "",
         answers=ANSWERS if active and isinstance(now.asked, MountingAwaited) else None,
         form=not (now.mine and active),
     )
 
 
-def _question(now: Standing) -> str:
+def _open_question(now: CampaignState) -> str:
     if isinstance(now.asked, MountingAwaited):
         return mounting_question(now.asked)
     return "" if now.asked is None else hand_over_message(now.asked)
 
 
-def why_not(link: Link | None, now: Standing) -> str:
+def campaign_obstacle(link: BenchLink | None, now: CampaignState) -> str:
     """Return why nothing can be started, "" if it can, or if the campaign runs."""
     if link is None or not link.devices:
         return "The bench is being prepared"
-    if link.status().state in ACTIVE:
+    if link.status().state in ACTIVE_STATES:
         return "" if now.mine else "A run is going on"
-    if why := why_no_run(link):
+    if why := start_obstacle(link):
         return "In contact: lift first" if _in_contact(link) else why
     if not now.person:
         return "Say who collects: give your name above (Ctrl+U)"
@@ -159,7 +161,7 @@ def why_not(link: Link | None, now: Standing) -> str:
     return "" if now.dataset.writable else "The dataset is open for reading only"
 
 
-def _in_contact(link: Link | None) -> bool:
+def _in_contact(link: BenchLink | None) -> bool:
     return (
         link is not None
         and link.hand is not None
@@ -168,7 +170,7 @@ def _in_contact(link: Link | None) -> bool:
     )
 
 
-def request_of(form: TargetForm, person: str, *, campaign: str = "") -> CollectRequest:
+def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> CollectRequest:
     """Return the request of a form; with ``campaign`` the plan of that one holds."""
     patterns: dict[str, Pattern] = {"grid": "grid", "adaptive": "adaptive"}
     return CollectRequest(
@@ -188,7 +190,7 @@ def request_of(form: TargetForm, person: str, *, campaign: str = "") -> CollectR
     )
 
 
-def form_of(memory: Mapping[str, object]) -> tuple[TargetForm, list[str]]:
+def remembered_target_form(memory: Mapping[str, object]) -> tuple[TargetForm, list[str]]:
     """Return (form, names of what made no sense); those fields get their defaults."""
     default, known, dropped = TargetForm(), {}, []
     for entry in fields(TargetForm):
@@ -200,11 +202,11 @@ def form_of(memory: Mapping[str, object]) -> tuple[TargetForm, list[str]]:
     return TargetForm(**known), dropped  # type: ignore[arg-type]
 
 
-def arrangement_of(memory: object) -> Arrangement:
+def remembered_table(memory: object) -> TableArrangement:
     """Return columns and order of the list; raises ``ValueError`` for what makes no sense."""
     match memory:
         case None:
-            return Arrangement()
+            return TableArrangement()
         case {"columns": [*columns], "sort": str(sort), "descending": bool(descending)}:
-            return Arrangement(tuple(str(name) for name in columns), sort, descending)
+            return TableArrangement(tuple(str(name) for name in columns), sort, descending)
     raise ValueError("no columns")

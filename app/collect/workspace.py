@@ -5,22 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 
-from touchdown.app.collect.origin import note_of
+from touchdown.app.collect.origin import origin_note
 from touchdown.app.collect.page import CollectIntents, CollectPage
 from touchdown.app.collect.presenter import CollectPresenter
-from touchdown.app.collect.requests import arrangement_of, form_of
-from touchdown.app.label import Halves, LabelWorkspace
+from touchdown.app.collect.requests import remembered_table, remembered_target_form
+from touchdown.app.label import HalvesPage, LabelWorkspace
 from touchdown.app.shell import (
-    Command,
-    Commits,
-    Desk,
-    Link,
+    BenchLink,
     LivePresenter,
     LiveViews,
     Memory,
-    Opened,
+    OpenedDataset,
+    SaveWorker,
+    WindowCommand,
     Workspace,
-    portable,
+    WorkspaceContext,
+    portable_key,
 )
 from touchdown.backend.annotations import DESCRIPTION, Dataset
 from touchdown.backend.core import EpisodeDecision, Event
@@ -28,23 +28,25 @@ from touchdown.backend.geometry import load_pieces
 from touchdown.widgets.forms import TargetForm, TargetIntents
 
 
-def by_half(
-    front: Callable[[], str], titles: Mapping[str, str], commands: Mapping[str, Sequence[Command]]
-) -> tuple[Command, ...]:
+def join_half_commands(
+    front: Callable[[], str],
+    titles: Mapping[str, str],
+    commands: Mapping[str, Sequence[WindowCommand]],
+) -> tuple[WindowCommand, ...]:
     """Return all commands; a key that several halves use becomes one row that names them all.
 
     ``front`` tells the half in front; ``titles`` and ``commands`` by name of the half. A command of
     a half behind does nothing.
     """
-    rows: dict[str, Command] = {}
+    rows: dict[str, WindowCommand] = {}
     acts: dict[str, dict[str, Callable[[], None]]] = {}
     for half, given in commands.items():
         for command in given:
-            key = portable(command.key) or f"{half}.{command.name}"
+            key = portable_key(command.key) or f"{half}.{command.name}"
             text = f"{titles[half]}: {command.text}"
             known = rows.get(key)
             if known is None:
-                rows[key] = replace(command, text=text, run=_runner(front, acts, key))
+                rows[key] = replace(command, text=text, run=_run_in_front(front, acts, key))
             else:
                 both = f"{known.text}; {text}"
                 rows[key] = replace(known, text=both, repeats=known.repeats and command.repeats)
@@ -52,7 +54,7 @@ def by_half(
     return tuple(rows.values())
 
 
-def _runner(
+def _run_in_front(
     front: Callable[[], str], acts: Mapping[str, Mapping[str, Callable[[], None]]], key: str
 ) -> Callable[[], None]:
     def run() -> None:
@@ -73,13 +75,13 @@ class CollectWorkspace(Workspace):
     """Collecting needs a bench, labelling does not; both work on the dataset that Label opens."""
 
     name, title, key = "collect", "Collect & Label", "Ctrl+2"
-    page: Halves
+    page: HalvesPage
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: WorkspaceContext) -> None:
         self._desk = desk
         self.label = LabelWorkspace(desk)
         self.live: LivePresenter | None = None
-        self._link: Link | None = None
+        self._link: BenchLink | None = None
         self._told_keys = False
         self._looked_at: Dataset | None = None
         """The dataset as it is looked at before anybody is named; nothing is written to it."""
@@ -87,18 +89,18 @@ class CollectWorkspace(Workspace):
         self.label.person_changed = self._show_person
         halves = {COLLECT: self._commands(), LABEL: self.label.commands}
         self.commands = (
-            *by_half(lambda: self.page.front, TITLES, halves),
-            Command("half", "The other half: collect, or label", "F2", self._show_other_half),
-            Command("half-collect", "Collect half", "Ctrl+Shift+C",
+            *join_half_commands(lambda: self.page.front, TITLES, halves),
+            WindowCommand("half", "The other half: collect, or label", "F2", self._show_other_half),
+            WindowCommand("half-collect", "Collect half", "Ctrl+Shift+C",
                     lambda: self.page.show_half(COLLECT)),
-            Command("half-label", "Label half", "Ctrl+Shift+L",
+            WindowCommand("half-label", "Label half", "Ctrl+Shift+L",
                     lambda: self.page.show_half(LABEL)),
         )  # fmt: skip
         self.held_keys = self.label.held_keys
 
     def build(self) -> Iterator[None]:
         """Make both halves, and the thread that reads for them."""
-        self.page = self.pieces = Halves()
+        self.page = self.pieces = HalvesPage()
         self.collect_page = CollectPage(self._desk.theme, self._intents())
         yield
         yield from self.collect_page.build()
@@ -106,7 +108,7 @@ class CollectWorkspace(Workspace):
         yield
         self.label.build_in(self.page)
         yield
-        self.reader = Commits(self.label.post, "collect-reader")
+        self.reader = SaveWorker(self.label.post, "collect-reader")
         catalogue = load_pieces()
         self.presenter = CollectPresenter(
             self.collect_page, self._desk.cards, self.reader, catalogue
@@ -119,7 +121,7 @@ class CollectWorkspace(Workspace):
 
     # -- life -------------------------------------------------------------------------------------
 
-    def attach(self, link: Link) -> None:
+    def attach(self, link: BenchLink) -> None:
         """Show this bench."""
         self._link, page = link, self.collect_page
         self.live = LivePresenter(
@@ -170,7 +172,7 @@ class CollectWorkspace(Workspace):
         dropped = list(self.label.recall(memory))
         target, half = memory.get("target", {}), memory.get("half", COLLECT)
         if isinstance(target, Mapping):
-            form, wrong = form_of(target)
+            form, wrong = remembered_target_form(target)
             dropped += wrong
         else:
             form = TargetForm()
@@ -182,11 +184,11 @@ class CollectWorkspace(Workspace):
         else:
             dropped.append("signal")
         try:
-            self.collect_page.table.arrange(arrangement_of(memory.get("list")))
+            self.collect_page.table.arrange(remembered_table(memory.get("list")))
         except ValueError:
             dropped.append("list")
         try:
-            self.presenter.origin.show_note(note_of(memory.get("origin")))
+            self.presenter.origin.show_note(origin_note(memory.get("origin")))
         except ValueError:
             dropped.append("origin")
         if half in TITLES:
@@ -206,7 +208,7 @@ class CollectWorkspace(Workspace):
 
     # -- the dataset ------------------------------------------------------------------------------
 
-    def _take_dataset(self, opened: Opened) -> None:
+    def _take_dataset(self, opened: OpenedDataset) -> None:
         self.presenter.take_dataset(opened.dataset, read=self.page.front == COLLECT)
         self._stop_looking()
 
@@ -216,7 +218,9 @@ class CollectWorkspace(Workspace):
         self.presenter.choose_pair()
         if self.presenter.dataset is None and (folder / DESCRIPTION).is_file():
             self.reader.submit(
-                lambda: Dataset.open(folder, create=False, write=False), self._looking, _unseen
+                lambda: Dataset.open(folder, create=False, write=False),
+                self._looking,
+                _ignore_unseen,
             )
 
     def _looking(self, dataset: Dataset) -> None:
@@ -224,13 +228,13 @@ class CollectWorkspace(Workspace):
             self._looked_at = dataset
             self.presenter.take_dataset(dataset, read=self.page.front == COLLECT)
         else:
-            self.reader.submit(dataset.close, _unseen, _unseen)
+            self.reader.submit(dataset.close, _ignore_unseen, _ignore_unseen)
 
     def _stop_looking(self) -> None:
         dataset, self._looked_at = self._looked_at, None
         if dataset is not None:
             # After the reads that are under way: they are on the same thread.
-            self.reader.submit(dataset.close, _unseen, _unseen)
+            self.reader.submit(dataset.close, _ignore_unseen, _ignore_unseen)
 
     def _show_person(self, name: str) -> None:
         self.presenter.person = name
@@ -292,7 +296,7 @@ class CollectWorkspace(Workspace):
         }  # fmt: skip
         self.presenter.decide(decisions[name])
 
-    def _commands(self) -> tuple[Command, ...]:
+    def _commands(self) -> tuple[WindowCommand, ...]:
         return (
             self._act("start", "Start, or keep and next", "F5", lambda p: p.start()),
             self._act("go-on", "Go on with the last campaign", "Shift+F5", lambda p: p.go_on()),
@@ -303,21 +307,21 @@ class CollectWorkspace(Workspace):
             self._act("flag-probe", "Flag the probe", "X", lambda p: p.decide("flag")),
             self._act("again", "Redo the probe", "R", lambda p: p.decide("redo")),
             self._act("leave-out", "Skip: leave its place out", "S", lambda p: p.decide("skip")),
-            Command("person", "Say who collects", "Ctrl+U",
+            WindowCommand("person", "Say who collects", "Ctrl+U",
                     lambda: self.collect_page.target.ask_person()),
-            Command("columns", "Choose the columns of the episodes", "",
+            WindowCommand("columns", "Choose the columns of the episodes", "",
                     lambda: self.collect_page.table.choose_columns()),
-            Command("sort", "Sort the episodes by the next column", "",
+            WindowCommand("sort", "Sort the episodes by the next column", "",
                     lambda: self.collect_page.table.sort_by_next()),
-            Command("fit", "Fit the force and moment ranges", "Ctrl+F",
+            WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
                     lambda: self.collect_page.fit()),
         )  # fmt: skip
 
     def _act(
         self, name: str, text: str, key: str, act: Callable[[CollectPresenter], None]
-    ) -> Command:
-        return Command(name, text, key, lambda: act(self.presenter))
+    ) -> WindowCommand:
+        return WindowCommand(name, text, key, lambda: act(self.presenter))
 
 
-def _unseen(_: object) -> None:
+def _ignore_unseen(_: object) -> None:
     """Do nothing: whoever opens the dataset to write to it is told what is wrong with it."""

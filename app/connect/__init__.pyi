@@ -1,3 +1,3 @@
-from .presenter import BenchPanels as BenchPanels
+from .presenter import BenchDialogs as BenchDialogs
 
-__all__ = ["BenchPanels"]
+__all__ = ["BenchDialogs"]

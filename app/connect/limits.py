@@ -19,13 +19,13 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.app.shell import Link, QuestionRow, refusal_card
+from touchdown.app.shell import BenchLink, QuestionRow, refusal_card
 from touchdown.backend.config import LimitSettings
 from touchdown.backend.core import InputError, RefusedError
 from touchdown.backend.devices import Limits
 from touchdown.backend.runs import changed_limits
 from touchdown.widgets.base import label, rule
-from touchdown.widgets.forms import inset
+from touchdown.widgets.forms import inset_spin_boxes
 from touchdown.widgets.shell import CardText, FaultCards
 
 WIDEST = 2000.0
@@ -116,7 +116,7 @@ class LimitsSheet(QDialog):
             box.setSuffix(row.unit)
             box.setAccessibleName(row.title)
             box.setKeyboardTracking(False)
-            inset(box)
+            inset_spin_boxes(box)
             box.setMinimumWidth(8 * self.fontMetrics().height())
             title = label(row.title, "muted")
             title.setBuddy(box)
@@ -188,7 +188,7 @@ class LimitsPresenter:
 
     def __init__(
         self,
-        link: Link,
+        link: BenchLink,
         window: QWidget,
         cards: FaultCards,
         person: Callable[[], str] = getpass.getuser,
@@ -209,22 +209,22 @@ class LimitsPresenter:
     def _show(self) -> None:
         assert self.sheet is not None
         source = self._said or f"From {self._link.limits_source}."
-        self.sheet.show_rows(rows_of(self._link.interlock.limits), source)
+        self.sheet.show_rows(limit_rows(self._link.interlock.limits), source)
 
     def _offer(self, values: Mapping[str, float]) -> str:
         """Ask whether to take ``values``; return why they cannot be taken, "" if they can."""
         held = asdict(self._link.interlock.limits)
         try:
-            settings = LimitSettings(**{n: meant(n, v, held[n]) for n, v in values.items()})
+            settings = LimitSettings(**{n: entered_limit(n, v, held[n]) for n, v in values.items()})
             wanted = Limits(**settings.model_dump())
         except ValidationError as error:
-            return why_not(error)
+            return limit_problem(error)
         pairs = changed_limits(self._link.interlock.limits, wanted)
         if not pairs:
             return "Nothing is changed."
         told = "; ".join(
-            f"{TITLES[name]} {shown(name, old):g} \N{RIGHTWARDS ARROW} {shown(name, new):g}"
-            f"{spaced(unit_of(name))}"
+            f"{TITLES[name]} {displayed_limit(name, old):g} \N{RIGHTWARDS ARROW} {displayed_limit(name, new):g}"
+            f"{unit_suffix(limit_unit(name))}"
             for name, (old, new) in pairs.items()
         )
         assert self.sheet is not None
@@ -253,45 +253,45 @@ class LimitsPresenter:
         self._show()
 
 
-def rows_of(limits: Limits) -> list[LimitRow]:
+def limit_rows(limits: Limits) -> list[LimitRow]:
     """Return all limits, with units."""
     values = asdict(limits)
     return [
-        LimitRow(name, title, shown(name, values[name]), spaced(unit_of(name)))
+        LimitRow(name, title, displayed_limit(name, values[name]), unit_suffix(limit_unit(name)))
         for name, title in TITLES.items()
     ]
 
 
-def why_not(error: ValidationError) -> str:
+def limit_problem(error: ValidationError) -> str:
     """Return what is wrong with the first limit that is, by the words of the sheet."""
     first = error.errors()[0]
     name = str(first["loc"][0]) if first["loc"] else ""
     for bound, value in first.get("ctx", {}).items():
         if name in TITLES and bound in BOUNDS:
-            return f"{TITLES[name]}: {BOUNDS[bound]} {shown(name, value):g}{spaced(unit_of(name))}."
+            return f"{TITLES[name]}: {BOUNDS[bound]} {displayed_limit(name, value):g}{unit_suffix(limit_unit(name))}."
     text = first["msg"].removeprefix("Value error, ")
     for known, title in TITLES.items():
         text = text.replace(f"'{known}'", f"'{title}'")
     return f"{text}."
 
 
-def shown(name: str, value: float) -> float:
+def displayed_limit(name: str, value: float) -> float:
     """Return a limit as people read it: what turns in degrees, all else as it is kept."""
     return round(math.degrees(value), 9) if name.endswith(ANGLES) else value
 
 
-def meant(name: str, read: float, held: float) -> float:
+def entered_limit(name: str, read: float, held: float) -> float:
     """Return the limit that people mean by ``read``; one that nobody touched stays ``held``."""
-    if read == shown(name, held):
+    if read == displayed_limit(name, held):
         return held
     return math.radians(read) if name.endswith(ANGLES) else read
 
 
-def spaced(unit: str) -> str:
+def unit_suffix(unit: str) -> str:
     """Return a unit as it follows its number: degrees without a space."""
     return unit if unit.startswith("\N{DEGREE SIGN}") else f" {unit}"
 
 
-def unit_of(name: str) -> str:
+def limit_unit(name: str) -> str:
     """Return the unit that the name of a limit ends with."""
     return next(text for ending, text in UNITS.items() if name.endswith(f"_{ending}"))

@@ -11,8 +11,8 @@ from PySide6.QtWidgets import QWidget
 from touchdown.app.calibrate import CalibratePresenter
 from touchdown.app.connect.devices import DevicesPresenter
 from touchdown.app.connect.limits import LimitsPresenter
-from touchdown.app.connect.sheet import ConnectSheet, Intents, RowLook, SheetLook
-from touchdown.app.shell import Link, busy, refusal_card
+from touchdown.app.connect.sheet import ConnectIntents, ConnectSheet, ConnectView, DeviceRowView
+from touchdown.app.shell import BenchLink, is_run_active, refusal_card
 from touchdown.backend.core import RefusedError
 from touchdown.backend.devices import CONNECTION_STEPS
 from touchdown.backend.rig import BenchConnection, DeviceStatus
@@ -30,7 +30,7 @@ class ConnectPresenter:
 
     def __init__(
         self,
-        link: Link,
+        link: BenchLink,
         connection: BenchConnection,
         window: QWidget,
         cards: FaultCards,
@@ -39,7 +39,7 @@ class ConnectPresenter:
     ) -> None:
         self._link, self._connection, self._cards, self._now_s = link, connection, cards, now_s
         self.devices = DevicesPresenter(link, window)
-        intents = Intents(
+        intents = ConnectIntents(
             self._connect, connection.cancel, self._disconnect, self._row, self._extra,
             limits.open, self.devices.open,
         )  # fmt: skip
@@ -114,12 +114,12 @@ class ConnectPresenter:
 
     # -- showing ----------------------------------------------------------------------------------
 
-    def _look(self) -> SheetLook:
+    def _look(self) -> ConnectView:
         connection, lines = self._connection, self._connection.lines()
-        can = not busy(self._link)
-        rows = tuple(row_of(line, can=can and not connection.busy) for line in lines)
+        can = not is_run_active(self._link)
+        rows = tuple(device_row(line, can=can and not connection.busy) for line in lines)
         kind = "emulated bench" if self._link.facts.mode == "emulated" else "real devices"
-        return SheetLook(
+        return ConnectView(
             f"{self._link.name} ({kind})", self._text(lines), rows, connection.busy, can
         )
 
@@ -137,7 +137,7 @@ class ConnectPresenter:
         return f"{ready} of {len(lines)} connected. {NOTHING_MOVES}"
 
 
-def row_of(line: DeviceStatus, *, can: bool) -> RowLook:
+def device_row(line: DeviceStatus, *, can: bool) -> DeviceRowView:
     """Return the look of one device."""
     failed = line.state == "failed"
     marks = [
@@ -156,7 +156,7 @@ def row_of(line: DeviceStatus, *, can: bool) -> RowLook:
         text += f". {line.notice}" if line.notice else ""
     order = "disconnect" if line.state == "ready" else "connect"
     words = {"disconnect": "Disconnect", "connect": "Retry" if failed else "Connect"}
-    return RowLook(
+    return DeviceRowView(
         TITLES.get(line.name, line.name), line.state, tuple(marks), text,
         line.fault is not None or bool(line.notice), order, words[order], can, EXTRA[line.needs],
     )  # fmt: skip
@@ -167,10 +167,10 @@ def _at(line: DeviceStatus) -> str:
     return {"connecting": "now", "failed": "failed"}.get(line.state, "open")
 
 
-class BenchPanels:
+class BenchDialogs:
     """Made with the bench; devices that are connected by hand are asked for at once."""
 
-    def __init__(self, link: Link, theme: Theme, window: QWidget, cards: FaultCards) -> None:
+    def __init__(self, link: BenchLink, theme: Theme, window: QWidget, cards: FaultCards) -> None:
         self.calibrate = CalibratePresenter(link, theme, window, cards)
         self.limits = LimitsPresenter(link, window, cards)
         self.connect: ConnectPresenter | None = None

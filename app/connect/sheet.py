@@ -31,7 +31,7 @@ TONES = {"done": "good", "failed": "bad"}
 
 
 @dataclass(frozen=True, slots=True)
-class RowLook:
+class DeviceRowView:
     """One device: ``marks`` of its steps (done, now, failed, open), a sentence, its buttons.
 
     ``order`` is what the first button does: "connect" or "disconnect"; ``extra`` a second one.
@@ -49,18 +49,18 @@ class RowLook:
 
 
 @dataclass(frozen=True, slots=True)
-class SheetLook:
+class ConnectView:
     """Everything that the panel shows."""
 
     head: str
     text: str
-    rows: tuple[RowLook, ...]
+    rows: tuple[DeviceRowView, ...]
     busy: bool
     can: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Intents:
+class ConnectIntents:
     """What the operator can ask for; rows by index."""
 
     connect: Callable[[], None]
@@ -73,20 +73,20 @@ class Intents:
 
 
 @dataclass(slots=True)
-class _Row:
+class _DeviceRow:
     name: QLabel
     state: QLabel
     marks: list[QLabel]
     text: QLabel
     button: QPushButton
     extra: QPushButton
-    shown: RowLook | None = field(default=None)
+    shown: DeviceRowView | None = field(default=None)
 
 
 class ConnectSheet(QDialog):
     """Not modal: STOP and every page stay at hand."""
 
-    def __init__(self, parent: QWidget, steps: Sequence[str], intents: Intents) -> None:
+    def __init__(self, parent: QWidget, steps: Sequence[str], intents: ConnectIntents) -> None:
         super().__init__(parent)
         self.setModal(False)
         self._steps, self._intents = tuple(steps), intents
@@ -96,7 +96,7 @@ class ConnectSheet(QDialog):
         self._grid.setHorizontalSpacing(16)
         self._grid.setVerticalSpacing(8)
         self._grid.setColumnStretch(len(self._steps) + 2, 1)
-        self._rows: list[_Row] = []
+        self._rows: list[_DeviceRow] = []
         self.connect_all = QPushButton("Connect all")
         self.connect_all.setProperty("role", "primary")
         self.cancel, self.disconnect_all = QPushButton("Cancel"), QPushButton("Disconnect all")
@@ -106,7 +106,7 @@ class ConnectSheet(QDialog):
         self._arrange()
         self._wire()
 
-    def show_look(self, look: SheetLook) -> None:
+    def show_look(self, look: ConnectView) -> None:
         """Show how the bench stands now."""
         self.head.setText(look.head)
         self.text.setText(look.text)
@@ -161,11 +161,11 @@ class ConnectSheet(QDialog):
         for button in (*self._foot, self._close):
             button.setAutoDefault(False)
 
-    def _build(self, looks: Sequence[RowLook]) -> None:
+    def _build(self, looks: Sequence[DeviceRowView]) -> None:
         for column, step in enumerate(self._steps):
             self._grid.addWidget(label(step, "small"), 0, column + 2)
         for index, look in enumerate(looks):
-            row = _Row(
+            row = _DeviceRow(
                 label(look.title, "title"),
                 label("", "muted"),
                 [label("") for _ in self._steps],
@@ -184,7 +184,7 @@ class ConnectSheet(QDialog):
                     self._grid.setAlignment(widget, Qt.AlignmentFlag.AlignHCenter)
             self._rows.append(row)
 
-    def _show_row(self, row: _Row, look: RowLook) -> None:
+    def _show_row(self, row: _DeviceRow, look: DeviceRowView) -> None:
         row.state.setText(look.state)
         for mark, word, step in zip(row.marks, look.marks, self._steps, strict=True):
             mark.setText(MARKS[word])

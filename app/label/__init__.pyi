@@ -1,4 +1,4 @@
-from .workspace import Halves as Halves
+from .workspace import HalvesPage as HalvesPage
 from .workspace import LabelWorkspace as LabelWorkspace
 
-__all__ = ["Halves", "LabelWorkspace"]
+__all__ = ["HalvesPage", "LabelWorkspace"]

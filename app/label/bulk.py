@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 
-from touchdown.app.label.decisions import Decisions
+from touchdown.app.label.decisions import LabelDecisions
 from touchdown.app.label.page import LabelPage
 from touchdown.app.label.presenter import LabelPresenter
-from touchdown.app.label.side import BULK, HISTORY, KINDS, BulkForm, SideTabs, agreement_words
-from touchdown.app.label.text import history_rows, operation_words
-from touchdown.app.shell import Commits, parse
+from touchdown.app.label.side import BULK, HISTORY, KINDS, BulkForm, SideTabs, agreement_text
+from touchdown.app.label.text import history_rows, operation_text
+from touchdown.app.shell import SaveWorker, parse_displacement
 from touchdown.backend.annotations import (
     BulkChange,
     BulkPreview,
@@ -27,10 +27,10 @@ MOST_LINES = 300
 AGREEMENT, LOG = 1, 2
 
 
-class SidePresenter:
+class SideTabsPresenter:
     """Reads on the thread of the saves; shows only what is in front."""
 
-    def __init__(self, side: SideTabs, presenter: LabelPresenter, commits: Commits) -> None:
+    def __init__(self, side: SideTabs, presenter: LabelPresenter, commits: SaveWorker) -> None:
         self._side, self._presenter, self._commits = side, presenter, commits
 
     def show(self, text: str) -> None:
@@ -43,11 +43,11 @@ class SidePresenter:
         elif self._side.tab == AGREEMENT:
             dataset = self._presenter.dataset
             self._commits.submit(
-                lambda: agreement_words(dataset), self._side.agreement.setText, self._failed
+                lambda: agreement_text(dataset), self._side.agreement.setText, self._failed
             )
 
     def _show_log(self, operations: list[Operation]) -> None:
-        self._side.show_log([operation_words(operation) for operation in operations])
+        self._side.show_log([operation_text(operation) for operation in operations])
 
     def _failed(self, error: Exception) -> None:
         self._side.show_log([f"The log cannot be read: {error}"])
@@ -103,7 +103,7 @@ class BulkPresenter:
 
     def _show(self, found: BulkPreview) -> None:
         self._preview = found
-        self._form.found.setText(preview_words(found))
+        self._form.found.setText(preview_text(found))
         self._form.apply.setEnabled(bool(found.rows))
 
     def _show_and_ask(self, found: BulkPreview) -> None:
@@ -119,7 +119,7 @@ class BulkPresenter:
 
     def _change(self, kind: str, text: str) -> BulkChange:
         if kind == "shift":
-            x_mm, y_mm, _ = parse(text)
+            x_mm, y_mm, _ = parse_displacement(text)
             return ShiftOrigin(round(1e3 * x_mm), round(1e3 * y_mm))
         if kind == "rotate":
             try:
@@ -147,7 +147,7 @@ class BulkPresenter:
         )
 
 
-def preview_words(found: BulkPreview) -> str:
+def preview_text(found: BulkPreview) -> str:
     """Return what a change would do, and why it leaves some labels alone."""
     lines = [f"{_labels(len(found.rows))} will change."]
     for reason, count in Counter(reason for _, reason in found.refused).most_common(3):
@@ -163,15 +163,15 @@ MOST = 9
 """So many answers have a digit."""
 
 
-class SideKeys:
+class SideTabKeys:
     """Brings a view to the front and asks what to do there, by digits and typed words."""
 
     def __init__(
         self,
         page: LabelPage,
         presenter: LabelPresenter,
-        decisions: Decisions,
-        side: SidePresenter,
+        decisions: LabelDecisions,
+        side: SideTabsPresenter,
         bulk: BulkPresenter,
     ) -> None:
         self._page, self._on, self._decisions = page, presenter, decisions

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from touchdown.app.label.page import LabelPage
 from touchdown.app.label.presenter import LabelPresenter
-from touchdown.app.shell import Commits, Opened, Post
+from touchdown.app.shell import MainThreadQueue, OpenedDataset, SaveWorker
 from touchdown.backend.annotations import MergeReport, QualityReport, check_dataset_quality
 from touchdown.backend.core import InputError, TouchdownError
 from touchdown.backend.learning import ModelRegistry, models_below
@@ -19,14 +19,18 @@ TELL_EVERY = 20
 IN_USE = "-"
 
 
-class WholeDataset:
+class DatasetTasks:
     """Has a thread of its own, so that labels are saved meanwhile."""
 
     def __init__(
-        self, page: LabelPage, presenter: LabelPresenter, opened: Opened, post: Post
+        self,
+        page: LabelPage,
+        presenter: LabelPresenter,
+        opened: OpenedDataset,
+        post: MainThreadQueue,
     ) -> None:
         self._page, self._on, self._opened, self._post = page, presenter, opened, post
-        self._jobs, self._ended = Commits(post, "label-jobs"), threading.Event()
+        self._jobs, self._ended = SaveWorker(post, "label-jobs"), threading.Event()
 
     def score(self) -> None:
         """Let the model judge every episode: fills four queues, changes no label."""

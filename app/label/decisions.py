@@ -14,7 +14,7 @@ REVIEWING = ("review", "audit")
 VERDICTS: tuple[tuple[str, str], ...] = (("S", "stable"), ("U", "unstable"), ("?", "unsure"))
 
 
-class Decisions:
+class LabelDecisions:
     """Keys that end in one operation on the dataset."""
 
     def __init__(self, page: LabelPage, presenter: LabelPresenter) -> None:

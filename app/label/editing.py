@@ -9,8 +9,8 @@ from typing import Protocol
 from PySide6.QtCore import QTimer
 
 from touchdown.app.label.page import LabelPage
-from touchdown.app.label.session import Present, Sitting
-from touchdown.app.shell import Edit, Intent, Saving, parse
+from touchdown.app.label.session import AnnotationSession, PresentEpisode
+from touchdown.app.shell import LabelDraft, SaveAction, SaveQueue, parse_displacement
 from touchdown.backend.annotations import ControlItemLabels, Revision
 from touchdown.widgets.views import Point
 
@@ -19,7 +19,7 @@ USUAL_MM = 0.2
 """What is marked when a person is asked for the first time."""
 
 
-def ask_sigma(page: LabelPage, known_mm: float | None, take: Callable[[float], None]) -> None:
+def ask_uncertainty(page: LabelPage, known_mm: float | None, take: Callable[[float], None]) -> None:
     """Offer uncertainties, the present one marked; ``take`` gets mm.
 
     Digits are no answers: what is typed meanwhile begins a displacement, whole.
@@ -43,12 +43,12 @@ def _word(sigma_mm: float) -> str:
 NUDGES_MS = 500
 
 
-class Front(Protocol):
+class EpisodeView(Protocol):
     """What an edit needs of whoever shows the episode in front."""
 
-    present: Present | None
+    present: PresentEpisode | None
 
-    def do(self, intent: Intent) -> None:
+    def do(self, intent: SaveAction) -> None:
         """Do something after the saves that are under way."""
         ...
 
@@ -61,16 +61,16 @@ class Front(Protocol):
         ...
 
 
-class Editing:
+class LabelEditing:
     """Changes the edit in front; saves it half a second after the last nudge, or when asked."""
 
     def __init__(
         self,
-        front: Front,
+        front: EpisodeView,
         page: LabelPage,
         book: ControlItemLabels,
-        sitting: Sitting,
-        saving: Saving,
+        sitting: AnnotationSession,
+        saving: SaveQueue,
     ) -> None:
         self._front, self._page, self._book = front, page, book
         self._sitting, self._saving = sitting, saving
@@ -89,7 +89,7 @@ class Editing:
         now = self._front.present
         if now is not None:
             self._nudging.stop()
-            now.edit = Edit.of(now.edit.base)
+            now.edit = LabelDraft.of(now.edit.base)
             self._front.show_edit()
 
     # -- changes ----------------------------------------------------------------------------------
@@ -121,13 +121,13 @@ class Editing:
     def typed(self, text: str) -> None:
         """Set what was typed."""
         try:
-            x, y, sigma = parse(text)
+            x, y, sigma = parse_displacement(text)
         except ValueError as error:
             self._page.say(str(error), bad=True)
             return
         self._page.leave_entry()
 
-        def change(edit: Edit) -> Edit:
+        def change(edit: LabelDraft) -> LabelDraft:
             placed = edit.placed(x, y)
             return placed if sigma is None else placed.trusted(sigma)
 
@@ -149,7 +149,7 @@ class Editing:
         )
         self._front.do(self.save)
 
-    def _change(self, change: Callable[[Edit], Edit]) -> None:
+    def _change(self, change: Callable[[LabelDraft], LabelDraft]) -> None:
         now = self._front.present
         if now is None:
             return
@@ -160,7 +160,7 @@ class Editing:
 
     # -- saves ------------------------------------------------------------------------------------
 
-    def save(self, then: Intent | None = None) -> None:
+    def save(self, then: SaveAction | None = None) -> None:
         """Save the edit, if there is anything to save, then go on."""
         self._nudging.stop()
         now, go_on = self._front.present, then or _nothing
@@ -169,7 +169,7 @@ class Editing:
             return
         self.trusted(lambda: self._set(go_on))
 
-    def _set(self, then: Intent) -> None:
+    def _set(self, then: SaveAction) -> None:
         now, person = self._front.present, self._sitting.person
         if now is None:
             return
@@ -185,7 +185,7 @@ class Editing:
 
     # -- how sure ---------------------------------------------------------------------------------
 
-    def trusted(self, then: Intent) -> None:
+    def trusted(self, then: SaveAction) -> None:
         """Go on once the person has said how sure they are of what they set."""
         now = self._front.present
         if now is None or not now.edit.changed or now.edit.label.sigma_um is not None:
@@ -200,14 +200,14 @@ class Editing:
         """Ask how sure the person is because they want to say so; save what is nudged meanwhile."""
         self._ask_sigma(lambda: self._front.do(self.save))
 
-    def _ask_sigma(self, then: Intent) -> None:
+    def _ask_sigma(self, then: SaveAction) -> None:
         """Ask how sure the person is; asked once a sitting, changed by a key."""
 
         def take(sigma_mm: float) -> None:
             self._sitting.sigma_mm = sigma_mm
             then()
 
-        ask_sigma(self._page, self._sitting.sigma_mm, take)
+        ask_uncertainty(self._page, self._sitting.sigma_mm, take)
 
 
 def _nothing() -> None:
@@ -217,7 +217,7 @@ def _nothing() -> None:
 PAUSE_S = 60.0
 
 
-class LookClock:
+class ViewingTimer:
     """Adds up the time between signs of life; gaps longer than a minute count nothing."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:

@@ -5,65 +5,65 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from touchdown.app.label.text import models_words
-from touchdown.app.shell import Edit, LabelItem, as_pair
+from touchdown.app.label.text import models_text
+from touchdown.app.shell import LabelDraft, LabelItem, as_float_pair
 from touchdown.backend.annotations import Revision
 from touchdown.backend.placement import NOTABLE_SIGMAS, OffsetFit, sigmas_apart
-from touchdown.widgets.views import Ghost, offset_in_words
+from touchdown.widgets.views import Ghost, offset_text
 
 LEAST_SIGMA_MM = 0.05
 """What a label is trusted at best when it is compared with other evidence."""
 
 
-def from_model(edit: Edit, item: LabelItem) -> float | None:
+def sigmas_from_model(edit: LabelDraft, item: LabelItem) -> float | None:
     """Return how many joint uncertainties the label lies from the model's; None: no telling."""
     if item.model is None or edit.source == item.model.source:
         return None
-    return _apart(edit, item.model.fit)
+    return _sigmas_between(edit, item.model.fit)
 
 
-def from_scene(edit: Edit, item: LabelItem) -> float | None:
+def sigmas_from_scene(edit: LabelDraft, item: LabelItem) -> float | None:
     """Return how many joint uncertainties the label lies from what the camera saw."""
     seen = item.scene.place if item.scene is not None else None
-    return None if seen is None else _apart(edit, seen)
+    return None if seen is None else _sigmas_between(edit, seen)
 
 
-def from_others(edit: Edit, item: LabelItem) -> float | None:
+def sigmas_from_signals(edit: LabelDraft, item: LabelItem) -> float | None:
     """Return how many deviations the signals are likelier elsewhere; None: this was not judged."""
     if item.doubt is None or edit.changed or item.doubt[0] != edit.base.rev_uuid:
         return None
     return math.sqrt(item.doubt[1])
 
 
-def badges_of(edit: Edit, item: LabelItem) -> tuple[str, ...]:
+def evidence_badges(edit: LabelDraft, item: LabelItem) -> tuple[str, ...]:
     """Return the badge of a notable difference from the surest evidence, if there is one.
 
     Where the camera measured the face nothing else is asked: it is ten times as sure. Next come
     the other episodes of the pair, where the dataset was scored: they tell how far the model errs
     at this place. The model alone is asked last.
     """
-    name, distance = "scene", from_scene(edit, item)
+    name, distance = "scene", sigmas_from_scene(edit, item)
     if distance is None and (item.scene is None or item.scene.place is None):
-        name, distance = "signals", from_others(edit, item)
+        name, distance = "signals", sigmas_from_signals(edit, item)
         if distance is None:
-            name, distance = "model", from_model(edit, item)
+            name, distance = "model", sigmas_from_model(edit, item)
     if distance is None or distance <= NOTABLE_SIGMAS:
         return ()
     return (f"{name} {distance:.1f} \N{GREEK SMALL LETTER SIGMA} off",)
 
 
-def ghosts_of(item: LabelItem, history: Sequence[Revision]) -> tuple[Ghost, ...]:
+def evidence_ghosts(item: LabelItem, history: Sequence[Revision]) -> tuple[Ghost, ...]:
     """Return where the bench was told to go, where arm, camera and model put the face."""
     said = {r.source: r.label for r in history if r.label.is_set}
     ghosts = []
     commanded = said.get("commanded")
     at = commanded.offset_mm if commanded is not None else item.episode.offset_mm
     sigma_um = (commanded.sigma_um or 0) if commanded is not None else 0
-    ghosts.append(Ghost("commanded", as_pair(at), sigma_um / 1e3))
+    ghosts.append(Ghost("commanded", as_float_pair(at), sigma_um / 1e3))
     measured = said.get("measured")
     if measured is not None:
         sigma_mm = (measured.sigma_um or 0) / 1e3
-        ghosts.append(Ghost("measured", as_pair(measured.offset_mm), sigma_mm))
+        ghosts.append(Ghost("measured", as_float_pair(measured.offset_mm), sigma_mm))
     if item.scene is not None and item.scene.place is not None:
         ghosts.append(Ghost("scene", item.scene.place.offset_mm, item.scene.place.sigma_mm))
     if item.model is not None:
@@ -72,7 +72,7 @@ def ghosts_of(item: LabelItem, history: Sequence[Revision]) -> tuple[Ghost, ...]
     return tuple(ghosts)
 
 
-def scene_words(edit: Edit, item: LabelItem, *, hidden: bool) -> str:
+def scene_evidence_text(edit: LabelDraft, item: LabelItem, *, hidden: bool) -> str:
     """Say what the scene camera makes of it."""
     if hidden:
         return ""
@@ -81,28 +81,28 @@ def scene_words(edit: Edit, item: LabelItem, *, hidden: bool) -> str:
     place = item.scene.place
     if place is None:
         return "Scene camera: the rim of the face cannot be made out."
-    far = _far(from_scene(edit, item))
-    return f"Scene camera: {offset_in_words(place.offset_mm, place.sigma_mm)}{far}"
+    far = _distance_text(sigmas_from_scene(edit, item))
+    return f"Scene camera: {offset_text(place.offset_mm, place.sigma_mm)}{far}"
 
 
-def model_words(edit: Edit, item: LabelItem, *, hidden: bool) -> str:
+def model_evidence_text(edit: LabelDraft, item: LabelItem, *, hidden: bool) -> str:
     """Say what the model makes of it."""
     if hidden:
         return "Model and other sources are hidden."
     model = item.model
     if model is None:
         return "No model of this piece, or it cannot judge this episode."
-    where = offset_in_words(model.fit.offset_mm, model.fit.sigma_mm)
-    name = models_words(model.weights).capitalize()
+    where = offset_text(model.fit.offset_mm, model.fit.sigma_mm)
+    name = models_text(model.weights).capitalize()
     spread = f", they differ by {model.spread_mm:.2f} mm" if "+" in model.weights else ""
-    return f"{name}: {where}{spread}{_far(from_model(edit, item))} (M)"
+    return f"{name}: {where}{spread}{_distance_text(sigmas_from_model(edit, item))} (M)"
 
 
-def _apart(edit: Edit, other: OffsetFit) -> float | None:
+def _sigmas_between(edit: LabelDraft, other: OffsetFit) -> float | None:
     if edit.offset_mm is None:
         return None
     return sigmas_apart(edit.offset_mm, max(edit.sigma_mm, LEAST_SIGMA_MM), other)
 
 
-def _far(distance: float | None) -> str:
+def _distance_text(distance: float | None) -> str:
     return "" if distance is None else f", {distance:.1f} sigma off"

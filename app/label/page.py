@@ -9,18 +9,25 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QListWidget, QPushButton, QVBoxLayout, QWidget
 
-from touchdown.app.label.side import BulkForm, Entry, SideTabs
+from touchdown.app.label.side import BulkForm, KeyboardLineEdit, SideTabs
 from touchdown.app.label.text import QUEUES
-from touchdown.app.shell import Sheets
-from touchdown.widgets.base import ElidedLabel, Panel, Theme, WrappedItems, bring_in_sight, label
+from touchdown.app.shell import LabelSheets
+from touchdown.widgets.base import (
+    ElidedLabel,
+    Panel,
+    Theme,
+    WrappedItemDelegate,
+    label,
+    scroll_into_view,
+)
 from touchdown.widgets.forms import ChoiceBar
 from touchdown.widgets.lists import LabelList
 from touchdown.widgets.plots import NAMES, PhasePlot, RecordedTraces
 from touchdown.widgets.shell import StateStrip, UnsavedBanner
-from touchdown.widgets.views import Film, OffsetView, Point, SceneShotView
+from touchdown.widgets.views import FilmView, OffsetView, Point, SceneShotView
 
 
-class HealthPanel(QWidget):
+class DatasetHealthPanel(QWidget):
     """``look`` is asked for a look through the dataset, ``choose`` gets the row of a finding."""
 
     def __init__(self, look: Callable[[], None], choose: Callable[[int], None]) -> None:
@@ -28,7 +35,7 @@ class HealthPanel(QWidget):
         self.said = label("Nothing was looked through yet.", "muted", wrap=True)
         self.list = QListWidget()
         self.list.setAccessibleName("Findings of the dataset")
-        WrappedItems(self.list)
+        WrappedItemDelegate(self.list)
         self.look = QPushButton("Look through the dataset")
         self.look.setToolTip("Look for what is out of order in all episodes (Ctrl+H)")
         self.look.clicked.connect(look)
@@ -48,7 +55,7 @@ class HealthPanel(QWidget):
 
 
 @dataclass(frozen=True, slots=True)
-class Nothing:
+class EmptyState:
     """Why nothing is shown. ``button`` says what ``command`` (its name) does about it.
 
     Without a button there is only to wait.
@@ -60,22 +67,22 @@ class Nothing:
     command: str
 
 
-OTHER = "Choose another queue (Ctrl+J)", "queue"
-SCORE = "Let the model score the dataset (Ctrl+M)", "score"
-NOBODY = Nothing(
+CHOOSE_OTHER_QUEUE = "Choose another queue (Ctrl+J)", "queue"
+SCORE_DATASET = "Let the model score the dataset (Ctrl+M)", "score"
+NO_PERSON = EmptyState(
     "Nobody is named yet",
     "What is to be labelled depends on who labels.",
     "Give your name (Ctrl+U)",
     "person",
 )
-NO_PROBES = Nothing(
+NO_PROBES = EmptyState(
     "There are no probes yet",
     "Every probe that is collected waits here for its label.",
     "Collect probes (F2)",
     "collect",
 )
-LOADING = Nothing("Loading the episode", "Its pictures and forces are being read.", "", "")
-UNREADABLE = Nothing(
+LOADING = EmptyState("Loading the episode", "Its pictures and forces are being read.", "", "")
+UNREADABLE = EmptyState(
     "This episode cannot be read",
     "The line below says why; its label stays as it is.",
     "Go to the next one (PgDown)",
@@ -84,26 +91,34 @@ UNREADABLE = Nothing(
 LABELLED = "Every probe has a label that was accepted or rejected."
 NOT_SCORED = "The model has not looked for such labels yet, or none is left."
 EMPTY_QUEUES = {
-    "unlabelled": Nothing("Nothing is left to label", LABELLED, *OTHER),
-    "review": Nothing(
-        "Nothing waits for your review", "What you labelled is for others to review.", *OTHER
+    "unlabelled": EmptyState("Nothing is left to label", LABELLED, *CHOOSE_OTHER_QUEUE),
+    "review": EmptyState(
+        "Nothing waits for your review",
+        "What you labelled is for others to review.",
+        *CHOOSE_OTHER_QUEUE,
     ),
-    "returned": Nothing("Nothing of yours was rejected", "No label came back to you.", *OTHER),
-    "conflicts": Nothing("There are no conflicts", "No merge left an episode two labels.", *OTHER),
+    "returned": EmptyState(
+        "Nothing of yours was rejected", "No label came back to you.", *CHOOSE_OTHER_QUEUE
+    ),
+    "conflicts": EmptyState(
+        "There are no conflicts", "No merge left an episode two labels.", *CHOOSE_OTHER_QUEUE
+    ),
     **{
-        name: Nothing("Nothing is in this queue", NOT_SCORED, *SCORE)
+        name: EmptyState("Nothing is in this queue", NOT_SCORED, *SCORE_DATASET)
         for name in ("doubt", "disagreement", "uncertainty", "duplicates")
     },
 }
-EMPTY = Nothing("Nothing is in this queue", "No episode is what it asks for.", *OTHER)
+EMPTY_QUEUE = EmptyState(
+    "Nothing is in this queue", "No episode is what it asks for.", *CHOOSE_OTHER_QUEUE
+)
 
 
-class NothingHere(QWidget):
+class EmptyStateView(QWidget):
     """Says in the middle why there is nothing; ``act`` is told the command of the button."""
 
     def __init__(self, act: Callable[[str], None]) -> None:
         super().__init__()
-        self.shown = EMPTY
+        self.shown = EMPTY_QUEUE
         self.title, self.why = label("", "head", wrap=True), label("", "muted", wrap=True)
         self.button = QPushButton()
         self.button.setProperty("role", "primary")
@@ -118,10 +133,10 @@ class NothingHere(QWidget):
         column.addSpacing(4)
         column.addWidget(self.button, 0, Qt.AlignmentFlag.AlignHCenter)
         column.addStretch(3)
-        self.show_why(EMPTY)
+        self.show_why(EMPTY_QUEUE)
         self.hide()
 
-    def show_why(self, nothing: Nothing) -> None:
+    def show_why(self, nothing: EmptyState) -> None:
         """Show another reason."""
         self.shown = nothing
         self.title.setText(nothing.title)
@@ -175,24 +190,26 @@ class LabelPage(QWidget):
         self.queue.setAccessibleName("Queue")
         self.list = LabelList(theme, intents.choose_row)
         self.bulk = BulkForm(intents.preview, intents.apply, intents.entered, self.setFocus)
-        self.health = HealthPanel(intents.look, intents.finding)
+        self.health = DatasetHealthPanel(intents.look, intents.finding)
         self.side = SideTabs(
             intents.restore, intents.search, intents.tab, self.setFocus, self.bulk, self.health
         )
         self.strip = StateStrip(theme)
         self.view = OffsetView(theme, intents.move, intents.drop)
-        self.nothing = NothingHere(intents.command)
+        self.nothing = EmptyStateView(intents.command)
         self.verdict, self.basis = ElidedLabel("head"), ElidedLabel("muted")
         self.model_line, self.scene_line = ElidedLabel("muted"), ElidedLabel("muted")
         self.message = ElidedLabel("")
-        self.entry = Entry("Displacement x,y in mm", "1.5,-2", intents.typed, self.leave_entry)
+        self.entry = KeyboardLineEdit(
+            "Displacement x,y in mm", "1.5,-2", intents.typed, self.leave_entry
+        )
         self.caption = ElidedLabel("muted")
-        self.words = Entry("Words", "", self._take_words, self.leave_entry)
+        self.words = KeyboardLineEdit("Words", "", self._take_words, self.leave_entry)
         for line in (self.caption, self.entry, self.words):
             line.hide()
         self._answer: Callable[[str], None] = _nothing
         self.banner = UnsavedBanner(intents.again, intents.discard)
-        self.film = Film(theme, intents.seek)
+        self.film = FilmView(theme, intents.seek)
         self.shots = SceneShotView(theme)
         self.pictures = _choice("Pictures", ["Tactile film", "Scene camera"])
         self.forces = RecordedTraces(theme, FORCES, intents.seek)
@@ -292,9 +309,9 @@ class LabelPage(QWidget):
             self.queue.setItemText(at, title)
         self.queue.setCurrentIndex(at)
 
-    def sheets(self) -> Sheets:
+    def sheets(self) -> LabelSheets:
         """Return what curves are drawn on at the present size and theme."""
-        return Sheets(self.forces.sheet(), self.moments.sheet(), self.phase.sheet())
+        return LabelSheets(self.forces.sheet(), self.moments.sheet(), self.phase.sheet())
 
     @property
     def typing(self) -> bool:
@@ -318,14 +335,14 @@ class LabelPage(QWidget):
         self._show_line(self.words, f"{hint}: Enter takes it, Esc leaves")
         self.words.setFocus()
 
-    def _show_line(self, line: Entry, caption: str) -> None:
+    def _show_line(self, line: KeyboardLineEdit, caption: str) -> None:
         """Show one line to type, and above it what it is for."""
         for other in (self.entry, self.words):
             other.setVisible(other is line)
         self.caption.setText(caption)
         self.caption.setToolTip(caption)
         self.caption.show()
-        bring_in_sight(line)
+        scroll_into_view(line)
 
     def _take_words(self, text: str) -> None:
         if text.strip():
@@ -358,10 +375,10 @@ class LabelPage(QWidget):
     def show_nobody(self) -> None:
         """Say that the queue depends on who labels."""
         self.queue_panel.detail.setText("nobody is named")
-        self.show_nothing(NOBODY)
+        self.show_nothing(NO_PERSON)
         self.say("")
 
-    def show_nothing(self, nothing: Nothing) -> None:
+    def show_nothing(self, nothing: EmptyState) -> None:
         """Show that no episode is in front, and why: nothing of the former one stays."""
         self.nothing.show_why(nothing)
         self._swap(here=False)

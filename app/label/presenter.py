@@ -6,33 +6,45 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
-from touchdown.app.label.editing import Editing, LookClock
-from touchdown.app.label.evidence import badges_of, ghosts_of, model_words, scene_words
+from touchdown.app.label.editing import LabelEditing, ViewingTimer
+from touchdown.app.label.evidence import (
+    evidence_badges,
+    evidence_ghosts,
+    model_evidence_text,
+    scene_evidence_text,
+)
 from touchdown.app.label.page import (
-    EMPTY,
+    EMPTY_QUEUE,
     EMPTY_QUEUES,
     LOADING,
     NO_PROBES,
     UNREADABLE,
-    HealthPanel,
+    DatasetHealthPanel,
+    EmptyState,
     LabelPage,
-    Nothing,
 )
-from touchdown.app.label.queue import Prefetch, Queue, Walk, read_queue
-from touchdown.app.label.session import Chosen, Present, Sitting
-from touchdown.app.label.text import FINDING, asks_for, clock, history_rows, rests_on, source_words
+from touchdown.app.label.queue import Prefetcher, QueueContent, QueueCursor, read_queue
+from touchdown.app.label.session import AnnotationSession, FindingQueue, PresentEpisode
+from touchdown.app.label.text import (
+    FINDING,
+    history_rows,
+    local_time_text,
+    next_step_text,
+    provenance_text,
+    source_text,
+)
 from touchdown.app.shell import (
     CURSOR_S,
-    Commits,
-    Edit,
-    Intent,
+    LabelDraft,
     LabelItem,
-    Post,
-    Prelabel,
-    Saving,
-    Sheets,
-    reader,
-    shots_of,
+    LabelSheets,
+    MainThreadQueue,
+    PrelabelFunction,
+    SaveAction,
+    SaveQueue,
+    SaveWorker,
+    item_reader,
+    scene_shots,
 )
 from touchdown.backend.annotations import (
     AnswerContext,
@@ -44,7 +56,7 @@ from touchdown.backend.annotations import (
 )
 from touchdown.backend.episodes import QualityIssue
 from touchdown.backend.placement import resting_contact
-from touchdown.widgets.views import OffsetScene, offset_in_words, verdict_in_words
+from touchdown.widgets.views import OffsetScene, offset_text, verdict_text
 
 
 def show_item(page: LabelPage, item: LabelItem) -> None:
@@ -63,29 +75,29 @@ def show_item(page: LabelPage, item: LabelItem) -> None:
 
 
 def show_edit(
-    page: LabelPage, item: LabelItem, edit: Edit, history: Sequence[Revision], *, hidden: bool
+    page: LabelPage, item: LabelItem, edit: LabelDraft, history: Sequence[Revision], *, hidden: bool
 ) -> None:
     """Show where the face is, and what follows from it."""
-    scene = scene_of(item, edit, history, hidden=hidden)
+    scene = offset_scene(item, edit, history, hidden=hidden)
     page.view.show_scene(scene)
-    page.verdict.setText(verdict_in_words(scene))
-    where = offset_in_words(scene.offset_mm, scene.sigma_mm)
+    page.verdict.setText(verdict_text(scene))
+    where = offset_text(scene.offset_mm, scene.sigma_mm)
     if edit.changed:
-        page.basis.setText(f"{where}. Not saved yet, {source_words(edit.source)}.")
+        page.basis.setText(f"{where}. Not saved yet, {source_text(edit.source)}.")
     else:
-        page.basis.setText(f"{offset_in_words(scene.offset_mm)}: {rests_on(edit.base)}")
+        page.basis.setText(f"{offset_text(scene.offset_mm)}: {provenance_text(edit.base)}")
     page.basis.setToolTip(page.basis.text())
-    page.model_line.setText(model_words(edit, item, hidden=hidden))
-    page.scene_line.setText(scene_words(edit, item, hidden=hidden))
+    page.model_line.setText(model_evidence_text(edit, item, hidden=hidden))
+    page.scene_line.setText(scene_evidence_text(edit, item, hidden=hidden))
     outlines = item.face, item.bottom
-    page.shots.show_shots(shots_of(item.scene, edit, outlines, hidden=hidden))
+    page.shots.show_shots(scene_shots(item.scene, edit, outlines, hidden=hidden))
 
 
-def scene_of(
-    item: LabelItem, edit: Edit, history: Sequence[Revision], *, hidden: bool
+def offset_scene(
+    item: LabelItem, edit: LabelDraft, history: Sequence[Revision], *, hidden: bool
 ) -> OffsetScene:
     """Return the scene of an edit; ``hidden``: nothing of a model, nor of other sources."""
-    ghosts = () if hidden else ghosts_of(item, history)
+    ghosts = () if hidden else evidence_ghosts(item, history)
     offset = edit.offset_mm
     if offset is None:
         return OffsetScene(item.bottom, item.face, ghosts=ghosts)
@@ -104,23 +116,23 @@ class LabelPresenter:
         self,
         page: LabelPage,
         dataset: Dataset,
-        prelabel: Prelabel,
-        commits: Commits,
-        post: Post,
-        sitting: Sitting,
+        prelabel: PrelabelFunction,
+        commits: SaveWorker,
+        post: MainThreadQueue,
+        sitting: AnnotationSession,
     ) -> None:
         self._page, self.dataset, self.book = page, dataset, dataset.labels
         self.shown = ControlItemLabels(self.book)
         """The labels as the person sees and changes them: gold looks like the rest."""
         self.sitting = sitting
-        self.present: Present | None = None
-        self.saving = Saving(commits, self.refuse, self._show_saving)
-        self.editing = Editing(self, page, self.shown, sitting, self.saving)
-        self._sheets: Sheets | None = None
-        read = reader(dataset, prelabel, lambda: self._sheets)
-        self._prefetch = Prefetch(read, post, self._arrived)
-        self.walk = Walk(page.list, self._prefetch)
-        self.clock = LookClock()
+        self.present: PresentEpisode | None = None
+        self.saving = SaveQueue(commits, self.refuse, self._show_saving)
+        self.editing = LabelEditing(self, page, self.shown, sitting, self.saving)
+        self._sheets: LabelSheets | None = None
+        read = item_reader(dataset, prelabel, lambda: self._sheets)
+        self._prefetch = Prefetcher(read, post, self._arrived)
+        self.walk = QueueCursor(page.list, self._prefetch)
+        self.clock = ViewingTimer()
         self._news = ""
         self._badges: tuple[str, ...] = ()
 
@@ -159,13 +171,13 @@ class LabelPresenter:
         self.sitting.queue = name
         self.flushed(lambda: self.read_queue(stay=False))
 
-    def open_chosen(self, chosen: Chosen) -> None:
+    def open_chosen(self, chosen: FindingQueue) -> None:
         """Walk through these episodes, each with what is said of it."""
         self.sitting.chosen = chosen
         self._page.show_queue(FINDING, chosen.title)
         self.choose_queue(FINDING)
 
-    def _take_queue(self, queue: Queue, stay: str) -> None:
+    def _take_queue(self, queue: QueueContent, stay: str) -> None:
         order, entries, gold = queue
         self._cover_rows()
         self.shown.begin(self.sitting.person, gold)
@@ -249,28 +261,28 @@ class LabelPresenter:
             self._show_saving()
             return
         uuid = ready.entry.uuid
-        self.present = Present(ready, self._begin(uuid), self.shown.of(uuid).history(uuid))
+        self.present = PresentEpisode(ready, self._begin(uuid), self.shown.of(uuid).history(uuid))
         self._page.say(self._news or self._said_of(self.present))
         self._news = ""
         show_item(self._page, ready)
         self._show_label()
 
-    def _nothing(self) -> Nothing:
+    def _nothing(self) -> EmptyState:
         """Return why the queue is empty."""
         if not self.walk.entries:
             return NO_PROBES
-        return EMPTY_QUEUES.get(self.sitting.queue, EMPTY)
+        return EMPTY_QUEUES.get(self.sitting.queue, EMPTY_QUEUE)
 
-    def _said_of(self, now: Present) -> str:
+    def _said_of(self, now: PresentEpisode) -> str:
         """Say why the episode is in this queue, where that asks for something."""
         s = self.sitting
         if s.queue == FINDING and s.chosen is not None:
             return s.chosen.said.get(now.item.entry.uuid, "")
-        return asks_for(now.edit.base, reviewing=s.queue == "review", opines=s.opines)
+        return next_step_text(now.edit.base, reviewing=s.queue == "review", opines=s.opines)
 
-    def _begin(self, uuid: str) -> Edit:
+    def _begin(self, uuid: str) -> LabelDraft:
         head = self.shown.of(uuid).head(uuid)
-        return Edit.blank(head) if self.sitting.opines else Edit.of(head)
+        return LabelDraft.blank(head) if self.sitting.opines else LabelDraft.of(head)
 
     # -- what is shown of the label ---------------------------------------------------------------
 
@@ -297,9 +309,9 @@ class LabelPresenter:
     def _cover_rows(self) -> None:
         self.walk.cover(blind=self.sitting.opines, hides=self.sitting.hides)
 
-    def _badges_of(self, now: Present) -> tuple[str, ...]:
+    def _badges_of(self, now: PresentEpisode) -> tuple[str, ...]:
         """Return the badge of a label, if other evidence differs notably."""
-        return () if self.sitting.hides else badges_of(now.edit, now.item)
+        return () if self.sitting.hides else evidence_badges(now.edit, now.item)
 
     def _show_saving(self) -> None:
         page, now, trouble = self._page, self.present, self.saving.trouble
@@ -320,7 +332,7 @@ class LabelPresenter:
         if waiting or trouble is not None or now.edit.changed:
             saved = "unsaved"
         else:
-            saved = f"saved {clock(now.edit.base.at_ns)}, rev {len(now.history)}"
+            saved = f"saved {local_time_text(now.edit.base.at_ns)}, rev {len(now.history)}"
         badges = self._badges
         flags = ("flag",) if self.walk.entries[now.item.entry.uuid].flagged else ()
         verdict = (f"says {now.edit.base.verdict}",) if now.edit.base.verdict else ()
@@ -339,7 +351,7 @@ class LabelPresenter:
 
     # -- edits ------------------------------------------------------------------------------------
 
-    def do(self, intent: Intent) -> None:
+    def do(self, intent: SaveAction) -> None:
         """Do something after the saves that are under way; nothing while one has failed."""
         self.clock.alive()
         if self.saving.trouble is not None:
@@ -347,7 +359,7 @@ class LabelPresenter:
         else:
             self.saving.after(intent)
 
-    def flushed(self, intent: Intent) -> None:
+    def flushed(self, intent: SaveAction) -> None:
         """Do something after the present edit was saved."""
         self.do(lambda: self.editing.save(intent))
 
@@ -361,7 +373,7 @@ class LabelPresenter:
             if asked and self._page.message.text() == asked:
                 self._page.say(self._said_of(now))
 
-    def _take(self, now: Present) -> None:
+    def _take(self, now: PresentEpisode) -> None:
         """Take what the dataset says of an episode."""
         uuid = now.item.entry.uuid
         now.edit, now.history = self._begin(uuid), self.shown.of(uuid).history(uuid)
@@ -386,7 +398,7 @@ DIGITS = 9
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class FindingGroup:
     """All findings of one kind: what is said of each episode, and the first in words."""
 
     name: str
@@ -403,15 +415,17 @@ class Kind:
 class HealthPresenter:
     """Holds what the last look found, as long as the window is open."""
 
-    def __init__(self, page: LabelPage, panel: HealthPanel, presenter: LabelPresenter) -> None:
+    def __init__(
+        self, page: LabelPage, panel: DatasetHealthPanel, presenter: LabelPresenter
+    ) -> None:
         self._page, self._panel, self._on = page, panel, presenter
-        self.kinds: list[Kind] = []
+        self.kinds: list[FindingGroup] = []
 
     def show(self, health: QualityReport) -> None:
         """Show what was found, most important kinds first."""
-        self.kinds = by_kind(health.findings)
+        self.kinds = group_findings(health.findings)
         self._panel.show_findings(
-            health_words(health, len(self.kinds), datetime.now()),
+            health_text(health, len(self.kinds), datetime.now()),
             [f"{kind.title}\n{kind.first}" for kind in self.kinds],
         )
 
@@ -419,7 +433,7 @@ class HealthPresenter:
         """Open the episodes of a finding as a queue."""
         if 0 <= row < len(self.kinds):
             kind = self.kinds[row]
-            self._on.open_chosen(Chosen(kind.title, kind.said))
+            self._on.open_chosen(FindingQueue(kind.title, kind.said))
 
     def ask(self) -> None:
         """Ask for a finding by one digit."""
@@ -431,7 +445,7 @@ class HealthPresenter:
         self._page.choice.ask("Which finding?", choices, lambda t: self.choose(names.index(t)))
 
 
-def by_kind(findings: Sequence[QualityIssue]) -> list[Kind]:
+def group_findings(findings: Sequence[QualityIssue]) -> list[FindingGroup]:
     """Return the findings grouped by kind, in the order in which each kind comes first."""
     said: dict[str, dict[str, str]] = {}
     first: dict[str, str] = {}
@@ -439,10 +453,10 @@ def by_kind(findings: Sequence[QualityIssue]) -> list[Kind]:
         first.setdefault(finding.kind, finding.text)
         for uuid in finding.episodes:
             said.setdefault(finding.kind, {}).setdefault(uuid, finding.text)
-    return [Kind(name.capitalize(), texts, first[name]) for name, texts in said.items()]
+    return [FindingGroup(name.capitalize(), texts, first[name]) for name, texts in said.items()]
 
 
-def health_words(health: QualityReport, kinds: int, at: datetime) -> str:
+def health_text(health: QualityReport, kinds: int, at: datetime) -> str:
     """Say how much was looked at, and whether anything is out of order."""
     whole = f"{health.looked:,}" + (f" of {health.count:,}" if health.looked < health.count else "")
     noun = "episode was" if health.looked == 1 else "episodes were"

@@ -6,30 +6,30 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Generic, TypeVar
 
-from touchdown.app.label.session import Sitting
-from touchdown.app.label.text import FINDING, blind_row, row_of
-from touchdown.app.shell import LabelItem, Post
+from touchdown.app.label.session import AnnotationSession
+from touchdown.app.label.text import FINDING, blind_queue_row, queue_row
+from touchdown.app.shell import LabelItem, MainThreadQueue
 from touchdown.backend.annotations import ControlItemView, Dataset, EpisodeEntry, with_control_items
 from touchdown.backend.core import InputError
-from touchdown.widgets.lists import LabelList, LabelRow
+from touchdown.widgets.lists import LabelList, LabelListRow
 
-AHEAD = 3
+PREFETCH_DISTANCE = 3
 """So many episodes before and after the present one are kept ready."""
-CALM_S = 0.08
-JOIN_S = 1.0
+IDLE_BEFORE_READ_S = 0.08
+PREFETCH_JOIN_S = 1.0
 """It only reads: a disk that hangs is left behind."""
 
 Item = TypeVar("Item")
 
 
-class Prefetch(Generic[Item]):
+class Prefetcher(Generic[Item]):
     """Holds what was asked for last, at most ``2 * AHEAD + 1`` items; one thread reads.
 
     ``arrived`` is called on the window's thread with the id of what is newly there.
     """
 
     def __init__(
-        self, read: Callable[[str], Item], post: Post, arrived: Callable[[str], None]
+        self, read: Callable[[str], Item], post: MainThreadQueue, arrived: Callable[[str], None]
     ) -> None:
         self._read, self._post, self._arrived = read, post, arrived
         self._changed = threading.Condition()
@@ -42,7 +42,7 @@ class Prefetch(Generic[Item]):
     def want(self, wanted: Sequence[str]) -> None:
         """Keep exactly these ready, the first one first."""
         with self._changed:
-            self._wanted = tuple(wanted[: 2 * AHEAD + 1])
+            self._wanted = tuple(wanted[: 2 * PREFETCH_DISTANCE + 1])
             self._drop()
             self._changed.notify()
 
@@ -67,7 +67,7 @@ class Prefetch(Generic[Item]):
         with self._changed:
             self._closed = True
             self._changed.notify()
-        self._thread.join(JOIN_S)
+        self._thread.join(PREFETCH_JOIN_S)
 
     def _drop(self) -> None:
         for uuid in set(self._items) - set(self._wanted):
@@ -96,26 +96,26 @@ class Prefetch(Generic[Item]):
                 missing = [uuid for uuid in self._wanted if uuid not in self._items]
                 if missing and missing[0] == self._wanted[0]:
                     return missing[0]
-                if missing and not self._changed.wait(CALM_S):
+                if missing and not self._changed.wait(IDLE_BEFORE_READ_S):
                     return missing[0]
                 if not missing:
                     self._changed.wait()
         return None
 
 
-def around(order: Sequence[str], at: int) -> list[str]:
+def neighbours(order: Sequence[str], at: int) -> list[str]:
     """Return the present id and its neighbours, nearest first, later before earlier."""
     places = [at]
-    for distance in range(1, AHEAD + 1):
+    for distance in range(1, PREFETCH_DISTANCE + 1):
         places += [at + distance, at - distance]
     return [order[place] for place in places if 0 <= place < len(order)]
 
 
-Queue = tuple[list[str], dict[str, EpisodeEntry], dict[str, ControlItemView]]
+QueueContent = tuple[list[str], dict[str, EpisodeEntry], dict[str, ControlItemView]]
 """Ids in their order, all entries, and the gold among the ids."""
 
 
-def read_queue(dataset: Dataset, sitting: Sitting) -> Queue:
+def read_queue(dataset: Dataset, sitting: AnnotationSession) -> QueueContent:
     """Return a queue, gold mixed into what is to be labelled; slow, not for the window."""
     s = sitting
     if s.queue == FINDING:
@@ -130,10 +130,10 @@ def read_queue(dataset: Dataset, sitting: Sitting) -> Queue:
     return order, entries, gold
 
 
-class Walk:
+class QueueCursor:
     """Keeps list, order and prefetch in step. The order stays as it was when it was read."""
 
-    def __init__(self, rows: LabelList, prefetch: Prefetch[LabelItem]) -> None:
+    def __init__(self, rows: LabelList, prefetch: Prefetcher[LabelItem]) -> None:
         self._rows, self._prefetch = rows, prefetch
         self.order: list[str] = []
         self.entries: dict[str, EpisodeEntry] = {}
@@ -211,16 +211,16 @@ class Walk:
         self.entries[entry.uuid] = entry
         self.note(entry.uuid, self.badges.get(entry.uuid, ()))
 
-    def _row(self, uuid: str) -> LabelRow:
+    def _row(self, uuid: str) -> LabelListRow:
         entry = self.entries[uuid]
         if self._blind:
-            return blind_row(entry, answered=uuid in self.answered)
+            return blind_queue_row(entry, answered=uuid in self.answered)
         badges = () if self._hides else self.badges.get(uuid, ())
-        return row_of(entry, entry.state, badges)
+        return queue_row(entry, entry.state, badges)
 
     def _want(self) -> None:
         if self.at >= 0:
-            self._prefetch.want(around(self.order, self.at))
+            self._prefetch.want(neighbours(self.order, self.at))
             self._rows.choose(self.at)
         else:
             self._prefetch.want(())

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from touchdown.app.shell import Edit, LabelItem
+from touchdown.app.shell import LabelDraft, LabelItem
 from touchdown.backend.annotations import Revision, Verdict
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class FindingQueue:
     """A queue that is no standing one: these episodes, and what is said of each of them."""
 
     title: str
@@ -17,7 +17,7 @@ class Chosen:
 
 
 @dataclass(slots=True)
-class Sitting:
+class AnnotationSession:
     """Who labels, and how. ``sigma_mm``: what the person last said of their own displacements.
 
     ``chosen``: what the queue named ``finding`` holds, as long as the window is open.
@@ -29,7 +29,7 @@ class Sitting:
     sigma_mm: float | None = None
     blind: bool = False
     hidden: bool = False
-    chosen: Chosen | None = None
+    chosen: FindingQueue | None = None
 
     @property
     def opines(self) -> bool:
@@ -43,10 +43,10 @@ class Sitting:
 
 
 @dataclass(slots=True)
-class Present:
+class PresentEpisode:
     """The episode in front. ``verdict``: what is said blind, kept with the opinion."""
 
     item: LabelItem
-    edit: Edit
+    edit: LabelDraft
     history: list[Revision] = field(default_factory=list)
     verdict: Verdict | None = None

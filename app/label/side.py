@@ -30,28 +30,28 @@ from touchdown.backend.annotations import (
     compare_with_control_items,
     suggestion_bias,
 )
-from touchdown.widgets.base import Panel, WrappedItems, label
+from touchdown.widgets.base import Panel, WrappedItemDelegate, label
 from touchdown.widgets.lists import HistoryList
 
 LEAST = 2
 """One common episode is no agreement."""
 
 
-def agreement_words(dataset: Dataset) -> str:
+def agreement_text(dataset: Dataset) -> str:
     """Return the figures of a dataset as text; slow, not for the window's thread."""
     people = sorted(name for name in dataset.people() if name != PROGRAM)
     parts = []
     for first, second in combinations(people, 2):
         found = dataset.compare(first, second)
         if found.episodes >= LEAST:
-            parts.append(in_words(first, second, found))
+            parts.append(pair_agreement_text(first, second, found))
     for person in people:
         gold = compare_with_control_items(dataset.database, dataset.geometry, person)
         if gold.episodes:
-            parts.append(in_words(f"{person} on gold", "approved label", gold))
+            parts.append(pair_agreement_text(f"{person} on gold", "approved label", gold))
     swayed = suggestion_bias(dataset.database, people)
     if swayed.episodes >= LEAST:
-        parts.append(sway_in_words(swayed))
+        parts.append(suggestion_bias_text(swayed))
     return "\n\n".join(parts) or (
         "No two people have answered the same episodes yet.\n\n"
         "One episode in 20 of what is to be labelled is gold: an approved label of others, not "
@@ -60,7 +60,7 @@ def agreement_words(dataset: Dataset) -> str:
     )
 
 
-def in_words(first: str, second: str, c: AgreementReport) -> str:
+def pair_agreement_text(first: str, second: str, c: AgreementReport) -> str:
     """Return the figures of two persons; what is not known is left out."""
     count = "1 episode" if c.episodes == 1 else f"{c.episodes} episodes"
     lines = [f"{first} minus {second}, {count}"]
@@ -84,7 +84,7 @@ def in_words(first: str, second: str, c: AgreementReport) -> str:
     return "\n".join(line for line in lines if line)
 
 
-def sway_in_words(s: SuggestionBias) -> str:
+def suggestion_bias_text(s: SuggestionBias) -> str:
     """Return how far labels made blind lie from those made with the model in sight."""
     lines = [f"Blind minus shown, {s.episodes} episodes"]
     for axis, bias in (("x", s.x_mm), ("y", s.y_mm)):
@@ -102,7 +102,7 @@ def _signed(value: float) -> str:
     return f"{value:+.2f}".replace("-", "\N{MINUS SIGN}")
 
 
-class Entry(QLineEdit):
+class KeyboardLineEdit(QLineEdit):
     """One line to type: Enter takes it, Esc leaves; while it has the focus no other key acts."""
 
     def __init__(
@@ -153,8 +153,8 @@ class SideTabs(Panel):
         self.agreement = label("", wrap=True)
         self.log = QListWidget()
         hint = "Search person, action, episode"
-        self.needle = Entry("Search the log", hint, lambda _: leave(), leave)
-        WrappedItems(self.log)
+        self.needle = KeyboardLineEdit("Search the log", hint, lambda _: leave(), leave)
+        WrappedItemDelegate(self.log)
         self.log.setAccessibleName("Log of all actions")
         self.needle.textChanged.connect(search)
         self._stack = QStackedWidget()
@@ -233,7 +233,7 @@ class BulkForm(QWidget):
     ) -> None:
         super().__init__()
         self.kind = QComboBox()
-        self.value = Entry("By how much, or why", "", lambda _: entered(), leave)
+        self.value = KeyboardLineEdit("By how much, or why", "", lambda _: entered(), leave)
         self.kind.setAccessibleName("Change")
         for name, text, _ in KINDS:
             self.kind.addItem(text, name)

@@ -14,8 +14,8 @@ from touchdown.backend.annotations import (
     Revision,
     Source,
 )
-from touchdown.widgets.lists import HistoryRow, LabelRow
-from touchdown.widgets.views import offset_in_words
+from touchdown.widgets.lists import HistoryRow, LabelListRow
+from touchdown.widgets.views import offset_text
 
 QUEUES: tuple[tuple[str, str], ...] = (
     ("unlabelled", "Unlabelled and drafts"),
@@ -35,20 +35,20 @@ FINDING = "finding"
 """The queue of what a look through the dataset found."""
 
 
-def source_words(source: Source) -> str:
+def source_text(source: Source) -> str:
     """Return a source for people; a model is named by the start of its weights' hash."""
     kind, _, weights = source.partition(":")
-    return models_words(weights) if kind == "model" else kind
+    return models_text(weights) if kind == "model" else kind
 
 
-def models_words(weights: str) -> str:
+def models_text(weights: str) -> str:
     """Name models by the start of their weights' hashes, joined by ``+``."""
     first, *others = weights.split("+")
     more = f" and {len(others)} more" if others else ""
     return f"model {first[:8]}{more}"
 
 
-def rests_on(revision: Revision) -> str:
+def provenance_text(revision: Revision) -> str:
     """Say what a label rests on, and how sure that is."""
     if not revision.label.is_set:
         return "nobody has said yet where the face was"
@@ -59,12 +59,12 @@ def rests_on(revision: Revision) -> str:
         "commanded": "commanded displacement",
         "measured": "measured displacement",
         "human": f"set by {revision.person}",
-        "model": f"{source_words(revision.source)} alone",
+        "model": f"{source_text(revision.source)} alone",
     }.get(kind, revision.source)
     return f"{basis}, {spread}"
 
 
-def asks_for(head: Revision, *, reviewing: bool, opines: bool) -> str:
+def next_step_text(head: Revision, *, reviewing: bool, opines: bool) -> str:
     """Say what is to be done with a label, where Enter does not simply accept it."""
     if opines:
         return "Blind: Enter keeps your displacement as an opinion, the label does not change."
@@ -75,17 +75,17 @@ def asks_for(head: Revision, *, reviewing: bool, opines: bool) -> str:
     return ""
 
 
-def clock(at_ns: int) -> str:
+def local_time_text(at_ns: int) -> str:
     """Return the local time of day."""
     return f"{datetime.fromtimestamp(at_ns / 1e9):%H:%M:%S}"
 
 
-def label_words(label: Label) -> str:
+def label_text(label: Label) -> str:
     """Return a label for people."""
     if not label.is_set:
         return "no displacement"
     x, y = label.offset_mm.tolist()
-    return offset_in_words((x, y), (label.sigma_um or 0) / 1e3)
+    return offset_text((x, y), (label.sigma_um or 0) / 1e3)
 
 
 def history_rows(revisions: Sequence[Revision], head: Revision) -> list[HistoryRow]:
@@ -95,16 +95,18 @@ def history_rows(revisions: Sequence[Revision], head: Revision) -> list[HistoryR
         before = revisions[number - 2] if number > 1 else None
         when = f"{datetime.fromtimestamp(revision.at_ns / 1e9):%Y-%m-%d %H:%M:%S}"
         reason = f" ({revision.reason})" if revision.reason else ""
-        what = f"{revision.state}{reason}: {label_words(revision.label)}"
-        who = f"{revision.person}, {source_words(revision.source)}, {when}"
+        what = f"{revision.state}{reason}: {label_text(revision.label)}"
+        who = f"{revision.person}, {source_text(revision.source)}, {when}"
         holds = revision.rev_uuid == head.rev_uuid
         rows.append(
-            HistoryRow(revision.rev_uuid, number, what, who, difference(before, revision), holds)
+            HistoryRow(
+                revision.rev_uuid, number, what, who, revision_difference(before, revision), holds
+            )
         )
     return rows[::-1]
 
 
-def difference(before: Revision | None, after: Revision) -> str:
+def revision_difference(before: Revision | None, after: Revision) -> str:
     """Return what a revision changed against the one before it."""
     if before is None:
         return ""
@@ -112,9 +114,9 @@ def difference(before: Revision | None, after: Revision) -> str:
     if before.label.is_set and after.label.is_set:
         dx, dy = (after.label.offset_mm - before.label.offset_mm).tolist()
         if dx or dy:
-            parts.append(f"moved {offset_in_words((dx, dy))}")
+            parts.append(f"moved {offset_text((dx, dy))}")
     if before.source != after.source:
-        parts.append(f"{source_words(before.source)} to {source_words(after.source)}")
+        parts.append(f"{source_text(before.source)} to {source_text(after.source)}")
     if before.verdict != after.verdict:
         parts.append(f"verdict {after.verdict or 'none'}")
     if before.geometry != after.geometry:
@@ -122,7 +124,7 @@ def difference(before: Revision | None, after: Revision) -> str:
     return "; ".join(parts)
 
 
-def row_of(entry: EpisodeEntry, state: LabelState, badges: Sequence[str] = ()) -> LabelRow:
+def queue_row(entry: EpisodeEntry, state: LabelState, badges: Sequence[str] = ()) -> LabelListRow:
     """Return the row of an episode in the queue."""
     when = f"{datetime.fromtimestamp(entry.recorded_ns / 1e9):%d %b %H:%M:%S}"
     marks = [
@@ -136,16 +138,16 @@ def row_of(entry: EpisodeEntry, state: LabelState, badges: Sequence[str] = ()) -
         if holds
     ]
     title = f"{entry.piece} on {entry.bottom}"
-    return LabelRow(entry.uuid, title, when, state, (*marks, *badges))
+    return LabelListRow(entry.uuid, title, when, state, (*marks, *badges))
 
 
-def blind_row(entry: EpisodeEntry, *, answered: bool) -> LabelRow:
+def blind_queue_row(entry: EpisodeEntry, *, answered: bool) -> LabelListRow:
     """Return the row of an episode that is answered blind: nothing tells gold from the rest."""
-    plain = row_of(replace(entry, flagged=False, conflict=False), "unlabelled")
+    plain = queue_row(replace(entry, flagged=False, conflict=False), "unlabelled")
     return replace(plain, badges=("answered",) if answered else ())
 
 
-def operation_words(operation: Operation) -> str:
+def operation_text(operation: Operation) -> str:
     """Return one action as the log shows it."""
     episodes = operation.episodes
     what = operation.verb.removeprefix("label.").replace("_", " ")

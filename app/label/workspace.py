@@ -14,22 +14,31 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.app.label.bulk import BulkPresenter, SideKeys, SidePresenter
-from touchdown.app.label.dataset import WholeDataset
-from touchdown.app.label.decisions import Decisions
+from touchdown.app.label.bulk import BulkPresenter, SideTabKeys, SideTabsPresenter
+from touchdown.app.label.dataset import DatasetTasks
+from touchdown.app.label.decisions import LabelDecisions
 from touchdown.app.label.page import LabelIntents, LabelPage
 from touchdown.app.label.presenter import HealthPresenter, LabelPresenter
-from touchdown.app.label.session import Sitting
+from touchdown.app.label.session import AnnotationSession
 from touchdown.app.label.side import HEALTH
 from touchdown.app.label.text import FINDING, QUEUES
-from touchdown.app.shell import Command, Commits, Desk, Memory, Opened, Post, Workspace, opener
+from touchdown.app.shell import (
+    MainThreadQueue,
+    Memory,
+    OpenedDataset,
+    SaveWorker,
+    WindowCommand,
+    Workspace,
+    WorkspaceContext,
+    dataset_opener,
+)
 from touchdown.backend.annotations import check_person
 from touchdown.backend.core import InputError, TouchdownError
 from touchdown.backend.runs import data_folder
 from touchdown.widgets.shell import CardText
 
 
-class Halves(QWidget):
+class HalvesPage(QWidget):
     """Shows one half at a time; the switch is there as soon as there are two."""
 
     def __init__(self) -> None:
@@ -38,7 +47,7 @@ class Halves(QWidget):
         self._stack, self._buttons = QStackedWidget(), QButtonGroup(self)
         self._names: list[str] = []
         self._halves: list[QWidget] = []
-        self._entered: Callable[[str], None] = _ignore
+        self._entered: Callable[[str], None] = _ignore_half
         self._bar = QWidget()
         self._row = QHBoxLayout(self._bar)
         self._row.setContentsMargins(10, 8, 10, 0)
@@ -102,7 +111,7 @@ class Halves(QWidget):
         self._buttons.button(at).setChecked(True)
 
 
-def _ignore(_name: str) -> None:
+def _ignore_half(_name: str) -> None:
     """Do nothing: nobody asked to be told."""
 
 
@@ -115,32 +124,32 @@ class LabelWorkspace(Workspace):
     """Opens the dataset when it is first entered, so that other workspaces do not wait for it."""
 
     name, title, key = "collect", "Collect", "Ctrl+2"
-    page: Halves
+    page: HalvesPage
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: WorkspaceContext) -> None:
         self._desk, self.folder = desk, default_folder()
-        self.sitting = Sitting()
-        self.opened: Callable[[Opened], None] = _nobody
+        self.sitting = AnnotationSession()
+        self.opened: Callable[[OpenedDataset], None] = _nobody
         """Told when the dataset is open."""
         self.person_changed: Callable[[str], None] = _nobody
-        self.commits: Commits | None = None
+        self.commits: SaveWorker | None = None
         self.presenter: LabelPresenter | None = None
-        self.decisions: Decisions | None = None
-        self.side: SidePresenter | None = None
+        self.decisions: LabelDecisions | None = None
+        self.side: SideTabsPresenter | None = None
         self.bulk: BulkPresenter | None = None
-        self.whole: WholeDataset | None = None
+        self.whole: DatasetTasks | None = None
         self.health: HealthPresenter | None = None
-        self.side_keys: SideKeys | None = None
-        self._opened: Opened | None = None
-        self.commands = commands_of(self, desk)
+        self.side_keys: SideTabKeys | None = None
+        self._opened: OpenedDataset | None = None
+        self.commands = label_commands(self, desk)
         self.held_keys = tuple((key, "Type a displacement x,y in mm") for key in "0123456789-.")
 
-    def build_in(self, page: Halves) -> None:
+    def build_in(self, page: HalvesPage) -> None:
         """Make the half, and put it into the page of both."""
         self.page = page
         self.label_page = LabelPage(self._desk.theme, self._intents())
         self.page.add("label", "Label", self.label_page)
-        self.post = Post(self.page)
+        self.post = MainThreadQueue(self.page)
 
     # -- life -------------------------------------------------------------------------------------
 
@@ -214,27 +223,29 @@ class LabelWorkspace(Workspace):
         if self.presenter is not None or not self.sitting.person:
             return
         if self.commits is None:
-            self.commits = Commits(self.post)
+            self.commits = SaveWorker(self.post)
         elif self.commits.busy:
             return
         self.label_page.say("Opening the dataset …")
-        self.commits.submit(opener(self.folder, self.sitting.person), self._take, self._failed)
+        self.commits.submit(
+            dataset_opener(self.folder, self.sitting.person), self._take, self._failed
+        )
 
-    def _take(self, opened: Opened) -> None:
+    def _take(self, opened: OpenedDataset) -> None:
         assert self.commits is not None
         self._opened = opened
         self.presenter = LabelPresenter(
             self.label_page, opened.dataset, opened.prelabel, self.commits, self.post, self.sitting
         )
-        self.decisions = Decisions(self.label_page, self.presenter)
-        self.side = SidePresenter(self.label_page.side, self.presenter, self.commits)
+        self.decisions = LabelDecisions(self.label_page, self.presenter)
+        self.side = SideTabsPresenter(self.label_page.side, self.presenter, self.commits)
         self.bulk = BulkPresenter(
             self.label_page.bulk, self.presenter, opened.catalogue, self.label_page.choice
         )
-        self.side_keys = SideKeys(
+        self.side_keys = SideTabKeys(
             self.label_page, self.presenter, self.decisions, self.side, self.bulk
         )
-        self.whole = WholeDataset(self.label_page, self.presenter, opened, self.post)
+        self.whole = DatasetTasks(self.label_page, self.presenter, opened, self.post)
         self.health = HealthPresenter(self.label_page, self.label_page.health, self.presenter)
         self.label_page.say("")
         for notice in (*opened.dataset.notices, opened.read_only):
@@ -307,7 +318,7 @@ class LabelWorkspace(Workspace):
             restore=lambda rev: self.decide(lambda d: d.restore(rev)),
             typed=lambda text: self.on(lambda p: p.editing.typed(text)),
             key=self._type,
-            again=lambda: self.decide(Decisions.enter),
+            again=lambda: self.decide(LabelDecisions.enter),
             discard=self.discard,
             search=lambda text: self._search(text),
             person=self.ask_person,
@@ -325,12 +336,12 @@ class LabelWorkspace(Workspace):
         if self.presenter is not None:
             act(self.presenter)
 
-    def decide(self, act: Callable[[Decisions], None]) -> None:
+    def decide(self, act: Callable[[LabelDecisions], None]) -> None:
         """Have the decisions do something, once the dataset is open."""
         if self.decisions is not None:
             act(self.decisions)
 
-    def all(self, act: Callable[[WholeDataset], None]) -> None:
+    def all(self, act: Callable[[DatasetTasks], None]) -> None:
         """Do something to the whole dataset, once it is open."""
         if self.whole is not None:
             act(self.whole)
@@ -345,7 +356,7 @@ class LabelWorkspace(Workspace):
         if self.bulk is not None:
             act(self.bulk)
 
-    def beside(self, act: Callable[[SideKeys], None]) -> None:
+    def beside(self, act: Callable[[SideTabKeys], None]) -> None:
         """Do something beside the picture, once the dataset is open."""
         if self.side_keys is not None:
             act(self.side_keys)
@@ -443,50 +454,50 @@ STEPS_UM = (("", 100), ("Shift+", 1000), ("Alt+", 10))
 ARROWS = (("Left", -1, 0), ("Right", 1, 0), ("Up", 0, 1), ("Down", 0, -1))
 
 
-def commands_of(w: LabelWorkspace, desk: Desk) -> tuple[Command, ...]:
+def label_commands(w: LabelWorkspace, desk: WorkspaceContext) -> tuple[WindowCommand, ...]:
     """Return all commands of the label half."""
     return (
         *_decisions(w),
         *_nudges(w),
-        *_looks(w),
+        *_view_commands(w),
         *_queue(w),
-        *_beside(w),
-        *_sitting_and_dataset(w),
-        Command("discard", "Discard what could not be saved", "Esc", w.discard),
-        Command("sheet", "Key sheet", "?", desk.keys),
+        *_side_commands(w),
+        *_session_commands(w),
+        WindowCommand("discard", "Discard what could not be saved", "Esc", w.discard),
+        WindowCommand("sheet", "Key sheet", "?", desk.keys),
     )
 
 
-def _decisions(w: LabelWorkspace) -> tuple[Command, ...]:
+def _decisions(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
     decide = w.decide
     return (
-        Command("accept", "Accept (approve, while reviewing) and next", "Return",
-                lambda: decide(Decisions.enter)),
-        Command("reject", "Reject, then 1 to 9 for the reason", "D",
-                lambda: decide(Decisions.reject)),
-        Command("flag", "Flag, or take the flag off", "X", lambda: decide(Decisions.flag)),
-        Command("undo", "Undo my last action", "Ctrl+Z", lambda: decide(Decisions.undo)),
-        Command("redo", "Redo", "Ctrl+Shift+Z", lambda: decide(Decisions.redo)),
-        Command("undo-plain", "Undo my last action", "U", lambda: decide(Decisions.undo)),
-        Command("redo-plain", "Redo", "Shift+U", lambda: decide(Decisions.redo)),
-        Command("model", "Take the model's displacement", "M",
+        WindowCommand("accept", "Accept (approve, while reviewing) and next", "Return",
+                lambda: decide(LabelDecisions.enter)),
+        WindowCommand("reject", "Reject, then 1 to 9 for the reason", "D",
+                lambda: decide(LabelDecisions.reject)),
+        WindowCommand("flag", "Flag, or take the flag off", "X", lambda: decide(LabelDecisions.flag)),
+        WindowCommand("undo", "Undo my last action", "Ctrl+Z", lambda: decide(LabelDecisions.undo)),
+        WindowCommand("redo", "Redo", "Ctrl+Shift+Z", lambda: decide(LabelDecisions.redo)),
+        WindowCommand("undo-plain", "Undo my last action", "U", lambda: decide(LabelDecisions.undo)),
+        WindowCommand("redo-plain", "Redo", "Shift+U", lambda: decide(LabelDecisions.redo)),
+        WindowCommand("model", "Take the model's displacement", "M",
                 lambda: w.on(lambda p: p.editing.take_model())),
-        Command("sigma", "Say how sure you are of what you set", "S",
+        WindowCommand("sigma", "Say how sure you are of what you set", "S",
                 lambda: w.on(lambda p: p.editing.say_sigma())),
-        Command("verdict", "Your verdict, then S, U or ?", "V",
-                lambda: decide(Decisions.verdict)),
-        Command("take-over", "Take over another's draft", "T",
-                lambda: decide(Decisions.take_over)),
-        Command("resolve", "Resolve a conflict", "C", lambda: decide(Decisions.resolve)),
-        Command("delete", "Delete the episode, with a reason", "Delete",
-                lambda: decide(Decisions.delete)),
+        WindowCommand("verdict", "Your verdict, then S, U or ?", "V",
+                lambda: decide(LabelDecisions.verdict)),
+        WindowCommand("take-over", "Take over another's draft", "T",
+                lambda: decide(LabelDecisions.take_over)),
+        WindowCommand("resolve", "Resolve a conflict", "C", lambda: decide(LabelDecisions.resolve)),
+        WindowCommand("delete", "Delete the episode, with a reason", "Delete",
+                lambda: decide(LabelDecisions.delete)),
     )  # fmt: skip
 
 
-def _nudges(w: LabelWorkspace) -> tuple[Command, ...]:
-    def nudge(name: str, prefix: str, dx_um: int, dy_um: int) -> Command:
+def _nudges(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
+    def nudge(name: str, prefix: str, dx_um: int, dy_um: int) -> WindowCommand:
         step_um = max(abs(dx_um), abs(dy_um))
-        return Command(
+        return WindowCommand(
             f"nudge-{name.lower()}-{step_um}",
             f"Move the face {step_um / 1000:g} mm {name.lower()}",
             f"{prefix}{name}",
@@ -502,60 +513,60 @@ def _nudges(w: LabelWorkspace) -> tuple[Command, ...]:
     )
 
 
-def _looks(w: LabelWorkspace) -> tuple[Command, ...]:
+def _view_commands(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
     return (
-        Command("play", "Play the film from the cursor, or pause (Space)", "",
+        WindowCommand("play", "Play the film from the cursor, or pause (Space)", "",
                 lambda: w.label_page.film.play_or_pause()),
-        Command("frame-back", "One frame back", "[", lambda: w.label_page.film.step(-1),
+        WindowCommand("frame-back", "One frame back", "[", lambda: w.label_page.film.step(-1),
                 repeats=True, beside=True),
-        Command("frame-on", "One frame forward", "]", lambda: w.label_page.film.step(1),
+        WindowCommand("frame-on", "One frame forward", "]", lambda: w.label_page.film.step(1),
                 repeats=True, beside=True),
-        Command("pictures", "Pictures: the tactile film, or the scene camera", "I",
+        WindowCommand("pictures", "Pictures: the tactile film, or the scene camera", "I",
                 lambda: w.label_page.next_pictures(), beside=True),
-        Command("curves", "Choose the curves on one axis", "W",
+        WindowCommand("curves", "Choose the curves on one axis", "W",
                 lambda: w.label_page.list_curves()),
-        Command("hide", "Hide or show the model and other sources", "H", w.hide),
+        WindowCommand("hide", "Hide or show the model and other sources", "H", w.hide),
     )  # fmt: skip
 
 
-def _queue(w: LabelWorkspace) -> tuple[Command, ...]:
+def _queue(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
     return (
-        Command("previous", "Previous, without a decision", "PgUp",
+        WindowCommand("previous", "Previous, without a decision", "PgUp",
                 lambda: w.on(lambda p: p.move(-1))),
-        Command("next", "Next, without a decision: skip", "PgDown",
+        WindowCommand("next", "Next, without a decision: skip", "PgDown",
                 lambda: w.on(lambda p: p.move(1))),
-        Command("first", "First of the queue", "Home", lambda: w.on(lambda p: p.go_to(0))),
-        Command("last", "Last of the queue", "End",
+        WindowCommand("first", "First of the queue", "Home", lambda: w.on(lambda p: p.go_to(0))),
+        WindowCommand("last", "Last of the queue", "End",
                 lambda: w.on(lambda p: p.go_to(len(p.walk.order) - 1))),
-        Command("number", "Go to a place of the queue, by its number", "Q", w.ask_number),
-        Command("queue", "Choose the queue", "Ctrl+J", w.list_queues),
-        Command("reread", "Read the queue anew", "Ctrl+R",
+        WindowCommand("number", "Go to a place of the queue, by its number", "Q", w.ask_number),
+        WindowCommand("queue", "Choose the queue", "Ctrl+J", w.list_queues),
+        WindowCommand("reread", "Read the queue anew", "Ctrl+R",
                 lambda: w.on(lambda p: p.flushed(p.read_queue))),
     )  # fmt: skip
 
 
-def _beside(w: LabelWorkspace) -> tuple[Command, ...]:
+def _side_commands(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
     return (
-        Command("versions", "Restore an earlier version, by its digit", "O",
-                lambda: w.beside(SideKeys.versions)),
-        Command("agreement", "Figures of agreement", "E", lambda: w.beside(SideKeys.agreement)),
-        Command("log", "Search the log of all actions", "L", lambda: w.beside(SideKeys.log)),
-        Command("bulk", "Change every label of the queue", "B", lambda: w.beside(SideKeys.many)),
-        Command("health", "Look through the dataset for what is out of order", "Ctrl+H",
+        WindowCommand("versions", "Restore an earlier version, by its digit", "O",
+                lambda: w.beside(SideTabKeys.versions)),
+        WindowCommand("agreement", "Figures of agreement", "E", lambda: w.beside(SideTabKeys.agreement)),
+        WindowCommand("log", "Search the log of all actions", "L", lambda: w.beside(SideTabKeys.log)),
+        WindowCommand("bulk", "Change every label of the queue", "B", lambda: w.beside(SideTabKeys.many)),
+        WindowCommand("health", "Look through the dataset for what is out of order", "Ctrl+H",
                 w.look_through),
-        Command("findings", "Choose a finding, by its digit", "F",
+        WindowCommand("findings", "Choose a finding, by its digit", "F",
                 lambda: w.healthy(HealthPresenter.ask)),
     )  # fmt: skip
 
 
-def _sitting_and_dataset(w: LabelWorkspace) -> tuple[Command, ...]:
+def _session_commands(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
     return (
-        Command("blind", "Blind mode: no model, no other sources", "Ctrl+B", w.toggle_blind),
-        Command("person", "Change the person", "Ctrl+U", w.ask_person),
-        Command("score", "Let the model score the dataset: fills four queues", "Ctrl+M",
-                lambda: w.all(WholeDataset.score)),
-        Command("models", "Choose the models that pre-label: one, or several together",
-                "Shift+M", lambda: w.all(WholeDataset.choose_models)),
-        Command("merge", "Merge another copy of this dataset", "Ctrl+Shift+M",
-                lambda: w.all(WholeDataset.merge)),
+        WindowCommand("blind", "Blind mode: no model, no other sources", "Ctrl+B", w.toggle_blind),
+        WindowCommand("person", "Change the person", "Ctrl+U", w.ask_person),
+        WindowCommand("score", "Let the model score the dataset: fills four queues", "Ctrl+M",
+                lambda: w.all(DatasetTasks.score)),
+        WindowCommand("models", "Choose the models that pre-label: one, or several together",
+                "Shift+M", lambda: w.all(DatasetTasks.choose_models)),
+        WindowCommand("merge", "Merge another copy of this dataset", "Ctrl+Shift+M",
+                lambda: w.all(DatasetTasks.merge)),
     )  # fmt: skip

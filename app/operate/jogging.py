@@ -13,7 +13,14 @@ from PySide6.QtGui import QKeyEvent, QWindow
 from PySide6.QtWidgets import QApplication, QWidget
 
 from touchdown.app.operate.page import OperatePage
-from touchdown.app.shell import Link, busy, log, not_set, refusal_card, typing
+from touchdown.app.shell import (
+    BenchLink,
+    is_run_active,
+    is_typing,
+    log,
+    missing_scene_reason,
+    refusal_card,
+)
 from touchdown.backend.core import (
     LEVEL_RAD,
     FaultError,
@@ -37,16 +44,16 @@ from touchdown.backend.devices import (
     turns,
 )
 from touchdown.backend.runs import ManualControl, SceneChoice, SetRequest
-from touchdown.widgets.forms import JOINTS, JogPad, Pace, PoseLook
-from touchdown.widgets.shell import FaultCards, Question
+from touchdown.widgets.forms import JOINTS, JogPad, JogUnit, PoseView
+from touchdown.widgets.shell import CardQuestion, FaultCards
 
 PERIOD_S = 0.1
 LEVEL_RAD_S = math.radians(10.0)
 """The hand is levelled so fast."""
 NO_JOINTS = "The arm of this bench keeps its orientation: no JOINT frame and no turning."
 PACES = (
-    Pace("mm", "mm", STEPS_MM, (1.0, 50.0, 20.0)),
-    Pace("\N{DEGREE SIGN}", "degrees", STEPS_DEG, (1.0, 15.0, 5.0)),
+    JogUnit("mm", "mm", STEPS_MM, (1.0, 50.0, 20.0)),
+    JogUnit("\N{DEGREE SIGN}", "degrees", STEPS_DEG, (1.0, 15.0, 5.0)),
 )
 SHORT = {
     "DRAGGING": "lift first", "TURN-PRESSING": "lift first", "TURN-LOW": "go up first",
@@ -56,12 +63,12 @@ SHORT = {
 """What a pad says instead of its range while its way is refused."""
 
 
-class HandPresenter:
+class ManualControlPresenter:
     """Sends orders to the present scene's hand; shows pose, room, gripper and refusals."""
 
     def __init__(
         self,
-        link: Link,
+        link: BenchLink,
         page: OperatePage,
         cards: FaultCards,
         now_s: Callable[[], float] = time.monotonic,
@@ -120,7 +127,7 @@ class HandPresenter:
         status = self._grip_status()
         if status is not None and status.holding:
             answers = (("Keep holding", _keep), ("Open and let it go", self._open_anyway))
-            self._cards.ask(Question("A piece is held. Opening lets it go.", answers))
+            self._cards.ask(CardQuestion("A piece is held. Opening lets it go.", answers))
         else:
             self._ordered(lambda hand: hand.open(confirmed=False))
 
@@ -179,24 +186,24 @@ class HandPresenter:
     def why_not(self) -> str:
         """Return why nothing may be moved by hand now, "" if it may."""
         if self._link.hand is None:
-            return not_set(self._link) or "The bench is being prepared"
+            return missing_scene_reason(self._link) or "The bench is being prepared"
         if self._link.interlock.latched:
             return "Press Reset first"
         if not self._link.hand.powered:
             return "The servo is off: hold Servo in the top bar for 1 s"
-        return "A run is going on" if busy(self._link) else ""
+        return "A run is going on" if is_run_active(self._link) else ""
 
-    def _look(self) -> PoseLook:
+    def _look(self) -> PoseView:
         arm, hand = self._link.devices.get("arm"), self._link.hand
         if arm is None or hand is None:
-            return PoseLook()
+            return PoseView()
         try:
             t_s, _ = _arm(arm).poses.latest(self._link.clock_s(), float("inf"))
             pose = _arm(arm).pose(float("inf"))
             text = self._pose_text(_arm(arm), pose)
             rooms = hand.jog.rooms(self._frame())
         except (StaleSampleError, RefusedError):
-            return PoseLook()
+            return PoseView()
         slow = hand.jog.state.slow
         recovering, turned = self._link.interlock.recovering, rotation_angle_rad(pose) > 0.0
         note = "Recovery: jog away from contact" if recovering else self._contact(hand)
@@ -212,7 +219,7 @@ class HandPresenter:
             note = f"{self._jog_speed(hand)}: {slow}"
         age_s = max(self._link.clock_s() - t_s, 0.0)
         said = tuple((what, _room_words(what, room)) for what, room in rooms.items())
-        return PoseLook(text, age_s, said, note, warn=warn, turned=turned)
+        return PoseView(text, age_s, said, note, warn=warn, turned=turned)
 
     def _pose_text(self, arm: Arm, pose: Pose) -> str:
         """Return where the hand is, in the terms of the pads that are shown."""
@@ -233,7 +240,7 @@ class HandPresenter:
         return f"{state.speed:.1f} mm/s"
 
     def _contact(self, hand: ManualControl) -> str:
-        if busy(self._link) or not hand.pressing_n:
+        if is_run_active(self._link) or not hand.pressing_n:
             return ""
         return f"In contact with {hand.pressing_n:.1f} N: jog +Z to lift before you start a run"
 
@@ -313,7 +320,7 @@ ROWS = (
 )
 
 
-class JogKeys(QObject):
+class JogKeyFilter(QObject):
     """Event filter of the application while armed."""
 
     def __init__(self, page: QWidget, pad: JogPad) -> None:
@@ -355,7 +362,7 @@ class JogKeys(QObject):
         if not isinstance(event, QKeyEvent) or not isinstance(watched, QWindow):
             return False
         joint = self._pad.frame.currentText() == "JOINT" and event.key() in JOINT_KEYS
-        if not (joint or event.key() in KEYS) or typing():
+        if not (joint or event.key() in KEYS) or is_typing():
             return False
         # Before a press the same key comes as ShortcutOverride: claimed, so that no shortcut takes
         # it, and no press of its own.
@@ -387,6 +394,6 @@ class JogKeys(QObject):
             now is None
             or not now.isVisible()
             or now.window() is not self._page.window()
-            or typing()
+            or is_typing()
         ):
             self.disarm()

@@ -8,10 +8,25 @@ from dataclasses import dataclass
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QHBoxLayout
 
-from touchdown.app.shell import LivePage, column, no_higher
+from touchdown.app.shell import LivePage, column_of, limit_height
 from touchdown.backend.core import FINGERS
-from touchdown.widgets.base import Captioned, Columns, Panel, Theme, chooser, tool, ui_font
-from touchdown.widgets.forms import GripperPanel, JogIntents, JogPad, Pace, ProbePanel, ScenePanel
+from touchdown.widgets.base import (
+    CaptionedView,
+    Columns,
+    Panel,
+    Theme,
+    compact_combo_box,
+    flat_button,
+    ui_font,
+)
+from touchdown.widgets.forms import (
+    GripperPanel,
+    JogIntents,
+    JogPad,
+    JogUnit,
+    ProbePanel,
+    ScenePanel,
+)
 from touchdown.widgets.plots import SPANS_S, TracesPanel
 from touchdown.widgets.views import LOOKS, BeliefPanel
 
@@ -44,7 +59,7 @@ class OperatePage(LivePage):
         super().__init__(theme)
         self._intents = intents
 
-    def build(self, paces: Sequence[Pace], phases: Sequence[str]) -> Iterator[None]:
+    def build(self, paces: Sequence[JogUnit], phases: Sequence[str]) -> Iterator[None]:
         """Make what stands on the page, in pieces of some ms."""
         theme, intents = self._theme, self._intents
         self.jog = JogPad(paces, intents.jog)
@@ -53,15 +68,17 @@ class OperatePage(LivePage):
         self.scene = ScenePanel(intents.set_scene)
         yield
         titles = {"left": "Left", "right": "Right"}
-        self.captions = {f: Captioned(titles[f], self.tactile[f]) for f in FINGERS}
+        self.captions = {f: CaptionedView(titles[f], self.tactile[f]) for f in FINGERS}
         self.belief_panel = BeliefPanel(theme, "Belief of the last run")
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
         self.maps = self.belief_panel.maps
-        self.looks = chooser([text for _, text in LOOKS], "What the tactile views show")
-        self.baseline = tool("Baseline", "Take the tactile reference anew, in air (B)")
-        self.span = chooser([f"{span:.0f} s" for span in SPANS_S], "Length of the traces")
-        self.zero = tool("Zero", "Zero force and moment here, in air (Z)")
-        self.pause = tool("Pause", "Hold the traces still; recording goes on", checkable=True)
+        self.looks = compact_combo_box([text for _, text in LOOKS], "What the tactile views show")
+        self.baseline = flat_button("Baseline", "Take the tactile reference anew, in air (B)")
+        self.span = compact_combo_box([f"{span:.0f} s" for span in SPANS_S], "Length of the traces")
+        self.zero = flat_button("Zero", "Zero force and moment here, in air (Z)")
+        self.pause = flat_button(
+            "Pause", "Hold the traces still; recording goes on", checkable=True
+        )
         self.traces_panel = TracesPanel(
             TRACES, self.force, self.moment, (self.span, self.zero, self.pause)
         )
@@ -86,9 +103,9 @@ class OperatePage(LivePage):
 
     def _arrange(self) -> None:
         self.tactile_panel = self._tactile_panel()
-        feel = column((self.tactile_panel, 0), (self.traces_panel, 1))
-        middle = column((self.belief_panel, 1), (self.probe, 0))
-        self._right = column((self.jog, 1), (self.gripper, 0), (self.scene, 0))
+        feel = column_of((self.tactile_panel, 0), (self.traces_panel, 1))
+        middle = column_of((self.belief_panel, 1), (self.probe, 0))
+        self._right = column_of((self.jog, 1), (self.gripper, 0), (self.scene, 0))
         self.stand_in(
             Columns(
                 ((feel, 10), (middle, 7), (self._right, 6)),
@@ -108,7 +125,7 @@ class OperatePage(LivePage):
 
     def _tactile_panel(self) -> Panel:
         panel = Panel("Tactile")
-        no_higher(panel)
+        limit_height(panel)
         panel.header.addWidget(self.looks)
         panel.header.addWidget(self.baseline)
         fingers = QHBoxLayout()

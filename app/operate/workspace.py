@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 
-from touchdown.app.operate.jogging import PACES, ROWS, HandPresenter, JogKeys
+from touchdown.app.operate.jogging import PACES, ROWS, JogKeyFilter, ManualControlPresenter
 from touchdown.app.operate.page import OperateIntents, OperatePage
 from touchdown.app.shell import (
-    Command,
-    Desk,
-    Link,
+    BenchLink,
     LivePresenter,
     LiveViews,
     Memory,
     RunStory,
+    WindowCommand,
     Workspace,
-    busy,
-    no_probe,
-    outlines,
+    WorkspaceContext,
+    belief_scene,
+    face_outlines,
+    is_run_active,
     refusal_card,
-    scene_of,
-    scene_words,
-    why_no_run,
+    scene_model_caption,
+    start_obstacle,
+    unprobed_scene,
 )
 from touchdown.backend.config import ProbeSettings
 from touchdown.backend.core import (
@@ -43,10 +43,10 @@ from touchdown.widgets.views import BeliefScene
 PHASES = ("grip", "reference", "approach", "press", "hold", "lift")
 
 
-class ProbePresenter:
+class SingleProbePresenter:
     """Starts a probe and tells how it went."""
 
-    def __init__(self, link: Link, panel: ProbePanel, cards: FaultCards) -> None:
+    def __init__(self, link: BenchLink, panel: ProbePanel, cards: FaultCards) -> None:
         self._link, self._panel, self._cards = link, panel, cards
         self._mine = False
         self._felt: list[str] = []
@@ -56,7 +56,7 @@ class ProbePresenter:
 
     def start(self) -> None:
         """Probe once."""
-        if busy(self._link):
+        if is_run_active(self._link):
             return
         try:
             self._link.start(ProbeRequest())
@@ -74,7 +74,7 @@ class ProbePresenter:
 
     def show_model(self) -> None:
         """Say which model reads the next probe: that of the scene, if another was promoted."""
-        words = scene_words(self._model, self._piece, simulated=self._link.simulated)
+        words = scene_model_caption(self._model, self._piece, simulated=self._link.simulated)
         self._panel.show_model(f"Model: {words.short}", words.full)
 
     def take(self, fact: Event) -> None:
@@ -100,8 +100,8 @@ class ProbePresenter:
 
     def draw(self) -> None:
         """Enable what is allowed now."""
-        active = busy(self._link)
-        why = "" if active else why_no_run(self._link)
+        active = is_run_active(self._link)
+        why = "" if active else start_obstacle(self._link)
         if active and not self._mine:
             why = "A run is going on"
         self._panel.show_buttons(
@@ -149,12 +149,12 @@ class OperateWorkspace(Workspace):
     held_keys = ROWS
     page: OperatePage
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: WorkspaceContext) -> None:
         self._desk = desk
         self.live: LivePresenter | None = None
-        self.hand: HandPresenter | None = None
-        self.probe: ProbePresenter | None = None
-        self._link: Link | None = None
+        self.hand: ManualControlPresenter | None = None
+        self.probe: SingleProbePresenter | None = None
+        self._link: BenchLink | None = None
         self._story, self._shown = RunStory(), -1
         self.commands = self._commands()
 
@@ -172,16 +172,16 @@ class OperateWorkspace(Workspace):
         yield from self.page.build(PACES, PHASES)
         self.page.belief.show_scene(NO_RUN)
         self.columns = self.pieces = self.page.columns
-        self.keys = JogKeys(self.page, self.page.jog)
+        self.keys = JogKeyFilter(self.page, self.page.jog)
 
-    def attach(self, link: Link) -> None:
+    def attach(self, link: BenchLink) -> None:
         """Show this bench."""
         page = self.page
         self._link = link
         views = LiveViews(page.tactile, page.captions, page.force, page.moment)
         self.live = LivePresenter(link, views)
-        self.hand = HandPresenter(link, page, self._desk.cards)
-        self.probe = ProbePresenter(link, page.probe, self._desk.cards)
+        self.hand = ManualControlPresenter(link, page, self._desk.cards)
+        self.probe = SingleProbePresenter(link, page.probe, self._desk.cards)
         self.parts = (
             self.live.draw_left, self.live.draw_right, self.live.draw_wrench,
             self.live.draw_headers, self.hand.draw, self.probe.draw, self._draw_belief,
@@ -248,36 +248,42 @@ class OperateWorkspace(Workspace):
 
     # -- orders -----------------------------------------------------------------------------------
 
-    def _commands(self) -> tuple[Command, ...]:
+    def _commands(self) -> tuple[WindowCommand, ...]:
         return (
-            Command("probe", "Probe once", "F5", self._probe),
-            Command("grip", "Grip the piece", "G", self._grip),
-            Command("open", "Open the gripper", "Shift+G", self._open),
-            Command("zero", "Zero force and moment", "Z", self._zero),
-            Command("baseline", "Take the tactile reference anew", "B", self._baseline),
-            Command("arm", "Arm or disarm the jog keys", "J", lambda: self.page.jog.keys.toggle()),
-            Command(
+            WindowCommand("probe", "Probe once", "F5", self._probe),
+            WindowCommand("grip", "Grip the piece", "G", self._grip),
+            WindowCommand("open", "Open the gripper", "Shift+G", self._open),
+            WindowCommand("zero", "Zero force and moment", "Z", self._zero),
+            WindowCommand("baseline", "Take the tactile reference anew", "B", self._baseline),
+            WindowCommand(
+                "arm", "Arm or disarm the jog keys", "J", lambda: self.page.jog.keys.toggle()
+            ),
+            WindowCommand(
                 "shorter",
                 "Shorter step, down to hold-to-run",
                 "[",
                 lambda: self.page.jog.next_step(-1),
             ),
-            Command("longer", "Longer step", "]", lambda: self.page.jog.next_step(1)),
-            Command(
+            WindowCommand("longer", "Longer step", "]", lambda: self.page.jog.next_step(1)),
+            WindowCommand(
                 "frame",
                 "Jog in the next frame: XYZ, TOOL, JOINT",
                 "F",
                 lambda: self.page.jog.next_frame(),
             ),
-            Command(
+            WindowCommand(
                 "turn", "Jog: turn the hand, or move it", "T", lambda: self.page.jog.turn.click()
             ),
-            Command("level", "Level the hand", "Shift+T", self._level),
-            Command(
+            WindowCommand("level", "Level the hand", "Shift+T", self._level),
+            WindowCommand(
                 "scene", "Set the simulated bench anew", "Ctrl+N", lambda: self.page.scene.ask()
             ),
-            Command("freeze", "Hold the traces still", "Ctrl+P", lambda: self.page.pause.toggle()),
-            Command("fit", "Fit the force and moment ranges", "Ctrl+F", lambda: self.page.fit()),
+            WindowCommand(
+                "freeze", "Hold the traces still", "Ctrl+P", lambda: self.page.pause.toggle()
+            ),
+            WindowCommand(
+                "fit", "Fit the force and moment ranges", "Ctrl+F", lambda: self.page.fit()
+            ),
         )
 
     def _renew(self, what: str) -> bool:
@@ -340,11 +346,11 @@ class OperateWorkspace(Workspace):
             return
         self._shown, trial = self._story.version, self._story.trial
         if trial is None or not trial.probes:
-            self.page.belief.show_scene(NO_RUN if trial is None else no_probe(trial))
+            self.page.belief.show_scene(NO_RUN if trial is None else unprobed_scene(trial))
             self.page.belief_panel.detail.setText("")
             return
-        face, bottom = outlines(self._link.catalogue, self._story.head)
-        scene = scene_of(trial, len(trial.probes) - 1, face, bottom)
+        face, bottom = face_outlines(self._link.catalogue, self._story.head)
+        scene = belief_scene(trial, len(trial.probes) - 1, face, bottom)
         self.page.belief.show_scene(scene)
         self.page.legend.show_truth(scene.truth is not None)
         self.page.belief_panel.detail.setText(f"trial {trial.trial}, probe {len(trial.probes)}")

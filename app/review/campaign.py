@@ -21,11 +21,11 @@ from touchdown.backend.core import (
     RunStarted,
     Said,
 )
-from touchdown.widgets.views import offset_in_words
+from touchdown.widgets.views import offset_text
 
 
 @dataclass(slots=True)
-class Collection:
+class CollectedRun:
     """``probes`` in the order in which they were taken; ``decided`` by episode."""
 
     head: RunStarted
@@ -56,8 +56,8 @@ class Collection:
             f"{head.piece} on {head.bottom}",
             f"plan: {head.strategy}, {plan.get('count', '?')} probes, seed {head.seed}",
             f"collected by {plan.get('person') or 'nobody named'}",
-            f"{_many(len(self.probes), 'probe')} in this run, {self._decisions()}",
-            f"{_many(len(self.grips), 'grip')} on {_many(mountings, 'mounting')}",
+            f"{_count_noun(len(self.probes), 'probe')} in this run, {self._decisions()}",
+            f"{_count_noun(len(self.grips), 'grip')} on {_count_noun(mountings, 'mounting')}",
             _ending(self.ended),
         ]
         return "\n".join(lines)
@@ -65,7 +65,7 @@ class Collection:
     def _probe_words(self, probe: ProbeCollected) -> str:
         decided = self.decided.get(probe.uuid)
         word = "refused" if probe.reasons else "kept" if decided is None else decided.decision
-        return f"{word}, {offset_in_words(probe.measured_mm)}"
+        return f"{word}, {offset_text(probe.measured_mm)}"
 
     def _decisions(self) -> str:
         refused = sum(bool(probe.reasons) for probe in self.probes)
@@ -74,18 +74,18 @@ class Collection:
         return ", ".join(parts)
 
 
-def collection_of(facts: Iterable[Event]) -> Collection | None:
+def collected_run(facts: Iterable[Event]) -> CollectedRun | None:
     """Return the collection that ``facts`` tell of; None for a run of another kind."""
-    found: Collection | None = None
+    found: CollectedRun | None = None
     for fact in facts:
         if isinstance(fact, RunStarted):
-            found = Collection(fact) if fact.activity == "collect" else None
+            found = CollectedRun(fact) if fact.activity == "collect" else None
         elif found is not None:
-            _take(found, fact)
+            _add_event(found, fact)
     return found
 
 
-def _take(found: Collection, fact: Event) -> None:
+def _add_event(found: CollectedRun, fact: Event) -> None:
     if isinstance(fact, CampaignBegan):
         found.begun = found.begun or fact
     elif isinstance(fact, ProbeCollected):
@@ -96,11 +96,11 @@ def _take(found: Collection, fact: Event) -> None:
         found.grips.add((fact.mounting, fact.grip))
     elif isinstance(fact, RunFinished):
         found.ended = fact
-    if text := told(fact):
+    if text := event_text(fact):
         found.told.append(text)
 
 
-def told(fact: Event) -> str:
+def event_text(fact: Event) -> str:
     """Return what a fact of a collection says in words, "" for one that says nothing."""
     if isinstance(fact, Said | Refused):
         return fact.text
@@ -110,7 +110,7 @@ def told(fact: Event) -> str:
         return f"Grip {fact.grip} of mounting {fact.mounting}, {fact.mass_g:.1f} g held"
     if isinstance(fact, OriginChecked):
         agrees = "agrees" if fact.agrees else "does not agree"
-        return f"The origin {agrees}: off by {offset_in_words(fact.residual_mm, fact.sigma_mm)}"
+        return f"The origin {agrees}: off by {offset_text(fact.residual_mm, fact.sigma_mm)}"
     if isinstance(fact, EpisodeDecided):
         return f"{fact.person or 'nobody named'}: {fact.decision}, item {fact.item}"
     return _progress(fact)
@@ -142,10 +142,10 @@ def _request(head: RunStarted) -> dict[str, Any]:
     return request if isinstance(request, dict) else {}
 
 
-def _many(count: int, noun: str) -> str:
+def _count_noun(count: int, noun: str) -> str:
     return f"1 {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def counted(words: Sequence[str]) -> str:
+def count_text(words: Sequence[str]) -> str:
     """Return how often there is each word, the commonest first."""
     return ", ".join(f"{count} {word}" for word, count in Counter(words).most_common())

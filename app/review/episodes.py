@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from touchdown.app.review.campaign import counted
-from touchdown.app.review.timing import TimedTrial
-from touchdown.app.shell import Prelabeller
+from touchdown.app.review.campaign import count_text
+from touchdown.app.review.timing import TrialTimeline
+from touchdown.app.shell import ModelPrelabeller
 from touchdown.backend.annotations import Dataset, EpisodeEntry
 from touchdown.backend.config import StackSettings
 from touchdown.backend.core import (
@@ -40,7 +40,7 @@ KEPT_PICTURES = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class TrialRecording:
     """``traces`` of the episodes in order of time; ``missing``: what could not be read."""
 
     reel: Reel = field(default_factory=dict)
@@ -58,7 +58,7 @@ class Recorded:
         return begun[-1] if begun else next(iter(self.traces), None)
 
 
-def read_recorded(paths: Sequence[Path]) -> Recorded:
+def read_trial_recording(paths: Sequence[Path]) -> TrialRecording:
     """Read the episodes ``paths`` of one trial; a damaged one leaves a gap and a sentence."""
     films, missing = [], []
     for path in paths:
@@ -66,10 +66,10 @@ def read_recorded(paths: Sequence[Path]) -> Recorded:
             films.append(read_compressed_episode(path))
         except InputError as error:
             missing.append(f"{path.name}: {error.what}")
-    return recorded(films, tuple(missing))
+    return join_films(films, tuple(missing))
 
 
-def recorded(films: Sequence[CompressedEpisode], missing: tuple[str, ...] = ()) -> Recorded:
+def join_films(films: Sequence[CompressedEpisode], missing: tuple[str, ...] = ()) -> TrialRecording:
     """Join films that were recorded one after the other."""
     films = sorted(films, key=lambda film: film.episode.onset_s)
     traces = tuple(
@@ -77,10 +77,12 @@ def recorded(films: Sequence[CompressedEpisode], missing: tuple[str, ...] = ()) 
         for film in films
         if (r := film.episode.recording) is not None and len(r.wrench_t_s)
     )
-    return Recorded({finger: _track(films, finger) for finger in FINGERS}, traces, missing)
+    return TrialRecording(
+        {finger: _film_track(films, finger) for finger in FINGERS}, traces, missing
+    )
 
 
-def _track(films: Sequence[CompressedEpisode], finger: Finger) -> FilmTrack:
+def _film_track(films: Sequence[CompressedEpisode], finger: Finger) -> FilmTrack:
     fields = tuple(
         one
         for film in films
@@ -105,7 +107,7 @@ JUDGED_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class EpisodeSeries:
     """The episodes of one series of a dataset, oldest first. ``plan`` in words, "" if unknown."""
 
     name: str
@@ -136,7 +138,7 @@ class Series:
             f"{first.piece} on {first.bottom}, {first.mode}",
             self.plan,
             f"recorded by {people}",
-            f"{counted([e.state for e in self.entries])}; {refused} refused",
+            f"{count_text([e.state for e in self.entries])}; {refused} refused",
             f"{grips} {'grip' if grips == 1 else 'grips'} on "
             f"{mountings} {'mounting' if mountings == 1 else 'mountings'}",
         ]
@@ -148,23 +150,23 @@ class StoredEpisode:
     """One episode with its signals and what is known of it, as a trial of one probe."""
 
     entry: EpisodeEntry
-    recorded: Recorded
-    trial: TimedTrial
+    recorded: TrialRecording
+    trial: TrialTimeline
     says: str
 
 
-def series_of(dataset: Dataset) -> list[Series]:
+def list_series(dataset: Dataset) -> list[EpisodeSeries]:
     """Return the series of a dataset, newest first."""
     found: dict[str, list[EpisodeEntry]] = {}
     for entry in dataset.episodes():
         found.setdefault(entry.series, []).append(entry)
     return [
-        Series(name, tuple(entries), plan_words(dataset, entries[0].campaign))
+        EpisodeSeries(name, tuple(entries), plan_text(dataset, entries[0].campaign))
         for name, entries in reversed(found.items())
     ]
 
 
-def plan_words(dataset: Dataset, campaign: str) -> str:
+def plan_text(dataset: Dataset, campaign: str) -> str:
     """Return the plan of a campaign in words; "" where there is none, or none to be read."""
     try:
         plan = read_campaign(dataset.folder, campaign) if campaign else None
@@ -173,8 +175,8 @@ def plan_words(dataset: Dataset, campaign: str) -> str:
     return "" if plan is None else f"plan: {plan.pattern}, {plan.count} probes, seed {plan.seed}"
 
 
-def read_stored(
-    dataset: Dataset, models: Prelabeller, catalogue: PieceLibrary, entry: EpisodeEntry
+def read_stored_episode(
+    dataset: Dataset, models: ModelPrelabeller, catalogue: PieceLibrary, entry: EpisodeEntry
 ) -> StoredEpisode:
     """Read one episode and let the model read it; raises ``InputError`` naming a damaged file."""
     film: CompressedEpisode = dataset.film(entry.uuid)
@@ -195,13 +197,13 @@ def read_stored(
     ]
     says = "No displacement is labelled." if at is None else ""
     if at is not None:
-        facts += _reading(models, catalogue, entry, episode, at)
+        facts += _model_reading(models, catalogue, entry, episode, at)
         says = f"Label {label.state}, {label.source.split(':')[0]}, by {label.person}."
-    return StoredEpisode(entry, recorded([film]), TimedTrial(head, tuple(facts)), says)
+    return StoredEpisode(entry, join_films([film]), TrialTimeline(head, tuple(facts)), says)
 
 
-def _reading(
-    models: Prelabeller,
+def _model_reading(
+    models: ModelPrelabeller,
     catalogue: PieceLibrary,
     entry: EpisodeEntry,
     episode: Episode,

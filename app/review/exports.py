@@ -15,7 +15,7 @@ from PySide6.QtGui import QFontMetrics, QPaintDevice, QPainter, QPixmap
 from PySide6.QtSvg import QSvgGenerator
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QWidget
 
-from touchdown.app.review.timing import TimedTrial
+from touchdown.app.review.timing import TrialTimeline
 from touchdown.backend.annotations import EpisodeEntry
 from touchdown.backend.core import write_atomically
 from touchdown.backend.geometry import Outline
@@ -33,7 +33,7 @@ def export_picture(
     """
     folder.mkdir(parents=True, exist_ok=True)
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-    png.write_bytes(picture_of(view, theme, caption))
+    png.write_bytes(view_picture(view, theme, caption))
     size = _size(view, theme)
     generator = QSvgGenerator()
     generator.setFileName(str(svg))
@@ -46,7 +46,7 @@ def export_picture(
     return png, svg
 
 
-def picture_of(view: QWidget, theme: Theme, caption: str) -> bytes:
+def view_picture(view: QWidget, theme: Theme, caption: str) -> bytes:
     """Return ``view`` as it is shown, under ``caption``, as the bytes of a PNG file."""
     ratio = view.devicePixelRatioF()
     picture = QPixmap(_size(view, theme) * ratio)
@@ -58,7 +58,7 @@ def picture_of(view: QWidget, theme: Theme, caption: str) -> bytes:
     return bytes(content.data().data())
 
 
-def trial_caption(run: str, trial: TimedTrial) -> str:
+def trial_caption(run: str, trial: TrialTimeline) -> str:
     """Say which trial of which run is shown."""
     whole = trial.story(float("inf"))
     pair = f"{trial.head.piece} on {trial.head.bottom}"
@@ -121,7 +121,7 @@ COLUMNS = (
 VIEWER = "xdg-open"
 
 
-def table_of(trials: Iterable[tuple[TimedTrial, Outline | None]]) -> str:
+def probe_table(trials: Iterable[tuple[TrialTimeline, Outline | None]]) -> str:
     """Return one line a probe as CSV, with the estimate against the truth where it is known.
 
     Each trial comes with the face of its bottom.
@@ -134,7 +134,7 @@ def table_of(trials: Iterable[tuple[TimedTrial, Outline | None]]) -> str:
     return text.getvalue()
 
 
-def _rows(trial: TimedTrial, bottom: Outline | None) -> Iterator[tuple[object, ...]]:
+def _rows(trial: TrialTimeline, bottom: Outline | None) -> Iterator[tuple[object, ...]]:
     whole = trial.story(float("inf"))
     outcome = "" if whole.finished is None else whole.finished.outcome.name.lower()
     episodes = {fact.probe: fact.episode.episode_id for fact in trial.episodes()}
@@ -161,7 +161,7 @@ def export_table(text: str, folder: Path, name: str) -> Path:
     return path
 
 
-def open_outside(path: Path) -> str:
+def open_in_viewer(path: Path) -> str:
     """Open ``path`` in the viewer that the computer has for it; return what was done in words."""
     program = shutil.which(VIEWER)
     if program is None:
@@ -171,7 +171,7 @@ def open_outside(path: Path) -> str:
     return f"Opened outside: {path}"
 
 
-def stamped(name: str) -> str:
+def dated_file_name(name: str) -> str:
     """Return a file name that begins with the date and cannot leave its folder."""
     safe = "".join(c if c.isalnum() or c in "-_" else "-" for c in name)
     return f"{datetime.now():%Y%m%d-%H%M%S}-{safe}"

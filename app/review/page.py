@@ -17,14 +17,14 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import ElidedLabel, Panel, Theme, WrappedItems, label
+from touchdown.widgets.base import ElidedLabel, Panel, Theme, WrappedItemDelegate, label
 from touchdown.widgets.lists import RecordingList
 from touchdown.widgets.plots import RecordedTraces
 from touchdown.widgets.views import (
     BeliefLegend,
     BeliefView,
     DecisionPanel,
-    Film,
+    FilmView,
     MapAndStrip,
     ProbeStrip,
     ScorePanel,
@@ -63,14 +63,14 @@ class ReviewIntents:
     viewer: Callable[[], None]
 
 
-class QuietList(QListWidget):
+class KeylessList(QListWidget):
     """A list that leaves letters and Space to its page. ``nothing`` stands in it while empty."""
 
     def __init__(self, name: str, nothing: str = "") -> None:
         super().__init__()
         self._nothing = nothing
         self.setAccessibleName(name)
-        WrappedItems(self)
+        WrappedItemDelegate(self)
 
     def paintEvent(self, event: QPaintEvent) -> None:
         """Draw the lines, or why there is none."""
@@ -98,8 +98,8 @@ class ReviewPage(QWidget):
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self._intents = intents
         self.runs = RecordingList(theme, "Recorded runs", intents.choose_recording)
-        self.trials = QuietList("Trials of the run")
-        self.story = QuietList("What happened", "No steps: a run tells them, a series does not.")
+        self.trials = KeylessList("Trials of the run")
+        self.story = KeylessList("What happened", "No steps: a run tells them, a series does not.")
         self.kind, self.order, self.filter = QComboBox(), QComboBox(), QLineEdit()
         self.refresh, self.experiments = QToolButton(), QToolButton()
         self.empty = label("", "muted", wrap=True)
@@ -109,7 +109,7 @@ class ReviewPage(QWidget):
         self.decision = DecisionPanel(_nothing, _nothing)
         self.strip = ProbeStrip(theme, intents.choose_probe)
         self.score = ScorePanel(theme, "Outcomes")
-        self.film = Film(theme, intents.seek)
+        self.film = FilmView(theme, intents.seek)
         self.forces = RecordedTraces(theme, FORCES, intents.seek)
         self.moments = RecordedTraces(theme, MOMENTS, intents.seek)
         self.estimate = ElidedLabel("muted")

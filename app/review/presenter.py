@@ -5,14 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from touchdown.app.review.campaign import Collection
-from touchdown.app.review.episodes import Recorded, Series, StoredEpisode, read_recorded
-from touchdown.app.review.exports import episode_caption, table_of, trial_caption
+from touchdown.app.review.campaign import CollectedRun
+from touchdown.app.review.episodes import (
+    EpisodeSeries,
+    StoredEpisode,
+    TrialRecording,
+    read_trial_recording,
+)
+from touchdown.app.review.exports import episode_caption, probe_table, trial_caption
 from touchdown.app.review.page import ReviewPage
-from touchdown.app.review.recordings import Library, Reading, ReadRun, Recordings, activity_words
-from touchdown.app.review.replay import Replay
-from touchdown.app.review.timing import TimedTrial
-from touchdown.app.shell import Commits, RunStory, TrialStory, score_of
+from touchdown.app.review.recordings import (
+    ReadRun,
+    RecordingsPresenter,
+    ReviewDataset,
+    RunReader,
+    activity_text,
+)
+from touchdown.app.review.replay import ReplayPresenter
+from touchdown.app.review.timing import TrialTimeline
+from touchdown.app.shell import RunStory, SaveWorker, TrialStory, run_score
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import EVENT_LOG_NAME
 from touchdown.widgets.shell import CardText, FaultCards
@@ -26,14 +37,19 @@ class ReviewPresenter:
     """Lists runs and series, reads the chosen one, shows one trial or episode of it."""
 
     def __init__(
-        self, page: ReviewPage, runs: Path, cards: FaultCards, reader: Commits, library: Library
+        self,
+        page: ReviewPage,
+        runs: Path,
+        cards: FaultCards,
+        reader: SaveWorker,
+        library: ReviewDataset,
     ) -> None:
         self._page, self._cards = page, cards
         self._reader, self.library = reader, library
-        self.replay = Replay(page)
-        self.recordings = Recordings(page, runs, reader, library.series, self._failed)
+        self.replay = ReplayPresenter(page)
+        self.recordings = RecordingsPresenter(page, runs, reader, library.series, self._failed)
         self.story = RunStory()
-        self.timed: list[TimedTrial] = []
+        self.timed: list[TrialTimeline] = []
         self._run: Path | None = None
         self._episodes: list[str] = []
         """Of a series or a collection: what its rows show."""
@@ -45,7 +61,7 @@ class ReviewPresenter:
         self.caption = ""
         """Which run, pair, trial and seed, or which episode, is shown."""
         self._asked = 0
-        self._reading: Reading | None = None
+        self._reading: RunReader | None = None
         self._said = ""
         """How far a long reading was when it was last shown."""
         page.refresh.clicked.connect(self.recordings.refresh)
@@ -73,7 +89,7 @@ class ReviewPresenter:
     def open(self, run: Path) -> None:
         """Have a run read and its last trial shown; a bad journal becomes a card."""
         self._drop_reading()
-        reading = self._reading = Reading(run)
+        reading = self._reading = RunReader(run)
         self._page.trials_panel.detail.setText("reading")
 
         def done(read: ReadRun | None) -> None:
@@ -131,7 +147,7 @@ class ReviewPresenter:
         lines = lines or ["1.  single probe" for _ in self.timed]
         self._fill(lines, len(lines) - 1)
 
-    def _open_collection(self, collection: Collection) -> None:
+    def _open_collection(self, collection: CollectedRun) -> None:
         """Show a run that collected: its probes are episodes of the dataset."""
         self.timed, self._told = [], collection.told
         self._episodes = [probe.uuid for probe in collection.probes]
@@ -140,7 +156,7 @@ class ReviewPresenter:
         self._name_parts("Probes", "of the run", "Collection")
         self._fill(collection.lines(), len(self._episodes) - 1)
 
-    def _open_series(self, series: Series) -> None:
+    def _open_series(self, series: EpisodeSeries) -> None:
         self._drop_reading()
         self.story, self._run, self.timed, self._told = RunStory(), None, [], []
         self._episodes = [entry.uuid for entry in series.entries]
@@ -179,7 +195,7 @@ class ReviewPresenter:
             self.file = None if self._run is None else self._run / EVENT_LOG_NAME
             self.replay.show(None, told=self._told)
 
-    def _show_trial(self, trial: TimedTrial) -> None:
+    def _show_trial(self, trial: TrialTimeline) -> None:
         assert self._run is not None
         self.file = self._run / EVENT_LOG_NAME
         self.caption = trial_caption(self._run.name, trial)
@@ -193,9 +209,9 @@ class ReviewPresenter:
             self._page.signals_panel.detail.setText("no signals were kept")
             return
         paths = [self._run / "episodes" / name for name in kept]
-        self._later(lambda: read_recorded(paths), self._take_recorded)
+        self._later(lambda: read_trial_recording(paths), self._take_recorded)
 
-    def _take_recorded(self, recorded: Recorded) -> None:
+    def _take_recorded(self, recorded: TrialRecording) -> None:
         self.replay.take(recorded)
         detail = self._page.signals_panel.detail
         detail.setText("; ".join(recorded.missing) or f"{len(recorded.traces)} probes")
@@ -243,7 +259,7 @@ class ReviewPresenter:
         elif self.timed:
             timed, face = list(self.timed), self.library.face
             self._reader.submit(
-                lambda: table_of([(t, face(t.head.bottom.split("+")[-1])) for t in timed]),
+                lambda: probe_table([(t, face(t.head.bottom.split("+")[-1])) for t in timed]),
                 done,
                 self._failed,
             )
@@ -253,13 +269,13 @@ class ReviewPresenter:
         head, ended = self.story.head, self.story.ended
         last = "The journal ends before the run did." if ended is None else f"Run {ended.ending}."
         if head is not None:
-            what = ", ".join(activity_words(head)) or head.strategy
+            what = ", ".join(activity_text(head)) or head.strategy
             last = f"{head.piece} on {head.bottom}, {what}. {last}"
         if head is not None and head.activity != "stack":
             self._page.score.show_facts(what.capitalize(), last)
             return
         trials = 0 if head is None else head.trials
-        self._page.score.show_score(score_of(self.story.trials, trials, last))
+        self._page.score.show_score(run_score(self.story.trials, trials, last))
 
 
 def _trial_title(trial: TrialStory) -> str:

@@ -11,12 +11,17 @@ from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 
-from touchdown.app.review.campaign import Collection, collection_of
-from touchdown.app.review.episodes import Series, StoredEpisode, read_stored, series_of
-from touchdown.app.review.exports import table_of
+from touchdown.app.review.campaign import CollectedRun, collected_run
+from touchdown.app.review.episodes import (
+    EpisodeSeries,
+    StoredEpisode,
+    list_series,
+    read_stored_episode,
+)
+from touchdown.app.review.exports import probe_table
 from touchdown.app.review.page import ReviewPage
-from touchdown.app.review.timing import TimedTrial, trials_of
-from touchdown.app.shell import Commits, Prelabeller, RunStory, model_of
+from touchdown.app.review.timing import TrialTimeline, split_into_trials
+from touchdown.app.shell import ModelPrelabeller, RunStory, SaveWorker, model_path_in_use
 from touchdown.backend.annotations import DESCRIPTION, Dataset
 from touchdown.backend.core import (
     Event,
@@ -41,7 +46,7 @@ ACTIVITIES = {"collect": "collecting", "probe": "single probe"}
 
 
 @dataclass(frozen=True, slots=True)
-class RunLine:
+class RunSummary:
     """What the list says of a run: its beginning, the outcomes so far, its end if it came."""
 
     head: RunStarted | None = None
@@ -52,7 +57,7 @@ class RunLine:
         """Return piece, bottom and outcomes in words."""
         if self.head is None:
             return "nothing recorded"
-        said = _counted(self.outcomes) or activity_words(self.head)
+        said = _outcome_counts(self.outcomes) or activity_text(self.head)
         if self.ended is None:
             said.append("not finished")
         elif self.ended.ending != "finished":
@@ -60,7 +65,7 @@ class RunLine:
         return f"{self.head.piece} on {self.head.bottom}: {', '.join(said) or 'no trial'}"
 
 
-def read_run_line(run: Path) -> RunLine:
+def read_run_summary(run: Path) -> RunSummary:
     """Read what the list says of ``run``; raises ``InputError`` or ``OSError``.
 
     A torn last line ends the journal quietly, as it does in ``read_journal``.
@@ -84,15 +89,15 @@ def read_run_line(run: Path) -> RunLine:
                 outcomes.append(fact.outcome)
             elif isinstance(fact, RunFinished):
                 ended = fact
-    return RunLine(head, tuple(outcomes), ended)
+    return RunSummary(head, tuple(outcomes), ended)
 
 
-def activity_words(head: RunStarted) -> list[str]:
+def activity_text(head: RunStarted) -> list[str]:
     """Return what a run without trials was for; nothing for one that stacks."""
     return [] if head.activity == "stack" else [ACTIVITIES.get(head.activity, head.activity)]
 
 
-def _counted(outcomes: tuple[Outcome, ...]) -> list[str]:
+def _outcome_counts(outcomes: tuple[Outcome, ...]) -> list[str]:
     """Return the single outcome, or how often there was each."""
     if len(outcomes) == 1:
         return [WORDS[outcomes[0]]]
@@ -113,7 +118,7 @@ UNLISTED = "The recordings cannot be listed."
 NO_MATCH = "No recording fits filter and kind."
 
 
-class Recordings:
+class RecordingsPresenter:
     """Runs have the numbers from 0, newest first; the series of the dataset follow them.
 
     Everything is read on the thread of ``reader``; ``failed`` gets what went wrong there.
@@ -123,14 +128,14 @@ class Recordings:
         self,
         page: ReviewPage,
         runs: Path,
-        reader: Commits,
-        series: Callable[[], list[Series]],
+        reader: SaveWorker,
+        series: Callable[[], list[EpisodeSeries]],
         failed: Callable[[Exception], None],
     ) -> None:
         self._page, self._runs, self._reader = page, runs, reader
         self._read_series, self._failed = series, failed
         self.folders: list[Path] = []
-        self.series: list[Series] = []
+        self.series: list[EpisodeSeries] = []
         self._titles: list[str] = []
         self._described: dict[Path, tuple[int, str]] = {}
         """Of a run: how long its journal was when it was described, and how."""
@@ -185,7 +190,7 @@ class Recordings:
         self._to_describe.insert(0, self.folders[at])
         self._describe_next()
 
-    def _list(self, folders: list[Path], titles: list[str], series: list[Series]) -> None:
+    def _list(self, folders: list[Path], titles: list[str], series: list[EpisodeSeries]) -> None:
         chosen = self._page.runs.current
         before: list[Path | str] = [*self.folders, *(one.name for one in self.series)]
         self.folders, self._titles, self.series = folders, titles, series
@@ -212,7 +217,7 @@ class Recordings:
         self._describe_next()
         self._say_what_is_there()
 
-    def _take_series(self, series: list[Series]) -> None:
+    def _take_series(self, series: list[EpisodeSeries]) -> None:
         self._awaited -= 1
         # The library hands out the same list as long as nothing changed.
         if series is not self.series:
@@ -280,33 +285,33 @@ def _described(folder: Path, known: tuple[int, str]) -> tuple[int, str]:
     """Return length of a journal and what its run was; ``known`` if it is as long as then."""
     try:
         size = (folder / EVENT_LOG_NAME).stat().st_size
-        return known if size == known[0] else (size, read_run_line(folder).text())
+        return known if size == known[0] else (size, read_run_summary(folder).text())
     except (InputError, OSError):
         return UNREAD, CANNOT
 
 
-class Library:
+class ReviewDataset:
     """Opens the dataset ``folder`` once there is one. All calls but ``catalogue`` on one thread."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._dataset: Dataset | None = None
-        self._models: Prelabeller | None = None
-        self._series: list[Series] = []
+        self._models: ModelPrelabeller | None = None
+        self._series: list[EpisodeSeries] = []
 
     @cached_property
     def catalogue(self) -> PieceLibrary:
         """The pieces."""
         return load_pieces()
 
-    def series(self) -> list[Series]:
+    def series(self) -> list[EpisodeSeries]:
         """Return the series of the dataset, newest first; none where there is no dataset.
 
         The very same list while nothing changed: nobody has to compare thousands of episodes.
         """
         if self._dataset is None and not (self.folder / DESCRIPTION).is_file():
             return self._series
-        found = series_of(self._opened())
+        found = list_series(self._opened())
         if found != self._series:
             self._series = found
         return self._series
@@ -314,15 +319,15 @@ class Library:
     def episode(self, uuid: str) -> StoredEpisode:
         """Read one episode; raises ``InputError`` naming a damaged file."""
         if self._models is None:
-            self._models = Prelabeller(self.catalogue, model_of)
+            self._models = ModelPrelabeller(self.catalogue, model_path_in_use)
         dataset = self._opened()
-        return read_stored(dataset, self._models, self.catalogue, dataset.entry(uuid))
+        return read_stored_episode(dataset, self._models, self.catalogue, dataset.entry(uuid))
 
     def table(self, uuids: Sequence[str]) -> str:
         """Return the table of these episodes, one line each; one that cannot be read has none."""
-        return table_of(self._numbered(uuids))
+        return probe_table(self._numbered(uuids))
 
-    def _numbered(self, uuids: Sequence[str]) -> Iterator[tuple[TimedTrial, Outline | None]]:
+    def _numbered(self, uuids: Sequence[str]) -> Iterator[tuple[TrialTimeline, Outline | None]]:
         for number, uuid in enumerate(uuids, start=1):
             try:
                 shown = self.episode(uuid)
@@ -360,11 +365,11 @@ class ReadRun:
 
     folder: Path
     story: RunStory
-    collection: Collection | None
-    trials: list[TimedTrial]
+    collection: CollectedRun | None
+    trials: list[TrialTimeline]
 
 
-class Reading:
+class RunReader:
     """One look at one journal. ``read`` is called on another thread, all else on the window's."""
 
     def __init__(self, run: Path, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -374,7 +379,7 @@ class Reading:
 
     def read(self) -> ReadRun | None:
         """Return the run, None if it was dropped; raises ``InputError`` or ``OSError``."""
-        lines = _lines(event_log_path(self._run))
+        lines = _line_count(event_log_path(self._run))
         story, facts = RunStory(of_any=True), list[Event]()
         for fact in read_events(self._run):
             if self._dropped:
@@ -382,8 +387,8 @@ class Reading:
             story.take(fact)
             facts.append(fact)
             self._share = min(1.0, len(facts) / lines)
-        collection = collection_of(facts)
-        trials = [] if collection is not None else trials_of(facts)
+        collection = collected_run(facts)
+        trials = [] if collection is not None else split_into_trials(facts)
         return ReadRun(self._run, story, collection, trials)
 
     def drop(self) -> None:
@@ -399,7 +404,7 @@ class Reading:
         return f"{100.0 * share:.0f} % read{left}"
 
 
-def _lines(journal: Path) -> int:
+def _line_count(journal: Path) -> int:
     """Return how many lines a journal has, one at least."""
     with journal.open("rb") as file:
         blocks = iter(lambda: file.read(BLOCK_BYTES), b"")

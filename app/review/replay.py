@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from touchdown.app.review.episodes import Recorded
+from touchdown.app.review.episodes import TrialRecording
 from touchdown.app.review.page import ReviewPage
-from touchdown.app.review.timing import TOUCHING, PatchScore, TimedTrial
-from touchdown.app.shell import TrialStory, no_probe, scene_of, truth_of
+from touchdown.app.review.timing import TOUCHING, PatchScore, TrialTimeline
+from touchdown.app.shell import TrialStory, belief_scene, true_patch_outline, unprobed_scene
 from touchdown.backend.core import FloatArray, Said, TrialFinished
 from touchdown.backend.geometry import Outline
 from touchdown.widgets.plots import NOTHING
@@ -20,7 +20,7 @@ from touchdown.widgets.views import (
     DecisionText,
     TimeScene,
     caption_of,
-    decide_in_words,
+    decision_text,
     latest,
 )
 
@@ -31,13 +31,13 @@ NO_MAP = ("No belief map", "No model has read a probe here.")
 ONE_PROBE = ("No belief map", "The map is fused over a run; one probe alone makes none.")
 
 
-class Replay:
+class ReplayPresenter:
     """Holds the cursor. Every view shows the samples with the greatest time not after it."""
 
     def __init__(self, page: ReviewPage) -> None:
         self._page = page
-        self.trial: TimedTrial | None = None
-        self.recorded = Recorded()
+        self.trial: TrialTimeline | None = None
+        self.recorded = TrialRecording()
         self.cursor_s = 0.0
         self._whole: TrialStory | None = None
         self._faces: tuple[Outline | None, Outline | None] = (None, None)
@@ -59,13 +59,13 @@ class Replay:
 
     def show(
         self,
-        trial: TimedTrial | None,
+        trial: TrialTimeline | None,
         face: Outline | None = None,
         bottom: Outline | None = None,
         told: Sequence[str] = (),
     ) -> None:
         """Show a trial at its end; its signals come later. ``told``: what the whole run said."""
-        self.trial, self.recorded, self._faces = trial, Recorded(), (face, bottom)
+        self.trial, self.recorded, self._faces = trial, TrialRecording(), (face, bottom)
         self._outlines = tuple(  # type: ignore[assignment]
             None if outline is None else outline.polygon(SEGMENTS) for outline in (face, bottom)
         )
@@ -79,9 +79,9 @@ class Replay:
         for view in (self._page.forces, self._page.moments):
             view.show_trace(None, why=why)
         self._show_strip()
-        self.take(Recorded())
+        self.take(TrialRecording())
 
-    def take(self, recorded: Recorded) -> None:
+    def take(self, recorded: TrialRecording) -> None:
         """Take the signals of the trial; the cursor stays unless it is beyond them."""
         self.recorded = recorded
         span = self.span_s
@@ -154,9 +154,9 @@ class Replay:
         return "" if score is None or score.probe != probe else f"\nIoU {score.iou:.2f}"
 
     def _scene(self, story: TrialStory, index: int) -> BeliefScene:
-        scene = scene_of(story, index, *self._outlines)
+        scene = belief_scene(story, index, *self._outlines)
         if scene.truth is None and self._whole is not None:
-            truth = truth_of(self._whole, story.probes[index], *self._outlines)
+            truth = true_patch_outline(self._whole, story.probes[index], *self._outlines)
             scene = BeliefScene(
                 scene.belief, scene.stability, scene.path, scene.step_mm, scene.target_mm,
                 scene.clipped, scene.face, truth,
@@ -181,13 +181,13 @@ class Replay:
         scene, look = self._scene(story, index), story.probes[index]
         page.belief.show_scene(scene)
         page.legend.show_truth(scene.truth is not None)
-        page.decision.show_text(decide_in_words(look.stability, look.action))
+        page.decision.show_text(decision_text(look.stability, look.action))
         count = len(self._whole.probes) if self._whole is not None else 0
         page.belief_panel.detail.setText(f"probe {look.probe} of {count}")
-        page.estimate.setText(score_words(self.score()))
+        page.estimate.setText(patch_score_text(self.score()))
         page.strip.mark(index)
 
-    def _show_single(self, trial: TimedTrial) -> None:
+    def _show_single(self, trial: TrialTimeline) -> None:
         """Say what a probe felt that belongs to no stacking run."""
         patch = trial.patch(self.cursor_s)
         assert patch is not None
@@ -203,7 +203,7 @@ class Replay:
         if whole is None:
             scene, text = BeliefScene(empty=("No belief map", "")), NO_RECORDING
         elif whole.probes or whole.finished is not None:
-            scene = BeliefScene() if whole.probes else no_probe(whole)
+            scene = BeliefScene() if whole.probes else unprobed_scene(whole)
             text = DecisionText("No probe", "", "", _ending(story))
         else:
             scene, text = BeliefScene(empty=NO_MAP), NO_READING
@@ -228,7 +228,7 @@ def _ending(story: TrialStory | None) -> str:
     return story.finished.reason
 
 
-def score_words(score: PatchScore | None) -> str:
+def patch_score_text(score: PatchScore | None) -> str:
     """Write an estimate against the truth."""
     if score is None:
         return "Estimate against truth: not known here."

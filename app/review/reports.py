@@ -15,8 +15,8 @@ from PySide6.QtGui import QImage, QPainter
 from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import QFileDialog, QWidget
 
-from touchdown.app.review.exports import open_outside
-from touchdown.app.shell import Commits, Desk
+from touchdown.app.review.exports import open_in_viewer
+from touchdown.app.shell import SaveWorker, WorkspaceContext
 from touchdown.backend.core import InputError, write_atomically
 from touchdown.backend.experiments import (
     BLUE,
@@ -35,38 +35,40 @@ from touchdown.backend.experiments import (
 from touchdown.widgets.base import Tokens, label
 from touchdown.widgets.shell import CardText
 from touchdown.widgets.views import (
-    CellLook,
-    Flow,
+    FlowWidget,
     PictureCard,
+    ReportCell,
     ReportGrid,
     ReportIntents,
     ReportSheet,
 )
 
-USUAL_PX = 220, 220
+DEFAULT_SIZE_PX = 220, 220
 NAMESPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
 
 
-def size_of(svg: str) -> tuple[int, int]:
+def drawing_size(svg: str) -> tuple[int, int]:
     """Return width and height of a drawing as it says them, px."""
     found = [re.search(rf'<svg [^>]*\b{name}="(\d+)"', svg) for name in ("width", "height")]
     width, height = (None if one is None else int(one[1]) for one in found)
-    return (width, height) if width and height else USUAL_PX
+    return (width, height) if width and height else DEFAULT_SIZE_PX
 
 
-def drawn(svg: str, ratio: float, tokens: Tokens) -> QImage:
+def render_drawing(svg: str, ratio: float, tokens: Tokens) -> QImage:
     """Return a drawing at ``ratio`` device pixels a pixel; callable on any thread."""
-    width, height = size_of(svg)
+    width, height = drawing_size(svg)
     image = QImage(round(width * ratio), round(height * ratio), QImage.Format.Format_ARGB32)
     image.setDevicePixelRatio(ratio)
     image.fill(Qt.GlobalColor.transparent)
     painter = QPainter(image)
-    QSvgRenderer(in_colours(svg, tokens).encode()).render(painter, QRectF(0, 0, width, height))
+    QSvgRenderer(recolour_drawing(svg, tokens).encode()).render(
+        painter, QRectF(0, 0, width, height)
+    )
     painter.end()
     return image
 
 
-def in_colours(svg: str, tokens: Tokens) -> str:
+def recolour_drawing(svg: str, tokens: Tokens) -> str:
     """Return a chart in the colours of a theme, with the names that Qt looks for."""
     for own, theirs in (
         (INK, tokens.text),
@@ -84,10 +86,12 @@ USUAL = Path("output/experiment")
 JOBS = "jobs"
 
 
-class Reports:
+class ReportsPresenter:
     """``window`` is what the sheet stands over, ``reader`` the thread; ``exports`` takes pages."""
 
-    def __init__(self, window: QWidget, desk: Desk, reader: Commits, exports: Path) -> None:
+    def __init__(
+        self, window: QWidget, desk: WorkspaceContext, reader: SaveWorker, exports: Path
+    ) -> None:
         self._window, self._desk, self._reader, self._exports = window, desk, reader, exports
         self.sheet: ReportSheet | None = None
         self.report: Report | None = None
@@ -184,7 +188,7 @@ class Reports:
             if number < len(cards):
                 svg = cards[number][0].svg
                 self._reader.submit(
-                    lambda: drawn(svg, ratio, tokens),
+                    lambda: render_drawing(svg, ratio, tokens),
                     lambda image: take(number, image),
                     self._failed,
                 )
@@ -218,7 +222,7 @@ class Reports:
     def _open_folder(self) -> None:
         folder = None if self._entry is None else self._folder(self._entry)
         if folder is not None:
-            self._desk.say(open_outside(folder))
+            self._desk.say(open_in_viewer(folder))
 
     def _open_in_browser(self) -> None:
         """Open the page that lies beside the file, made here where there is none."""
@@ -233,7 +237,7 @@ class Reports:
             write_atomically(made, report_page(report).encode())
             return made
 
-        self._reader.submit(there, lambda path: self._desk.say(open_outside(path)), self._failed)
+        self._reader.submit(there, lambda path: self._desk.say(open_in_viewer(path)), self._failed)
 
     def _failed(self, error: Exception) -> None:
         bad = error if isinstance(error, InputError) else None
@@ -242,9 +246,9 @@ class Reports:
         self._desk.cards.show_card(CardText("REPORT", what, where, fix, reset=False))
 
 
-def _look(entry: TableEntry) -> CellLook:
+def _look(entry: TableEntry) -> ReportCell:
     interval = (entry.interval,) if entry.interval else ()
-    return CellLook(entry.value, (*interval, *entry.notes), entry.trace)
+    return ReportCell(entry.value, (*interval, *entry.notes), entry.trace)
 
 
 def _gallery(
@@ -253,17 +257,19 @@ def _gallery(
     """Return the widgets of a gallery; its cards are added to those that are to be drawn."""
     made: list[QWidget] = [label(gallery.text, "muted", wrap=True)] if gallery.text else []
     own = [
-        PictureCard(p.title, p.note, p.title or gallery.title or "Chart", QSize(*size_of(p.svg)))
+        PictureCard(
+            p.title, p.note, p.title or gallery.title or "Chart", QSize(*drawing_size(p.svg))
+        )
         for p in gallery.pictures
     ]
     cards += list(zip(gallery.pictures, own, strict=True))
-    made.append(Flow(own))
+    made.append(FlowWidget(own))
     if gallery.end:
         made.append(label(gallery.end, wrap=True))
     return made
 
 
-STYLE = """
+REPORT_STYLE = """
 body { font: 15px/1.5 sans-serif; margin: 2em auto; max-width: 1200px; padding: 0 1em; }
 img { max-width: 100%; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
@@ -271,7 +277,7 @@ th, td { border-bottom: 1px solid #bbb; padding: 3px 10px; text-align: left; }
 """
 
 
-def report_of(caption: str, facts: str, picture: bytes, table: str) -> str:
+def report_html(caption: str, facts: str, picture: bytes, table: str) -> str:
     """Return the page: ``caption``, ``facts`` line by line, a PNG, and a table given as CSV."""
     rows = list(csv.reader(io.StringIO(table)))
     head = "".join(f"<th>{escape(name)}</th>" for name in rows[0])
@@ -281,7 +287,7 @@ def report_of(caption: str, facts: str, picture: bytes, table: str) -> str:
     said = "<br>\n".join(escape(line) for line in facts.splitlines())
     return (
         f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8">'
-        f"<title>{escape(caption)}</title><style>{STYLE}</style></head>\n<body>\n"
+        f"<title>{escape(caption)}</title><style>{REPORT_STYLE}</style></head>\n<body>\n"
         f"<h1>{escape(caption)}</h1>\n<p>{said}</p>\n"
         f'<img alt="{escape(caption)}" src="data:image/png;base64,{b64encode(picture).decode()}">\n'
         f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>\n"

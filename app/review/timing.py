@@ -24,7 +24,7 @@ from touchdown.backend.core import (
     TrialStarted,
 )
 from touchdown.backend.geometry import Outline
-from touchdown.widgets.views import Mark
+from touchdown.widgets.views import TimeMark
 
 TOUCHING = 0.5
 """A point is said to touch above this probability."""
@@ -40,18 +40,18 @@ class PatchScore:
 
 
 @dataclass(frozen=True, slots=True)
-class TimedTrial:
+class TrialTimeline:
     """Facts of one trial, ``head`` of its run first; the bench clock starts with each trial."""
 
     head: RunStarted
     facts: tuple[Event, ...]
 
-    def numbered(self, number: int) -> TimedTrial:
+    def numbered(self, number: int) -> TrialTimeline:
         """Return the trial as number ``number`` of several."""
         first, *others = self.facts
         if isinstance(first, TrialStarted):
             first = replace(first, trial=number)
-        return TimedTrial(self.head, (first, *others))
+        return TrialTimeline(self.head, (first, *others))
 
     @property
     def times_s(self) -> FloatArray:
@@ -86,19 +86,21 @@ class TimedTrial:
         times = [f.t_s for f in self.facts if isinstance(f, known) and f.probe == probe]
         return max(times) if times else float(self.times_s[-1])
 
-    def marks(self) -> tuple[Mark, ...]:
+    def marks(self) -> tuple[TimeMark, ...]:
         """Return what happened: probes, decisions, release and outcome."""
-        marks: list[Mark] = []
+        marks: list[TimeMark] = []
         for fact in self.facts:
             if isinstance(fact, PhaseEntered):
                 press = fact.phase == "press"
-                marks.append(Mark(fact.t_s, f"probe {fact.probe}" if press else fact.phase, press))
+                marks.append(
+                    TimeMark(fact.t_s, f"probe {fact.probe}" if press else fact.phase, press)
+                )
             elif isinstance(fact, ActionChosen):
-                marks.append(Mark(fact.t_s, fact.action.kind.replace("_", " "), strong=True))
+                marks.append(TimeMark(fact.t_s, fact.action.kind.replace("_", " "), strong=True))
             elif isinstance(fact, Released):
-                marks.append(Mark(fact.t_s, "let go", strong=True))
+                marks.append(TimeMark(fact.t_s, "let go", strong=True))
             elif isinstance(fact, TrialFinished):
-                marks.append(Mark(fact.t_s, fact.outcome.name.lower().replace("_", " "), True))
+                marks.append(TimeMark(fact.t_s, fact.outcome.name.lower().replace("_", " "), True))
         return tuple(marks)
 
     def score(self, cursor_s: float, bottom: Outline | None) -> PatchScore | None:
@@ -107,10 +109,10 @@ class TimedTrial:
         shift = whole.frame_shift_mm()
         if patch is None or shift is None or bottom is None:
             return None
-        return score_of(patch.probe, patch.patch, patch.offset_mm, shift, bottom)
+        return patch_score(patch.probe, patch.patch, patch.offset_mm, shift, bottom)
 
 
-def score_of(
+def patch_score(
     probe: int,
     patch: ContactPatch,
     offset_mm: tuple[float, float],
@@ -123,7 +125,7 @@ def score_of(
     return PatchScore(probe, patch_iou(said, real), float(np.mean(said == real)))
 
 
-def trials_of(facts: Iterable[Event]) -> list[TimedTrial]:
+def split_into_trials(facts: Iterable[Event]) -> list[TrialTimeline]:
     """Split the facts of a run into its trials; what comes before the first belongs to none.
 
     A single probe is shown as a trial of its own.
@@ -139,4 +141,4 @@ def trials_of(facts: Iterable[Event]) -> list[TimedTrial]:
             parts.append([fact])
         elif parts:
             parts[-1].append(fact)
-    return [] if head is None else [TimedTrial(head, tuple(part)) for part in parts]
+    return [] if head is None else [TrialTimeline(head, tuple(part)) for part in parts]

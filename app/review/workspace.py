@@ -6,17 +6,23 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from touchdown.app.review.exports import (
+    dated_file_name,
     export_picture,
     export_table,
-    open_outside,
-    picture_of,
-    stamped,
+    open_in_viewer,
+    view_picture,
 )
 from touchdown.app.review.page import ReviewIntents, ReviewPage
 from touchdown.app.review.presenter import ReviewPresenter
-from touchdown.app.review.recordings import Library
-from touchdown.app.review.reports import Reports, export_report, report_of
-from touchdown.app.shell import Command, Commits, Desk, Post, Workspace
+from touchdown.app.review.recordings import ReviewDataset
+from touchdown.app.review.reports import ReportsPresenter, export_report, report_html
+from touchdown.app.shell import (
+    MainThreadQueue,
+    SaveWorker,
+    WindowCommand,
+    Workspace,
+    WorkspaceContext,
+)
 from touchdown.backend.runs import dataset_folder
 from touchdown.widgets.shell import CardText
 
@@ -27,46 +33,46 @@ class ReviewWorkspace(Workspace):
     name, title, key = "review", "Review", "Ctrl+5"
     page: ReviewPage
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: WorkspaceContext) -> None:
         self._desk = desk
         self.exports = desk.runs.parent / "exports"
         self.commands = (
-            Command("refresh", "Look for new recordings", "Ctrl+R",
+            WindowCommand("refresh", "Look for new recordings", "Ctrl+R",
                     lambda: self.presenter.recordings.refresh()),
-            Command("play", "Play from the cursor, or pause (Space)", "", self._play),
-            Command("back", "One sample back", "Left",
+            WindowCommand("play", "Play from the cursor, or pause (Space)", "", self._play),
+            WindowCommand("back", "One sample back", "Left",
                     lambda: self.presenter.replay.step(-1), repeats=True),
-            Command("on", "One sample forward", "Right",
+            WindowCommand("on", "One sample forward", "Right",
                     lambda: self.presenter.replay.step(1), repeats=True),
-            Command("second-back", "One second back", "J", lambda: self.presenter.replay.jump(-1.0),
+            WindowCommand("second-back", "One second back", "J", lambda: self.presenter.replay.jump(-1.0),
                     repeats=True),
-            Command("second-on", "One second forward", "L", lambda: self.presenter.replay.jump(1.0),
+            WindowCommand("second-on", "One second forward", "L", lambda: self.presenter.replay.jump(1.0),
                     repeats=True),
-            Command("filter", "Filter the recordings", "/",
+            WindowCommand("filter", "Filter the recordings", "/",
                     lambda: self.page.filter.setFocus()),
-            Command("picture", "Export what is shown as PNG and SVG", "Ctrl+E", self._picture),
-            Command("table", "Export the probes as CSV", "Ctrl+Shift+E", self._table),
-            Command("report", "Export picture and probes as one HTML page", "", self._report),
-            Command("cancel", "Read a long run no further", "Esc",
+            WindowCommand("picture", "Export what is shown as PNG and SVG", "Ctrl+E", self._picture),
+            WindowCommand("table", "Export the probes as CSV", "Ctrl+Shift+E", self._table),
+            WindowCommand("report", "Export picture and probes as one HTML page", "", self._report),
+            WindowCommand("cancel", "Read a long run no further", "Esc",
                     lambda: self.presenter.cancel_reading()),
-            Command("experiments", "Open a report of experiments", "Ctrl+Shift+O",
+            WindowCommand("experiments", "Open a report of experiments", "Ctrl+Shift+O",
                     lambda: self.reports.ask()),
-            Command("viewer", "Open the file outside", "Ctrl+O", self._open_outside),
+            WindowCommand("viewer", "Open the file outside", "Ctrl+O", self._open_outside),
         )  # fmt: skip
 
     def build(self) -> Iterator[None]:
         """Make the page, and the thread that reads for it."""
         self.page = ReviewPage(self._desk.theme, self._intents())
         yield
-        self.post = Post(self.page)
-        self.reader = Commits(self.post, "review-reader")
-        self.library = Library(dataset_folder())
+        self.post = MainThreadQueue(self.page)
+        self.reader = SaveWorker(self.post, "review-reader")
+        self.library = ReviewDataset(dataset_folder())
         self.presenter = ReviewPresenter(
             self.page, self._desk.runs, self._desk.cards, self.reader, self.library
         )
         self.parts = (self.presenter.draw,)
 
-        self.reports = Reports(self.page, self._desk, self.reader, self.exports)
+        self.reports = ReportsPresenter(self.page, self._desk, self.reader, self.exports)
 
     def enter(self) -> None:
         """Look for recordings that came since."""
@@ -115,7 +121,10 @@ class ReviewWorkspace(Workspace):
         if self.presenter.file is None:
             self._desk.say("Nothing is chosen that could be pictured.")
             return
-        name, caption = stamped(f"review-{self.presenter.replay.cursor_s:.2f}s"), self._caption()
+        name, caption = (
+            dated_file_name(f"review-{self.presenter.replay.cursor_s:.2f}s"),
+            self._caption(),
+        )
         self._export(
             lambda: export_picture(self.page.shown, self._desk.theme, self.exports, name, caption)[
                 0
@@ -128,7 +137,7 @@ class ReviewWorkspace(Workspace):
 
     def _table(self) -> None:
         def write(text: str) -> None:
-            self._export(lambda: export_table(text, self.exports, stamped("probes")))
+            self._export(lambda: export_table(text, self.exports, dated_file_name("probes")))
 
         if not self.presenter.make_table(write):
             self._desk.say("Nothing is chosen that could be written as a table.")
@@ -138,18 +147,18 @@ class ReviewWorkspace(Workspace):
             self._desk.say("Nothing is chosen that could be reported.")
             return
         # The picture is taken now: by the time that the table is there something else may be shown.
-        name, caption, facts = stamped("review"), self._caption(), self.page.score.words
-        picture = picture_of(self.page.shown, self._desk.theme, caption)
+        name, caption, facts = dated_file_name("review"), self._caption(), self.page.score.words
+        picture = view_picture(self.page.shown, self._desk.theme, caption)
 
         def write(table: str) -> None:
-            text = report_of(caption, facts, picture, table)
+            text = report_html(caption, facts, picture, table)
             self._export(lambda: export_report(text, self.exports, name))
 
         self.presenter.make_table(write)
 
     def _open_outside(self) -> None:
         if self.presenter.file is not None:
-            self._desk.say(open_outside(self.presenter.file))
+            self._desk.say(open_in_viewer(self.presenter.file))
         else:
             self._desk.say("Nothing is chosen that could be opened.")
 

@@ -1,157 +1,157 @@
-from .actions import Actions as Actions
-from .actions import DeskDialogs as DeskDialogs
-from .actions import StopKey as StopKey
-from .actions import portable as portable
-from .actions import rows_of as rows_of
-from .actions import typing as typing
-from .activity import ACTIVE as ACTIVE
-from .activity import InspectPresenter as InspectPresenter
-from .activity import busy as busy
-from .activity import moving as moving
-from .activity import not_set as not_set
-from .activity import why_no_run as why_no_run
-from .bench_link import Link as Link
+from .actions import ActionRegistry as ActionRegistry
+from .actions import CommandDialogs as CommandDialogs
+from .actions import StopKeyFilter as StopKeyFilter
+from .actions import is_typing as is_typing
+from .actions import key_bindings as key_bindings
+from .actions import portable_key as portable_key
+from .activity import ACTIVE_STATES as ACTIVE_STATES
+from .activity import DeviceInspectorPresenter as DeviceInspectorPresenter
+from .activity import is_run_active as is_run_active
+from .activity import may_be_moving as may_be_moving
+from .activity import missing_scene_reason as missing_scene_reason
+from .activity import start_obstacle as start_obstacle
+from .bench_link import BenchLink as BenchLink
 from .bench_text import QuestionRow as QuestionRow
-from .bench_text import model_words as model_words
-from .bench_text import scene_words as scene_words
-from .bench_text import words_of as words_of
-from .cards import Closing as Closing
-from .cards import clock as clock
-from .cards import end_for_sure as end_for_sure
-from .cards import note as note
+from .bench_text import bench_caption as bench_caption
+from .bench_text import run_model_caption as run_model_caption
+from .bench_text import scene_model_caption as scene_model_caption
+from .cards import CloseConfirmation as CloseConfirmation
+from .cards import exit_after_timeout as exit_after_timeout
+from .cards import log_event as log_event
 from .cards import refusal_card as refusal_card
+from .cards import show_event as show_event
 from .cards import stopped_card as stopped_card
-from .cards import tell as tell
-from .datasets import Opened as Opened
-from .datasets import Prelabeller as Prelabeller
-from .datasets import model_of as model_of
-from .datasets import opener as opener
+from .cards import time_of_day as time_of_day
+from .datasets import ModelPrelabeller as ModelPrelabeller
+from .datasets import OpenedDataset as OpenedDataset
+from .datasets import dataset_opener as dataset_opener
+from .datasets import model_path_in_use as model_path_in_use
 from .errors import ErrorBox as ErrorBox
-from .errors import install as install
+from .errors import install_error_hooks as install_error_hooks
 from .errors import log as log
 from .errors import log_to as log_to
 from .label_items import CURSOR_S as CURSOR_S
-from .label_items import Edit as Edit
+from .label_items import LabelDraft as LabelDraft
 from .label_items import LabelItem as LabelItem
-from .label_items import Prelabel as Prelabel
-from .label_items import Sheets as Sheets
-from .label_items import as_pair as as_pair
-from .label_items import parse as parse
-from .label_items import reader as reader
-from .label_items import shots_of as shots_of
+from .label_items import LabelSheets as LabelSheets
+from .label_items import PrelabelFunction as PrelabelFunction
+from .label_items import as_float_pair as as_float_pair
+from .label_items import item_reader as item_reader
+from .label_items import parse_displacement as parse_displacement
+from .label_items import scene_shots as scene_shots
 from .layouts import LayoutMenu as LayoutMenu
-from .layouts import Layouts as Layouts
+from .layouts import LayoutsPresenter as LayoutsPresenter
 from .live import LivePage as LivePage
 from .live import LivePresenter as LivePresenter
 from .live import LiveViews as LiveViews
-from .live import column as column
-from .live import no_higher as no_higher
-from .run_story import ProbeLook as ProbeLook
+from .live import column_of as column_of
+from .live import limit_height as limit_height
+from .run_story import ProbeStory as ProbeStory
 from .run_story import RunStory as RunStory
 from .run_story import TrialStory as TrialStory
-from .run_story import no_probe as no_probe
-from .run_story import outlines as outlines
-from .run_story import scene_of as scene_of
-from .run_story import score_of as score_of
-from .run_story import truth_of as truth_of
-from .saving import Commits as Commits
-from .saving import Intent as Intent
-from .saving import Post as Post
-from .saving import Saving as Saving
+from .run_story import belief_scene as belief_scene
+from .run_story import face_outlines as face_outlines
+from .run_story import run_score as run_score
+from .run_story import true_patch_outline as true_patch_outline
+from .run_story import unprobed_scene as unprobed_scene
+from .saving import MainThreadQueue as MainThreadQueue
+from .saving import SaveAction as SaveAction
+from .saving import SaveQueue as SaveQueue
+from .saving import SaveWorker as SaveWorker
 from .settings import WindowSettings as WindowSettings
 from .settings import ignored_words as ignored_words
 from .settings import load_settings as load_settings
 from .settings import save_settings as save_settings
 from .settings import settings_path as settings_path
-from .top_bar import ChipsPresenter as ChipsPresenter
+from .top_bar import DeviceChipsPresenter as DeviceChipsPresenter
 from .top_bar import ServoSwitch as ServoSwitch
 from .top_bar import SpeedOverride as SpeedOverride
-from .top_bar import pill_of as pill_of
+from .top_bar import pill_state as pill_state
 from .window import USUAL as USUAL
 from .window import Appearance as Appearance
 from .window import MainWindow as MainWindow
-from .window import pulled_back as pulled_back
-from .workspace import Command as Command
-from .workspace import Desk as Desk
+from .window import move_on_screen as move_on_screen
 from .workspace import Memory as Memory
+from .workspace import WindowCommand as WindowCommand
 from .workspace import Workspace as Workspace
+from .workspace import WorkspaceContext as WorkspaceContext
 
 __all__ = [
-    "ACTIVE",
+    "ACTIVE_STATES",
     "CURSOR_S",
     "USUAL",
-    "Actions",
+    "ActionRegistry",
     "Appearance",
-    "ChipsPresenter",
-    "Closing",
-    "Command",
-    "Commits",
-    "Desk",
-    "DeskDialogs",
-    "Edit",
+    "BenchLink",
+    "CloseConfirmation",
+    "CommandDialogs",
+    "DeviceChipsPresenter",
+    "DeviceInspectorPresenter",
     "ErrorBox",
-    "InspectPresenter",
-    "Intent",
+    "LabelDraft",
     "LabelItem",
+    "LabelSheets",
     "LayoutMenu",
-    "Layouts",
-    "Link",
+    "LayoutsPresenter",
     "LivePage",
     "LivePresenter",
     "LiveViews",
+    "MainThreadQueue",
     "MainWindow",
     "Memory",
-    "Opened",
-    "Post",
-    "Prelabel",
-    "Prelabeller",
-    "ProbeLook",
+    "ModelPrelabeller",
+    "OpenedDataset",
+    "PrelabelFunction",
+    "ProbeStory",
     "QuestionRow",
     "RunStory",
-    "Saving",
+    "SaveAction",
+    "SaveQueue",
+    "SaveWorker",
     "ServoSwitch",
-    "Sheets",
     "SpeedOverride",
-    "StopKey",
+    "StopKeyFilter",
     "TrialStory",
+    "WindowCommand",
     "WindowSettings",
     "Workspace",
-    "as_pair",
-    "busy",
-    "clock",
-    "column",
-    "end_for_sure",
+    "WorkspaceContext",
+    "as_float_pair",
+    "belief_scene",
+    "bench_caption",
+    "column_of",
+    "dataset_opener",
+    "exit_after_timeout",
+    "face_outlines",
     "ignored_words",
-    "install",
+    "install_error_hooks",
+    "is_run_active",
+    "is_typing",
+    "item_reader",
+    "key_bindings",
+    "limit_height",
     "load_settings",
     "log",
+    "log_event",
     "log_to",
-    "model_of",
-    "model_words",
-    "moving",
-    "no_higher",
-    "no_probe",
-    "not_set",
-    "note",
-    "opener",
-    "outlines",
-    "parse",
-    "pill_of",
-    "portable",
-    "pulled_back",
-    "reader",
+    "may_be_moving",
+    "missing_scene_reason",
+    "model_path_in_use",
+    "move_on_screen",
+    "parse_displacement",
+    "pill_state",
+    "portable_key",
     "refusal_card",
-    "rows_of",
+    "run_model_caption",
+    "run_score",
     "save_settings",
-    "scene_of",
-    "scene_words",
-    "score_of",
+    "scene_model_caption",
+    "scene_shots",
     "settings_path",
-    "shots_of",
+    "show_event",
+    "start_obstacle",
     "stopped_card",
-    "tell",
-    "truth_of",
-    "typing",
-    "why_no_run",
-    "words_of",
+    "time_of_day",
+    "true_patch_outline",
+    "unprobed_scene",
 ]

@@ -18,28 +18,28 @@ from PySide6.QtWidgets import (
 )
 
 from touchdown.app.shell.layouts import Entry
-from touchdown.app.shell.workspace import Command, Workspace
+from touchdown.app.shell.workspace import WindowCommand, Workspace
 from touchdown.widgets.forms import BESIDE
-from touchdown.widgets.shell import Choice, CommandPalette, KeyAsker, KeySheet
+from touchdown.widgets.shell import CommandPalette, KeyDialog, KeySheet, PaletteEntry
 
-EVERYWHERE = ""
-STOP_ROWS: tuple[tuple[str, str], ...] = (
+EVERYWHERE_CONTEXT = ""
+STOP_BINDINGS: tuple[tuple[str, str], ...] = (
     ("F12", "STOP motion (software), always"),
     ("Space", "STOP motion while something moves and no text field has the focus"),
 )
-_FIRM = (Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.AltModifier,
+_FIXED_KEYS = (Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.AltModifier,
          Qt.KeyboardModifier.MetaModifier)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class KeyBinding:
     """One key in one context ("" is everywhere); ``command`` is None for a key that is held."""
 
     context: str
     title: str
     key: str
     text: str
-    command: Command | None = None
+    command: WindowCommand | None = None
 
     @property
     def id(self) -> str:
@@ -48,63 +48,67 @@ class Row:
         return f"{self.context}.{name}" if self.context else name
 
 
-def rows_of(frame: Sequence[Command], workspaces: Iterable[Workspace]) -> list[Row]:
+def key_bindings(
+    frame: Sequence[WindowCommand], workspaces: Iterable[Workspace]
+) -> list[KeyBinding]:
     """Return all rows: those of everywhere first, then workspace by workspace."""
-    rows = [Row(EVERYWHERE, "Everywhere", key, text) for key, text in STOP_ROWS]
-    rows += [Row(EVERYWHERE, "Everywhere", c.key, c.text, c) for c in frame]
+    rows = [KeyBinding(EVERYWHERE_CONTEXT, "Everywhere", key, text) for key, text in STOP_BINDINGS]
+    rows += [KeyBinding(EVERYWHERE_CONTEXT, "Everywhere", c.key, c.text, c) for c in frame]
     for ws in workspaces:
-        rows += [Row(ws.name, ws.title, c.key, c.text, c) for c in ws.commands]
-        rows += [Row(ws.name, ws.title, key, text) for key, text in ws.held_keys]
+        rows += [KeyBinding(ws.name, ws.title, c.key, c.text, c) for c in ws.commands]
+        rows += [KeyBinding(ws.name, ws.title, key, text) for key, text in ws.held_keys]
     return rows
 
 
-def remapped(rows: Sequence[Row], changed: Mapping[str, str]) -> tuple[list[Row], list[str]]:
+def remap_keys(
+    rows: Sequence[KeyBinding], changed: Mapping[str, str]
+) -> tuple[list[KeyBinding], list[str]]:
     """Return rows with the remembered keys, and the ids whose key could not be had."""
     kept, refused = list(rows), []
     for name, key in changed.items():
-        if refusal(kept, name, key):
+        if key_refusal(kept, name, key):
             refused.append(name)
         else:
             kept = [_with_key(row, key) if row.id == name else row for row in kept]
     return kept, refused
 
 
-def refusal(rows: Sequence[Row], name: str, key: str) -> str:
+def key_refusal(rows: Sequence[KeyBinding], name: str, key: str) -> str:
     """Return "" if command ``name`` may have ``key`` ("" takes its key away), else the reason."""
     own = next((row for row in rows if row.id == name and row.command is not None), None)
     if own is None:
         return f"There is no command '{name}'."
     if not key:
         return ""
-    wanted = portable(key)
+    wanted = portable_key(key)
     if not wanted:
         return f"'{key}' is no key."
     for row in rows:
-        meets = EVERYWHERE in (row.context, own.context) or row.context == own.context
-        if row is not own and meets and portable(row.key) == wanted:
+        meets = EVERYWHERE_CONTEXT in (row.context, own.context) or row.context == own.context
+        if row is not own and meets and portable_key(row.key) == wanted:
             return f"{wanted} already means '{row.text}' ({row.title})."
     return ""
 
 
-def portable(key: str) -> str:
+def portable_key(key: str) -> str:
     """Return the one spelling of a key, "" if it is none."""
     sequence = QKeySequence(key)
-    pressed = _pressed(sequence)
+    pressed = _pressed_key(sequence)
     if pressed is None or sequence.count() > 1 or pressed.key() is Qt.Key.Key_unknown:
         return ""
     return sequence.toString(QKeySequence.SequenceFormat.PortableText)
 
 
-def plain(key: str) -> bool:
+def is_plain_key(key: str) -> bool:
     """Whether a key would also be typed into a text field."""
-    pressed = _pressed(QKeySequence(key))
+    pressed = _pressed_key(QKeySequence(key))
     if pressed is None:
         return False
-    firm = any(pressed.keyboardModifiers() & modifier for modifier in _FIRM)
+    firm = any(pressed.keyboardModifiers() & modifier for modifier in _FIXED_KEYS)
     return not firm and not Qt.Key.Key_F1 <= pressed.key() <= Qt.Key.Key_F35
 
 
-def _pressed(sequence: QKeySequence) -> QKeyCombination | None:
+def _pressed_key(sequence: QKeySequence) -> QKeyCombination | None:
     """Return the first key of a sequence."""
     if not sequence.count():
         return None
@@ -112,14 +116,14 @@ def _pressed(sequence: QKeySequence) -> QKeyCombination | None:
     return first
 
 
-def _with_key(row: Row, key: str) -> Row:
-    return Row(row.context, row.title, portable(key), row.text, row.command)
+def _with_key(row: KeyBinding, key: str) -> KeyBinding:
+    return KeyBinding(row.context, row.title, portable_key(key), row.text, row.command)
 
 
 _PRESSED = frozenset({QEvent.Type.ShortcutOverride, QEvent.Type.KeyPress})
 
 
-class StopKey(QObject):
+class StopKeyFilter(QObject):
     """Event filter of the application; ``stop`` must return at once."""
 
     def __init__(
@@ -145,10 +149,10 @@ class StopKey(QObject):
     def _wanted(self, key: int) -> bool:
         if key == Qt.Key.Key_F12:
             return True
-        return key == Qt.Key.Key_Space and self._moving() and not typing()
+        return key == Qt.Key.Key_Space and self._moving() and not is_typing()
 
 
-def typing() -> bool:
+def is_typing() -> bool:
     """Return whether an editable text field has the focus."""
     focus = QApplication.focusWidget()
     if isinstance(focus, (QLineEdit, QPlainTextEdit)):
@@ -158,15 +162,17 @@ def typing() -> bool:
     return isinstance(focus, QAbstractSpinBox)
 
 
-class Actions:
+class ActionRegistry:
     """One action per row that has a command; keys never clash within a context."""
 
-    def __init__(self, window: QWidget, rows: Sequence[Row], changed: Mapping[str, str]) -> None:
-        self.rows, self.refused = remapped(rows, changed)
+    def __init__(
+        self, window: QWidget, rows: Sequence[KeyBinding], changed: Mapping[str, str]
+    ) -> None:
+        self.rows, self.refused = remap_keys(rows, changed)
         self.changed = {k: v for k, v in changed.items() if k not in self.refused}
         self._first = {row.id: row.key for row in rows}
         self._bound = {
-            row.id: _Bound(window, row, on=row.context == EVERYWHERE)
+            row.id: _BoundCommand(window, row, on=row.context == EVERYWHERE_CONTEXT)
             for row in self.rows
             if row.command is not None
         }
@@ -178,14 +184,14 @@ class Actions:
     def enter(self, context: str) -> None:
         """Switch the keys to the workspace that came to the front."""
         for bound in self._bound.values():
-            bound.action.setEnabled(bound.row.context in (EVERYWHERE, context))
+            bound.action.setEnabled(bound.row.context in (EVERYWHERE_CONTEXT, context))
 
     def change_key(self, name: str, key: str) -> str:
         """Give command ``name`` another key; return "" or why it keeps its own."""
-        reason = refusal(self.rows, name, key)
+        reason = key_refusal(self.rows, name, key)
         if reason:
             return reason
-        self.rows, _ = remapped(self.rows, {name: key})
+        self.rows, _ = remap_keys(self.rows, {name: key})
         bound = self._bound[name]
         bound.take(next(row for row in self.rows if row.id == name))
         if bound.row.key == self._first[name]:
@@ -195,10 +201,10 @@ class Actions:
         return ""
 
 
-class _Bound:
+class _BoundCommand:
     """One command, its action, and the rule for keys that could be typed."""
 
-    def __init__(self, window: QWidget, row: Row, *, on: bool) -> None:
+    def __init__(self, window: QWidget, row: KeyBinding, *, on: bool) -> None:
         assert row.command is not None
         self._run_command = row.command.run
         self.action = QAction(row.text, window)
@@ -209,7 +215,7 @@ class _Bound:
         self.take(row)
         window.addAction(self.action)
 
-    def take(self, row: Row) -> None:
+    def take(self, row: KeyBinding) -> None:
         """Take another key."""
         self.row = row
         self.action.setShortcut(QKeySequence(row.key))
@@ -217,7 +223,7 @@ class _Bound:
         self.action.setToolTip(tip)
 
     def _run(self) -> None:
-        if not (plain(self.row.key) and typing()):
+        if not (is_plain_key(self.row.key) and is_typing()):
             self._run_command()
 
 
@@ -225,11 +231,11 @@ CHANGE, MORE = "key:", "more:"
 """Prefixes of the palette's entries that change a key, and of those that come and go."""
 
 
-class DeskDialogs:
+class CommandDialogs:
     """Made when first needed; none of them is modal."""
 
     def __init__(
-        self, window: QWidget, actions: Actions, go: Callable[[str], None],
+        self, window: QWidget, actions: ActionRegistry, go: Callable[[str], None],
         changed: Callable[[], None],
     ) -> None:  # fmt: skip
         self._window, self._actions, self._go, self._changed = window, actions, go, changed
@@ -238,7 +244,7 @@ class DeskDialogs:
         self._offered: Sequence[Entry] = ()
         self.sheet: KeySheet | None = None
         self.palette: CommandPalette | None = None
-        self.asker: KeyAsker | None = None
+        self.asker: KeyDialog | None = None
 
     def show_keys(self) -> None:
         """Show all keys as they are now."""
@@ -252,29 +258,31 @@ class DeskDialogs:
             self.palette = CommandPalette(self._window, self._chosen)
         self.palette.open_with(self._choices())
 
-    def _choices(self) -> list[Choice]:
+    def _choices(self) -> list[PaletteEntry]:
         rows = [row for row in self._actions.rows if row.command is not None]
-        acts = [Choice(row.id, row.title, row.text, row.key) for row in rows]
+        acts = [PaletteEntry(row.id, row.title, row.text, row.key) for row in rows]
         self._offered = self.more()
         acts += [
-            Choice(f"{MORE}{at}", "Here", text, "") for at, (text, _) in enumerate(self._offered)
+            PaletteEntry(f"{MORE}{at}", "Here", text, "")
+            for at, (text, _) in enumerate(self._offered)
         ]
         return acts + [
-            Choice(CHANGE + row.id, row.title, f"Change key of: {row.text}", "") for row in rows
+            PaletteEntry(CHANGE + row.id, row.title, f"Change key of: {row.text}", "")
+            for row in rows
         ]
 
     def _chosen(self, name: str) -> None:
         if name.startswith(CHANGE):
             row = self._row(name.removeprefix(CHANGE))
             if self.asker is None:
-                self.asker = KeyAsker(self._window)
+                self.asker = KeyDialog(self._window)
             self.asker.ask(row.text, row.key, partial(self._change, row.id))
             return
         if name.startswith(MORE):
             self._offered[int(name.removeprefix(MORE))][1]()
             return
         row = self._row(name)
-        if row.context != EVERYWHERE:
+        if row.context != EVERYWHERE_CONTEXT:
             self._go(row.context)
         self._actions.action(name).trigger()
 
@@ -284,5 +292,5 @@ class DeskDialogs:
             self._changed()
         return reason
 
-    def _row(self, name: str) -> Row:
+    def _row(self, name: str) -> KeyBinding:
         return next(row for row in self._actions.rows if row.id == name)

@@ -8,38 +8,38 @@ from functools import partial
 from PySide6.QtCore import QPoint
 from PySide6.QtWidgets import QWidget
 
-from touchdown.app.shell.bench_link import Link
+from touchdown.app.shell.bench_link import BenchLink
 from touchdown.backend.core import FaultError, Refused, Said
 from touchdown.backend.devices import NAMES, Device, RobotMode
 from touchdown.backend.rig import reconnect
 from touchdown.backend.runs import RunState
 from touchdown.widgets.shell import CHIPS, DeviceInspector, TopBar
 
-LASTING_S = 1.0
+DEGRADED_DELAY_S = 1.0
 """A sensor that is degraded for so long keeps the start of a run disabled."""
-ACTIVE = frozenset(
+ACTIVE_STATES = frozenset(
     {RunState.PREPARING, RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.CANCELLING,
      RunState.FINISHING}
 )  # fmt: skip
-MOVING = ACTIVE - {RunState.PAUSED}
+MOVING_STATES = ACTIVE_STATES - {RunState.PAUSED}
 
 
-def busy(link: Link) -> bool:
+def is_run_active(link: BenchLink) -> bool:
     """Whether a run is active."""
-    return link.status().state in ACTIVE
+    return link.status().state in ACTIVE_STATES
 
 
-def moving(link: Link) -> bool:
+def may_be_moving(link: BenchLink) -> bool:
     """Whether something may be moving (Space then means STOP)."""
     status = link.status()
-    if status.state in MOVING and status.awaiting is None and not status.asks:
+    if status.state in MOVING_STATES and status.awaiting is None and not status.asks:
         return True
     arm = link.devices.get("arm")
     mode = getattr(arm, "status", None)
     return mode is not None and mode().robot_mode is RobotMode.MOVING
 
 
-def not_set(link: Link) -> str:
+def missing_scene_reason(link: BenchLink) -> str:
     """Return why there is no scene to move in, "" where that does not matter."""
     if link.connection is not None:
         if link.connection.busy:
@@ -48,19 +48,19 @@ def not_set(link: Link) -> str:
     return "" if link.devices else "The bench is being prepared"
 
 
-def why_no_run(link: Link) -> str:
+def start_obstacle(link: BenchLink) -> str:
     """Return why no run may start although none is active, "" if one may."""
     if link.interlock.latched:
         return "Press Reset first"
-    if link.hand is None and not_set(link):
-        return not_set(link)
+    if link.hand is None and missing_scene_reason(link):
+        return missing_scene_reason(link)
     if link.hand is not None and not link.hand.powered:
         return "The servo is off: hold Servo in the top bar for 1 s"
     if link.hand is not None and link.hand.pressing_n:
         return "In contact: lift first (jog +Z in Operate)"
     for degraded in link.degraded:
         # What is over sooner would only make the buttons flicker: an order is refused in words.
-        if link.clock_s() - degraded.since_s > LASTING_S:
+        if link.clock_s() - degraded.since_s > DEGRADED_DELAY_S:
             return f"The {NAMES[degraded.device]} is {degraded.how}: check it first"
     return ""
 
@@ -68,10 +68,10 @@ def why_no_run(link: Link) -> str:
 RECONNECT_S = 5.0
 
 
-class InspectPresenter:
+class DeviceInspectorPresenter:
     """Keeps one inspector; it follows the device that was clicked last."""
 
-    def __init__(self, link: Link, bar: TopBar, window: QWidget) -> None:
+    def __init__(self, link: BenchLink, bar: TopBar, window: QWidget) -> None:
         self._link, self._bar, self._window = link, bar, window
         self._titles = dict(CHIPS)
         self.sheet: DeviceInspector | None = None
@@ -94,10 +94,10 @@ class InspectPresenter:
         """Connect the shown device anew, on a thread: a cable may take seconds to answer."""
         device = None if self.sheet is None else self._link.devices.get(self.sheet.key)
         connection = self._link.connection
-        if device is not None and connection is not None and not busy(self._link):
+        if device is not None and connection is not None and not is_run_active(self._link):
             if not connection.busy:
                 connection.begin((device.name,))
-        elif device is not None and not self._connecting and not busy(self._link):
+        elif device is not None and not self._connecting and not is_run_active(self._link):
             self._connecting = True
             threading.Thread(
                 target=self._reconnect, args=(device,), name="reconnect", daemon=True
@@ -118,7 +118,7 @@ class InspectPresenter:
         """Show the present values while it is open."""
         if self.sheet is None or not self.sheet.isVisible():
             return
-        self.sheet.reconnect.setEnabled(not self._connecting and not busy(self._link))
+        self.sheet.reconnect.setEnabled(not self._connecting and not is_run_active(self._link))
         device = self._link.devices.get(self.sheet.key)
         if device is not None:
             self.sheet.show_rows(self._rows(device))
@@ -127,10 +127,10 @@ class InspectPresenter:
         """Return the rows of a device; of the wrist sensor its drift as well."""
         drift = self._link.drift if device.name == "force_torque" else None
         told = [] if drift is None else [("drift in air", drift.words().removeprefix("drift "))]
-        return [*rows_of(device), *told]
+        return [*inspector_rows(device), *told]
 
 
-def rows_of(device: Device) -> list[tuple[str, str]]:
+def inspector_rows(device: Device) -> list[tuple[str, str]]:
     """Return connection, health, identity and the device's own fields as (field, value)."""
     health, who = device.health, device.identity
     rows = [

@@ -27,7 +27,7 @@ from touchdown.backend.runs import ManualControl, OperatorPrompt, Request, RunSt
 from touchdown.backend.sensing import WrenchDrift
 
 
-class EngineLink(Protocol):
+class RunControl(Protocol):
     """The orders that change a run in progress."""
 
     def pause(self) -> None:
@@ -40,7 +40,7 @@ class EngineLink(Protocol):
         """End in an orderly way."""
 
 
-class Link(Protocol):
+class BenchLink(Protocol):
     """A live bench. Every call returns at once, except ``close`` (bounded)."""
 
     simulated: bool
@@ -81,7 +81,7 @@ class Link(Protocol):
         """For how long the bench has made no step."""
 
     @property
-    def engine(self) -> EngineLink:
+    def engine(self) -> RunControl:
         """The run in progress."""
 
     @property

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton
 
-from touchdown.app.shell.bench_link import Link
+from touchdown.app.shell.bench_link import BenchLink
 from touchdown.backend.bench import model_in_use, shipped_model
 from touchdown.backend.core import InputError
 from touchdown.backend.learning import ModelCard, ModelRegistry, load_card
@@ -17,7 +17,7 @@ from touchdown.widgets.base import label
 
 
 @dataclass(frozen=True, slots=True)
-class BenchWords:
+class BenchCaption:
     """``title`` of the window; ``banner`` in the foot, ``striped`` unless it is hardware."""
 
     title: str
@@ -28,11 +28,11 @@ class BenchWords:
     """Small second line of the pill; "" with hardware."""
 
 
-def words_of(link: Link) -> BenchWords:
+def bench_caption(link: BenchLink) -> BenchCaption:
     """Return what to call the bench of ``link``, by the facts that its recordings carry too."""
     mode = link.facts.mode
     if mode == "simulated":
-        return BenchWords(
+        return BenchCaption(
             "Touchdown (SIMULATED)",
             "SIMULATED BENCH",
             "No hardware is connected. Everything you see is computed.",
@@ -40,14 +40,14 @@ def words_of(link: Link) -> BenchWords:
             "simulated",
         )
     if mode == "emulated":
-        return BenchWords(
+        return BenchCaption(
             f"Touchdown (EMULATED: {link.name})",
             "EMULATED BENCH",
             "Real drivers and wires, emulated devices: no hardware moves.",
             True,
             "emulated",
         )
-    return BenchWords(
+    return BenchCaption(
         f"Touchdown ({link.name})",
         link.name,
         "Real devices: the arm of this lab moves.",
@@ -95,71 +95,71 @@ class QuestionRow(QFrame):
             act()
 
 
-SEES = {"FT+Tac": "touch and wrench", "Tac": "touch", "FT": "the wrench"}
+MODALITY_NAMES = {"FT+Tac": "touch and wrench", "Tac": "touch", "FT": "the wrench"}
 
 
 @dataclass(frozen=True, slots=True)
-class ModelWords:
+class ModelCaption:
     """``short`` fits beside a caption, ``full`` is for the tool tip."""
 
     short: str
     full: str
 
 
-UNPROBED = ModelWords("none, nothing is probed", "The piece is let go as it came, untested.")
-BY_WRENCH = ModelWords("none, the wrench decides", "No network reads the probes.")
-NONE_HERE = ModelWords("none in this scene", "Collecting needs none.")
+UNPROBED = ModelCaption("none, nothing is probed", "The piece is let go as it came, untested.")
+WRENCH_ONLY = ModelCaption("none, the wrench decides", "No network reads the probes.")
+NONE_HERE = ModelCaption("none in this scene", "Collecting needs none.")
 
 
-def model_words(piece: str, strategy: str) -> ModelWords:
+def run_model_caption(piece: str, strategy: str) -> ModelCaption:
     """Say which model a run of ``strategy`` with ``piece`` would take now."""
     if strategy == "pick-and-place":
         return UNPROBED
     if strategy == "zero-wrench":
-        return BY_WRENCH
+        return WRENCH_ONLY
     try:
-        return fused_words() if strategy == "fused" else card_words(card_in_use(piece))
+        return fused_caption() if strategy == "fused" else card_caption(model_card_in_use(piece))
     except InputError as error:
-        return ModelWords("cannot be read", f"{error.what} {error.fix}")
+        return ModelCaption("cannot be read", f"{error.what} {error.fix}")
 
 
-def scene_words(card: ModelCard | None, piece: str, *, simulated: bool) -> ModelWords:
+def scene_model_caption(card: ModelCard | None, piece: str, *, simulated: bool) -> ModelCaption:
     """Say which model reads the present scene, and whether another one is in use since."""
-    here = NONE_HERE if card is None else card_words(card)
+    here = NONE_HERE if card is None else card_caption(card)
     try:
-        used = card_in_use(piece)
+        used = model_card_in_use(piece)
     except InputError:
         return here
     if card is not None and used.weights_sha256 == card.weights_sha256:
         return here
     taker = "Set (Ctrl+N), or a stacking run," if simulated else "A stacking run"
-    then = f"{taker} takes the one in use: {card_words(used).short}."
-    return ModelWords(f"{here.short}; in use: {_whose(used)}", f"{here.full}\n{then}")
+    then = f"{taker} takes the one in use: {card_caption(used).short}."
+    return ModelCaption(f"{here.short}; in use: {_model_origin(used)}", f"{here.full}\n{then}")
 
 
-def card_in_use(piece: str) -> ModelCard:
+def model_card_in_use(piece: str) -> ModelCard:
     """Return the card of the model in use for ``piece``; raises ``InputError``."""
     return load_card(model_in_use(piece, ModelRegistry(models_folder())))
 
 
-def card_words(card: ModelCard) -> ModelWords:
+def card_caption(card: ModelCard) -> ModelCaption:
     """Say whose model it is, how good it was and on how much it was trained."""
-    probes, found = _probes(card), card.metrics.get("validation", {}).get("iou")
+    probes, found = _probe_count(card), card.metrics.get("validation", {}).get("iou")
     iou = "" if found is None else f"IoU {100 * found:.0f} %"
     trained = f"{probes:,} {'probe' if probes == 1 else 'probes'}" if probes else ""
-    short = (_whose(card), iou, "" if _ships(card) else trained)
+    short = (_model_origin(card), iou, "" if _is_shipped(card) else trained)
     kind = "simulated" if card.simulated else "of devices"
-    whence = "the one that ships" if _ships(card) else "promoted in Train"
+    whence = "the one that ships" if _is_shipped(card) else "promoted in Train"
     lines = (
         f"Model {card.weights_sha256[:12]} for {card.piece}, {whence}.",
-        f"It sees {SEES[card.modality]}.",
+        f"It sees {MODALITY_NAMES[card.modality]}.",
         f"Trained on {trained} ({kind})." if trained else "",
         f"{iou} on the probes that were held out." if iou else "",
     )
-    return ModelWords(", ".join(filter(None, short)), "\n".join(filter(None, lines)))
+    return ModelCaption(", ".join(filter(None, short)), "\n".join(filter(None, lines)))
 
 
-def fused_words() -> ModelWords:
+def fused_caption() -> ModelCaption:
     """Say which network fuses; raises ``InputError``."""
     card = shipped_fused().card
     sequences = card.training.get("sequences")
@@ -168,21 +168,21 @@ def fused_words() -> ModelWords:
         f"Trained on {sequences:,} simulated sequences of probes." if sequences else "",
         "It reads the signals of all probes itself: a promoted model changes nothing in it.",
     )
-    return ModelWords("its own, shipped", "\n".join(filter(None, lines)))
+    return ModelCaption("its own, shipped", "\n".join(filter(None, lines)))
 
 
-def _whose(card: ModelCard) -> str:
-    return "shipped" if _ships(card) else f"yours {card.weights_sha256[:8]}"
+def _model_origin(card: ModelCard) -> str:
+    return "shipped" if _is_shipped(card) else f"yours {card.weights_sha256[:8]}"
 
 
-def _ships(card: ModelCard) -> bool:
+def _is_shipped(card: ModelCard) -> bool:
     try:
         return load_card(shipped_model(card.piece)).weights_sha256 == card.weights_sha256
     except InputError:
         return False
 
 
-def _probes(card: ModelCard) -> int:
+def _probe_count(card: ModelCard) -> int:
     """Return on how many probes it was made, both sides together; 0 where the card tells none."""
     counts = card.data.get("episodes")
     values = counts.values() if isinstance(counts, dict) else (counts,)

@@ -9,8 +9,8 @@ from dataclasses import replace
 from datetime import datetime
 from typing import Protocol
 
-from touchdown.app.shell.activity import busy, why_no_run
-from touchdown.app.shell.bench_link import Link
+from touchdown.app.shell.activity import is_run_active, start_obstacle
+from touchdown.app.shell.bench_link import BenchLink
 from touchdown.app.shell.errors import log
 from touchdown.backend.core import (
     Event,
@@ -26,10 +26,10 @@ from touchdown.backend.core import (
     RunStarted,
     Said,
 )
-from touchdown.widgets.shell import STOPPED, CardText, FaultCards, Question
+from touchdown.widgets.shell import STOPPED, CardQuestion, CardText, FaultCards
 
 
-def card_of(fault: Fault, at: str) -> CardText:
+def fault_card(fault: Fault, at: str) -> CardText:
     """Return the card of a fault; ``at`` is the wall-clock time of day."""
     device = f"\nDevice: {fault.device}" if fault.device else ""
     details = (
@@ -57,14 +57,14 @@ def refusal_card(error: RefusedError, at: str) -> CardText:
     return CardText(error.reason, error.detail, consequence, "", reset=False, at=at, passing=True)
 
 
-class Say(Protocol):
+class ShowStatus(Protocol):
     """Shows a sentence in the foot; with ``holds`` only as long as that is true."""
 
     def __call__(self, text: str, holds: Callable[[], bool] | None = None) -> None:
         """Show it."""
 
 
-def note(fact: Event) -> None:
+def log_event(fact: Event) -> None:
     """Write one plain line of the log for what an operator will ask about later."""
     if isinstance(fact, RunStarted):
         log.info("run %s: %s, %s on %s, seed %s",
@@ -83,22 +83,22 @@ def note(fact: Event) -> None:
         log.info("refused %s: %s", fact.reason, fact.text)
 
 
-def tell(fact: Event, link: Link | None, cards: FaultCards, say: Say) -> None:
+def show_event(fact: Event, link: BenchLink | None, cards: FaultCards, say: ShowStatus) -> None:
     """Show a fact to the operator, if it is one that the frame tells."""
     if isinstance(fact, PhaseEntered | RunFinished):
         cards.clear(cards.obstacles)
     if isinstance(fact, FaultRaised):
-        cards.show_card(card_of(fact.fault, clock()))
+        cards.show_card(fault_card(fact.fault, time_of_day()))
     elif isinstance(fact, Refused):
-        cards.show_card(refusal_card(RefusedError(fact.reason, fact.text), clock()))
+        cards.show_card(refusal_card(RefusedError(fact.reason, fact.text), time_of_day()))
     elif isinstance(fact, FaultsReset):
         cards.clear()
-        why = "" if link is None else why_no_run(link)
+        why = "" if link is None else start_obstacle(link)
         if link is not None and why:
-            say(f"{why}.", lambda: why_no_run(link) == why)
+            say(f"{why}.", lambda: start_obstacle(link) == why)
     elif isinstance(fact, Paused | Noticed):
         waits = isinstance(fact, Paused)
-        card = card_of(fact.fault, clock())
+        card = fault_card(fact.fault, time_of_day())
         cards.show_card(replace(card, reset=False, obstacle=waits, notice=not waits))
     elif isinstance(fact, RunStarted):
         say("")
@@ -110,19 +110,19 @@ def tell(fact: Event, link: Link | None, cards: FaultCards, say: Say) -> None:
         say(f"The run {was}: {fact.reason}")
 
 
-def clock() -> str:
+def time_of_day() -> str:
     """Return the time of day, as cards show it."""
     return f"{datetime.now():%H:%M:%S}"
 
 
-ENDED = "It has ended, and no piece is held. Close the window?"
+ENDED_QUESTION = "It has ended, and no piece is held. Close the window?"
 """Asked in place of a question about something that ended while it stood."""
 
-LAST_S = 5.0
+EXIT_TIMEOUT_S = 5.0
 """So long after it was closed the program may hold on to what does not end."""
 
 
-def end_for_sure(after_s: float = LAST_S) -> None:
+def exit_after_timeout(after_s: float = EXIT_TIMEOUT_S) -> None:
     """End this process once ``after_s`` have passed, if it is still there; returns at once.
 
     For a window that was closed in order: a thread that hangs then must not keep the program.
@@ -138,17 +138,17 @@ def end_for_sure(after_s: float = LAST_S) -> None:
     last.start()
 
 
-class Closing:
+class CloseConfirmation:
     """Asks, and closes on the answer. ``allowed``: nothing is asked any more."""
 
     def __init__(
         self, cards: FaultCards, stop: Callable[[], None], close: Callable[[], object]
     ) -> None:
         self._cards, self._stop, self._close = cards, stop, close
-        self._asked: Question | None = None
+        self._asked: CardQuestion | None = None
         self.allowed = False
 
-    def may_close(self, link: Link | None) -> bool:
+    def may_close(self, link: BenchLink | None) -> bool:
         """Return whether nothing is left alone; else ask."""
         question = None if self.allowed or link is None else self._question(link)
         if question is None:
@@ -156,28 +156,30 @@ class Closing:
         self._ask(question)
         return False
 
-    def draw(self, link: Link) -> None:
+    def draw(self, link: BenchLink) -> None:
         """Keep the question true while it stands: what it asks about may have ended meanwhile."""
         if self._asked is None or self._cards.asks is not self._asked:
             return
-        now = self._question(link) or Question(ENDED, (("Stay", _stay), ("Close", self._close_now)))
+        now = self._question(link) or CardQuestion(
+            ENDED_QUESTION, (("Stay", _stay), ("Close", self._close_now))
+        )
         if now.text != self._asked.text:
             self._ask(now)
 
-    def _question(self, link: Link) -> Question | None:
-        if busy(link):
+    def _question(self, link: BenchLink) -> CardQuestion | None:
+        if is_run_active(link):
             what, stay = "A run is active and a piece may be held.", "Keep running"
         elif link.hand is not None and link.hand.active:
             what, stay = "The bench is being moved by hand.", "Go on"
         elif link.hand is not None and link.hand.holding:
             answers = (("Stay", _stay), ("Close, keep the grip", self._stop_and_close))
-            return Question("A piece is held. Close the window?", answers)
+            return CardQuestion("A piece is held. Close the window?", answers)
         else:
             return None
         answers = ((stay, _stay), ("Stop and close", self._stop_and_close))
-        return Question(f"{what} Stop and close? The grip is kept.", answers)
+        return CardQuestion(f"{what} Stop and close? The grip is kept.", answers)
 
-    def _ask(self, question: Question) -> None:
+    def _ask(self, question: CardQuestion) -> None:
         self._asked = question
         self._cards.ask(question)
 

@@ -16,10 +16,10 @@ from touchdown.backend.learning import ModelRegistry
 from touchdown.backend.placement import Ensemble, Estimator, OffsetGrid
 from touchdown.backend.runs import models_folder
 
-MOST_PAIRS = 16
+MAX_GRIDS = 16
 
 
-class Prelabeller:
+class ModelPrelabeller:
     """Loads the models of each piece once. ``paths_of`` names those of a piece, or none."""
 
     def __init__(self, catalogue: PieceLibrary, paths_of: Callable[[str], Sequence[Path]]) -> None:
@@ -64,26 +64,26 @@ class Prelabeller:
 
     def _grid(self, pair: Pair) -> OffsetGrid:
         if pair.sha256 not in self._grids:
-            while len(self._grids) >= MOST_PAIRS:
+            while len(self._grids) >= MAX_GRIDS:
                 del self._grids[next(iter(self._grids))]
             self._grids[pair.sha256] = OffsetGrid.of(pair.points_mm, pair.bottom)
         return self._grids[pair.sha256]
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
+class OpenedDataset:
     """``read_only``: why nothing can be saved ("" if it can)."""
 
     dataset: Dataset
-    prelabel: Prelabeller
+    prelabel: ModelPrelabeller
     catalogue: PieceLibrary
     read_only: str
 
 
-def opener(folder: Path, person: str) -> Callable[[], Opened]:
+def dataset_opener(folder: Path, person: str) -> Callable[[], OpenedDataset]:
     """Return what opens ``folder``; it may take a while and runs on a thread of its own."""
 
-    def open_dataset() -> Opened:
+    def open_dataset() -> OpenedDataset:
         read_only = ""
         try:
             dataset = Dataset.open(folder, person=person)
@@ -92,20 +92,22 @@ def opener(folder: Path, person: str) -> Callable[[], Opened]:
         if not read_only and not dataset.writable:
             read_only = "The dataset was written by a newer version."
         catalogue = load_pieces()
-        return Opened(dataset, Prelabeller(catalogue, models_of), catalogue, read_only)
+        return OpenedDataset(
+            dataset, ModelPrelabeller(catalogue, prelabel_models), catalogue, read_only
+        )
 
     return open_dataset
 
 
-def models_of(piece: str) -> Sequence[Path]:
+def prelabel_models(piece: str) -> Sequence[Path]:
     """Return the models that pre-label ``piece``: those chosen for it, else the one in use."""
     try:
-        return ModelRegistry(models_folder()).ensemble(piece) or model_of(piece)
+        return ModelRegistry(models_folder()).ensemble(piece) or model_path_in_use(piece)
     except InputError:
         return ()
 
 
-def model_of(piece: str) -> Sequence[Path]:
+def model_path_in_use(piece: str) -> Sequence[Path]:
     """Return the model in use for ``piece``, if there is one."""
     try:
         return (model_in_use(piece, ModelRegistry(models_folder())),)

@@ -18,13 +18,13 @@ from PySide6.QtCore import QMessageLogContext, QtMsgType, qInstallMessageHandler
 from touchdown.widgets.shell import CardText
 
 log = logging.getLogger("touchdown.app")
-BOX = 64
-AGAIN_S = 5.0
+BOX_SIZE = 64
+REPEAT_INTERVAL_S = 5.0
 """A text that keeps coming is written so often: a fault in every frame must fill no disk."""
-KEPT = 64
+REMEMBERED_TEXTS = 64
 
 
-class Repeats(logging.Filter):
+class RepeatFilter(logging.Filter):
     """Lets each text through once in ``AGAIN_S``; says then how often it came in between.
 
     A record that says where its error was raised (``raised``) counts as that, whatever its text: a
@@ -40,11 +40,11 @@ class Repeats(logging.Filter):
         text = record.getMessage()
         same = getattr(record, "raised", text)
         since_s, count = self._seen.pop(same, (-math.inf, 0))
-        if record.created - since_s < AGAIN_S:
+        if record.created - since_s < REPEAT_INTERVAL_S:
             self._seen[same] = (since_s, count + 1)
             return False
         self._seen[same] = (record.created, 0)
-        while len(self._seen) > KEPT:
+        while len(self._seen) > REMEMBERED_TEXTS:
             self._seen.popitem(last=False)
         if count:
             record.msg, record.args = f"{text}\n({count} times more in between)", None
@@ -55,7 +55,7 @@ class ErrorBox:
     """Collects failures from any thread; the pump takes them out on the GUI thread."""
 
     def __init__(self) -> None:
-        self._cards: deque[CardText] = deque(maxlen=BOX)
+        self._cards: deque[CardText] = deque(maxlen=BOX_SIZE)
 
     def take(self) -> CardText | None:
         """Take the oldest failure, or None."""
@@ -101,7 +101,7 @@ class ErrorBox:
         )  # fmt: skip
 
 
-def install(box: ErrorBox) -> Callable[[], None]:
+def install_error_hooks(box: ErrorBox) -> Callable[[], None]:
     """Route all hooks into ``box``; call the returned function to restore the former ones."""
     before = (sys.excepthook, threading.excepthook, sys.unraisablehook)
 
@@ -138,7 +138,7 @@ _SHOWN = {
 """Control characters, which a terminal would obey, as their numbers."""
 
 
-class _Escaped(logging.Formatter):
+class _EscapingFormatter(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         return super().format(record).translate(_SHOWN)
 
@@ -152,8 +152,8 @@ def log_to(folder: Path) -> Path | None:
     except OSError as error:
         log.warning("no log file: %s", error)
         return None
-    handler.addFilter(Repeats())
-    handler.setFormatter(_Escaped("%(asctime)s %(levelname)s %(message)s"))
+    handler.addFilter(RepeatFilter())
+    handler.setFormatter(_EscapingFormatter("%(asctime)s %(levelname)s %(message)s"))
     log.addHandler(handler)
     log.setLevel(logging.INFO)
     log.propagate = False

@@ -33,7 +33,7 @@ from touchdown.widgets.plots import (
     WrenchTrace,
     has_moments,
 )
-from touchdown.widgets.views import FilmTrack, Outline, Reel, SceneShot, latest
+from touchdown.widgets.views import FilmTrack, PictureOutline, Reel, SceneShot, latest
 
 LIMIT_UM = 99_990
 """No displacement that can be typed or nudged is larger than this."""
@@ -42,7 +42,7 @@ TYPED = re.compile(rf"\s*({NUMBER})\s*,\s*({NUMBER})\s*(?:,\s*({NUMBER})\s*)?")
 
 
 @dataclass(frozen=True, slots=True)
-class Edit:
+class LabelDraft:
     """``base`` is the revision that holds; ``label`` and ``source`` what would be saved."""
 
     base: Revision
@@ -50,12 +50,12 @@ class Edit:
     source: Source
 
     @classmethod
-    def of(cls, head: Revision) -> Edit:
+    def of(cls, head: Revision) -> LabelDraft:
         """Begin with what holds."""
         return cls(head, head.label, head.source)
 
     @classmethod
-    def blank(cls, head: Revision) -> Edit:
+    def blank(cls, head: Revision) -> LabelDraft:
         """Begin with nothing: for an opinion that nobody's label should sway."""
         return cls(replace(head, label=NO_LABEL, source="human"), NO_LABEL, "human")
 
@@ -81,38 +81,38 @@ class Edit:
         """The rotation of the face."""
         return math.radians((self.label.theta_mdeg or 0) / 1e3)
 
-    def nudged(self, dx_um: int, dy_um: int) -> Edit:
+    def nudged(self, dx_um: int, dy_um: int) -> LabelDraft:
         """Move by whole µm, from the bottom's centre where there is no displacement yet."""
         return self._at((self.label.x_um or 0) + dx_um, (self.label.y_um or 0) + dy_um)
 
-    def placed(self, x_mm: float, y_mm: float) -> Edit:
+    def placed(self, x_mm: float, y_mm: float) -> LabelDraft:
         """Move to a place."""
         return self._at(round(x_mm * 1e3), round(y_mm * 1e3))
 
-    def estimated(self, x_mm: float, y_mm: float, sigma_mm: float, source: Source) -> Edit:
+    def estimated(self, x_mm: float, y_mm: float, sigma_mm: float, source: Source) -> LabelDraft:
         """Take what a model says, with its own uncertainty."""
         moved = self._at(round(x_mm * 1e3), round(y_mm * 1e3))
         return replace(
             moved, label=replace(moved.label, sigma_um=round(sigma_mm * 1e3)), source=source
         )
 
-    def trusted(self, sigma_mm: float) -> Edit:
+    def trusted(self, sigma_mm: float) -> LabelDraft:
         """Say how sure the person is."""
         return replace(self, label=replace(self.label, sigma_um=round(sigma_mm * 1e3)))
 
-    def _at(self, x_um: int, y_um: int) -> Edit:
+    def _at(self, x_um: int, y_um: int) -> LabelDraft:
         x, y = (min(max(value, -LIMIT_UM), LIMIT_UM) for value in (x_um, y_um))
         theta = self.label.theta_mdeg or 0
         base = self.base.label
         if base.is_set and (x, y, theta) == (base.x_um, base.y_um, base.theta_mdeg or 0):
             # Moved there and back: nothing was changed, neither is the source.
-            return Edit.of(self.base)
+            return LabelDraft.of(self.base)
         # Another's uncertainty does not hold for what a person sets.
         sigma = self.label.sigma_um if self.source == "human" else None
         return replace(self, label=Label(x, y, theta, sigma), source="human")
 
 
-def parse(text: str) -> tuple[float, float, float | None]:
+def parse_displacement(text: str) -> tuple[float, float, float | None]:
     """Return x, y and (if given) sigma in mm of "x,y" or "x,y,sigma"; raises ``ValueError``."""
     match = TYPED.fullmatch(text)
     if match is None:
@@ -126,7 +126,7 @@ def parse(text: str) -> tuple[float, float, float | None]:
     return x, y, sigma
 
 
-def as_pair(offset_mm: FloatArray) -> tuple[float, float]:
+def as_float_pair(offset_mm: FloatArray) -> tuple[float, float]:
     """Return a (2,) displacement as a pair."""
     x, y = offset_mm.tolist()
     return float(x), float(y)
@@ -136,7 +136,7 @@ HOMOGRAPHY = "scene_homography"
 
 
 @dataclass(frozen=True, slots=True)
-class SceneEvidence:
+class SceneObservation:
     """``images``: pressed, then lifted; ``place`` of the face in the first, None if not seen."""
 
     images: tuple[ImageArray, ...]
@@ -149,7 +149,7 @@ class SceneEvidence:
         return sum(image.nbytes for image in self.images)
 
 
-def scene_of(episode: Episode, pair: Pair, face: FloatArray) -> SceneEvidence | None:
+def scene_observation(episode: Episode, pair: Pair, face: FloatArray) -> SceneObservation | None:
     """Return what the scene camera tells of an episode, None without picture or calibration."""
     text = dict(episode.metadata).get(HOMOGRAPHY)
     if episode.recording is None or not episode.recording.scene or text is None:
@@ -160,13 +160,13 @@ def scene_of(episode: Episode, pair: Pair, face: FloatArray) -> SceneEvidence | 
         return None
     images = tuple(picture.image for picture in episode.recording.scene)
     seen = observe_offset(images[0], board, face, episode.offset_mm)
-    place = None if seen is None else OffsetFit(as_pair(seen.offset_mm), seen.sigma_mm)
-    return SceneEvidence(images, board, place)
+    place = None if seen is None else OffsetFit(as_float_pair(seen.offset_mm), seen.sigma_mm)
+    return SceneObservation(images, board, place)
 
 
-def shots_of(
-    scene: SceneEvidence | None,
-    edit: Edit,
+def scene_shots(
+    scene: SceneObservation | None,
+    edit: LabelDraft,
     outlines: tuple[FloatArray, FloatArray],
     *,
     hidden: bool,
@@ -177,12 +177,14 @@ def shots_of(
     if scene is None:
         return ()
     face, bottom = outlines
-    marks = [Outline("bottom", scene.board.to_px(bottom))]
+    marks = [PictureOutline("bottom", scene.board.to_px(bottom))]
     if edit.offset_mm is not None:
         placed = rotated(face, edit.yaw_rad) + np.asarray(edit.offset_mm)
-        marks.append(Outline("label", scene.board.to_px(placed)))
+        marks.append(PictureOutline("label", scene.board.to_px(placed)))
     if scene.place is not None and not hidden:
-        marks.append(Outline("scene", scene.board.to_px(face + np.asarray(scene.place.offset_mm))))
+        marks.append(
+            PictureOutline("scene", scene.board.to_px(face + np.asarray(scene.place.offset_mm)))
+        )
     # After lifting the face is above the board: only the bottom lies in its plane.
     return [SceneShot(scene.images[0], tuple(marks))] + [
         SceneShot(image, tuple(marks[:1])) for image in scene.images[1:]
@@ -190,7 +192,7 @@ def shots_of(
 
 
 Outlines = tuple[FloatArray, FloatArray]
-MOST_PAIRS = 16
+MAX_OUTLINES = 16
 KEPT_PICTURES, PICTURE_BYTES = 2, 3 * 240 * 320
 """So many decoded pictures a finger are kept: views ask for the present one again and again."""
 CURSOR_S = 2.0
@@ -198,7 +200,7 @@ CURSOR_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Sheets:
+class LabelSheets:
     """What the wrench is drawn on at present: forces, moments, and one over the other."""
 
     forces: TraceSheet
@@ -207,7 +209,7 @@ class Sheets:
 
 
 @dataclass(frozen=True, slots=True)
-class Ahead:
+class PrerenderedItem:
     """What was drawn before it is shown; used as long as the window has not changed."""
 
     forces: Drawn
@@ -238,7 +240,7 @@ class ModelLabel:
         return f"model:{self.weights}"
 
 
-class Prelabel(Protocol):
+class PrelabelFunction(Protocol):
     """The model's opinion of an episode, or None where there is no model of its piece."""
 
     def __call__(self, episode: Episode, pair: Pair) -> ModelLabel | None:
@@ -259,10 +261,10 @@ class LabelItem:
     trace: WrenchTrace | None
     model: ModelLabel | None
     bytes: int
-    scene: SceneEvidence | None = None
+    scene: SceneObservation | None = None
     doubt: tuple[str, float] | None = None
     """Revision that was judged by the other episodes of its pair, and the score ``doubt``."""
-    ahead: Ahead | None = None
+    ahead: PrerenderedItem | None = None
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -272,14 +274,14 @@ class LabelItem:
         return float(self.trace.t_s[0]), float(self.trace.t_s[-1])
 
 
-def reader(
-    dataset: Dataset, prelabel: Prelabel, sheets: Callable[[], Sheets | None]
+def item_reader(
+    dataset: Dataset, prelabel: PrelabelFunction, sheets: Callable[[], LabelSheets | None]
 ) -> Callable[[str], LabelItem]:
     """Return the function that reads an episode of ``dataset``; it may run on any thread.
 
     What does not follow from the label is drawn here, on the present ``sheets`` of the page.
     """
-    outlines = lru_cache(MOST_PAIRS)(outlines_of)
+    outlines = lru_cache(MAX_OUTLINES)(pair_outlines)
 
     def read(uuid: str) -> LabelItem:
         entry = dataset.entry(uuid)
@@ -287,17 +289,17 @@ def reader(
         pair = dataset.geometry.pair(entry.geometry)
         item = make_item(entry, film, pair, prelabel(film.episode, pair), outlines(pair))
         item = replace(item, doubt=dataset.scores.of_revision("doubt", uuid))
-        return drawn_ahead(item, sheets())
+        return prerender(item, sheets())
 
     return read
 
 
-def outlines_of(pair: Pair) -> Outlines:
+def pair_outlines(pair: Pair) -> Outlines:
     """Return the outlines (k, 2) of face and bottom; views know a pair by these very arrays."""
     return pair.face.polygon(96), pair.bottom.polygon(96)
 
 
-def drawn_ahead(item: LabelItem, sheets: Sheets | None) -> LabelItem:
+def prerender(item: LabelItem, sheets: LabelSheets | None) -> LabelItem:
     """Return the item with its first pictures decoded and its curves drawn."""
     first, last = item.span_s
     for track in item.reel.values():
@@ -307,7 +309,7 @@ def drawn_ahead(item: LabelItem, sheets: Sheets | None) -> LabelItem:
     trace = item.trace
     if trace is None or sheets is None or len(trace.t_s) < 2 or not has_moments(trace):
         return item
-    ahead = Ahead(
+    ahead = PrerenderedItem(
         (sheets.forces, sheets.forces.draw(trace)),
         (sheets.moments, sheets.moments.draw(trace)),
         (sheets.phase, sheets.phase.draw(trace)),
@@ -339,7 +341,7 @@ def make_item(
     }
     numbers = 0 if recording is None else recording.wrench.nbytes + recording.pose_mm.nbytes
     per_field = sum(len(x) for x in fields.values()) * 3 * 1024
-    scene = scene_of(episode, pair, outlines[0])
+    scene = scene_observation(episode, pair, outlines[0])
     return LabelItem(
         entry, episode, pair, *outlines, reel, trace, model,
         film.bytes + numbers + per_field + len(FINGERS) * KEPT_PICTURES * PICTURE_BYTES

@@ -15,45 +15,45 @@ from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QMenu, QWidget
 
 from touchdown.backend.core import write_atomically
-from touchdown.widgets.base import Arrangement, Columns
-from touchdown.widgets.forms import NameAsker
+from touchdown.widgets.base import ColumnArrangement, Columns
+from touchdown.widgets.forms import NameDialog
 
 VERSION = 1
 LONGEST_NAME = 40
-Named = dict[str, Arrangement]
+LayoutKey = dict[str, ColumnArrangement]
 
 
 @dataclass(slots=True)
-class LayoutBook:
+class SavedLayouts:
     """``present`` by workspace; ``saved``: by workspace and name. ``locked``: edges stand still."""
 
     locked: bool = True
-    present: Named = field(default_factory=dict)
-    saved: dict[str, Named] = field(default_factory=dict)
+    present: LayoutKey = field(default_factory=dict)
+    saved: dict[str, LayoutKey] = field(default_factory=dict)
 
 
-def load_book(path: Path, now: datetime) -> tuple[LayoutBook, str]:
+def load_layouts(path: Path, now: datetime) -> tuple[SavedLayouts, str]:
     """Return (book, notice); a file that makes no sense is moved aside whole."""
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        return LayoutBook(), ""
+        return SavedLayouts(), ""
     except (OSError, ValueError) as error:
-        return LayoutBook(), _aside(path, now, f"The layouts could not be read ({error}).")
+        return SavedLayouts(), _moved_aside(path, now, f"The layouts could not be read ({error}).")
     if not isinstance(raw, dict) or raw.get("version") != VERSION:
-        return LayoutBook(), _aside(path, now, "The layouts are of another version.")
+        return SavedLayouts(), _moved_aside(path, now, "The layouts are of another version.")
     try:
-        book = LayoutBook(
+        book = SavedLayouts(
             locked=bool(raw["locked"]),
             present=_named(raw["present"]),
             saved={name: _named(saved) for name, saved in raw["saved"].items()},
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        return LayoutBook(), _aside(path, now, f"The layouts make no sense ({error}).")
+        return SavedLayouts(), _moved_aside(path, now, f"The layouts make no sense ({error}).")
     return book, ""
 
 
-def save_book(path: Path, book: LayoutBook) -> None:
+def save_layouts(path: Path, book: SavedLayouts) -> None:
     """Write all layouts; raises OSError."""
     body = {
         "version": VERSION,
@@ -64,7 +64,7 @@ def save_book(path: Path, book: LayoutBook) -> None:
     write_atomically(path, json.dumps(body, indent=1).encode())
 
 
-def keep_aside(path: Path, now: datetime) -> Path:
+def copy_aside(path: Path, now: datetime) -> Path:
     """Copy the file to a name of its own beside it and return that; raises OSError."""
     stem = f"{path.stem}-aside-{now:%Y%m%d-%H%M%S}"
     kept, count = path.with_name(f"{stem}.json"), 1
@@ -75,30 +75,30 @@ def keep_aside(path: Path, now: datetime) -> Path:
     return kept
 
 
-def _aside(path: Path, now: datetime, what: str) -> str:
+def _moved_aside(path: Path, now: datetime, what: str) -> str:
     try:
-        kept = keep_aside(path, now)
+        kept = copy_aside(path, now)
         path.unlink()
     except OSError as error:
         return f"{what} The usual ones are used; the file could not be kept aside ({error})."
     return f"{what} The usual ones are used; the file is kept as {kept.name}."
 
 
-def _named(raw: dict[str, dict[str, object]]) -> Named:
+def _named(raw: dict[str, dict[str, object]]) -> LayoutKey:
     return {name: _arrangement(entry) for name, entry in raw.items()}
 
 
-def _arrangement(raw: dict[str, object]) -> Arrangement:
+def _arrangement(raw: dict[str, object]) -> ColumnArrangement:
     shares, hidden = cast("list[object]", raw["shares"]), cast("list[object]", raw["hidden"])
     if not all(isinstance(title, str) for title in hidden):
         raise TypeError("a panel without a title")
-    return Arrangement(
+    return ColumnArrangement(
         tuple(float(cast("float", share)) for share in shares),
         frozenset(cast("list[str]", hidden)),
     )
 
 
-def _plain(named: Named) -> dict[str, object]:
+def _plain(named: LayoutKey) -> dict[str, object]:
     return {
         name: {"shares": [round(s, 5) for s in entry.shares], "hidden": sorted(entry.hidden)}
         for name, entry in named.items()
@@ -109,7 +109,7 @@ USUAL = "Usual"
 Entry = tuple[str, Callable[[], None]]
 
 
-class Layouts:
+class LayoutsPresenter:
     """Of the workspaces that have a page; ``tell`` shows one sentence, ``failed`` a disk's refusal.
 
     What is remembered of a workspace is judged, and shown, when its page comes.
@@ -123,11 +123,11 @@ class Layouts:
     ) -> None:
         self._path, self._tell, self._failed = path, tell, failed
         self._columns: dict[str, Columns] = {}
-        self.book = LayoutBook()
+        self.book = SavedLayouts()
 
     def load(self, workspaces: Collection[str]) -> str:
         """Read what is remembered of these workspaces; return a notice, "" if all is well."""
-        self.book, notice = load_book(self._path, datetime.now())
+        self.book, notice = load_layouts(self._path, datetime.now())
         unknown = [name for name in self.book.present if name not in workspaces]
         return self._without(dict.fromkeys(unknown, "no such workspace")) or notice
 
@@ -151,7 +151,7 @@ class Layouts:
         for name, columns in self._columns.items():
             self.book.present[name] = columns.arrangement()
         try:
-            save_book(self._path, self.book)
+            save_layouts(self._path, self.book)
         except OSError as error:
             self._failed(error)
 
@@ -254,7 +254,7 @@ class Layouts:
 
     def _kept(self) -> str:
         try:
-            kept = keep_aside(self._path, datetime.now())
+            kept = copy_aside(self._path, datetime.now())
         except OSError as error:
             return f"The usual ones are used; the file could not be kept aside ({error})."
         return f"The usual ones are used; the file is kept as {kept.name}."
@@ -275,7 +275,7 @@ class Layouts:
             columns.lock(locked)
 
 
-def _same(one: Arrangement, other: Arrangement) -> bool:
+def _same(one: ColumnArrangement, other: ColumnArrangement) -> bool:
     close = all(abs(a - b) < 1e-4 for a, b in zip(one.shares, other.shares, strict=False))
     return close and one.hidden == other.hidden
 
@@ -284,11 +284,11 @@ class LayoutMenu:
     """``front`` names the workspace in front, ``reset`` puts its page and the window back."""
 
     def __init__(
-        self, window: QWidget, layouts: Layouts, front: Callable[[], str], reset: QAction
+        self, window: QWidget, layouts: LayoutsPresenter, front: Callable[[], str], reset: QAction
     ) -> None:
         self._window, self._layouts, self._front, self._reset = window, layouts, front, reset
         self.menu = QMenu(window)
-        self.asker: NameAsker | None = None
+        self.asker: NameDialog | None = None
 
     def show(self, beside: QWidget) -> None:
         """Open the menu beside a button; nothing waits for it."""
@@ -303,7 +303,7 @@ class LayoutMenu:
         if not self._layouts.has(front):
             return
         if self.asker is None:
-            self.asker = NameAsker(self._window, "Save the layout")
+            self.asker = NameDialog(self._window, "Save the layout")
         taken = self._layouts.names(front)
         self.asker.ask("Name of this layout", taken, partial(self._layouts.save, front))
 

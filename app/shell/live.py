@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
 
-from touchdown.app.shell.bench_link import Link
-from touchdown.app.shell.top_bar import lost_words
+from touchdown.app.shell.bench_link import BenchLink
+from touchdown.app.shell.top_bar import lost_samples_text
 from touchdown.backend.core import FINGERS, Finger, MarkerField, TactileFrame
 from touchdown.backend.devices import DeviceState
-from touchdown.widgets.base import Age, Captioned, Columns, Freshness, Panel, Theme
+from touchdown.widgets.base import Age, CaptionedView, Columns, Freshness, Panel, Theme
 from touchdown.widgets.plots import TracePlot
 from touchdown.widgets.views import TactileView
 
@@ -25,7 +25,7 @@ class LiveViews:
     """The views of one page that follow the sensors."""
 
     tactile: Mapping[Finger, TactileView]
-    panels: Mapping[Finger, Panel | Captioned]
+    panels: Mapping[Finger, Panel | CaptionedView]
     force: TracePlot
     moment: TracePlot
 
@@ -34,7 +34,7 @@ class LivePresenter:
     """Moves the newest samples of a bench into the views of one page."""
 
     def __init__(
-        self, link: Link, views: LiveViews, now_s: Callable[[], float] = time.monotonic
+        self, link: BenchLink, views: LiveViews, now_s: Callable[[], float] = time.monotonic
     ) -> None:
         self._link, self._views, self._now_s = link, views, now_s
         self._fresh = {finger: Freshness() for finger in FINGERS}
@@ -123,7 +123,7 @@ class LivePresenter:
             panel.detail.setText("")
             return
         health = device.health
-        lost = lost_words(health.lost, "frame")
+        lost = lost_samples_text(health.lost, "frame")
         panel.detail.setToolTip(f"markers seen, measured rate; {lost}")
         panel.detail.setText(f"{seen}/{total}, {health.rate_hz:.1f} Hz")
 
@@ -184,12 +184,12 @@ class LivePage(QWidget):
             view.limit_height(round(share * self.height()))
 
 
-def no_higher(panel: Panel) -> None:
+def limit_height(panel: Panel) -> None:
     """Let a panel be as high as its views and no higher."""
     panel.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
 
 
-def column(*parts: tuple[Part, int]) -> QWidget:
+def column_of(*parts: tuple[Part, int]) -> QWidget:
     """Return a column of (view, stretch), one below the other."""
     holder = QWidget()
     layout = QVBoxLayout(holder)

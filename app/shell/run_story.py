@@ -36,7 +36,7 @@ Offset = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class ProbeLook:
+class ProbeStory:
     """What is known of one probe so far."""
 
     probe: int
@@ -54,7 +54,7 @@ class TrialStory:
     trial: int
     seed: int
     start_mm: Offset | None
-    probes: list[ProbeLook] = field(default_factory=list)
+    probes: list[ProbeStory] = field(default_factory=list)
     phase: str = ""
     finished: TrialFinished | None = None
     stands: bool | None = None
@@ -183,11 +183,11 @@ class RunStory:
             if look.probe == probe:
                 trial.probes[index] = replace(look, **known)  # type: ignore[arg-type]
                 return
-        trial.probes.append(replace(ProbeLook(probe), **known))  # type: ignore[arg-type]
+        trial.probes.append(replace(ProbeStory(probe), **known))  # type: ignore[arg-type]
 
 
-def truth_of(
-    trial: TrialStory, look: ProbeLook, face: FloatArray | None, bottom: FloatArray | None
+def true_patch_outline(
+    trial: TrialStory, look: ProbeStory, face: FloatArray | None, bottom: FloatArray | None
 ) -> FloatArray | None:
     """Return the (k, 2) outline of the true overlap at a probe, None where it is not known."""
     shift = trial.frame_shift_mm()
@@ -196,14 +196,14 @@ def truth_of(
     return edges_to_polygon(overlap_edges(face + (look.offset_mm or (0.0, 0.0)), bottom + shift))
 
 
-def no_probe(trial: TrialStory) -> BeliefScene:
+def unprobed_scene(trial: TrialStory) -> BeliefScene:
     """Return the scene of a trial without an estimate, which says whether one can still come."""
     if trial.finished is None:
         return BeliefScene()
     return BeliefScene(empty=("No probe in this trial", "It ended before the first estimate."))
 
 
-def scene_of(
+def belief_scene(
     trial: TrialStory, index: int, face: FloatArray | None, bottom: FloatArray | None
 ) -> BeliefScene:
     """Return the belief scene after probe ``index`` (from 0).
@@ -211,7 +211,7 @@ def scene_of(
     ``face``, ``bottom``: (k, 2) outlines; the true overlap is shown only after the trial.
     """
     look = trial.probes[index]
-    truth = None if trial.finished is None else truth_of(trial, look, face, bottom)
+    truth = None if trial.finished is None else true_patch_outline(trial, look, face, bottom)
     action = look.action
     return BeliefScene(
         belief=look.belief,
@@ -229,7 +229,7 @@ Z_95 = 1.959964
 """Two-sided 95 % quantile of the normal distribution."""
 
 
-def wilson(successes: int, trials: int, z: float = Z_95) -> tuple[float, float] | None:
+def wilson_interval(successes: int, trials: int, z: float = Z_95) -> tuple[float, float] | None:
     """Return the Wilson score interval (0..1), None without a trial (Wilson 1927)."""
     if trials <= 0:
         return None
@@ -241,7 +241,7 @@ def wilson(successes: int, trials: int, z: float = Z_95) -> tuple[float, float] 
     return max(0.0, low), min(1.0, high)
 
 
-def score_of(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
+def run_score(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
     """Return the score of a run: aborted trials count as failures, as long as no device failed.
 
     Trials that a named device fault ended before the release are told after ``last`` instead.
@@ -255,7 +255,7 @@ def score_of(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
         said = f"Not counted: {which} ended before the release ({', '.join(excuses)})."
         last = f"{last} {said}".strip()
     placed = sum(outcome is Outcome.PLACED for outcome in outcomes)
-    interval = wilson(placed, len(outcomes) - excused)
+    interval = wilson_interval(placed, len(outcomes) - excused)
     ended = [t.finished for t in done if t.finished is not None]
     void = tuple(
         f"Trial {one.trial}: {one.reason}" for one in ended if one.outcome is Outcome.ABORTED
@@ -263,7 +263,7 @@ def score_of(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
     return Score(outcomes, planned, interval, last, excused, void)
 
 
-def outlines(
+def face_outlines(
     catalogue: PieceLibrary, head: RunStarted | None
 ) -> tuple[FloatArray | None, FloatArray | None]:
     """Return the (k, 2) outlines of the piece's face and of the touched bottom; None: unknown."""

@@ -14,7 +14,7 @@ from PySide6.QtCore import QObject, Qt, Signal
 from touchdown.backend.core import FaultError, RefusedError, TouchdownError
 
 
-class Post(QObject):
+class MainThreadQueue(QObject):
     """Runs on the window's thread what other threads put in, in that order."""
 
     _arrived = Signal()
@@ -43,20 +43,20 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
-class _Job:
+class _SaveJob:
     work: Callable[[], Any]
     done: Callable[[Any], None]
     failed: Callable[[Exception], None]
 
 
-class Commits:
+class SaveWorker:
     """Runs jobs one after the other; exactly one of ``done`` and ``failed`` follows each."""
 
-    def __init__(self, post: Post, name: str = "label-commits") -> None:
+    def __init__(self, post: MainThreadQueue, name: str = "label-commits") -> None:
         self._post = post
-        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self._jobs: queue.SimpleQueue[_SaveJob | None] = queue.SimpleQueue()
         self._waiting = 0
-        self.told: Callable[[], None] = _nothing
+        self.told: Callable[[], None] = _ignore_end
         """Called after each end was told, whoever had submitted the job."""
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
@@ -74,7 +74,7 @@ class Commits:
     ) -> None:
         """Have ``work`` run on the thread; its end is told on the window's thread."""
         self._waiting += 1
-        self._jobs.put(_Job(work, done, failed))
+        self._jobs.put(_SaveJob(work, done, failed))
 
     def close(self) -> None:
         """Finish what was submitted, then end the thread."""
@@ -85,7 +85,7 @@ class Commits:
         while (job := self._jobs.get()) is not None:
             self._do(job)
 
-    def _do(self, job: _Job) -> None:
+    def _do(self, job: _SaveJob) -> None:
         try:
             result = job.work()
         except Exception as error:  # noqa: BLE001 - a save whose end nobody tells blocks the page
@@ -100,33 +100,33 @@ class Commits:
         self.told()
 
 
-def _nothing() -> None:
+def _ignore_end() -> None:
     """Do nothing: nobody waits."""
 
 
 LOCKED = "CATALOGUE-BUSY"
 """Code of the fault that another program writes to the dataset."""
-Intent = Callable[[], None]
+SaveAction = Callable[[], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Trouble:
+class SaveFailure:
     """A save that failed: ``what`` happened in words, and how to try again."""
 
     what: str
-    again: Intent
+    again: SaveAction
 
 
-class Saving:
+class SaveQueue:
     """Orders saves and intents. ``refused`` gets the reason where a change is not allowed."""
 
     def __init__(
-        self, commits: Commits, refused: Callable[[str], None], changed: Callable[[], None]
+        self, commits: SaveWorker, refused: Callable[[str], None], changed: Callable[[], None]
     ) -> None:
         self._commits, self._refused, self._changed = commits, refused, changed
-        self._intents: deque[Intent] = deque()
+        self._intents: deque[SaveAction] = deque()
         self._draining = self._held = self._locked = False
-        self.trouble: Trouble | None = None
+        self.trouble: SaveFailure | None = None
         commits.told = self._drain
 
     @property
@@ -147,7 +147,7 @@ class Saving:
         """Do what waited, if nothing is in the way any more."""
         self._drain()
 
-    def after(self, intent: Intent) -> None:
+    def after(self, intent: SaveAction) -> None:
         """Do ``intent`` now, or after the saves that are under way."""
         self._intents.append(intent)
         self._drain()
@@ -173,7 +173,7 @@ class Saving:
             if isinstance(error, RefusedError):
                 self._refused(error.detail)
             else:
-                self.trouble = Trouble(_words(error), lambda: self.save(work, done))
+                self.trouble = SaveFailure(_error_text(error), lambda: self.save(work, done))
             self._changed()
 
         self._commits.submit(work, succeeded, failed)
@@ -201,7 +201,7 @@ class Saving:
             self._draining = False
 
 
-def _words(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     if isinstance(error, FaultError):
         return f"{error.fault.what} {error.fault.next_step}"
     return str(error) if isinstance(error, TouchdownError) else f"{type(error).__name__}: {error}"

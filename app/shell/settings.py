@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import cast
 
-from touchdown.app.shell.window import CHOICES, Choice
+from touchdown.app.shell.window import CHOICES, ThemeChoice
 from touchdown.backend.core import write_atomically
 
 VERSION = 2
@@ -24,7 +24,7 @@ class WindowSettings:
     shown. ``pages``: what each workspace remembers; the workspace itself judges that.
     """
 
-    theme: Choice = "dark"
+    theme: ThemeChoice = "dark"
     scale: float = 1.0
     geometry: tuple[int, int, int, int] | None = None
     front: str = ""
@@ -54,7 +54,7 @@ def load_settings(path: Path) -> tuple[WindowSettings, str]:
         return WindowSettings(), "The window settings are of another version: defaults are used."
     dropped: list[str] = []
     settings = WindowSettings(
-        theme=cast("Choice", _kept(raw, "theme", "dark", lambda v: v in CHOICES, dropped)),
+        theme=cast("ThemeChoice", _kept(raw, "theme", "dark", lambda v: v in CHOICES, dropped)),
         scale=float(cast("float", _kept(raw, "scale", 1.0, _is_scale, dropped))),
         geometry=_geometry(raw.get("geometry"), dropped),
         front=cast("str", _kept(raw, "front", "", _is_text, dropped)),

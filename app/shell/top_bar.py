@@ -6,10 +6,10 @@ import math
 import time
 from collections.abc import Callable
 
-from touchdown.app.shell.bench_link import Link
-from touchdown.app.shell.bench_text import words_of
-from touchdown.app.shell.cards import clock, refusal_card
-from touchdown.app.shell.workspace import Command
+from touchdown.app.shell.bench_link import BenchLink
+from touchdown.app.shell.bench_text import bench_caption
+from touchdown.app.shell.cards import refusal_card, time_of_day
+from touchdown.app.shell.workspace import WindowCommand
 from touchdown.backend.core import RefusedError
 from touchdown.backend.devices import (
     Arm,
@@ -51,9 +51,9 @@ SHOWS_DEGRADED = (RunState.IDLE, RunState.PREPARING, RunState.RUNNING)
 """A run that pauses or ends says so; by then its card names the sensor."""
 
 
-def pill_of(link: Link) -> PillState:
+def pill_state(link: BenchLink) -> PillState:
     """Return what the pill shows for this bench now."""
-    note = words_of(link).note
+    note = bench_caption(link).note
     if not link.devices:
         return PillState("NO DEVICES", "ring", "grey", note)
     if link.still_s >= STILL_S and link.status().state is not RunState.PREPARING:
@@ -78,7 +78,7 @@ def pill_of(link: Link) -> PillState:
     return _sensed(link, status) or _of_run(note, status)
 
 
-def _sensed(link: Link, status: RunStatus) -> PillState | None:
+def _sensed(link: BenchLink, status: RunStatus) -> PillState | None:
     """Return what the sensors say of the bench, None if there is nothing to say."""
     degraded = link.degraded
     if status.state in SHOWS_DEGRADED and degraded:
@@ -114,7 +114,7 @@ def _standing(connection: BenchConnection) -> PillState | None:
     return None
 
 
-def _by_hand(link: Link) -> str:
+def _by_hand(link: BenchLink) -> str:
     """Return what moves by hand, "" if nothing does."""
     if link.hand is None or not link.hand.jog.active:
         return ""
@@ -144,11 +144,11 @@ _STATES: dict[DeviceState, ChipState] = {
 }
 
 
-class ChipsPresenter:
+class DeviceChipsPresenter:
     """Shows what the devices say of themselves, four times a second."""
 
     def __init__(
-        self, link: Link, bar: TopBar, now_s: Callable[[], float] = time.monotonic
+        self, link: BenchLink, bar: TopBar, now_s: Callable[[], float] = time.monotonic
     ) -> None:
         self._link, self._bar, self._now_s = link, bar, now_s
         self._fresh = {key: Freshness() for key, _ in CHIPS}
@@ -204,7 +204,7 @@ class ChipsPresenter:
         else:
             detail = device.state.value
         who = device.identity
-        lost = lost_words(health.lost, "frame" if key.startswith("tactile") else "sample")
+        lost = lost_samples_text(health.lost, "frame" if key.startswith("tactile") else "sample")
         tip = f"{device.state.value}, {detail}; {health.received} received, {lost}"
         tip = tip if drift is None else f"{tip}\n{drift.words()}, in still air"
         if who is not None:
@@ -218,7 +218,7 @@ def _is_much(health: Health) -> bool:
     return health.lost >= LEAST_LOST and share > MUCH_LOST
 
 
-def lost_words(count: int, noun: str) -> str:
+def lost_samples_text(count: int, noun: str) -> str:
     """Name what was lost: beside the count of markers a bare number reads as markers."""
     return f"{count} {noun} lost" if count == 1 else f"{count} {noun}s lost"
 
@@ -237,14 +237,14 @@ class SpeedOverride:
 
     def __init__(self, bar: TopBar, say: Callable[[str], None]) -> None:
         self._bar, self._say = bar, say
-        self._link: Link | None = None
+        self._link: BenchLink | None = None
         bar.override.valueChanged.connect(self._choose)
         self.commands = (
-            Command("slower", "Slower: speed override down", "Ctrl+Alt+-", self._slower),
-            Command("faster", "Faster: speed override up", "Ctrl+Alt++", self._faster),
+            WindowCommand("slower", "Slower: speed override down", "Ctrl+Alt+-", self._slower),
+            WindowCommand("faster", "Faster: speed override up", "Ctrl+Alt++", self._faster),
         )
 
-    def attach(self, link: Link) -> None:
+    def attach(self, link: BenchLink) -> None:
         """Show the override of this bench; hardware starts slowly."""
         self._link = None
         if not link.simulated:
@@ -267,7 +267,7 @@ class SpeedOverride:
 class ServoSwitch:
     """Carries the operator's wish to the arm, and shows how its motors are."""
 
-    def __init__(self, link: Link, bar: TopBar, cards: FaultCards) -> None:
+    def __init__(self, link: BenchLink, bar: TopBar, cards: FaultCards) -> None:
         self._link, self._bar, self._cards = link, bar, cards
         bar.servo.ordered = self._switch
 
@@ -286,4 +286,4 @@ class ServoSwitch:
         try:
             hand.servo(on)
         except RefusedError as error:
-            self._cards.show_card(refusal_card(error, clock()))
+            self._cards.show_card(refusal_card(error, time_of_day()))

@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.app.shell.bench_text import BenchWords
+from touchdown.app.shell.bench_text import BenchCaption
 from touchdown.widgets.base import (
     LEAST,
     MOST,
@@ -33,7 +33,7 @@ from touchdown.widgets.base import (
     label,
     ui_font,
 )
-from touchdown.widgets.shell import BenchBanner, FaultCards, OnTop, TopBar
+from touchdown.widgets.shell import BenchBanner, FaultCards, TopBar, TopOverlay
 
 MINIMUM = QSize(1280, 720)
 PAGE_EM = (74, 33)
@@ -43,7 +43,7 @@ RAIL_GAP_PX, RAIL_MARGIN_PX = 4, 8
 FOOT_OF_RAIL = (("layouts", "Layout"), ("theme", "Theme"), ("keys", "Keys"))
 
 
-class Tab(Protocol):
+class WorkspaceTab(Protocol):
     """What the window needs of a workspace."""
 
     name: str
@@ -53,7 +53,9 @@ class Tab(Protocol):
 class MainWindow(QMainWindow):
     """Holds the views; ``may_close`` decides whether a close request is granted."""
 
-    def __init__(self, theme: Theme, bar: TopBar, cards: FaultCards, tabs: Sequence[Tab]) -> None:
+    def __init__(
+        self, theme: Theme, bar: TopBar, cards: FaultCards, tabs: Sequence[WorkspaceTab]
+    ) -> None:
         super().__init__()
         self._theme, self._bar = theme, bar
         self.may_close: Callable[[], bool] = bool
@@ -78,7 +80,7 @@ class MainWindow(QMainWindow):
         right = QVBoxLayout(body)
         right.setContentsMargins(0, 0, 0, 0)
         right.addWidget(self._stack, 1)
-        self._on_top = OnTop(cards, body)
+        self._on_top = TopOverlay(cards, body)
         middle = QHBoxLayout()
         middle.setSpacing(0)
         self._rail_frame = self._rail()
@@ -152,7 +154,7 @@ class MainWindow(QMainWindow):
         """Show figures at the right of the foot."""
         self._right.setText(text)
 
-    def show_bench(self, words: BenchWords) -> None:
+    def show_bench(self, words: BenchCaption) -> None:
         """Call the bench by its name in banner and title."""
         self._banner.show_bench(words.banner, words.tip, words.striped)
         self._banner.show()
@@ -236,9 +238,9 @@ def _rail_button(text: str) -> QToolButton:
 STEP = 0.1
 SETTLE_MS = 80
 """Keys pressed within this time change the window once. STOP must not wait for eight changes."""
-Choice = ThemeName | Literal["system"]
-CHOICES: tuple[Choice, ...] = (*THEMES, "system")
-_WORDS: dict[Choice, str] = {
+ThemeChoice = ThemeName | Literal["system"]
+CHOICES: tuple[ThemeChoice, ...] = (*THEMES, "system")
+_WORDS: dict[ThemeChoice, str] = {
     "dark": "dark", "light": "light", "contrast": "high contrast", "system": "as the system",
 }  # fmt: skip
 
@@ -247,13 +249,13 @@ class Appearance(QObject):
     """Holds the theme; ``refit`` is called after each change. "system" follows the desktop."""
 
     def __init__(
-        self, application: QApplication, choice: Choice, scale: float, parent: QObject
+        self, application: QApplication, choice: ThemeChoice, scale: float, parent: QObject
     ) -> None:
         super().__init__(parent)
         self._application = application
-        self.choice: Choice = choice
+        self.choice: ThemeChoice = choice
         self.theme = Theme()
-        self.refit: Callable[[], None] = _nothing_yet
+        self.refit: Callable[[], None] = _ignore_refit
         self.theme.choose(application, self._name(), scale)
         self._wanted_scale = self.theme.scale
         self._window: QWidget | None = None
@@ -268,7 +270,7 @@ class Appearance(QObject):
         self._window = window
         self.show(self.choice, self.theme.scale)
 
-    def show(self, choice: Choice, scale: float) -> None:
+    def show(self, choice: ThemeChoice, scale: float) -> None:
         """Switch to a theme and a font scale (0.8 to 2)."""
         self.choice = choice
         self.theme.apply(self._application, self._name(), scale, self._window)
@@ -321,22 +323,22 @@ def system_theme(application: QApplication) -> ThemeName:
     return "light" if hints.colorScheme() is Qt.ColorScheme.Light else "dark"
 
 
-def _nothing_yet() -> None:
+def _ignore_refit() -> None:
     """Refit nothing: there is no window yet."""
 
 
-GRIP = QSize(120, 30)
+GRIP_PX = QSize(120, 30)
 """So much of the upper edge has to be on a screen."""
 
 
-def pulled_back(window: QRect, screens: Sequence[QRect]) -> QRect:
+def move_on_screen(window: QRect, screens: Sequence[QRect]) -> QRect:
     """Return ``window``; put into the nearest screen where it cannot be taken hold of.
 
     So is one that is larger than all screens together: STOP stands at its right edge.
     """
     if not screens:
         return window
-    upper = QRect(window.left(), window.top(), window.width(), GRIP.height())
+    upper = QRect(window.left(), window.top(), window.width(), GRIP_PX.height())
     room = QRegion()
     for screen in screens:
         room += screen
@@ -344,7 +346,10 @@ def pulled_back(window: QRect, screens: Sequence[QRect]) -> QRect:
     fits = window.width() <= whole.width() and window.height() <= whole.height()
     for screen in screens if fits else ():
         seen = screen.intersected(upper)
-        if seen.width() >= min(GRIP.width(), window.width()) and seen.height() >= GRIP.height():
+        if (
+            seen.width() >= min(GRIP_PX.width(), window.width())
+            and seen.height() >= GRIP_PX.height()
+        ):
             return window
     nearest = min(screens, key=lambda screen: _away(screen, window))
     width, height = min(window.width(), nearest.width()), min(window.height(), nearest.height())

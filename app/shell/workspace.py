@@ -9,7 +9,7 @@ from typing import Protocol
 
 from PySide6.QtWidgets import QWidget
 
-from touchdown.app.shell.bench_link import Link
+from touchdown.app.shell.bench_link import BenchLink
 from touchdown.backend.core import Event
 from touchdown.widgets.base import Columns, Theme
 from touchdown.widgets.shell import FaultCards
@@ -19,7 +19,7 @@ Memory = Mapping[str, object]
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class WindowCommand:
     """One thing to do: a row of the key sheet, an entry of the palette, a key that can be changed.
 
     A key without Ctrl, Alt or function key is off while a text field has the focus; "" is no key.
@@ -36,7 +36,7 @@ class Command:
 
 
 @dataclass(frozen=True, slots=True)
-class Desk:
+class WorkspaceContext:
     """What the frame lends to its workspaces. ``runs`` is the folder of the recorded runs.
 
     ``say`` shows a sentence in the foot, ``go`` brings a workspace to the front by name, ``keys``
@@ -52,7 +52,7 @@ class Desk:
     remember: Callable[[], None]
 
 
-class Pieces(Protocol):
+class LazyPages(Protocol):
     """A page whose parts can be put into the window one after the other."""
 
     def take_out(self) -> None:
@@ -76,12 +76,12 @@ class Workspace:
     """What the rail says."""
     key: str
     page: QWidget
-    commands: Sequence[Command] = ()
+    commands: Sequence[WindowCommand] = ()
     held_keys: Sequence[tuple[str, str]] = ()
     """(key, text) of keys that act while they are held; the page handles them itself."""
     columns: Columns | None = None
     """What of the page can be arranged; None: nothing."""
-    pieces: Pieces | None = None
+    pieces: LazyPages | None = None
     """What of the page is put into the window piece by piece; None: all at once, it is small."""
     parts: Sequence[Callable[[], None]] = ()
     """What draws the page, in pieces of few ms; called in turn while the page is in front."""
@@ -90,7 +90,7 @@ class Workspace:
         """Make the page, in pieces of some ms; called once, before anything below."""
         yield
 
-    def attach(self, link: Link) -> None:
+    def attach(self, link: BenchLink) -> None:
         """Take a bench that is ready."""
 
     def take(self, fact: Event) -> None:

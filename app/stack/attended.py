@@ -6,7 +6,7 @@ from pathlib import Path
 
 from PySide6.QtWidgets import QFileDialog
 
-from touchdown.app.shell import Commits, Link, Post
+from touchdown.app.shell import BenchLink, MainThreadQueue, SaveWorker
 from touchdown.app.stack.page import StackPage
 from touchdown.backend.core import (
     Event,
@@ -25,21 +25,21 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.runs import KINDS, hand_over_message, keep_photo, scene_to_set_message
 from touchdown.widgets.shell import CardText, FaultCards
-from touchdown.widgets.views import OffsetScene, TrialLook
+from touchdown.widgets.views import OffsetScene, TrialPrompt
 
 _OVER = PhaseEntered | Released | TrialStarted | TrialFinished | RunFinished
 """After one of these nothing is asked any more."""
 
 
-class AttendedPresenter:
+class OperatorPromptsPresenter:
     """Shows one question at a time; the answer goes to the run."""
 
-    def __init__(self, link: Link, page: StackPage, cards: FaultCards) -> None:
+    def __init__(self, link: BenchLink, page: StackPage, cards: FaultCards) -> None:
         self._link, self._page, self._cards = link, page, cards
-        self._asked: TrialLook | None = None
+        self._asked: TrialPrompt | None = None
         self._mine = False
-        self._post = Post(page)
-        self._files: Commits | None = None
+        self._post = MainThreadQueue(page)
+        self._files: SaveWorker | None = None
 
     def take(self, fact: Event) -> None:
         """Follow the runs that stack."""
@@ -49,14 +49,14 @@ class AttendedPresenter:
             return
         if isinstance(fact, SetUpAwaited):
             self._ask(
-                TrialLook(
+                TrialPrompt(
                     "Set the scene", scene_to_set_message(fact), "Ready  Y", self._scene(fact)
                 )
             )
         elif isinstance(fact, HandOverAwaited):
-            self._ask(TrialLook("Hand the piece over", hand_over_message(fact), "It is there  Y"))
+            self._ask(TrialPrompt("Hand the piece over", hand_over_message(fact), "It is there  Y"))
         elif isinstance(fact, OutcomeAwaited):
-            self._ask(TrialLook("What became of it?", fact.why, proposed=fact.proposed))
+            self._ask(TrialPrompt("What became of it?", fact.why, proposed=fact.proposed))
         elif isinstance(fact, _OVER):
             self._ask(None)
 
@@ -101,7 +101,7 @@ class AttendedPresenter:
         """Keep a picture of this trial beside the journal of its run."""
         run, trial = self._link.run_folder, self._link.status().trial
         if self._files is None:
-            self._files = Commits(self._post, "photos")
+            self._files = SaveWorker(self._post, "photos")
 
         def work() -> str:
             if run is None:
@@ -121,7 +121,7 @@ class AttendedPresenter:
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _ask(self, look: TrialLook | None) -> None:
+    def _ask(self, look: TrialPrompt | None) -> None:
         self._asked = look
         self._page.trial.detail.setText("")
         self._page.show_trial(look)

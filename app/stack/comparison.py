@@ -10,43 +10,49 @@ from typing import get_args
 from PySide6.QtWidgets import QWidget
 
 from touchdown.app.shell import (
-    Link,
+    BenchLink,
     RunStory,
     TrialStory,
-    busy,
-    outlines,
-    scene_of,
-    score_of,
-    why_no_run,
+    belief_scene,
+    face_outlines,
+    is_run_active,
+    run_score,
+    start_obstacle,
 )
 from touchdown.backend.core import Event, Outcome, RunStarted, TrialFinished
 from touchdown.backend.runs import StackRequest, StrategyChoice
 from touchdown.widgets.base import Theme
 from touchdown.widgets.forms import STRATEGIES
-from touchdown.widgets.views import WORDS, BeliefScene, ComparisonSheet, RivalLook, rate_words
+from touchdown.widgets.views import (
+    WORDS,
+    BeliefScene,
+    ComparisonSheet,
+    StrategyResult,
+    success_rate_text,
+)
 
-MOST = 4
+MAX_QUESTIONS = 4
 """So many questions are kept, with the last belief map of each trial."""
-Asked = tuple[str, str, int, int]
+StackQuestion = tuple[str, str, int, int]
 """Piece, bottoms joined by "+", seed, trials: all but the strategy."""
 
 
-def asked(request: StackRequest) -> Asked:
+def stack_question(request: StackRequest) -> StackQuestion:
     """Return what a request asks, whichever the strategy."""
     return request.piece, "+".join(request.bottoms), request.seed, request.trials
 
 
-def strategy_of(name: str) -> StrategyChoice | None:
+def strategy_by_name(name: str) -> StrategyChoice | None:
     """Return the strategy of this name; None if there is none."""
     names: tuple[StrategyChoice, ...] = get_args(StrategyChoice)
     return next((known for known in names if known == name), None)
 
 
-class Rivals:
+class StrategyRuns:
     """Keeps one story per question and strategy: the newest."""
 
     def __init__(self) -> None:
-        self._stories: OrderedDict[Asked, dict[StrategyChoice, RunStory]] = OrderedDict()
+        self._stories: OrderedDict[StackQuestion, dict[StrategyChoice, RunStory]] = OrderedDict()
         self._present: RunStory | None = None
 
     def take(self, fact: Event) -> None:
@@ -60,20 +66,20 @@ class Rivals:
                 probes = self._present.trial.probes
                 probes[:-1] = [replace(look, belief=None) for look in probes[:-1]]
 
-    def story(self, question: Asked, strategy: StrategyChoice) -> RunStory | None:
+    def story(self, question: StackQuestion, strategy: StrategyChoice) -> RunStory | None:
         """Return the newest run of a strategy, also one in progress; None if there was none."""
         return self._stories.get(question, {}).get(strategy)
 
     def _begin(self, head: RunStarted) -> None:
         self._present = None
-        strategy = strategy_of(head.strategy)
+        strategy = strategy_by_name(head.strategy)
         if head.activity != "stack" or strategy is None:
             return
         question = head.piece, head.bottom, head.seed, head.trials
         self._present = RunStory()
         self._stories.setdefault(question, {})[strategy] = self._present
         self._stories.move_to_end(question)
-        while len(self._stories) > MOST:
+        while len(self._stories) > MAX_QUESTIONS:
             self._stories.popitem(last=False)
 
 
@@ -82,18 +88,18 @@ NOT_RUN = BeliefScene(empty=("Not run yet", "Run it with the same seed."))
 NO_MAP = BeliefScene(empty=("No belief", "This strategy lets go without a probe."))
 
 
-class Comparison:
+class ComparisonPresenter:
     """``request`` returns what the form asks; ``start`` begins a run and shows a refusal itself."""
 
     def __init__(
         self,
-        link: Link,
+        link: BenchLink,
         theme: Theme,
         request: Callable[[], StackRequest],
         start: Callable[[StackRequest], bool],
     ) -> None:
         self._link, self._theme, self._request, self._start = link, theme, request, start
-        self._rivals = Rivals()
+        self._rivals = StrategyRuns()
         self._question: StackRequest | None = None
         self._pair: tuple[StrategyChoice, StrategyChoice] = ("paper", BLIND)
         self._waiting: list[StrategyChoice] = []
@@ -112,10 +118,10 @@ class Comparison:
             )
         if not self._waiting:
             self._question = self._request()
-            rivals = _rivals(simulated=self._link.simulated)
-            self._pair = both(self._question)
+            rivals = _other_strategies(simulated=self._link.simulated)
+            self._pair = compared_strategies(self._question)
             if self._pair[1] not in dict(rivals):
-                self._pair = "paper", strategy_of(rivals[0][0]) or "paper"
+                self._pair = "paper", strategy_by_name(rivals[0][0]) or "paper"
             self.sheet.offer(rivals, self._pair[1])
         self._drawn = ()
         self.sheet.open_large()
@@ -123,21 +129,21 @@ class Comparison:
 
     def run_missing(self) -> None:
         """Run each strategy that has not answered yet, one after the other."""
-        if self._question is not None and not self._waiting and not busy(self._link):
+        if self._question is not None and not self._waiting and not is_run_active(self._link):
             missing = self._missing(self._question)
             self._waiting = missing or list(self._pair)
             self._next()
 
     def draw(self) -> None:
         """Go on with the next strategy; show what changed."""
-        if self._waiting and not busy(self._link):
+        if self._waiting and not is_run_active(self._link):
             self._next()
         if self.sheet is None or not self.sheet.isVisible() or self._question is None:
             return
-        question = asked(self._question)
+        question = stack_question(self._question)
         stories = [self._rivals.story(question, strategy) for strategy in self._pair]
         versions = tuple(None if story is None else story.version for story in stories)
-        active = busy(self._link)
+        active = is_run_active(self._link)
         drawn = (
             question,
             self._pair,
@@ -156,7 +162,7 @@ class Comparison:
     def _next(self) -> None:
         """Start the next strategy; a run that did not end well ends the series."""
         assert self._question is not None
-        question = asked(self._question)
+        question = stack_question(self._question)
         before = [s for s in self._pair if s not in self._waiting]
         last = self._rivals.story(question, before[-1]) if before else None
         if last is not None and last.ended is None:
@@ -169,12 +175,14 @@ class Comparison:
             self._waiting = []
 
     def _missing(self, request: StackRequest) -> list[StrategyChoice]:
-        return [s for s in self._pair if not _answered(self._rivals.story(asked(request), s))]
+        return [
+            s for s in self._pair if not _answered(self._rivals.story(stack_question(request), s))
+        ]
 
     def _show(
         self,
         sheet: ComparisonSheet,
-        question: Asked,
+        question: StackQuestion,
         stories: list[RunStory | None],
         *,
         active: bool,
@@ -193,19 +201,19 @@ class Comparison:
         text = "" if active else "Run both" if len(missing) == 2 else "Run the other one"
         if not missing:
             text = "" if active else "Run both again"
-        sheet.show_run(text, "" if active else why_no_run(self._link))
+        sheet.show_run(text, "" if active else start_obstacle(self._link))
 
-    def _look(self, title: str, story: RunStory | None, trials: int, at: int) -> RivalLook:
+    def _look(self, title: str, story: RunStory | None, trials: int, at: int) -> StrategyResult:
         if story is None:
-            return RivalLook(title, trials=trials, scene=NOT_RUN)
-        score = score_of(story.trials, trials, "")
+            return StrategyResult(title, trials=trials, scene=NOT_RUN)
+        score = run_score(story.trials, trials, "")
         placed = sum(outcome is Outcome.PLACED for outcome in story.outcomes)
-        count, rate = f"{placed} of {score.counted} placed", rate_words(score)
+        count, rate = f"{placed} of {score.counted} placed", success_rate_text(score)
         if at >= len(story.trials):
-            return RivalLook(title, story.outcomes, trials, count, rate)
+            return StrategyResult(title, story.outcomes, trials, count, rate)
         trial = story.trials[at]
         words, good = _words(trial)
-        return RivalLook(
+        return StrategyResult(
             title, story.outcomes, trials, count, rate, words, good, self._scene(story, trial)
         )
 
@@ -213,11 +221,11 @@ class Comparison:
         felt = [k for k, look in enumerate(trial.probes) if look.belief is not None]
         if not felt:
             return NO_MAP
-        return scene_of(trial, felt[-1], *outlines(self._link.catalogue, story.head))
+        return belief_scene(trial, felt[-1], *face_outlines(self._link.catalogue, story.head))
 
     def _compare_with(self, name: str) -> None:
         """Put another strategy on the right; what it answered in this session is shown at once."""
-        rival = strategy_of(name)
+        rival = strategy_by_name(name)
         if rival is not None and not self._waiting:
             self._pair = self._pair[0], rival
             self.draw()
@@ -227,12 +235,12 @@ class Comparison:
         self.draw()
 
 
-def both(request: StackRequest) -> tuple[StrategyChoice, StrategyChoice]:
+def compared_strategies(request: StackRequest) -> tuple[StrategyChoice, StrategyChoice]:
     """Return the paper's strategy and the chosen one; letting go where that is the paper's."""
     return "paper", BLIND if request.strategy == "paper" else request.strategy
 
 
-def _rivals(*, simulated: bool) -> list[tuple[str, str]]:
+def _other_strategies(*, simulated: bool) -> list[tuple[str, str]]:
     """Return what can stand on the right; on devices nothing is let go untested."""
     left_out = {"paper"} if simulated else {"paper", BLIND}
     return [(key, title) for key, title in STRATEGIES if key not in left_out]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout
 
-from touchdown.app.shell import LivePage, column, no_higher
+from touchdown.app.shell import LivePage, column_of, limit_height
 from touchdown.backend.core import FINGERS
-from touchdown.widgets.base import Columns, Panel, Theme, tool, ui_font
+from touchdown.widgets.base import Columns, Panel, Theme, flat_button, ui_font
 from touchdown.widgets.forms import RunPanel
 from touchdown.widgets.plots import TracesPanel
 from touchdown.widgets.views import (
@@ -21,8 +21,8 @@ from touchdown.widgets.views import (
     ScorePanel,
     SideView,
     TrialIntents,
-    TrialLook,
     TrialPanel,
+    TrialPrompt,
 )
 
 TRACES, SIDE = "Force and moment", "Bench from the side"
@@ -60,7 +60,7 @@ class StackPage(LivePage):
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
         self.run = RunPanel(theme, intents.start, intents.pause, intents.cancel)
         self.score = ScorePanel(theme)
-        compare = tool("Compare", "Compare the strategies on the same seed (Ctrl+D)")
+        compare = flat_button("Compare", "Compare the strategies on the same seed (Ctrl+D)")
         compare.clicked.connect(intents.compare)
         self.score.header.addWidget(compare)
         self.side = SideView(theme)
@@ -77,7 +77,7 @@ class StackPage(LivePage):
         self.show_silent(why)
         self.decision.show_text(DecisionText(verdict, "", "", why))
 
-    def show_trial(self, look: TrialLook | None) -> None:
+    def show_trial(self, look: TrialPrompt | None) -> None:
         """Show what the operator is asked; a picture takes the place of the belief map."""
         self.trial.show_look(look)
         if look is not None and look.yes:
@@ -102,11 +102,11 @@ class StackPage(LivePage):
         fingers = QHBoxLayout()
         fingers.setSpacing(8)
         for panel in self.tactile_panels.values():
-            no_higher(panel)
+            limit_height(panel)
             fingers.addWidget(panel, 1)
-        feel = column((fingers, 0), (self.traces_panel, 1))
-        believe = column((self.decision, 0), (self.trial, 1), (self.belief_panel, 2))
-        self._right = column((self.run, 0), (self.score, 0), (self.side_panel, 1))
+        feel = column_of((fingers, 0), (self.traces_panel, 1))
+        believe = column_of((self.decision, 0), (self.trial, 1), (self.belief_panel, 2))
+        self._right = column_of((self.run, 0), (self.score, 0), (self.side_panel, 1))
         left, right = self.tactile_panels.values()
         self.stand_in(
             Columns(

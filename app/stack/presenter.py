@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from touchdown.app.shell import (
-    ACTIVE,
-    Link,
-    ProbeLook,
+    ACTIVE_STATES,
+    BenchLink,
+    ProbeStory,
     RunStory,
     TrialStory,
-    busy,
-    model_words,
-    no_probe,
-    outlines,
-    scene_of,
-    score_of,
-    why_no_run,
+    belief_scene,
+    face_outlines,
+    is_run_active,
+    run_model_caption,
+    run_score,
+    start_obstacle,
+    unprobed_scene,
 )
-from touchdown.app.stack.comparison import strategy_of
+from touchdown.app.stack.comparison import strategy_by_name
 from touchdown.app.stack.page import StackPage
 from touchdown.backend.core import Event, InputError, Outcome, RefusedError, TrialFinished
 from touchdown.backend.runs import DecisionMode, RunState, RunStatus, StackRequest
@@ -30,7 +30,7 @@ from touchdown.widgets.views import (
     DecisionText,
     Score,
     caption_of,
-    decide_in_words,
+    decision_text,
     signed_mm,
 )
 
@@ -47,14 +47,14 @@ RELEASED = frozenset({Outcome.PLACED, Outcome.FELL, Outcome.KNOCKED_OVER})
 class StackPresenter:
     """Holds the story of the present run and shows it."""
 
-    def __init__(self, link: Link, page: StackPage, cards: FaultCards) -> None:
+    def __init__(self, link: BenchLink, page: StackPage, cards: FaultCards) -> None:
         self._link, self._page, self._cards = link, page, cards
         self.story = RunStory()
         self._pieces = (self._draw_decision, self._draw_map, self._draw_strip, self._draw_score)
         self._shown_versions = [-1] * len(self._pieces)
         self._next_piece = 0
         self._chosen: int | None = None
-        self._scenes: dict[tuple[int, int, bool], tuple[ProbeLook, BeliefScene]] = {}
+        self._scenes: dict[tuple[int, int, bool], tuple[ProbeStory, BeliefScene]] = {}
         self._buttons: RunButtons | None = None
         self._state = RunState.IDLE
         self._asking = ""
@@ -63,9 +63,9 @@ class StackPresenter:
 
     def start(self) -> None:
         """Begin the run that is filled in."""
-        if not busy(self._link):
+        if not is_run_active(self._link):
             self.show_model()
-            self.begin(request_of(self._page.run.form()))
+            self.begin(stack_request(self._page.run.form()))
 
     def begin(self, request: StackRequest) -> bool:
         """Begin a run; False, with a card, if it is refused."""
@@ -116,7 +116,7 @@ class StackPresenter:
     def show_model(self) -> None:
         """Say which model a run of the filled in form would take; read anew, it may be another."""
         form = self._page.run.form()
-        words = model_words(form.piece, form.strategy)
+        words = run_model_caption(form.piece, form.strategy)
         self._page.run.show_model(words.short, words.full)
 
     def take(self, fact: Event) -> None:
@@ -149,8 +149,8 @@ class StackPresenter:
         self._next_piece = 0
 
     def _draw_buttons(self, status: RunStatus) -> None:
-        active = status.state in ACTIVE
-        why = "" if active else why_no_run(self._link)
+        active = status.state in ACTIVE_STATES
+        why = "" if active else start_obstacle(self._link)
         buttons = RunButtons(
             start=not why and not active,
             pause=status.state in (RunState.RUNNING, RunState.PAUSING, RunState.PAUSED),
@@ -220,7 +220,7 @@ class StackPresenter:
     def _draw_map(self) -> None:
         trial, belief = self._shown_trial(), self._page.belief
         if trial is None or not trial.probes:
-            scene, detail = BeliefScene() if trial is None else no_probe(trial), ""
+            scene, detail = BeliefScene() if trial is None else unprobed_scene(trial), ""
             changed = belief.scene.belief is not None or belief.scene.empty != scene.empty
         else:
             look = trial.probes[self._index(trial)]
@@ -246,8 +246,8 @@ class StackPresenter:
         """Return which of its probes is shown: the chosen one, else the newest."""
         return len(trial.probes) - 1 if self._chosen is None else self._chosen
 
-    def _decision(self, look: ProbeLook) -> DecisionText:
-        text = decide_in_words(look.stability, look.action)
+    def _decision(self, look: ProbeStory) -> DecisionText:
+        text = decision_text(look.stability, look.action)
         trial = self._shown_trial()
         if self._chosen is not None:
             return DecisionText(text.verdict, text.tone, text.margin,
@@ -281,7 +281,10 @@ class StackPresenter:
         look = trial.probes[index]
         kept = self._scenes.get(key)
         if kept is None or kept[0] is not look:
-            kept = look, scene_of(trial, index, *outlines(self._link.catalogue, self.story.head))
+            kept = (
+                look,
+                belief_scene(trial, index, *face_outlines(self._link.catalogue, self.story.head)),
+            )
             self._scenes[key] = kept
         return kept[1]
 
@@ -293,13 +296,13 @@ class StackPresenter:
                 noun = "probe" if done.probes == 1 else "probes"
                 last = f"Seed {done.seed}: {WORDS[done.outcome]} after {done.probes} {noun}."
                 break
-        return score_of(self.story.trials, head.trials if head is not None else 0, last)
+        return run_score(self.story.trials, head.trials if head is not None else 0, last)
 
 
-def request_of(form: RunForm) -> StackRequest:
+def stack_request(form: RunForm) -> StackRequest:
     """Return the request of a form."""
     bottoms = (form.under, form.bottom) if form.under else (form.bottom,)
-    strategy = strategy_of(form.strategy) or "paper"
+    strategy = strategy_by_name(form.strategy) or "paper"
     modes: dict[str, DecisionMode] = {"auto": "auto", "approve": "approve", "step": "step"}
     return StackRequest(
         piece=form.piece,
@@ -312,7 +315,7 @@ def request_of(form: RunForm) -> StackRequest:
     )
 
 
-def _belief_detail(scene: BeliefScene, look: ProbeLook) -> str:
+def _belief_detail(scene: BeliefScene, look: ProbeStory) -> str:
     if scene.belief is None:
         return ""
     largest = float(scene.belief.probability.max())

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from touchdown.app.shell import Link
+from touchdown.app.shell import BenchLink
 from touchdown.backend.core import (
     Event,
     Fall,
@@ -39,12 +39,12 @@ EVERY = 2
 """Drawn on every second tick: 15 pictures a second are smooth for an arm."""
 
 
-class SidePresenter:
+class SideViewPresenter:
     """Follows the arm; after a release the piece stays or falls where it was let go."""
 
     def __init__(
         self,
-        link: Link,
+        link: BenchLink,
         view: SideView,
         panel: Panel,
         now_s: Callable[[], float] = time.monotonic,

@@ -6,19 +6,27 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, replace
 from functools import partial
 
-from touchdown.app.shell import Command, Desk, Link, LivePresenter, LiveViews, Memory, Workspace
-from touchdown.app.stack.attended import AttendedPresenter
-from touchdown.app.stack.comparison import Comparison
+from touchdown.app.shell import (
+    BenchLink,
+    LivePresenter,
+    LiveViews,
+    Memory,
+    WindowCommand,
+    Workspace,
+    WorkspaceContext,
+)
+from touchdown.app.stack.attended import OperatorPromptsPresenter
+from touchdown.app.stack.comparison import ComparisonPresenter
 from touchdown.app.stack.page import StackIntents, StackPage
-from touchdown.app.stack.presenter import StackPresenter, request_of
-from touchdown.app.stack.side import SidePresenter
+from touchdown.app.stack.presenter import StackPresenter, stack_request
+from touchdown.app.stack.side import SideViewPresenter
 from touchdown.backend.core import Event, Outcome
 from touchdown.backend.runs import SceneChoice
 from touchdown.widgets.forms import RunForm
 from touchdown.widgets.views import NOTHING_YET, TrialIntents
 
 
-def form_of(memory: Mapping[str, object]) -> tuple[RunForm, list[str]]:
+def remembered_run_form(memory: Mapping[str, object]) -> tuple[RunForm, list[str]]:
     """Return (form, names of what made no sense); those fields get their defaults."""
     default, known, dropped = RunForm(), {}, []
     for entry in fields(RunForm):
@@ -30,7 +38,7 @@ def form_of(memory: Mapping[str, object]) -> tuple[RunForm, list[str]]:
     return RunForm(**known), dropped  # type: ignore[arg-type]
 
 
-def careful(form: RunForm, on_bench: SceneChoice) -> RunForm:
+def careful_form(form: RunForm, on_bench: SceneChoice) -> RunForm:
     """Return the form for devices: asked before each move, and nothing let go untested.
 
     It begins with what is ``on_bench``, whatever was filled in for another one.
@@ -57,28 +65,28 @@ class StackWorkspace(Workspace):
     name, title, key = "stack", "Stack", "Ctrl+4"
     page: StackPage
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: WorkspaceContext) -> None:
         self._desk = desk
         self.live: LivePresenter | None = None
         self.presenter: StackPresenter | None = None
-        self.side: SidePresenter | None = None
-        self.comparison: Comparison | None = None
-        self.attended: AttendedPresenter | None = None
+        self.side: SideViewPresenter | None = None
+        self.comparison: ComparisonPresenter | None = None
+        self.attended: OperatorPromptsPresenter | None = None
         self._form = RunForm()
         self.commands = (
-            Command("start", "Start stacking", "Ctrl+Return", self._start),
-            Command("step", "Next step: carry out the move that waits", "N", self._approve),
-            Command("approve", "Approve the move that waits", "A", self._approve),
-            Command("pause", "Pause or resume", "P", self._pause),
-            Command("compare", "Compare the strategies on the same seed", "Ctrl+D", self._compare),
-            Command("confirm", "Yes: the scene is set, the hand is there, as proposed", "Y",
-                    lambda: self._on_trial(AttendedPresenter.confirm)),
+            WindowCommand("start", "Start stacking", "Ctrl+Return", self._start),
+            WindowCommand("step", "Next step: carry out the move that waits", "N", self._approve),
+            WindowCommand("approve", "Approve the move that waits", "A", self._approve),
+            WindowCommand("pause", "Pause or resume", "P", self._pause),
+            WindowCommand("compare", "Compare the strategies on the same seed", "Ctrl+D", self._compare),
+            WindowCommand("confirm", "Yes: the scene is set, the hand is there, as proposed", "Y",
+                    lambda: self._on_trial(OperatorPromptsPresenter.confirm)),
             *(
-                Command(name, text, key, partial(self._see, outcome))
+                WindowCommand(name, text, key, partial(self._see, outcome))
                 for name, text, key, outcome in SEEN
             ),
-            Command("photo", "Add a picture of this trial", "", self._photo),
-            Command("fit", "Fit the force and moment ranges", "Ctrl+F",
+            WindowCommand("photo", "Add a picture of this trial", "", self._photo),
+            WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
                     lambda: self.page.fit()),
         )  # fmt: skip
 
@@ -91,23 +99,23 @@ class StackWorkspace(Workspace):
         self.page = StackPage(self._desk.theme, intents)
         self.columns = self.pieces = self.page.columns
 
-    def attach(self, link: Link) -> None:
+    def attach(self, link: BenchLink) -> None:
         """Show this bench."""
         page, shown = self.page, link.catalogue
         views = LiveViews(page.tactile, page.tactile_panels, page.force, page.moment)
         self.live = LivePresenter(link, views)
         self.presenter = StackPresenter(link, page, self._desk.cards)
-        self.side = SidePresenter(link, page.side, page.side_panel)
-        self.attended = AttendedPresenter(link, page, self._desk.cards)
-        self.comparison = Comparison(
-            link, self._desk.theme, lambda: request_of(page.run.form()), self.presenter.begin
+        self.side = SideViewPresenter(link, page.side, page.side_panel)
+        self.attended = OperatorPromptsPresenter(link, page, self._desk.cards)
+        self.comparison = ComparisonPresenter(
+            link, self._desk.theme, lambda: stack_request(page.run.form()), self.presenter.begin
         )
         page.run.show_catalogue(
             [(name, shown.piece(name).title) for name in shown.tops],
             [(name, shown.piece(name).title) for name in shown.bottoms],
         )
         page.run.show_devices(not link.simulated)
-        page.run.show_form(self._form if link.simulated else careful(self._form, link.usual))
+        page.run.show_form(self._form if link.simulated else careful_form(self._form, link.usual))
         page.decision.show_text(NOTHING_YET)
         self.presenter.show_model()
         page.run.chosen.connect(self.presenter.show_model)
@@ -152,7 +160,7 @@ class StackWorkspace(Workspace):
 
     def recall(self, memory: Memory) -> Sequence[str]:
         """Fill in the remembered form."""
-        self._form, dropped = form_of(memory)
+        self._form, dropped = remembered_run_form(memory)
         self.page.run.show_form(self._form)
         return dropped
 
@@ -184,7 +192,7 @@ class StackWorkspace(Workspace):
         if self.comparison is not None:
             self.comparison.open(self.page.window())
 
-    def _on_trial(self, order: Callable[[AttendedPresenter], None]) -> None:
+    def _on_trial(self, order: Callable[[OperatorPromptsPresenter], None]) -> None:
         if self.attended is not None:
             order(self.attended)
 
@@ -198,7 +206,7 @@ class StackWorkspace(Workspace):
         self._on_trial(lambda trial: trial.judge(outcome, reason))
 
     def _photo(self) -> None:
-        self._on_trial(AttendedPresenter.ask_photo)
+        self._on_trial(OperatorPromptsPresenter.ask_photo)
 
     def _choose(self, index: int) -> None:
         if self.presenter is not None:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QHBoxLayout, QPushButton, QSizePolicy, QWidget
 
-from touchdown.app.shell import column
-from touchdown.widgets.base import Columns, Notes, Panel, Theme, label, rule, ui_font
+from touchdown.app.shell import column_of
+from touchdown.widgets.base import Columns, Panel, ScrollingNote, Theme, label, rule, ui_font
 from touchdown.widgets.forms import TrainingFormPanel, TrainingIntents
-from touchdown.widgets.lists import FigureTable, RunTable
+from touchdown.widgets.lists import FigureTable, TrainingTable
 from touchdown.widgets.plots import CurvePlot, ReliabilityPlot, SampleStrip
 
 
@@ -39,14 +39,14 @@ class TrainPage(QWidget):
         """Make the rest of what stands on the page, in pieces of some ms."""
         theme, intents = self._theme, self._intents
         self.split = FigureTable(theme, "Episodes per bottom", ("bottom", "train", "held out"))
-        self.leaks = Notes("What the split leaks")
+        self.leaks = ScrollingNote("What the split leaks")
         self.loss = CurvePlot(theme, "Loss per epoch (nats a point)")
         self.iou = CurvePlot(theme, "IoU per epoch", 1.0)
         self.accuracy = CurvePlot(theme, "Points right per epoch", 1.0)
         self.reliability = ReliabilityPlot(theme)
         self.samples = SampleStrip(theme)
         yield
-        self.runs = RunTable(theme, intents.choose)
+        self.runs = TrainingTable(theme, intents.choose)
         self.differences = FigureTable(theme, "What differs", ("setting", "A"))
         self.figures = FigureTable(theme, "Figures per bottom", ("IoU / points right, %", "A"))
         self.split.empty = "No episode that counts yet"
@@ -87,9 +87,9 @@ class TrainPage(QWidget):
         self.split_panel.header.addWidget(self.form.numbers.held_out)
         self.split_panel.column.addWidget(self.leaks)
         self.split_panel.column.addWidget(self.form.divide)
-        self._left = column((self.form, 0), (self.split_panel, 1))
-        middle = column((self._curves(), 3), (self._samples_panel(), 2))
-        right = column((self._runs_panel(), 4), (self._comparison(), 5))
+        self._left = column_of((self.form, 0), (self.split_panel, 1))
+        middle = column_of((self._curves(), 3), (self._samples_panel(), 2))
+        right = column_of((self._runs_panel(), 4), (self._comparison(), 5))
         self.columns = Columns(
             ((self._left, 5), (middle, 9), (right, 7)),
             {

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from touchdown.app.shell import Commits, Post
+from touchdown.app.shell import MainThreadQueue, SaveWorker
 from touchdown.app.train import text as words
 from touchdown.app.train.page import TrainPage
-from touchdown.app.train.reading import InUse, Looked, Reading, scenes_of
+from touchdown.app.train.reading import ModelInUse, TrainingLookup, TrainingReader, sample_scenes
 from touchdown.backend.annotations import LABEL_CHOICES
 from touchdown.backend.config import TrainingSettings, parse_settings
 from touchdown.backend.core import InputError, ProcessStallDetector
@@ -29,16 +29,16 @@ from touchdown.backend.learning import (
 )
 from touchdown.widgets.forms import TrainingButtons, TrainingForm
 from touchdown.widgets.plots import SampleScene
-from touchdown.widgets.shell import CardText, FaultCards, Question
+from touchdown.widgets.shell import CardQuestion, CardText, FaultCards
 
 Report = TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled
-LOOK_S = 0.05
-PATIENCE_S, JOIN_S = 1.0, 1.0
+POLL_INTERVAL_S = 0.05
+STOP_TIMEOUT_S, JOIN_S = 1.0, 1.0
 """So long a window that closes waits for a cancelled training, and after that for a killed one."""
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class TrainingCallbacks:
     """Whom to tell, on the window's thread. ``ended`` gets what ended it early, or None.
 
     ``still``: the child process does nothing, or goes on after all.
@@ -53,7 +53,9 @@ class Told:
 class TrainingThread:
     """Begins at once; exactly one ``ended`` follows."""
 
-    def __init__(self, request: TrainingRequest, post: Post, told: Told) -> None:
+    def __init__(
+        self, request: TrainingRequest, post: MainThreadQueue, told: TrainingCallbacks
+    ) -> None:
         self._request, self._post, self._told = request, post, told
         self._lock, self._cancelled = threading.Lock(), False
         self._training: RecordedTraining | None = None
@@ -73,7 +75,7 @@ class TrainingThread:
     def close(self) -> None:
         """End it and wait, for a while only: the process is gone then, whatever it did."""
         self.cancel()
-        self._thread.join(PATIENCE_S)
+        self._thread.join(STOP_TIMEOUT_S)
         self._kill()
         self._over.set()
         self._thread.join(JOIN_S)
@@ -106,7 +108,7 @@ class TrainingThread:
     def _look(self) -> None:
         """Tell when the child stands still and when it goes on; a cancelled one is ended then."""
         watch, told = None, False
-        while not self._over.wait(LOOK_S):
+        while not self._over.wait(POLL_INTERVAL_S):
             with self._lock:
                 training, cancelled = self._training, self._cancelled
             number = None if training is None else training.number
@@ -125,13 +127,18 @@ class TrainPresenter:
     """Holds what was read, the trainings that are chosen, and the one that goes on."""
 
     def __init__(
-        self, page: TrainPage, cards: FaultCards, reading: Reading, commits: Commits, post: Post
+        self,
+        page: TrainPage,
+        cards: FaultCards,
+        reading: TrainingReader,
+        commits: SaveWorker,
+        post: MainThreadQueue,
     ) -> None:
         self._page, self._cards, self._reading = page, cards, reading
         self._commits, self._post = commits, post
-        self.looked: Looked | None = None
+        self.looked: TrainingLookup | None = None
         self.runs: dict[str, TrainingRun] = {}
-        self.in_use: InUse | None = None
+        self.in_use: ModelInUse | None = None
         self.thread: TrainingThread | None = None
         self.live = ""
         """Id of the training that goes on."""
@@ -151,12 +158,12 @@ class TrainPresenter:
         number = self._looks
         self._page.show_busy(True)
 
-        def work() -> Looked | None:
+        def work() -> TrainingLookup | None:
             return self._reading.look(form, anew=anew) if number == self._looks else None
 
         self._commits.submit(work, self._take_look, self._failed)
 
-    def _take_look(self, looked: Looked | None) -> None:
+    def _take_look(self, looked: TrainingLookup | None) -> None:
         if looked is None:
             return
         page = self._page
@@ -170,7 +177,7 @@ class TrainPresenter:
         page.form.show_pieces([(name, name) for name in overview.pieces], overview.piece)
         page.split.show_rows(words.split_rows(overview))
         page.split_panel.detail.setText(overview.piece)
-        page.leaks.setText(words.split_words(overview, looked.trouble))
+        page.leaks.setText(words.split_text(overview, looked.trouble))
         self._show_runs()
         if not page.runs.chosen() and self.runs:
             page.runs.choose([next(iter(self.runs))])
@@ -205,7 +212,9 @@ class TrainPresenter:
         if self.thread is None or self._cancelling:
             return
         text = "Cancel the training? Whole epochs are kept: it can be resumed."
-        self._cards.ask(Question(text, (("Keep training", _nothing), ("Cancel it", self.cancel))))
+        self._cards.ask(
+            CardQuestion(text, (("Keep training", _nothing), ("Cancel it", self.cancel)))
+        )
 
     def cancel(self) -> None:
         """End the training after the present batch."""
@@ -243,7 +252,9 @@ class TrainPresenter:
     def _begin(self, request: TrainingRequest) -> None:
         self._epochs_s, self._cancelling = [], False
         self.thread = TrainingThread(
-            request, self._post, Told(self._begun, self._report, self._ended, self._still)
+            request,
+            self._post,
+            TrainingCallbacks(self._begun, self._report, self._ended, self._still),
         )
         self._show_progress("starting \N{HORIZONTAL ELLIPSIS}")
         self.show_buttons()
@@ -258,7 +269,9 @@ class TrainPresenter:
         if isinstance(report, TrainingEpoch):
             self._epochs_s.append(now_s - self._stamp_s)
             if not self._cancelling:
-                self._show_progress(words.eta_words(report.epoch, report.epochs, self._epochs_s))
+                self._show_progress(
+                    words.remaining_time_text(report.epoch, report.epochs, self._epochs_s)
+                )
         elif not isinstance(report, TrainingFinished) and not self._cancelling:
             self._show_progress("first epoch \N{HORIZONTAL ELLIPSIS}")
         self._stamp_s = now_s
@@ -325,7 +338,7 @@ class TrainPresenter:
             fresh = not words.is_in_use(run.card, use)
         page.promote.setEnabled(fresh)
         page.roll_back.setEnabled(use is not None and use.before is not None)
-        page.in_use.setText(words.in_use_words(use))
+        page.in_use.setText(words.model_in_use_text(use))
 
     def _can_start(self) -> bool:
         looked = self.looked
@@ -391,12 +404,12 @@ class TrainPresenter:
             page.samples.show_scenes((), str(error))
 
         run = chosen[0]
-        self._commits.submit(lambda: scenes_of(run), show, none)
+        self._commits.submit(lambda: sample_scenes(run), show, none)
 
     def _show_progress(self, text: str) -> None:
         self._page.curves_panel.detail.setText(text)
 
-    def _take_use(self, in_use: InUse | None) -> None:
+    def _take_use(self, in_use: ModelInUse | None) -> None:
         self.in_use = in_use
         self._show_runs()
 

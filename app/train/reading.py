@@ -26,11 +26,11 @@ from touchdown.backend.learning import (
 from touchdown.widgets.forms import LABELS, TrainingForm
 from touchdown.widgets.plots import SampleScene
 
-HOW_TO_GET_DATA = "Collect probes (Ctrl+2), or choose another folder (Ctrl+O)."
+NO_DATA_HINT = "Collect probes (Ctrl+2), or choose another folder (Ctrl+O)."
 
 
 @dataclass(frozen=True, slots=True)
-class InUse:
+class ModelInUse:
     """The model in use for ``piece`` ("" is the shipped one); ``before``: None if never changed.
 
     ``probes``: on how many hardware probes it was evaluated; None for a model that has seen more
@@ -45,7 +45,7 @@ class InUse:
 
 
 @dataclass(frozen=True, slots=True)
-class Looked:
+class TrainingLookup:
     """What there is to train on, the trainings so far, and the model in use.
 
     ``trouble``: why there is nothing to train on.
@@ -53,11 +53,11 @@ class Looked:
 
     overview: TrainingSetOverview
     runs: tuple[TrainingRun, ...]
-    in_use: InUse | None
+    in_use: ModelInUse | None
     trouble: str = ""
 
 
-class Reading:
+class TrainingReader:
     """Remembers the episodes of the data looked at last: a change of the split reads nothing."""
 
     def __init__(self, registry: ModelRegistry) -> None:
@@ -65,14 +65,14 @@ class Reading:
         self._key: tuple[str, str] | None = None
         self._found: Sequence[TrainingCandidate] = ()
 
-    def look(self, form: TrainingForm, *, anew: bool) -> Looked:
+    def look(self, form: TrainingForm, *, anew: bool) -> TrainingLookup:
         """Read data, trainings and registry."""
         data, trouble = Path(form.data), ""
         try:
             if not data.is_dir():
-                raise InputError("There are no data here yet.", str(data), HOW_TO_GET_DATA)
+                raise InputError("There are no data here yet.", str(data), NO_DATA_HINT)
             found = self._candidates(form, anew=anew)
-            trouble = "" if found else _what_would_count(form)
+            trouble = "" if found else _label_hint(form)
         except InputError as error:
             found, trouble = (), f"{error.what} {error.fix}"
             self._key = None
@@ -85,16 +85,18 @@ class Reading:
         )
         runs = tuple(list_training_runs(data))
         piece = seen.piece or _piece_of(runs) or self._changed_last()
-        return Looked(seen, runs, self.in_use(piece), trouble)
+        return TrainingLookup(seen, runs, self.in_use(piece), trouble)
 
-    def in_use(self, piece: str) -> InUse | None:
+    def in_use(self, piece: str) -> ModelInUse | None:
         """Return the model in use for a piece."""
         if not piece:
             return None
         path, history = self._registry.in_use(piece), self._registry.history(piece)
         sha256 = SHIPPED if path is None else path.stem
         since_ns = history[-1].at_ns if history else 0
-        return InUse(piece, sha256, self._registry.before(piece), since_ns, self._probes(piece))
+        return ModelInUse(
+            piece, sha256, self._registry.before(piece), since_ns, self._probes(piece)
+        )
 
     def _changed_last(self) -> str:
         """Return the piece whose model was changed last: it can be rolled back without data."""
@@ -109,12 +111,12 @@ class Reading:
             return None
         return self._registry.hardware_probes(card.weights_sha256) if card.simulated else None
 
-    def promote(self, run: TrainingRun) -> InUse | None:
+    def promote(self, run: TrainingRun) -> ModelInUse | None:
         """Put the model of a training in use."""
         use = self._registry.promote(run.model, run=run.uuid)
         return self.in_use(use.piece)
 
-    def roll_back(self, piece: str) -> InUse | None:
+    def roll_back(self, piece: str) -> ModelInUse | None:
         """Put the model before in use again."""
         self._registry.roll_back(piece)
         return self.in_use(piece)
@@ -128,7 +130,7 @@ class Reading:
         return self._found
 
 
-def _what_would_count(form: TrainingForm) -> str:
+def _label_hint(form: TrainingForm) -> str:
     """Say how to come to labels that count, where the chosen ones do not."""
     names = [name for name, _ in LABELS]
     review = "accept labels in Label (Ctrl+2) and let somebody else approve them"
@@ -140,7 +142,7 @@ def _what_would_count(form: TrainingForm) -> str:
     return f"No label counts yet: {review}."
 
 
-def scenes_of(run: TrainingRun) -> list[SampleScene]:
+def sample_scenes(run: TrainingRun) -> list[SampleScene]:
     """Return the samples of a finished training; raises ``InputError``."""
     samples = load_samples(run.folder)
     piece = str(run.about.params.get("piece", ""))

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from touchdown.app.train.reading import InUse
+from touchdown.app.train.reading import ModelInUse
 from touchdown.backend.core import FaultError, InputError
 from touchdown.backend.episodes import group_noun
 from touchdown.backend.learning import (
@@ -18,8 +18,8 @@ from touchdown.backend.learning import (
     TrainingRun,
     TrainingSetOverview,
 )
-from touchdown.widgets.lists import RunRow
-from touchdown.widgets.plots import TOKENS, Line
+from touchdown.widgets.lists import TrainingRow
+from touchdown.widgets.plots import TOKENS, CurveLine
 from touchdown.widgets.shell import CardText
 
 LETTERS = ("A", "B", "C")
@@ -40,7 +40,7 @@ STILL = CardText(
 )
 
 
-def run_row(run: TrainingRun, in_use: InUse | None, marks: Mapping[str, str]) -> RunRow:
+def run_row(run: TrainingRun, in_use: ModelInUse | None, marks: Mapping[str, str]) -> TrainingRow:
     """Return a training as a row; ``marks`` are the letters of the chosen ones."""
     params, best = run.about.params, run.best_epoch
     used = run.card is not None and in_use is not None and is_in_use(run.card, in_use)
@@ -55,19 +55,19 @@ def run_row(run: TrainingRun, in_use: InUse | None, marks: Mapping[str, str]) ->
         _per_cent(run.value("iou", best)),
         f"{done}/{total}" if run.card is None else f"{best}/{total}",
     )
-    return RunRow(run.uuid, cells)
+    return TrainingRow(run.uuid, cells)
 
 
-def is_in_use(card: ModelCard, in_use: InUse) -> bool:
+def is_in_use(card: ModelCard, in_use: ModelInUse) -> bool:
     """Whether the model of ``card`` is the one in use for its piece."""
     return card.piece == in_use.piece and card.weights_sha256 == in_use.weights_sha256
 
 
-def in_use_words(in_use: InUse | None) -> str:
+def model_in_use_text(in_use: ModelInUse | None) -> str:
     """Say which model is in use, and what a roll back would bring."""
     if in_use is None:
         return ""
-    alone = alone_words(in_use.probes)
+    alone = autonomy_text(in_use.probes)
     if in_use.before is None:
         return f"In use for {in_use.piece}: the model that ships. {alone}".strip()
     since = datetime.fromtimestamp(in_use.since_ns / 1e9)
@@ -77,7 +77,7 @@ def in_use_words(in_use: InUse | None) -> str:
     ).strip()
 
 
-def alone_words(probes: int | None) -> str:
+def autonomy_text(probes: int | None) -> str:
     """Say whether a model of simulations may decide without being asked on hardware."""
     if probes is None:
         return ""
@@ -89,7 +89,7 @@ def alone_words(probes: int | None) -> str:
     )
 
 
-def split_words(overview: TrainingSetOverview, trouble: str) -> str:
+def split_text(overview: TrainingSetOverview, trouble: str) -> str:
     """Say what is wrong with the data, or what leaks."""
     if trouble or overview.error:
         return trouble or overview.error
@@ -105,22 +105,22 @@ def split_rows(overview: TrainingSetOverview) -> list[tuple[str, str, str]]:
     return rows
 
 
-def curve_lines(runs: Sequence[TrainingRun], name: str) -> list[Line]:
+def curve_lines(runs: Sequence[TrainingRun], name: str) -> list[CurveLine]:
     """Return a metric of the chosen trainings; for one alone, the loss of both sides."""
     if len(runs) == 1 and name == "validation_loss":
         curves = runs[0].curves
         return [
-            Line("train", _points(curves.get("train_loss", ())), TOKENS[1], dashed=True),
-            Line("valid.", _points(curves.get(name, ())), TOKENS[0]),
+            CurveLine("train", _points(curves.get("train_loss", ())), TOKENS[1], dashed=True),
+            CurveLine("valid.", _points(curves.get(name, ())), TOKENS[0]),
         ]
     marks = LETTERS if len(runs) > 1 else ("",)
     return [
-        Line(mark, _points(run.curves.get(name, ())), token, dashed=at == 1)
+        CurveLine(mark, _points(run.curves.get(name, ())), token, dashed=at == 1)
         for at, (run, mark, token) in enumerate(zip(runs, marks, TOKENS, strict=False))
     ]
 
 
-def reliability_lines(runs: Sequence[TrainingRun]) -> list[Line]:
+def reliability_lines(runs: Sequence[TrainingRun]) -> list[CurveLine]:
     """Return the reliability of each training at its best epoch."""
     lines = []
     for at, (run, mark, token) in enumerate(zip(runs, LETTERS, TOKENS, strict=False)):
@@ -128,7 +128,9 @@ def reliability_lines(runs: Sequence[TrainingRun]) -> list[Line]:
         error = run.value("calibration_error", run.best_epoch)
         name = f"error {error:.3f}" if math.isfinite(error) else ""
         name = f"{mark}  {name}" if len(runs) > 1 else name
-        lines.append(Line(name, tuple((p, share) for p, share, _ in bins), token, dashed=at == 1))
+        lines.append(
+            CurveLine(name, tuple((p, share) for p, share, _ in bins), token, dashed=at == 1)
+        )
     return lines
 
 
@@ -165,7 +167,7 @@ def figure_rows(runs: Sequence[TrainingRun]) -> list[tuple[str, ...]]:
     return [(name, *(_pair(table.get(name)) for table in tables)) for name in names]
 
 
-def eta_words(done: int, total: int, seconds: Sequence[float]) -> str:
+def remaining_time_text(done: int, total: int, seconds: Sequence[float]) -> str:
     """Say how far a training is; ``seconds``: what the epochs of this sitting took."""
     if not seconds:
         return f"epoch {done} of {total}"

@@ -8,10 +8,17 @@ from pathlib import Path
 
 from PySide6.QtWidgets import QFileDialog
 
-from touchdown.app.shell import Command, Commits, Desk, Memory, Post, Workspace
+from touchdown.app.shell import (
+    MainThreadQueue,
+    Memory,
+    SaveWorker,
+    WindowCommand,
+    Workspace,
+    WorkspaceContext,
+)
 from touchdown.app.train.page import TrainIntents, TrainPage
 from touchdown.app.train.presenter import TrainPresenter
-from touchdown.app.train.reading import Reading
+from touchdown.app.train.reading import TrainingReader
 from touchdown.backend.learning import ModelRegistry
 from touchdown.backend.runs import dataset_folder, models_folder
 from touchdown.widgets.forms import TrainingForm, TrainingIntents
@@ -25,35 +32,39 @@ class TrainWorkspace(Workspace):
     name, title, key = "train", "Train", "Ctrl+3"
     page: TrainPage
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: WorkspaceContext) -> None:
         self._desk = desk
         self.presenter: TrainPresenter | None = None
-        self._post: Post | None = None
-        self._commits: Commits | None = None
+        self._post: MainThreadQueue | None = None
+        self._commits: SaveWorker | None = None
         self._folders = [dataset_folder()]
         self.commands = (
-            Command("start", "Start training", "Ctrl+Return", self._order(TrainPresenter.start)),
-            Command(
+            WindowCommand(
+                "start", "Start training", "Ctrl+Return", self._order(TrainPresenter.start)
+            ),
+            WindowCommand(
                 "resume",
                 "Resume the chosen training",
                 "Ctrl+Shift+Return",
                 self._order(TrainPresenter.resume),
             ),
-            Command("cancel", "Cancel the training", "Esc", self._order(TrainPresenter.ask_cancel)),
-            Command(
+            WindowCommand(
+                "cancel", "Cancel the training", "Esc", self._order(TrainPresenter.ask_cancel)
+            ),
+            WindowCommand(
                 "promote",
                 "Put the chosen model in use",
                 "Ctrl+P",
                 self._order(TrainPresenter.promote),
             ),
-            Command(
+            WindowCommand(
                 "roll-back",
                 "Put the model before in use again",
                 "Ctrl+Shift+P",
                 self._order(TrainPresenter.roll_back),
             ),
-            Command("folder", "Train on another folder", "Ctrl+O", self._ask_folder),
-            Command("reread", "Read data and trainings anew", "Ctrl+R", self._reread),
+            WindowCommand("folder", "Train on another folder", "Ctrl+O", self._ask_folder),
+            WindowCommand("reread", "Read data and trainings anew", "Ctrl+R", self._reread),
         )
 
     def build(self) -> Iterator[None]:
@@ -85,9 +96,9 @@ class TrainWorkspace(Workspace):
     def enter(self) -> None:
         """Read data and trainings, which others may have changed."""
         if self.presenter is None:
-            self._post = Post(self.page)
-            self._commits = Commits(self._post, "train-reading")
-            reading = Reading(ModelRegistry(models_folder()))
+            self._post = MainThreadQueue(self.page)
+            self._commits = SaveWorker(self._post, "train-reading")
+            reading = TrainingReader(ModelRegistry(models_folder()))
             self.presenter = TrainPresenter(
                 self.page, self._desk.cards, reading, self._commits, self._post
             )
@@ -115,7 +126,7 @@ class TrainWorkspace(Workspace):
 
     def recall(self, memory: Memory) -> Sequence[str]:
         """Take what was remembered; return what makes no sense."""
-        form, dropped = form_of(memory)
+        form, dropped = remembered_training_form(memory)
         folders = memory.get("folders", [])
         if isinstance(folders, list) and all(isinstance(one, str) for one in folders):
             self._folders = [self._folders[0], *(Path(one) for one in folders[:MOST_FOLDERS])]
@@ -179,7 +190,7 @@ def _short(folder: Path, names: Sequence[str]) -> str:
     return f"{folder.parent.name}/{folder.name}" if names.count(folder.name) > 1 else folder.name
 
 
-def form_of(memory: Mapping[str, object]) -> tuple[TrainingForm, list[str]]:
+def remembered_training_form(memory: Mapping[str, object]) -> tuple[TrainingForm, list[str]]:
     """Return (form, names of what made no sense); those fields get their defaults."""
     default = asdict(TrainingForm())
     known, dropped = dict(default), []

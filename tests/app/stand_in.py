@@ -106,7 +106,7 @@ class StandInEngine:
 
 
 class StandInBench:
-    """Satisfies ``touchdown.app.shell.bench_link.Link``."""
+    """Satisfies ``touchdown.app.shell.bench_link.BenchLink``."""
 
     simulated = True
     facts = BenchDescription(mode="simulated")

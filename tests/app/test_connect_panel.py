@@ -9,9 +9,9 @@ from PySide6.QtWidgets import QApplication
 from tests.app.conftest import settle
 from tests.backend.devices.waiting import until
 from tests.backend.rig.scripted import LINES, held, scripted
-from touchdown.app.connect.limits import TITLES, rows_of, unit_of
-from touchdown.app.connect.presenter import row_of
-from touchdown.app.shell.bench_text import words_of
+from touchdown.app.connect.limits import TITLES, limit_rows, limit_unit
+from touchdown.app.connect.presenter import device_row
+from touchdown.app.shell.bench_text import bench_caption
 from touchdown.backend.config.bench_description import BenchDescription
 from touchdown.backend.core.faults import Fault, RefusedError
 from touchdown.backend.devices.interlock import Limits
@@ -72,14 +72,14 @@ def test_the_forms_begin_with_what_is_on_the_bench(lab):
 )
 def test_each_kind_of_bench_has_its_own_words(bench, mode, banner, striped, note):
     bench.facts, bench.name = BenchDescription(mode=mode), "Bench 2"
-    words = words_of(bench)
+    words = bench_caption(bench)
     assert (words.banner, words.striped, words.note) == (banner, striped, note)
     assert ("SIMULATED" in words.title) is (mode == "simulated")
     assert ("EMULATED" in words.title) is (mode == "emulated")
 
 
 def test_what_is_to_be_known_of_a_device_stands_in_its_row_though_it_is_ready():
-    look = row_of(DeviceStatus("arm", "ready", 4, WHO, notice="It came late."), can=True)
+    look = device_row(DeviceStatus("arm", "ready", 4, WHO, notice="It came late."), can=True)
     assert (look.text, look.bad) == ("Maker Model, 7. It came late.", True)
 
 
@@ -94,7 +94,7 @@ def test_what_is_to_be_known_of_a_device_stands_in_its_row_though_it_is_ready():
     ],
 )
 def test_the_marks_of_a_row_say_how_far_it_came(line, marks, label):
-    look = row_of(line, can=True)
+    look = device_row(line, can=True)
     assert (" ".join(look.marks), look.label) == (marks, label)
     if line.fault is not None:
         assert look.text == "The camera is lost. Plug it in."
@@ -196,11 +196,11 @@ def test_on_devices_each_move_is_asked_for(lab):
 
 
 def test_every_limit_is_shown_with_its_unit():
-    assert {row.name for row in rows_of(Limits())} == {*Limits.__dataclass_fields__}
-    assert [unit_of(n) for n in ("trip_nm", "trip_n", "jog_mm_s", "turn_rad_s", "tilt_rad")] == [
+    assert {row.name for row in limit_rows(Limits())} == {*Limits.__dataclass_fields__}
+    assert [limit_unit(n) for n in ("trip_nm", "trip_n", "jog_mm_s", "turn_rad_s", "tilt_rad")] == [
         "N\N{MIDDLE DOT}m", "N", "mm/s", "\N{DEGREE SIGN}/s", "\N{DEGREE SIGN}",
     ]  # fmt: skip
-    assert len(TITLES) == len(rows_of(Limits()))
+    assert len(TITLES) == len(limit_rows(Limits()))
 
 
 def limits_sheet(main):

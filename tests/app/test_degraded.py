@@ -8,8 +8,8 @@ import pytest
 
 from tests.app.conftest import settle
 from tests.backend.brisk import brisk_bench, brisk_method
-from touchdown.app.shell.activity import LASTING_S, why_no_run
-from touchdown.app.shell.top_bar import ChipsPresenter, pill_of
+from touchdown.app.shell.activity import DEGRADED_DELAY_S, start_obstacle
+from touchdown.app.shell.top_bar import DeviceChipsPresenter, pill_state
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.devices.supervision import DegradedDevice
@@ -39,13 +39,13 @@ def test_a_run_shows_it_while_it_stands_and_its_pause_afterwards(bench):
     bench.degraded = (slow, replace(slow, device="tactile_right", how="silent"))
     for state, word in ((RunState.RUNNING, "DEGRADED"), (RunState.PAUSED, "PAUSED")):
         bench.set_state(state)
-        assert pill_of(bench).word == word
+        assert pill_state(bench).word == word
     bench.set_state(RunState.RUNNING)
-    assert pill_of(bench).note == "F/T slow 3 s +1"
+    assert pill_state(bench).note == "F/T slow 3 s +1"
     bench.set_state(RunState.RUNNING, asks="say the outcome")
-    assert pill_of(bench).word == "YOUR TURN"
+    assert pill_state(bench).word == "YOUR TURN"
     bench.interlock.stop()
-    assert pill_of(bench).word == "STOPPED"
+    assert pill_state(bench).word == "STOPPED"
 
 
 def test_a_bench_that_makes_no_step_stands_still_and_one_that_prepares_does_not(bench):
@@ -62,10 +62,10 @@ def test_a_bench_that_makes_no_step_stands_still_and_one_that_prepares_does_not(
     thread._stepped_s -= 4.2
     bench.still_s = thread.still_s
     bench.interlock.stop()
-    pill = pill_of(bench)
+    pill = pill_state(bench)
     assert (pill.word, pill.note) == ("STILL", "no step for 4 s")
     bench.set_state(RunState.PREPARING)
-    assert pill_of(bench).word == "STOPPED"
+    assert pill_state(bench).word == "STOPPED"
     hangs.set()
     thread.close(lambda: None)
     assert thread.still_s == 0.0
@@ -75,11 +75,13 @@ def test_what_lasts_keeps_the_start_disabled_and_says_why(live, bench):
     bench.turn(5.0)
     start = live.workspaces["stack"].page.run.start
     live.go("stack")
-    bench.degraded = (DegradedDevice("force_torque", "slow", bench.clock_s() - 0.5 * LASTING_S),)
-    assert why_no_run(bench) == ""
-    bench.turn(LASTING_S)
+    bench.degraded = (
+        DegradedDevice("force_torque", "slow", bench.clock_s() - 0.5 * DEGRADED_DELAY_S),
+    )
+    assert start_obstacle(bench) == ""
+    bench.turn(DEGRADED_DELAY_S)
     settle(live)
-    assert why_no_run(bench) == "The wrist sensor is slow: check it first"
+    assert start_obstacle(bench) == "The wrist sensor is slow: check it first"
     assert not start.isEnabled()
     bench.degraded = ()
     settle(live)
@@ -93,7 +95,7 @@ def test_a_silent_sensor_refuses_a_probe_is_degraded_then_a_fault():
     words = []
     while session.clock_s() < 2.2:
         session.advance()
-        word = pill_of(session).word
+        word = pill_state(session).word
         if word == "DEGRADED" and "DEGRADED" not in words:
             with pytest.raises(RefusedError, match="The wrist sensor has been silent") as refused:
                 session.start(ProbeRequest())
@@ -110,14 +112,14 @@ def test_a_sensor_that_slows_down_is_yellow_on_the_pill_and_on_its_chip_alone(qt
     session.prepare(SceneChoice("pot", ("short",)))
     bar = TopBar(Theme(), lambda: None)
     qtbot.addWidget(bar)
-    chips = ChipsPresenter(session, bar, session.clock_s)
+    chips = DeviceChipsPresenter(session, bar, session.clock_s)
 
     def look(until_s):
         while session.clock_s() < until_s:
             session.advance()
             chips.draw()
         shown = {name: bar.chips[name].value for name in session.devices}
-        return pill_of(session), {n: v.detail for n, v in shown.items() if v.state != "ready"}
+        return pill_state(session), {n: v.detail for n, v in shown.items() if v.state != "ready"}
 
     assert look(1.6)[1] == {}
     pill, unwell = look(3.5)
@@ -138,7 +140,7 @@ def test_a_sensor_that_comes_back_leaves_a_bench_that_is_ready():
     words = []
     while session.clock_s() < 2.2:
         session.advance()
-        if (word := pill_of(session).word) not in words[-1:]:
+        if (word := pill_state(session).word) not in words[-1:]:
             words.append(word)
     assert words == ["READY", "DEGRADED", "READY"]
     session.close()

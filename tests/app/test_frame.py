@@ -14,11 +14,11 @@ from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel, QSpinBox, QWid
 from tests.app.conftest import settle
 from tests.app.stand_in import StandInBench
 from touchdown.app.application import TouchdownApp
-from touchdown.app.shell.actions import EVERYWHERE, STOP_ROWS, portable
-from touchdown.app.shell.errors import ErrorBox, install, log_to
+from touchdown.app.shell.actions import EVERYWHERE_CONTEXT, STOP_BINDINGS, portable_key
+from touchdown.app.shell.errors import ErrorBox, install_error_hooks, log_to
 from touchdown.app.shell.settings import WindowSettings, load_settings, save_settings
-from touchdown.app.stack.workspace import form_of
-from touchdown.app.start import bad_pair
+from touchdown.app.stack.workspace import remembered_run_form
+from touchdown.app.start import incompatibility
 from touchdown.widgets.base.theme import THEMES
 from touchdown.widgets.forms.run_form import RunForm
 
@@ -26,14 +26,18 @@ from touchdown.widgets.forms.run_form import RunForm
 def test_no_two_commands_share_a_key_in_one_context(main):
     rows = main.actions.rows
     for context in main.workspaces:
-        keys = [portable(r.key) for r in rows if r.context in (EVERYWHERE, context) and r.key]
+        keys = [
+            portable_key(r.key)
+            for r in rows
+            if r.context in (EVERYWHERE_CONTEXT, context) and r.key
+        ]
         assert all(keys)
         assert sorted(set(keys)) == sorted(keys)
 
 
 def test_no_action_or_shortcut_takes_a_stop_key(live):
     keys = {a.shortcut().toString() for a in live.window.findChildren(QAction)}
-    assert not {key for key, _ in STOP_ROWS} & keys
+    assert not {key for key, _ in STOP_BINDINGS} & keys
     assert {"F12", "Space"} <= {row.key for row in live.actions.rows}
 
 
@@ -173,7 +177,7 @@ def test_good_fields_of_a_partly_bad_file_are_kept(tmp_path):
     settings, warning = load_settings(path)
     assert settings.theme == "light"
     assert "scale" in warning
-    form, dropped = form_of(settings.pages["stack"])
+    form, dropped = remembered_run_form(settings.pages["stack"])
     assert (form.piece, form.seed, dropped) == ("barrel", RunForm().seed, ["seed"])
 
 
@@ -182,7 +186,7 @@ def test_closing_remembers_the_form(main, tmp_path):
     main.workspaces["stack"].page.run.show_form(RunForm("mushroom", "circle25", seed=42))
     main.close()
     settings, _ = load_settings(tmp_path / "window.json")
-    form, _ = form_of(settings.pages["stack"])
+    form, _ = remembered_run_form(settings.pages["stack"])
     assert (form.piece, form.bottom, form.seed) == ("mushroom", "circle25", 42)
 
 
@@ -196,7 +200,7 @@ def test_closing_without_a_bench_keeps_the_remembered_form(qapp, tmp_path, qtbot
     main.window.deleteLater()
     main.deleteLater()
     settings, _ = load_settings(path)
-    assert form_of(settings.pages["stack"])[0] == RunForm("barrel", "hex20", "long", 5)
+    assert remembered_run_form(settings.pages["stack"])[0] == RunForm("barrel", "hex20", "long", 5)
 
 
 # -- guard and hooks -------------------------------------------------------------------------------
@@ -208,7 +212,7 @@ def test_closing_without_a_bench_keeps_the_remembered_form(qapp, tmp_path, qtbot
      ((3, 11), "6.11.3", False)],
 )  # fmt: skip
 def test_the_guard_knows_the_bad_pairs(python, pyside, bad):
-    line = bad_pair(python, pyside)
+    line = incompatibility(python, pyside)
     assert (line is not None) == bad
     if line:
         assert pyside in line
@@ -217,7 +221,7 @@ def test_the_guard_knows_the_bad_pairs(python, pyside, bad):
 
 def test_exceptions_of_slots_and_threads_and_qt_become_cards(main, qtbot):
     before = (sys.excepthook, threading.excepthook, sys.unraisablehook)
-    restore = install(main._box)
+    restore = install_error_hooks(main._box)
     try:
         sys.excepthook(ValueError, ValueError("in a slot"), None)
         worker = threading.Thread(target=lambda: 1 / 0, name="lathe")
@@ -269,9 +273,9 @@ def test_details_are_shown_and_copied(live, bench, qapp):
 
 def test_questions_do_not_block(live, qtbot):
     answered = []
-    from touchdown.widgets.shell.fault_cards import Question
+    from touchdown.widgets.shell.fault_cards import CardQuestion
 
-    live.cards.ask(Question("Really?", (("Yes", lambda: answered.append(1)),)))
+    live.cards.ask(CardQuestion("Really?", (("Yes", lambda: answered.append(1)),)))
     button = next(b for b in live.cards.findChildren(QAbstractButton) if b.text() == "Yes")
     qtbot.mouseClick(button, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: answered == [1], timeout=60_000)

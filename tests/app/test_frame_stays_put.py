@@ -9,7 +9,7 @@ from touchdown.app.collect.workspace import LABEL_WORDS
 from touchdown.app.shell.errors import log_to
 from touchdown.backend.core.events import Paused, PhaseEntered
 from touchdown.backend.core.faults import Fault
-from touchdown.widgets.shell.fault_cards import CardText, Question
+from touchdown.widgets.shell.fault_cards import CardQuestion, CardText
 
 PAGES_TWICE_AS_FINE = """
 import sys
@@ -61,7 +61,7 @@ def test_cards_and_questions_move_nothing_below_them(live, bench):
     settle(live)
     assert live.cards.height() > one_px, "unfolded, all of it is seen"
     live.reset()
-    live.cards.ask(Question("A piece is held. Opening lets it go.", (("Keep", list),)))
+    live.cards.ask(CardQuestion("A piece is held. Opening lets it go.", (("Keep", list),)))
     settle(live)
     assert live.cards.isVisible()
     assert [place(widget, live.window) for widget in watched] == before

@@ -4,7 +4,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
 from tests.app.conftest import settle
-from touchdown.app.shell.activity import rows_of
+from touchdown.app.shell.activity import inspector_rows
 from touchdown.backend.devices.protocols import Identity
 from touchdown.backend.runs.requests import RunState
 
@@ -44,7 +44,7 @@ def test_a_press_that_leaves_the_chip_opens_nothing(live, qtbot):
 
 def test_text_is_written_as_the_device_says_it(bench):
     bench.devices["arm"].describe = lambda: {"gel": "large-dot", "x_mm": -3.0}
-    rows = dict(rows_of(bench.devices["arm"]))
+    rows = dict(inspector_rows(bench.devices["arm"]))
     assert rows["gel"] == "large-dot"
     assert rows["x_mm"] == "\N{MINUS SIGN}3"
 

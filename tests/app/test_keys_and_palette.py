@@ -7,9 +7,9 @@ from PySide6.QtWidgets import QAbstractSpinBox, QComboBox, QLabel, QWidget
 
 from tests.app.conftest import settle
 from touchdown.app.application import TouchdownApp
-from touchdown.app.shell.actions import EVERYWHERE, plain, portable, refusal
+from touchdown.app.shell.actions import EVERYWHERE_CONTEXT, is_plain_key, key_refusal, portable_key
 from touchdown.app.shell.errors import ErrorBox
-from touchdown.widgets.shell.keys import Choice, best, score
+from touchdown.widgets.shell.keys import PaletteEntry, best_matches, match_score
 
 
 def test_workspaces_have_their_keys_and_stand_in_the_order_of_the_rail(main):
@@ -26,7 +26,7 @@ def test_workspaces_have_their_keys_and_stand_in_the_order_of_the_rail(main):
      ("Alt+1", False), ("[", True), ("", False)],
 )  # fmt: skip
 def test_which_keys_could_be_typed(key, typed):
-    assert plain(key) is typed
+    assert is_plain_key(key) is typed
 
 
 @pytest.mark.parametrize(
@@ -42,17 +42,17 @@ def test_which_keys_could_be_typed(key, typed):
     ],
 )
 def test_a_key_that_has_a_meaning_is_refused_by_name(main, name, key, word):
-    assert word in refusal(main.actions.rows, name, key)
-    assert main.actions.change_key(name, key) == refusal(main.actions.rows, name, key)
+    assert word in key_refusal(main.actions.rows, name, key)
+    assert main.actions.change_key(name, key) == key_refusal(main.actions.rows, name, key)
 
 
 def test_a_jog_key_cannot_be_given_away_in_operate(main):
-    assert "Jog" in refusal(main.actions.rows, "operate.probe", "Left")
-    assert refusal(main.actions.rows, "stack.pause", "Left") == ""
+    assert "Jog" in key_refusal(main.actions.rows, "operate.probe", "Left")
+    assert key_refusal(main.actions.rows, "stack.pause", "Left") == ""
 
 
 def test_two_workspaces_may_use_one_key(main):
-    assert refusal(main.actions.rows, "stack.pause", "G") == ""
+    assert key_refusal(main.actions.rows, "stack.pause", "G") == ""
 
 
 def test_a_changed_key_survives_a_restart_and_acts(qapp, qtbot, tmp_path, main):
@@ -98,10 +98,10 @@ def test_every_action_has_text_tip_and_a_place_in_the_palette(main):
 # -- palette ---------------------------------------------------------------------------------------
 
 CHOICES = [
-    Choice("a", "Operate", "Probe once", "F5"),
-    Choice("b", "Operate", "Zero force and moment", "Z"),
-    Choice("c", "Everywhere", "Full screen", "F11"),
-    Choice("d", "Stack", "Pause or resume", "P"),
+    PaletteEntry("a", "Operate", "Probe once", "F5"),
+    PaletteEntry("b", "Operate", "Zero force and moment", "Z"),
+    PaletteEntry("c", "Everywhere", "Full screen", "F11"),
+    PaletteEntry("d", "Stack", "Pause or resume", "P"),
 ]
 
 
@@ -111,13 +111,13 @@ CHOICES = [
      ("PAUSE", "d"), ("resume", "d"), ("stack", "d")],
 )  # fmt: skip
 def test_a_part_of_the_name_finds_it(query, first):
-    assert best(query, CHOICES)[0].name == first
+    assert best_matches(query, CHOICES)[0].name == first
 
 
 def test_what_does_not_occur_is_not_found():
-    assert best("qqq", CHOICES) == []
-    assert score("ba", "ab") is None
-    assert [c.name for c in best("", CHOICES)] == ["a", "b", "c", "d"]
+    assert best_matches("qqq", CHOICES) == []
+    assert match_score("ba", "ab") is None
+    assert [c.name for c in best_matches("", CHOICES)] == ["a", "b", "c", "d"]
 
 
 def test_the_palette_works_with_keys_alone(live, qtbot):
@@ -190,5 +190,5 @@ def test_every_widget_that_takes_the_focus_has_a_name(live):
 
 
 def test_contexts_are_known(main):
-    assert {row.context for row in main.actions.rows} <= {EVERYWHERE, *main.workspaces}
-    assert all(portable(row.key) for row in main.actions.rows if row.key)
+    assert {row.context for row in main.actions.rows} <= {EVERYWHERE_CONTEXT, *main.workspaces}
+    assert all(portable_key(row.key) for row in main.actions.rows if row.key)

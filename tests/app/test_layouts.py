@@ -10,9 +10,9 @@ from PySide6.QtWidgets import QApplication, QWidget
 
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
-from touchdown.app.shell.layouts import LayoutBook, load_book, save_book
-from touchdown.app.shell.window import pulled_back
-from touchdown.widgets.base.panel import Arrangement, Columns
+from touchdown.app.shell.layouts import SavedLayouts, load_layouts, save_layouts
+from touchdown.app.shell.window import move_on_screen
+from touchdown.widgets.base.panel import ColumnArrangement, Columns
 
 NOW = datetime(2026, 3, 4, 5, 6, 7)
 SCREEN = QRect(0, 0, 1920, 1080)
@@ -69,11 +69,11 @@ def test_edges_move_only_while_unlocked(columns):
 @pytest.mark.parametrize(
     "bad",
     [
-        Arrangement((0.5, 0.5)),
-        Arrangement((1.0, 0.0, 0.0)),
-        Arrangement((float("nan"), 0.5, 0.5)),
-        Arrangement((0.9, 0.9, 0.9)),
-        Arrangement((0.4, 0.3, 0.3), frozenset({"gone"})),
+        ColumnArrangement((0.5, 0.5)),
+        ColumnArrangement((1.0, 0.0, 0.0)),
+        ColumnArrangement((float("nan"), 0.5, 0.5)),
+        ColumnArrangement((0.9, 0.9, 0.9)),
+        ColumnArrangement((0.4, 0.3, 0.3), frozenset({"gone"})),
     ],
 )
 def test_what_does_not_fit_is_refused_with_a_reason(columns, bad):
@@ -84,13 +84,13 @@ def test_what_does_not_fit_is_refused_with_a_reason(columns, bad):
 
 
 def test_a_book_survives_the_disk(tmp_path):
-    book = LayoutBook(
+    book = SavedLayouts(
         locked=False,
-        present={"stack": Arrangement((0.5, 0.25, 0.25), frozenset({"Trials"}))},
-        saved={"stack": {"wide map": Arrangement((0.25, 0.5, 0.25))}},
+        present={"stack": ColumnArrangement((0.5, 0.25, 0.25), frozenset({"Trials"}))},
+        saved={"stack": {"wide map": ColumnArrangement((0.25, 0.5, 0.25))}},
     )
-    save_book(tmp_path / "layouts.json", book)
-    assert load_book(tmp_path / "layouts.json", NOW) == (book, "")
+    save_layouts(tmp_path / "layouts.json", book)
+    assert load_layouts(tmp_path / "layouts.json", NOW) == (book, "")
 
 
 @pytest.mark.parametrize(
@@ -109,8 +109,8 @@ def test_a_book_survives_the_disk(tmp_path):
 def test_a_bad_file_is_one_notice_and_kept_aside(tmp_path, content):
     path = tmp_path / "layouts.json"
     path.write_bytes(content)
-    book, notice = load_book(path, NOW)
-    assert book == LayoutBook()
+    book, notice = load_layouts(path, NOW)
+    assert book == SavedLayouts()
     assert "layouts-aside-20260304-050607.json" in notice
     assert (tmp_path / "layouts-aside-20260304-050607.json").read_bytes() == content
     assert not path.exists()
@@ -204,4 +204,4 @@ def test_the_palette_offers_the_layouts_of_the_page_in_front(live):
          "small screen", "over two screens"],
 )  # fmt: skip
 def test_a_window_is_pulled_back_to_where_it_can_be_taken_hold_of(window, screens, expected):
-    assert pulled_back(window, screens) == expected
+    assert move_on_screen(window, screens) == expected

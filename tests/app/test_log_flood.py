@@ -9,7 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from touchdown.app.shell.errors import AGAIN_S, BOX, KEPT, ErrorBox, Repeats, log, log_to
+from touchdown.app.shell.errors import (
+    BOX_SIZE,
+    REMEMBERED_TEXTS,
+    REPEAT_INTERVAL_S,
+    ErrorBox,
+    RepeatFilter,
+    log,
+    log_to,
+)
 
 FRAME_S, LASTS_S = 0.016, 60.0
 
@@ -54,18 +62,18 @@ def test_the_same_error_in_every_frame_is_counted_and_written_now_and_then(
     for _ in range(frames):
         fail(box, "broken paint")
         now[0] += FRAME_S
-    now[0] += AGAIN_S
+    now[0] += REPEAT_INTERVAL_S
     fail(box, "broken paint")
     (text,) = [path.read_text() for path in folder.iterdir()]
     written = text.count("ERROR uncaught in the window")
-    assert LASTS_S / AGAIN_S <= written <= LASTS_S / AGAIN_S + 2
+    assert LASTS_S / REPEAT_INTERVAL_S <= written <= LASTS_S / REPEAT_INTERVAL_S + 2
     told = [int(line[1:].split()[0]) for line in text.splitlines() if "times more" in line]
     # None is forgotten: written ones and counted ones are all that came.
     assert written + sum(told) == frames + 1
     cards = 0
     while box.take() is not None:
         cards += 1
-    assert cards == BOX
+    assert cards == BOX_SIZE
 
 
 def test_an_error_whose_text_changes_is_known_by_where_it_was_raised(folder: Path) -> None:
@@ -82,8 +90,8 @@ def test_errors_that_are_never_the_same_fill_no_disk(folder: Path) -> None:
     sizes = [path.stat().st_size for path in folder.iterdir()]
     assert sum(sizes) <= 10_000_000
     assert (folder / "app.log").read_text().count("error 2499") == 1
-    (repeats,) = [f for h in log.handlers for f in h.filters if isinstance(f, Repeats)]
-    assert len(repeats._seen) == KEPT
+    (repeats,) = [f for h in log.handlers for f in h.filters if isinstance(f, RepeatFilter)]
+    assert len(repeats._seen) == REMEMBERED_TEXTS
 
 
 def test_what_a_terminal_would_obey_is_written_as_its_number(folder: Path) -> None:

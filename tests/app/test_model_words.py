@@ -3,7 +3,7 @@
 import pytest
 
 from tests.app.conftest import settle
-from touchdown.app.shell.bench_text import card_in_use, model_words, scene_words
+from touchdown.app.shell.bench_text import model_card_in_use, run_model_caption, scene_model_caption
 from touchdown.backend.bench.assembly import model_in_use
 from touchdown.backend.learning.checkpoint import load_checkpoint, save_checkpoint
 from touchdown.backend.learning.registry import ModelRegistry
@@ -28,20 +28,22 @@ def mine(tmp_path):
 
 def test_the_words_follow_what_is_in_use(mine):
     model, card = mine
-    assert model_words("pot", "paper").short.startswith("shipped, IoU ")
-    assert "12,000 probes" in model_words("pot", "paper").full
+    assert run_model_caption("pot", "paper").short.startswith("shipped, IoU ")
+    assert "12,000 probes" in run_model_caption("pot", "paper").full
     ModelRegistry(models_folder()).promote(model)
-    own = model_words("pot", "paper")
+    own = run_model_caption("pot", "paper")
     assert own.short == f"yours {card.weights_sha256[:8]}, IoU 40 %, 20 probes"
     assert "promoted in Train" in own.full
-    assert model_words("barrel", "paper").short.startswith("shipped")
+    assert run_model_caption("barrel", "paper").short.startswith("shipped")
     ModelRegistry(models_folder()).roll_back("pot")
-    assert model_words("pot", "paper").short.startswith("shipped")
+    assert run_model_caption("pot", "paper").short.startswith("shipped")
 
 
 def test_strategies_that_ask_no_promoted_model_say_so(mine):
     ModelRegistry(models_folder()).promote(mine[0])
-    shorts = [model_words("pot", name).short for name in ("fused", "zero-wrench", "pick-and-place")]
+    shorts = [
+        run_model_caption("pot", name).short for name in ("fused", "zero-wrench", "pick-and-place")
+    ]
     assert not any("yours" in short for short in shorts)
     assert shorts[0] == "its own, shipped"
 
@@ -49,21 +51,21 @@ def test_strategies_that_ask_no_promoted_model_say_so(mine):
 def test_a_damaged_history_is_no_failure():
     models_folder().mkdir(parents=True)
     (models_folder() / "in-use.jsonl").write_text('{"piece": "pot"}\n', "utf-8")
-    words = model_words("pot", "paper")
+    words = run_model_caption("pot", "paper")
     assert words.short == "cannot be read"
     assert "shipped models are used" in words.full
 
 
 def test_a_scene_keeps_its_model_and_says_who_takes_the_other(mine):
     model, card = mine
-    shipped = card_in_use("pot")
+    shipped = model_card_in_use("pot")
     ModelRegistry(models_folder()).promote(model)
-    words = scene_words(shipped, "pot", simulated=True)
+    words = scene_model_caption(shipped, "pot", simulated=True)
     assert words.short.endswith(f"; in use: yours {card.weights_sha256[:8]}")
     assert "Set (Ctrl+N)" in words.full
-    assert "Set" not in scene_words(shipped, "pot", simulated=False).full
-    assert "in use:" not in scene_words(card, "pot", simulated=True).short
-    assert scene_words(None, "pot", simulated=True).short.startswith("none in this scene")
+    assert "Set" not in scene_model_caption(shipped, "pot", simulated=False).full
+    assert "in use:" not in scene_model_caption(card, "pot", simulated=True).short
+    assert scene_model_caption(None, "pot", simulated=True).short.startswith("none in this scene")
 
 
 def test_stack_and_operate_show_it(live, bench, mine):

@@ -7,9 +7,9 @@ import json
 import pytest
 
 from tests.app.label.conftest import make_episode
-from touchdown.app.review.campaign import collection_of
-from touchdown.app.review.episodes import series_of
-from touchdown.app.review.timing import trials_of
+from touchdown.app.review.campaign import collected_run
+from touchdown.app.review.episodes import list_series
+from touchdown.app.review.timing import split_into_trials
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import EpisodeContext, Label
 from touchdown.backend.core.events import (
@@ -48,7 +48,7 @@ def collected(uuids, refused=""):
 
 
 def test_a_collection_tells_plan_person_and_progress():
-    seen = collection_of(collected(["a", "b", "c"], refused="slip"))
+    seen = collected_run(collected(["a", "b", "c"], refused="slip"))
     assert seen.headline == "2 of 3 probes"
     assert seen.facts().splitlines() == [
         "pot on circle15",
@@ -68,13 +68,13 @@ def test_a_collection_tells_plan_person_and_progress():
 
 
 def test_other_runs_are_no_collections():
-    assert collection_of([started("stack")]) is None
-    assert collection_of([]) is None
-    assert collection_of([started(settings="no JSON")]).facts().count("?") == 1
+    assert collected_run([started("stack")]) is None
+    assert collected_run([]) is None
+    assert collected_run([started(settings="no JSON")]).facts().count("?") == 1
 
 
 def test_a_single_probe_is_a_trial_of_its_own():
-    (trial,) = trials_of([started("probe"), Said(0.5, "felt")])
+    (trial,) = split_into_trials([started("probe"), Said(0.5, "felt")])
     assert isinstance(trial.facts[0], TrialStarted)
     assert [type(fact) for fact in trial.facts[1:]] == [Said]
 
@@ -96,7 +96,7 @@ def filled(isolated_settings):
 
 
 def test_a_series_tells_what_is_known_of_it(filled):
-    (series,) = series_of(filled)
+    (series,) = list_series(filled)
     assert series.facts.splitlines() == [
         "pot on circle15, stepped",
         "plan: grid, 3 probes, seed 7",

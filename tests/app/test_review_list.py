@@ -7,12 +7,12 @@ from PySide6.QtCore import Qt
 
 from tests.app.stand_in import StandInBench
 from touchdown.app.review import recordings
-from touchdown.app.review.page import QuietList
-from touchdown.app.review.recordings import read_run_line
+from touchdown.app.review.page import KeylessList
+from touchdown.app.review.recordings import read_run_summary
 from touchdown.backend.core.events import PhaseEntered, RunFinished, RunStarted, TrialFinished
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.runs.event_log import EVENT_LOG_NAME, EventLog
-from touchdown.widgets.base.rows import WrappedItems
+from touchdown.widgets.base.rows import WrappedItemDelegate
 from touchdown.widgets.base.theme import Theme
 from touchdown.widgets.lists.recordings import RecordingList, RecordingRow
 
@@ -62,14 +62,14 @@ def described(main, qtbot):
     ],
 )  # fmt: skip
 def test_a_run_in_one_line(tmp_path, outcomes, ending, text):
-    assert read_run_line(record(tmp_path / "run", outcomes, ending)).text() == text
+    assert read_run_summary(record(tmp_path / "run", outcomes, ending)).text() == text
 
 
 def test_a_torn_last_line_is_passed_over(tmp_path):
     run = record(tmp_path / "run", [Outcome.PLACED])
     whole = (run / EVENT_LOG_NAME).read_bytes()
     (run / EVENT_LOG_NAME).write_bytes(whole[:-9])
-    assert read_run_line(run).text() == "pot on short: placed, not finished"
+    assert read_run_summary(run).text() == "pot on short: placed, not finished"
 
 
 def test_maps_are_not_decoded(tmp_path, monkeypatch):
@@ -77,7 +77,7 @@ def test_maps_are_not_decoded(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "touchdown.backend.runs.event_log._array", lambda value: pytest.fail("decoded")
     )
-    assert read_run_line(run).outcomes == (Outcome.PLACED, Outcome.FELL)
+    assert read_run_summary(run).outcomes == (Outcome.PLACED, Outcome.FELL)
 
 
 def test_the_list_fills_in_newest_first_and_survives_damage(main, qtbot, tmp_path):
@@ -206,11 +206,11 @@ def test_a_run_without_trials_is_named_by_what_it_was_for(tmp_path, activity, te
                        activity=activity))  # fmt: skip
     journal(RunFinished(0.0, "run", "cancelled", ""))
     journal.close()
-    assert read_run_line(tmp_path / "run").text() == text
+    assert read_run_summary(tmp_path / "run").text() == text
 
 
 def test_rows_are_as_high_as_their_text_beside_the_scroll_bar(qapp, qtbot):
-    view = QuietList("Recorded runs")
+    view = KeylessList("Recorded runs")
     qtbot.addWidget(view)
     view.setStyleSheet("QListWidget::item { padding: 6px 8px; }")
     view.resize(150, 120)
@@ -266,13 +266,13 @@ def test_a_series_of_10000_episodes_does_not_measure_each_of_its_rows(
     main, monkeypatch, rows, most
 ):
     trials, measured = main.workspaces["review"].page.trials, []
-    known = WrappedItems.sizeHint
+    known = WrappedItemDelegate.sizeHint
 
     def size_hint(self, option, index):
         measured.append(index.row())
         return known(self, option, index)
 
-    monkeypatch.setattr(WrappedItems, "sizeHint", size_hint)
+    monkeypatch.setattr(WrappedItemDelegate, "sizeHint", size_hint)
     main.workspaces["review"].presenter._fill([f"{n}.  draft, 1a2b3c4d" for n in range(rows)], -1)
     trials.doItemsLayout()
     assert 0 < len(measured) < most
@@ -314,7 +314,7 @@ def test_a_long_list_paints_and_measures_only_what_is_in_sight(qapp, qtbot, monk
 
 
 def test_a_list_without_lines_says_why_and_falls_silent_with_the_first(qtbot):
-    said, silent = QuietList("Steps", "No steps are told."), QuietList("Steps")
+    said, silent = KeylessList("Steps", "No steps are told."), KeylessList("Steps")
     for one in (said, silent):
         qtbot.addWidget(one)
         one.resize(240, 80)

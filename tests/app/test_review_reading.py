@@ -8,7 +8,7 @@ import pytest
 from tests.app.slot_watch import SLOT_S, SlotWatch
 from tests.app.test_review_list import record
 from touchdown.app.review import recordings
-from touchdown.app.review.recordings import Reading
+from touchdown.app.review.recordings import RunReader
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.runs.event_log import EVENT_LOG_NAME, read_events
 
@@ -36,7 +36,7 @@ def opened(main, qtbot):
 def test_no_turn_of_the_window_waits_for_a_long_journal(main, qtbot, run):
     workspace = opened(main, qtbot)
     begun_s = time.thread_time()
-    Reading(run).read()
+    RunReader(run).read()
     alone_s = time.thread_time() - begun_s
     watch = SlotWatch()
     try:

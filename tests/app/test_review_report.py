@@ -8,7 +8,7 @@ from PySide6.QtWidgets import QApplication, QFileDialog, QWidget
 
 from touchdown.app.application import TouchdownApp
 from touchdown.app.review import reports
-from touchdown.app.review.reports import drawn, in_colours
+from touchdown.app.review.reports import recolour_drawing, render_drawing
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.experiments.document import INK, reliability_chart
 from touchdown.backend.experiments.results import read_report
@@ -87,7 +87,7 @@ def test_a_cell_leads_to_its_run_folder_if_that_is_here(review, qtbot, tmp_path,
     file = tmp_path / "tables.json"
     file.write_bytes(FULL.read_bytes())
     opened = []
-    monkeypatch.setattr(reports, "open_outside", lambda path: opened.append(path) or "Opened")
+    monkeypatch.setattr(reports, "open_in_viewer", lambda path: opened.append(path) or "Opened")
     open_report(review, qtbot, file)
     sheet, first = review.reports.sheet, review.reports.report.sections[0].parts[0].rows[0][1][0]
     folder = tmp_path / "jobs" / first.jobs[0]
@@ -137,8 +137,8 @@ def test_the_file_is_asked_for_beside_the_window(review):
 
 def test_charts_take_the_colours_of_the_theme():
     chart = reliability_chart([0.1, 0.9], [0.2, 0.8], "Pot", "n = 3")
-    assert INK not in in_colours(chart, DARK)
-    dark, light = (drawn(chart, 2.0, tokens) for tokens in (DARK, LIGHT))
+    assert INK not in recolour_drawing(chart, DARK)
+    dark, light = (render_drawing(chart, 2.0, tokens) for tokens in (DARK, LIGHT))
     assert dark.size().toTuple() == (440, 440)
     inked = {image.pixelColor(x, y).lightness() for image in (dark,) for x in range(440)
              for y in range(20, 40) if image.pixelColor(x, y).alpha() > 200}  # fmt: skip

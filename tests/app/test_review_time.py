@@ -20,7 +20,7 @@ from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
 from touchdown.app.application import TouchdownApp
 from touchdown.app.review import exports
-from touchdown.app.review.timing import score_of, trials_of
+from touchdown.app.review.timing import patch_score, split_into_trials
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import EpisodeContext, Label
@@ -269,7 +269,7 @@ def test_an_estimate_against_the_truth_by_counting():
     points = np.array([[0.0, 0.0], [5.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
     patch = ContactPatch(points, np.array([0.9, 0.2, 0.8, 0.1]))
     # Radius 7.5 mm, moved by (1, 0): the first two points touch, 10 and about 9 mm are beside it.
-    score = score_of(4, patch, (3.0, 1.0), (2.0, 1.0), disc)
+    score = patch_score(4, patch, (3.0, 1.0), (2.0, 1.0), disc)
     assert (score.probe, score.iou, score.accuracy) == (4, pytest.approx(1 / 3), 0.5)
 
 
@@ -369,6 +369,6 @@ def test_a_single_probe_tells_what_it_felt_and_that_it_ended(start, tmp_path):
 
 
 def test_facts_before_the_first_trial_belong_to_none():
-    assert trials_of([]) == []
+    assert split_into_trials([]) == []
     patch = PatchEstimated(0.0, ContactPatch(np.zeros((1, 2)), np.zeros(1)), (0.0, 0.0), 1)
-    assert trials_of([patch]) == []
+    assert split_into_trials([patch]) == []

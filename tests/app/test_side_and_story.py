@@ -6,7 +6,7 @@ import pytest
 from tests.app.conftest import settle
 from tests.app.stand_in import stability
 from touchdown.app.shell.run_story import RunStory
-from touchdown.app.stack.side import HOLD_S, SidePresenter
+from touchdown.app.stack.side import HOLD_S, SideViewPresenter
 from touchdown.backend.core.events import (
     PhaseEntered,
     Released,
@@ -56,7 +56,7 @@ def test_the_piece_follows_its_recorded_fall(bench, qtbot):
     qtbot.addWidget(panel)
     panel.show()
     qtbot.waitExposed(panel, timeout=60_000)
-    side = SidePresenter(bench, view, panel, lambda: now_s[0])
+    side = SideViewPresenter(bench, view, panel, lambda: now_s[0])
     bench.turn(0.04)
     side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
     side.take(TrialStarted(0.0, 1, 7, None))
@@ -88,7 +88,7 @@ def test_the_piece_stays_on_its_support_while_the_hand_rises(bench, qtbot):
     qtbot.addWidget(panel)
     panel.show()
     qtbot.waitExposed(panel, timeout=60_000)
-    side = SidePresenter(bench, view, panel, lambda: 5.0)
+    side = SideViewPresenter(bench, view, panel, lambda: 5.0)
     side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
     side.take(TrialStarted(0.0, 1, 7, None))
     bench.press = 1.0
@@ -114,7 +114,7 @@ def test_a_turned_hand_is_drawn_turned_with_its_piece(bench, qtbot, tilt_deg):
     qtbot.addWidget(panel)
     panel.show()
     qtbot.waitExposed(panel, timeout=60_000)
-    side = SidePresenter(bench, view, panel, lambda: 5.0)
+    side = SideViewPresenter(bench, view, panel, lambda: 5.0)
     side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
     bench.turn(0.04)
     bench.devices["arm"].turn_rad = (0.0, np.radians(tilt_deg), 0.0)
@@ -141,7 +141,7 @@ def test_nothing_fallen_is_drawn_below_the_table(bench, qtbot):
     panel.show()
     qtbot.waitExposed(panel, timeout=60_000)
     now_s = [0.0]
-    side = SidePresenter(bench, view, panel, lambda: now_s[0])
+    side = SideViewPresenter(bench, view, panel, lambda: now_s[0])
     bench.turn(0.04)
     side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
     side.take(TrialStarted(0.0, 1, 7, None))

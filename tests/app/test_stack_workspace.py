@@ -8,9 +8,9 @@ from scipy.stats import binomtest
 
 from tests.app.conftest import settle
 from tests.app.stand_in import action
-from touchdown.app.shell.run_story import wilson
+from touchdown.app.shell.run_story import wilson_interval
 from touchdown.app.shell.settings import load_settings
-from touchdown.app.stack.presenter import request_of
+from touchdown.app.stack.presenter import stack_request
 from touchdown.backend.core.events import PhaseEntered, TrialFinished
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.runs.requests import RunState, StackRequest
@@ -46,7 +46,7 @@ def test_a_careful_mode_is_remembered_before_anything_can_crash(live, tmp_path):
 
 
 def test_a_form_without_a_tower():
-    assert request_of(RunForm(bottom="short", under="")).bottoms == ("short",)
+    assert stack_request(RunForm(bottom="short", under="")).bottoms == ("short",)
 
 
 def test_a_second_start_is_not_sent(live, bench):
@@ -137,8 +137,8 @@ def test_the_score_counts_and_gives_the_interval(live, bench):
 @pytest.mark.parametrize(("placed", "trials"), [(0, 10), (8, 10), (50, 60), (10, 10)])
 def test_wilson_against_scipy(placed, trials):
     expected = binomtest(placed, trials).proportion_ci(0.95, method="wilson")
-    assert wilson(placed, trials) == pytest.approx((expected.low, expected.high), abs=1e-6)
-    assert wilson(0, 0) is None
+    assert wilson_interval(placed, trials) == pytest.approx((expected.low, expected.high), abs=1e-6)
+    assert wilson_interval(0, 0) is None
 
 
 def test_a_trial_without_a_verdict_still_says_how_it_ended(live, bench):

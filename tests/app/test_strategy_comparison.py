@@ -3,7 +3,7 @@
 import pytest
 
 from tests.app.conftest import settle
-from touchdown.app.stack.comparison import MOST, Rivals, asked
+from touchdown.app.stack.comparison import MAX_QUESTIONS, StrategyRuns, stack_question
 from touchdown.backend.core.events import RunFinished, RunStarted
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.runs.requests import RunState, StackRequest
@@ -54,7 +54,7 @@ def test_what_is_missing_is_run_one_after_the_other(live, bench, comparing):
     assert [request.strategy for request in bench.started] == [PAPER, BLIND]
     run(bench, BLIND, Outcome.FELL, -0.8)
     settle(live)
-    assert len({asked(request) for request in bench.started}) == 1
+    assert len({stack_question(request) for request in bench.started}) == 1
     felt, blind = sheet.panels
     assert (felt.count.text(), blind.count.text()) == ("1 of 1 placed", "0 of 1 placed")
     assert felt.rate.text() == "100 % success, 95 % interval 21 to 100 %"
@@ -142,8 +142,12 @@ def test_of_a_finished_trial_the_last_map_alone_is_kept(live, bench, comparing):
 
 
 def test_only_the_newest_questions_are_kept():
-    rivals = Rivals()
-    for seed in range(MOST + 1):
+    rivals = StrategyRuns()
+    for seed in range(MAX_QUESTIONS + 1):
         rivals.take(RunStarted(0.0, "r", "pot", "short", PAPER, seed, 3, True, "{}"))
-    requests = [StackRequest("pot", ("short",), seed, 3) for seed in (0, 1, MOST)]
-    assert [rivals.story(asked(r), PAPER) is not None for r in requests] == [False, True, True]
+    requests = [StackRequest("pot", ("short",), seed, 3) for seed in (0, 1, MAX_QUESTIONS)]
+    assert [rivals.story(stack_question(r), PAPER) is not None for r in requests] == [
+        False,
+        True,
+        True,
+    ]

@@ -8,7 +8,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
 from tests.app.conftest import settle
-from touchdown.widgets.shell.tour import beside
+from touchdown.widgets.shell.tour import card_position
 
 KEY = Qt.Key
 
@@ -104,7 +104,7 @@ def test_it_begins_by_itself_once_on_the_simulated_bench(main, bench, tmp_path):
 )
 def test_the_card_stands_beside_its_place(hole, side):
     card, window = QSize(320, 150), QRect(0, 0, 1200, 700)
-    stands = QRect(beside(hole, card, window), card)
+    stands = QRect(card_position(hole, card, window), card)
     assert window.contains(stands)
     assert not stands.intersects(hole)
     assert {

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from tests.backend.catalogue.conftest import context_for, small_episode
-from touchdown.app.train.reading import Reading
+from touchdown.app.train.reading import TrainingReader
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import Label
 from touchdown.backend.bench.assembly import model_in_use
@@ -12,7 +12,7 @@ from touchdown.widgets.forms.training_form import TrainingForm
 
 
 def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
-    reading = Reading(ModelRegistry(tmp_path / "models"))
+    reading = TrainingReader(ModelRegistry(tmp_path / "models"))
     form = replace(TrainingForm(), data=str(tmp_path / "data"), labels="approved")
 
     def told(labels="approved"):
@@ -42,7 +42,7 @@ def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
 
 def test_a_promoted_model_can_be_rolled_back_without_data(tmp_path):
     registry = ModelRegistry(tmp_path / "models")
-    reading, form = Reading(registry), replace(TrainingForm(), data=str(tmp_path / "none"))
+    reading, form = TrainingReader(registry), replace(TrainingForm(), data=str(tmp_path / "none"))
     assert reading.look(form, anew=True).in_use is None
     registry.promote(model_in_use("pot", None))
     looked = reading.look(form, anew=True)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from touchdown.app.train.text import alone_words, figure_rows
+from touchdown.app.train.text import autonomy_text, figure_rows
 from touchdown.backend.learning.registry import HARDWARE_PROBES
 from touchdown.widgets.base.theme import Theme, load_resources
 from touchdown.widgets.lists.tables import FigureTable
@@ -34,7 +34,7 @@ def test_trainings_of_two_pieces_name_them():
 
 @pytest.mark.parametrize("probes", [None, 0, HARDWARE_PROBES - 1, HARDWARE_PROBES])
 def test_a_model_of_simulations_says_what_it_lacks(probes):
-    said = alone_words(probes)
+    said = autonomy_text(probes)
     assert (said == "") == (probes is None)
     if probes is not None:
         assert ("approve or step mode only" in said) == (probes < HARDWARE_PROBES)

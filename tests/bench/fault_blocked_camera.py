@@ -22,8 +22,8 @@ from tests.bench.fault_workers import GONE_S, hooked
 from tests.bench.lab_window import LabWindow
 from tests.bench.registry import Figure, figure
 from tests.bench.watched_arm import watched_arm
-from touchdown.app.shell.cards import end_for_sure
-from touchdown.app.start import SWITCH_S
+from touchdown.app.shell.cards import exit_after_timeout
+from touchdown.app.start import THREAD_SWITCH_S
 from touchdown.backend.core.values import ImageArray
 from touchdown.backend.devices.cameras.sources import PictureSource
 from touchdown.backend.devices.gelsight.driver import TactileCamera
@@ -109,7 +109,7 @@ def camera_that_blocks_beside_a_window() -> list[Figure]:
 
 def main(lab: Path) -> int:
     """Measure, then quit."""
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(THREAD_SWITCH_S)
     block = threading.Event()
     with tempfile.TemporaryDirectory() as name:
         window = LabWindow(Path(name), lab)
@@ -131,7 +131,7 @@ def main(lab: Path) -> int:
         assert not block.is_set(), "no read is blocked"
         print_found(found | {"asked_s": time.monotonic()})
         window.close()
-    end_for_sure()
+    exit_after_timeout()
     return 0
 
 

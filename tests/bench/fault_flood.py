@@ -16,9 +16,9 @@ from tests.bench.fault_slices import RATES, Slice, Sliced, together
 from tests.bench.fault_window import print_found
 from tests.bench.fault_workers import hooked, window
 from tests.bench.registry import Figure, figure
-from touchdown.app.shell.cards import end_for_sure
+from touchdown.app.shell.cards import exit_after_timeout
 from touchdown.app.shell.errors import log_to
-from touchdown.app.start import SWITCH_S
+from touchdown.app.start import THREAD_SWITCH_S
 from touchdown.backend.core.events import FaultRaised
 from touchdown.backend.core.faults import Fault
 
@@ -108,7 +108,7 @@ def _told(
 
 def main() -> int:
     """Print what was measured."""
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(THREAD_SWITCH_S)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "log"
         assert log_to(folder) is not None
@@ -128,7 +128,7 @@ def main() -> int:
         window.close()
         found = {"kinds": kinds, "raised": flood.raised, "log_bytes": log_bytes}
         print_found(found)
-    end_for_sure()
+    exit_after_timeout()
     return 0
 
 

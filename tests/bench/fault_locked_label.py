@@ -23,8 +23,8 @@ from tests.bench.fault_window import print_found
 from tests.bench.fault_workers import hooked, window
 from tests.bench.labelling import fill
 from tests.bench.registry import Figure, figure
-from touchdown.app.shell.cards import end_for_sure
-from touchdown.app.start import SWITCH_S
+from touchdown.app.shell.cards import exit_after_timeout
+from touchdown.app.start import THREAD_SWITCH_S
 from touchdown.backend.annotations.dataset import Dataset
 
 LABELS, EPISODES, WARM_UP = 4, 30, 3
@@ -140,13 +140,13 @@ def measured(window: Sliced) -> dict[str, object]:
 
 def main() -> int:
     """Print what was measured."""
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(THREAD_SWITCH_S)
     with tempfile.TemporaryDirectory() as name:
         window = Sliced(Path(name))
         found = measured(window)
         window.close()
         print_found(found)
-    end_for_sure()
+    exit_after_timeout()
     return 0
 
 

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import QPushButton, QWidget
 from tests.bench.fault_window import Watched, print_found
 from tests.bench.fault_workers import hooked, window
 from tests.bench.registry import Figure, figure
-from touchdown.app.shell.cards import end_for_sure
+from touchdown.app.shell.cards import exit_after_timeout
 from touchdown.app.shell.errors import log_to
 
 TICK_MS, FLOOD_S = 16, 10.0
@@ -153,7 +153,7 @@ def main() -> int:
         found = measured(window, log)
         window.close()
         print_found(found)
-    end_for_sure()
+    exit_after_timeout()
     return 0
 
 

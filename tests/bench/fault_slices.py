@@ -17,7 +17,6 @@ from PySide6.QtCore import QEventLoop, Qt, QTimer
 
 from tests.bench.fault_window import LIMIT_S, Watched
 from touchdown.app.stack.workspace import StackWorkspace
-from touchdown.app.start import SWITCH_S
 from touchdown.backend.runs.requests import StackRequest
 
 TICK_MS = 10

@@ -17,8 +17,8 @@ from tests.bench.fault_slices import RATES, Sliced, together
 from tests.bench.fault_window import print_found
 from tests.bench.fault_workers import hooked, window
 from tests.bench.registry import Figure, figure
-from touchdown.app.shell.cards import end_for_sure
-from touchdown.app.start import SWITCH_S
+from touchdown.app.shell.cards import exit_after_timeout
+from touchdown.app.start import THREAD_SWITCH_S
 
 SLICE_S = 5.0
 LEAST_KEPT, MOST_GAP_MS = 0.9, 100.0
@@ -82,14 +82,14 @@ def measured(window: Sliced) -> dict[str, dict[str, object]]:
 
 def main() -> int:
     """Print what was measured."""
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(THREAD_SWITCH_S)
     with tempfile.TemporaryDirectory() as name:
         os.environ["TOUCHDOWN_DATA"] = name
         window = Sliced(Path(name))
         found = measured(window)
         window.close()
         print_found({"ways": found})
-    end_for_sure()
+    exit_after_timeout()
     return 0
 
 

@@ -23,8 +23,8 @@ from PySide6.QtWidgets import QApplication
 
 from tests.app.tiny_packs import write_tiny_packs
 from touchdown.app.application import TouchdownApp
-from touchdown.app.shell.cards import end_for_sure
-from touchdown.app.shell.errors import ErrorBox, install
+from touchdown.app.shell.cards import exit_after_timeout
+from touchdown.app.shell.errors import ErrorBox, install_error_hooks
 from touchdown.app.train.workspace import TrainWorkspace
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.bench.session import Session
@@ -76,7 +76,7 @@ class Watched:
     def __init__(self, folder: Path) -> None:
         self.application = QApplication.instance() or QApplication([])
         self.folder, box = folder, ErrorBox()
-        self.restore = install(box)
+        self.restore = install_error_hooks(box)
         self.main = TouchdownApp(self.application, box, folder / "window.json", folder / "runs")
         self.main.start()
 
@@ -249,7 +249,7 @@ def main(words: list[str]) -> int:
         else:
             ask(window, words[1])
             window.close()
-    end_for_sure()
+    exit_after_timeout()
     return 0
 
 

@@ -24,7 +24,7 @@ from PySide6.QtWidgets import QMessageBox, QWidget
 from tests.bench.fault_window import Watched
 from tests.busy_computer import STARVED
 from touchdown.app.operate.workspace import OperateWorkspace
-from touchdown.app.start import SWITCH_S, bench_of
+from touchdown.app.start import THREAD_SWITCH_S, open_bench
 from touchdown.backend.bench.session import Session
 from touchdown.backend.devices.jog import JogOrder
 
@@ -58,7 +58,7 @@ class LabWindow(Watched):
 
     def __init__(self, folder: Path, lab: Path) -> None:
         super().__init__(folder)
-        link = bench_of(lab)
+        link = open_bench(lab)
         assert isinstance(link, Session)
         self.session = link
         self.main.attach(link)
@@ -252,7 +252,7 @@ def jog(window: LabWindow, speed_mm_s: float, way: str) -> None:
 
 def main(lab: Path, note: Path) -> None:
     """Jog as told until the input ends."""
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(THREAD_SWITCH_S)
     orders: list[str] = []
     over = threading.Event()
 

@@ -54,9 +54,9 @@ def _opened(folder: Path) -> tuple[Any, Any, Any]:
 
     from touchdown.app.application import TouchdownApp
     from touchdown.app.shell.errors import ErrorBox
-    from touchdown.app.start import SWITCH_S
+    from touchdown.app.start import THREAD_SWITCH_S
 
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(THREAD_SWITCH_S)
     application = QApplication.instance() or QApplication([])
     assert isinstance(application, QApplication)
     window = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")

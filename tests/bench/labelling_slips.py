@@ -92,12 +92,12 @@ def _collect(dataset: Any) -> dict[Taken, bool]:
 
 def _judged(dataset: Any, slipped: dict[Taken, bool]) -> list[tuple[bool, bool]]:
     """Return (slipped, badged) of each probe that was no refused observation."""
-    from touchdown.app.label.evidence import badges_of
-    from touchdown.app.shell.datasets import Prelabeller, model_of
-    from touchdown.app.shell.label_items import Edit, reader
+    from touchdown.app.label.evidence import evidence_badges
+    from touchdown.app.shell.datasets import ModelPrelabeller, model_path_in_use
+    from touchdown.app.shell.label_items import LabelDraft, item_reader
     from touchdown.backend.geometry.pieces import load_pieces
 
-    read = reader(dataset, Prelabeller(load_pieces(), model_of), lambda: None)
+    read = item_reader(dataset, ModelPrelabeller(load_pieces(), model_path_in_use), lambda: None)
     judged, mountings = [], dict[str, int]()
     for entry in dataset.episodes():
         mounting = mountings.setdefault(entry.mounting_id, len(mountings))
@@ -105,6 +105,6 @@ def _judged(dataset: Any, slipped: dict[Taken, bool]) -> list[tuple[bool, bool]]
             item = read(entry.uuid)
             assert item.episode.recording is not None
             at_s = round(item.episode.recording.scene[0].t_s, 6)
-            badge = badges_of(Edit.of(dataset.labels.head(entry.uuid)), item)
+            badge = evidence_badges(LabelDraft.of(dataset.labels.head(entry.uuid)), item)
             judged.append((slipped[mounting, at_s], bool(badge)))
     return judged

@@ -18,7 +18,7 @@ from PySide6.QtWidgets import QApplication
 
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
-from touchdown.app.start import live_bench
+from touchdown.app.start import open_simulated_bench
 
 MOST_MS = 60_000
 
@@ -39,7 +39,7 @@ def _to_live(application: QApplication, folder: Path) -> float:
     main = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")
     main.start()
     main.go("operate")
-    main.connect_bench(live_bench)
+    main.connect_bench(open_simulated_bench)
     operate, until = main.workspaces["operate"], QDeadlineTimer(MOST_MS)
     while not until.hasExpired():
         application.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents, 20)

@@ -21,7 +21,7 @@ from PySide6.QtWidgets import QApplication
 from tests.busy_computer import STARVED
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
-from touchdown.app.start import bench_of
+from touchdown.app.start import open_bench
 from touchdown.backend.core.events import RunFinished
 from touchdown.backend.devices.protocols import DeviceState
 
@@ -57,7 +57,7 @@ def desk(qapp, qtbot, served, tmp_path):
     main.window.show()
     # Behind a page that draws little: what is drawn here takes time from the stream of the arm.
     main.go("train")
-    link = bench_of(served[0])
+    link = open_bench(served[0])
     main.attach(link)
     link.interlock.override_speed(1.0)
     main.pump.start()

@@ -28,7 +28,7 @@ INSIDE_PX = 12
 SPEAKING = QProgressBar | QAbstractButton | QAbstractSpinBox | QLabel | QLineEdit
 
 
-live_bench = start.live_bench
+live_bench = start.open_simulated_bench
 
 
 class Told:
@@ -83,7 +83,7 @@ def words_of(widget: QWidget):
 
 def main():
     told = Told()
-    start.live_bench = told.bench
+    start.open_simulated_bench = told.bench
     args = parser().parse_args()
     made = start.TouchdownApp
 

@@ -8,12 +8,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PySide6.QtCore import QRectF
 
-from touchdown.widgets.plots.axes import PlotArea, nice_step, polygon_of, spread, tick_text, ticks
+from touchdown.widgets.plots.axes import (
+    PlotArea,
+    nice_step,
+    polygon_of,
+    spread_labels,
+    tick_text,
+    ticks,
+)
 from touchdown.widgets.views import tactile
 
 
 def test_an_arrow_starts_at_rest_and_ends_at_gain_times_the_displacement():
-    strokes = tactile.segments(np.array([[10.0, 20.0]]), np.array([[4.0, -3.0]]))
+    strokes = tactile.arrow_segments(np.array([[10.0, 20.0]]), np.array([[4.0, -3.0]]))
     assert strokes[0, 0] == pytest.approx([10, 20, 10 + 12, 20 - 9])
     heads = strokes[0, 1:]
     assert heads[:, 2:] == pytest.approx(np.array([[22, 11], [22, 11]]))
@@ -24,13 +31,13 @@ def test_an_arrow_starts_at_rest_and_ends_at_gain_times_the_displacement():
 
 
 def test_no_displacement_gives_no_direction_and_no_nan():
-    strokes = tactile.segments(np.zeros((1, 2)), np.zeros((1, 2)))
+    strokes = tactile.arrow_segments(np.zeros((1, 2)), np.zeros((1, 2)))
     assert (strokes == 0).all()
 
 
 def test_bins_grow_with_length():
     lengths = np.array([0.0, 0.4, 1.0, 2.0, 4.0, 6.0, 50.0])
-    bins = tactile.bins_of(np.stack([lengths, np.zeros(7)], axis=1))
+    bins = tactile.colour_bins(np.stack([lengths, np.zeros(7)], axis=1))
     assert bins.tolist() == [0, 0, 1, 2, 3, 4, 5]
     assert len(tactile.BIN_COLOURS) == 6
 
@@ -65,11 +72,11 @@ def test_an_empty_polygon():
 
 @given(st.lists(st.floats(-50, 350), min_size=3, max_size=3))
 def test_labels_never_overlap_and_stay_inside(wanted):
-    placed = sorted(spread(wanted, 14, 0, 300))
+    placed = sorted(spread_labels(wanted, 14, 0, 300))
     assert all(b - a >= 14 - 1e-9 for a, b in pairwise(placed))
     assert placed[0] >= 0
     assert placed[-1] <= 300
 
 
 def test_labels_of_nan_values_are_still_placed():
-    assert np.isfinite(spread([float("nan"), 5.0, 5.0], 14, 0, 300)).all()
+    assert np.isfinite(spread_labels([float("nan"), 5.0, 5.0], 14, 0, 300)).all()

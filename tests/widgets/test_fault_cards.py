@@ -3,7 +3,7 @@
 import pytest
 from PySide6.QtWidgets import QWidget
 
-from touchdown.widgets.shell.fault_cards import STOPPED, CardText, FaultCards, OnTop
+from touchdown.widgets.shell.fault_cards import STOPPED, CardText, FaultCards, TopOverlay
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def test_folded_cards_are_a_line_elsewhere_until_something_new_comes(qtbot):
     base, resets = QWidget(), []
     qtbot.addWidget(base)
     cards = FaultCards(lambda: resets.append(1))
-    on_top = OnTop(cards, base)
+    on_top = TopOverlay(cards, base)
     cards.strip.setParent(base)
     base.resize(1180, 630)
     base.show()

@@ -11,8 +11,8 @@ from touchdown.widgets.forms.hold_button import (
     MOUSE,
     RENEW_MS,
     SLACK_PX,
-    Hold,
     HoldButton,
+    HoldState,
 )
 
 KEY = Qt.Key.Key_Left
@@ -31,7 +31,7 @@ class Desk(QStackedWidget):
         self.field = QLineEdit(self.page)
         self.field.move(10, 120)
         self.renewed, self.causes, self.allowed = [], [], True
-        self.hold = Hold(self.page, self._renew, self.causes.append)
+        self.hold = HoldState(self.page, self._renew, self.causes.append)
         self.button = HoldButton("+X", "+x", "Jog plus X", self.hold)
         self.button.setParent(self.page)
         self.button.setGeometry(40, 40, 60, 60)

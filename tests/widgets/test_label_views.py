@@ -14,17 +14,16 @@ from touchdown.backend.geometry.outlines import circle, face_points, square
 from touchdown.backend.placement.equilibrium import resting_contact
 from touchdown.widgets.base.theme import THEMES, Theme, load_resources
 from touchdown.widgets.forms.questions import ChoiceBar
-from touchdown.widgets.lists.recordings import HistoryList, HistoryRow, LabelList, LabelRow
-from touchdown.widgets.plots.recorded_traces import PhasePlot, RecordedTraces, WrenchTrace, extremes
-from touchdown.widgets.shell.state import StateStrip
-from touchdown.widgets.views.film import Film, FilmTrack, latest
-from touchdown.widgets.views.offset import (
-    Ghost,
-    OffsetScene,
-    OffsetView,
-    offset_in_words,
-    verdict_in_words,
+from touchdown.widgets.lists.recordings import HistoryList, HistoryRow, LabelList, LabelListRow
+from touchdown.widgets.plots.recorded_traces import (
+    PhasePlot,
+    RecordedTraces,
+    WrenchTrace,
+    min_max_per_column,
 )
+from touchdown.widgets.shell.state import StateStrip
+from touchdown.widgets.views.film import FilmTrack, FilmView, latest
+from touchdown.widgets.views.offset import Ghost, OffsetScene, OffsetView, offset_text, verdict_text
 
 POT = face_points(circle(15.0))
 FACE, BOTTOM = circle(15.0).polygon(96), square(15.0).polygon()
@@ -140,16 +139,16 @@ class TestOffsetView:
 
 def test_verdicts_in_words():
     inside, outside = scene((2.0, 0.0)), scene((8.0, 0.0))
-    assert verdict_in_words(inside) == (
+    assert verdict_text(inside) == (
         f"Would stand: centre of mass {inside.margin_mm:.1f} mm inside the hull"
     )
-    assert verdict_in_words(outside).startswith("Would fall: centre of mass")
-    assert verdict_in_words(scene((30.0, 0.0))) == "No contact: it would fall"
-    assert verdict_in_words(OffsetScene(BOTTOM, FACE)) == "No displacement yet"
+    assert verdict_text(outside).startswith("Would fall: centre of mass")
+    assert verdict_text(scene((30.0, 0.0))) == "No contact: it would fall"
+    assert verdict_text(OffsetScene(BOTTOM, FACE)) == "No displacement yet"
     near = OffsetScene(BOTTOM, FACE, (1.0, 0.0), points_mm=POT, touching=np.ones(len(POT), bool),
                        margin_mm=0.1, support=SupportKind.AREA, too_close=True)  # fmt: skip
-    assert verdict_in_words(near).startswith("Too close to call")
-    assert offset_in_words((1.5, -0.25), 0.1) == (
+    assert verdict_text(near).startswith("Too close to call")
+    assert offset_text((1.5, -0.25), 0.1) == (
         "x +1.50, y \N{MINUS SIGN}0.25 mm \N{PLUS-MINUS SIGN} 0.10"
     )
 
@@ -175,7 +174,7 @@ class TestFilm:
     @pytest.fixture
     def film(self, theme, qtbot):
         self.decoded, self.sought = [], []
-        made = Film(theme, self.seek)
+        made = FilmView(theme, self.seek)
         qtbot.addWidget(made)
         self.film = made
         reel = {"left": track("left", self.LEFT, self.LEFT, self.decoded),
@@ -286,7 +285,7 @@ class TestTraces:
     def test_thinning_keeps_a_spike(self):
         values = np.zeros(10_000)
         values[7777] = 9.0
-        _, kept = extremes(np.arange(10_000) * 1e-3, values, 100)
+        _, kept = min_max_per_column(np.arange(10_000) * 1e-3, values, 100)
         assert kept.max() == 9.0
         assert len(kept) <= 200
 
@@ -309,7 +308,7 @@ class TestTraces:
 
 def test_the_list_shows_ten_thousand_rows_and_picks_one(theme, qtbot):
     chosen = []
-    rows = [LabelRow(str(k), f"pot {k}", "now", "draft", ("flag",)) for k in range(10_000)]
+    rows = [LabelListRow(str(k), f"pot {k}", "now", "draft", ("flag",)) for k in range(10_000)]
     view = LabelList(theme, chosen.append)
     qtbot.addWidget(view)
     view.resize(240, 300)
@@ -324,7 +323,7 @@ def test_the_list_shows_ten_thousand_rows_and_picks_one(theme, qtbot):
 
 
 def test_a_row_that_changes_lays_out_no_other(theme, qtbot):
-    rows = [LabelRow(str(k), f"pot {k}", "now", "draft") for k in range(10_000)]
+    rows = [LabelListRow(str(k), f"pot {k}", "now", "draft") for k in range(10_000)]
     view = LabelList(theme, lambda at: None)
     qtbot.addWidget(view)
     view.resize(240, 300)
@@ -335,7 +334,7 @@ def test_a_row_that_changes_lays_out_no_other(theme, qtbot):
     asked = []
     sys.setprofile(lambda frame, *_: asked.append(frame.f_code.co_name))
     try:
-        view.show_row(5000, LabelRow("5000", "pot 5000", "now", "rejected"))
+        view.show_row(5000, LabelListRow("5000", "pot 5000", "now", "rejected"))
         view.choose(5001)
         picture = view.grab()
     finally:

@@ -5,7 +5,7 @@ import pytest
 from PySide6.QtCore import QLineF, QRectF
 from PySide6.QtGui import QColor, QImage, QPainter, QPen
 
-from touchdown.widgets.plots.axes import Strokes
+from touchdown.widgets.plots.axes import LineBuffer
 from touchdown.widgets.views.tactile import DimmedPicture
 
 SIZE = (64, 48)
@@ -30,7 +30,7 @@ def canvas(qapp):
 
 
 def test_strokes_are_those_that_qt_draws_from_its_own_lines(canvas):
-    rng, strokes = np.random.default_rng(3), Strokes()
+    rng, strokes = np.random.default_rng(3), LineBuffer()
     for count in (5, 40, 3, 0):
         lines = rng.uniform(0, 48, (count, 4))
         strokes.take(lines)

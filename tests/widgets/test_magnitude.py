@@ -5,7 +5,7 @@ import pytest
 
 from tests.app.stand_in import REST
 from touchdown.backend.core.values import MarkerField, MarkerState
-from touchdown.widgets.base.theme import Theme, table
+from touchdown.widgets.base.theme import Theme, colour_table
 from touchdown.widgets.views.tactile import (
     FULL_PX,
     LOOKS,
@@ -50,7 +50,7 @@ def test_colours_are_those_of_the_map_in_the_order_of_the_camera():
     full = np.full((63, 2), (FULL_PX, 0.0))
     picture = magnitude_picture(field(full), "cividis")
     assert picture.shape == (240, 320, 3)
-    assert tuple(picture[120, 160][::-1]) == tuple(table("cividis")[255])
+    assert tuple(picture[120, 160][::-1]) == tuple(colour_table("cividis")[255])
 
 
 @pytest.mark.parametrize("look", [look for look, _ in LOOKS])

@@ -5,7 +5,7 @@ from collections import deque
 import pytest
 from PySide6.QtCore import QObject
 
-from touchdown.widgets.base.freshness import BUDGET_S, Age, Freshness, Pump
+from touchdown.widgets.base.freshness import BUDGET_S, Age, EventPump, Freshness
 
 
 class Wound:
@@ -34,7 +34,7 @@ def test_the_budget_is_checked_after_every_fact(qapp, clock):
         clock.s += 0.003
         return True
 
-    pump = Pump(owner, pull, now_s=clock)
+    pump = EventPump(owner, pull, now_s=clock)
     pump.tick()
     assert len(facts) == 97  # 3 x 3 ms is over 8 ms: no fourth one
     for _ in range(40):
@@ -53,7 +53,7 @@ def test_a_slow_view_does_not_starve_the_others(qapp, clock):
 
         return draw
 
-    pump = Pump(owner, lambda: False, now_s=clock)
+    pump = EventPump(owner, lambda: False, now_s=clock)
     for name, cost_s in (("slow", 0.030), ("a", 0.001), ("b", 0.001)):
         pump.add(view(name, cost_s))
     for _ in range(18):
@@ -66,7 +66,7 @@ def test_a_slow_view_does_not_starve_the_others(qapp, clock):
 def test_neighbours_are_drawn_in_turn_each_as_often(qapp, clock):
     owner = QObject()
     drawn = []
-    pump = Pump(owner, lambda: False, now_s=clock)
+    pump = EventPump(owner, lambda: False, now_s=clock)
     pump.add(lambda: drawn.append("a"))
     pump.add(lambda: drawn.append("b"))
     pump.add(lambda: drawn.append("c"))
@@ -81,7 +81,7 @@ def test_neighbours_are_drawn_in_turn_each_as_often(qapp, clock):
 
 def test_the_timer_ticks_and_stops(qtbot):
     owner = QObject()
-    pump = Pump(owner, lambda: False)
+    pump = EventPump(owner, lambda: False)
     pump.start()
     qtbot.waitUntil(lambda: pump.ticks >= 2, timeout=60_000)
     pump.stop()
@@ -113,7 +113,7 @@ def test_nothing_is_drawn_and_nothing_lost_while_a_decision_is_due(qapp, clock):
     def pull():
         return bool(facts) and facts.popleft() >= 0
 
-    pump = Pump(owner, pull, hold=lambda: hushed[0], now_s=clock)
+    pump = EventPump(owner, pull, hold=lambda: hushed[0], now_s=clock)
     pump.add(lambda: drawn.append("view"))
     pump.tick()
     assert (drawn, len(facts)) == ([], 3)

@@ -11,7 +11,7 @@ import pytest
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QComboBox, QLineEdit, QListWidget, QPushButton, QSpinBox
 
-from touchdown.widgets.base.style_sheet import style_sheet
+from touchdown.widgets.base.style_sheet import make_style_sheet
 from touchdown.widgets.base.theme import CONTRAST, DARK, LIGHT, load_resources
 from touchdown.widgets.shell.devices import ChipState, mark_colours
 from touchdown.widgets.views.scene_camera import LOOKS
@@ -106,7 +106,9 @@ def test_borders_and_focus_are_seen(tokens):
 def rules_of(tokens) -> dict[str, dict[str, str]]:
     """Return the colours that the style sheet gives to each selector."""
     rules: dict[str, dict[str, str]] = {}
-    for selectors, body in re.findall(r"([^{}]+)\{([^{}]*)\}", style_sheet(tokens.as_dict(), 10.0)):
+    for selectors, body in re.findall(
+        r"([^{}]+)\{([^{}]*)\}", make_style_sheet(tokens.as_dict(), 10.0)
+    ):
         told = dict(re.findall(r"(?:^|[;\s])(color|background)\s*:\s*(#[0-9A-Fa-f]{6})", body))
         for selector in selectors.split(","):
             rules.setdefault(selector.strip(), {}).update(told)
@@ -164,7 +166,7 @@ def test_in_high_contrast_a_disabled_control_has_a_broken_frame(qapp, qtbot, kin
     load_resources()
     control = kind()
     qtbot.addWidget(control)
-    control.setStyleSheet(style_sheet(CONTRAST.as_dict(), 10.0))
+    control.setStyleSheet(make_style_sheet(CONTRAST.as_dict(), 10.0))
     control.resize(120, 60)
 
     def share():
@@ -182,7 +184,7 @@ def test_in_high_contrast_a_disabled_control_has_a_broken_frame(qapp, qtbot, kin
 def test_hints_in_empty_fields_and_lists_can_be_read(qapp, qtbot, kind, tokens):
     field = kind()
     qtbot.addWidget(field)
-    field.setStyleSheet(style_sheet(tokens.as_dict(), 10.0))
+    field.setStyleSheet(make_style_sheet(tokens.as_dict(), 10.0))
     field.ensurePolished()
     hint = field.palette().color(QPalette.ColorRole.PlaceholderText)
     assert hint.alpha() == 255

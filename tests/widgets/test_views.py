@@ -14,8 +14,8 @@ from touchdown.widgets.plots.axes import draw_message
 from touchdown.widgets.plots.force_traces import TracePlot
 from touchdown.widgets.shell.devices import ChipValue, DeviceChip
 from touchdown.widgets.shell.state import PillState, StatePill
-from touchdown.widgets.views.belief import BeliefScene, BeliefView, describe
-from touchdown.widgets.views.decision import DecisionPanel, decide_in_words, signed_mm
+from touchdown.widgets.views.belief import BeliefScene, BeliefView, describe_scene
+from touchdown.widgets.views.decision import DecisionPanel, decision_text, signed_mm
 from touchdown.widgets.views.offset import OffsetScene, OffsetView
 from touchdown.widgets.views.probe_maps import BeliefPanel, ProbeStrip
 from touchdown.widgets.views.scene import SideBody, SideScene, SideView
@@ -188,7 +188,7 @@ def scene(margin=-1.0, **more):
 def test_belief_without_a_probe(qtbot, theme):
     view = shown(qtbot, BeliefView(theme))
     assert pixels(view).std() > 3
-    assert describe(view.scene) == "No probe in this trial yet"
+    assert describe_scene(view.scene) == "No probe in this trial yet"
 
 
 def test_belief_shows_the_map_and_its_marks(qtbot, theme):
@@ -238,11 +238,11 @@ def test_the_frame_holds_path_and_covered_cells():
 
 
 def test_the_decision_names_the_backend_numbers():
-    text = decide_in_words(stability((4.0, 2.0), -2.1), action((4.0, 2.0), -2.1))
+    text = decision_text(stability((4.0, 2.0), -2.1), action((4.0, 2.0), -2.1))
     assert text.tone == "bad"
     assert text.margin == "\N{MINUS SIGN}2.1 mm"
     assert "2.1 mm outside" in text.text
-    good = decide_in_words(stability((1.0, 0.0), 1.6), action((1.0, 0.0), 1.6))
+    good = decision_text(stability((1.0, 0.0), 1.6), action((1.0, 0.0), 1.6))
     assert good.tone == "good"
     assert "Would stand" in good.verdict
 
@@ -251,7 +251,7 @@ def test_no_number_is_made_up():
     assert signed_mm(float("nan")) == "no estimate"
     assert signed_mm(float("-inf")) == "no support"
     assert signed_mm(1.64) == "+1.6 mm"
-    assert decide_in_words(None, None).tone == ""
+    assert decision_text(None, None).tone == ""
 
 
 def test_the_question_is_shown_only_when_asked(qtbot, theme):

@@ -1,24 +1,24 @@
 from .freshness import Age as Age
+from .freshness import EventPump as EventPump
 from .freshness import Freshness as Freshness
-from .freshness import Pump as Pump
-from .freshness import bring_in_sight as bring_in_sight
-from .panel import Arrangement as Arrangement
-from .panel import Captioned as Captioned
+from .freshness import scroll_into_view as scroll_into_view
+from .panel import CaptionedView as CaptionedView
+from .panel import ColumnArrangement as ColumnArrangement
 from .panel import Columns as Columns
 from .panel import ElidedLabel as ElidedLabel
-from .panel import Notes as Notes
 from .panel import Panel as Panel
-from .panel import chooser as chooser
+from .panel import ScrollingNote as ScrollingNote
+from .panel import compact_combo_box as compact_combo_box
+from .panel import flat_button as flat_button
 from .panel import label as label
 from .panel import rule as rule
 from .panel import set_property as set_property
-from .panel import tool as tool
 from .rows import ROOT as ROOT
-from .rows import Index as Index
+from .rows import ModelIndex as ModelIndex
 from .rows import RowList as RowList
 from .rows import RowPainter as RowPainter
-from .rows import WrappedItems as WrappedItems
-from .rows import draw_line as draw_line
+from .rows import WrappedItemDelegate as WrappedItemDelegate
+from .rows import draw_elided_line as draw_elided_line
 from .theme import LEAST as LEAST
 from .theme import MAPS as MAPS
 from .theme import MOST as MOST
@@ -28,11 +28,11 @@ from .theme import Theme as Theme
 from .theme import ThemeName as ThemeName
 from .theme import Tokens as Tokens
 from .theme import blend as blend
-from .theme import colours as colours
+from .theme import colour_table as colour_table
 from .theme import fit_icon as fit_icon
 from .theme import icon as icon
 from .theme import load_resources as load_resources
-from .theme import table as table
+from .theme import map_colours as map_colours
 from .theme import ui_font as ui_font
 
 __all__ = [
@@ -42,34 +42,34 @@ __all__ = [
     "ROOT",
     "THEMES",
     "Age",
-    "Arrangement",
-    "Captioned",
+    "CaptionedView",
+    "ColumnArrangement",
     "Columns",
     "ElidedLabel",
+    "EventPump",
     "Freshness",
-    "Index",
     "MapName",
-    "Notes",
+    "ModelIndex",
     "Panel",
-    "Pump",
     "RowList",
     "RowPainter",
+    "ScrollingNote",
     "Theme",
     "ThemeName",
     "Tokens",
-    "WrappedItems",
+    "WrappedItemDelegate",
     "blend",
-    "bring_in_sight",
-    "chooser",
-    "colours",
-    "draw_line",
+    "colour_table",
+    "compact_combo_box",
+    "draw_elided_line",
     "fit_icon",
+    "flat_button",
     "icon",
     "label",
     "load_resources",
+    "map_colours",
     "rule",
+    "scroll_into_view",
     "set_property",
-    "table",
-    "tool",
     "ui_font",
 ]

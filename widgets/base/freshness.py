@@ -51,7 +51,7 @@ class Freshness:
         return Age.STALE if age_s <= GONE_AFTER_S else Age.GONE
 
 
-def bring_in_sight(widget: QWidget) -> None:
+def scroll_into_view(widget: QWidget) -> None:
     """Scroll the page to ``widget``, once it has got its place."""
 
     def scroll() -> None:
@@ -72,7 +72,7 @@ PERIOD_MS = 32 // TURNS
 BUDGET_S = 0.008
 
 
-class Pump:
+class EventPump:
     """Calls ``pull`` for facts until there is none, then ``draw`` of half the views, every 16 ms.
 
     ``pull`` handles one fact and returns False when there was none; the budget is checked after

@@ -27,7 +27,7 @@ LEAST_SHARE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Arrangement:
+class ColumnArrangement:
     """``shares`` of the width by column, sum 1; ``hidden``: titles of the panels left out."""
 
     shares: tuple[float, ...]
@@ -51,7 +51,7 @@ class Columns(QSplitter):
         self.setObjectName("columns")
         self._parts, self.panels = [part for part, _ in parts], dict(panels)
         total = sum(share for _, share in parts)
-        self.usual = Arrangement(tuple(share / total for _, share in parts))
+        self.usual = ColumnArrangement(tuple(share / total for _, share in parts))
         self._now = self.usual
         self.locked, self._leading, self._controls_last = True, False, controls_last
         self.setHandleWidth(GAP_PX)
@@ -63,9 +63,9 @@ class Columns(QSplitter):
 
     def createHandle(self) -> QSplitterHandle:
         """Return an edge that keys can move too."""
-        return _Edge(self)
+        return _ColumnEdge(self)
 
-    def arrangement(self) -> Arrangement:
+    def arrangement(self) -> ColumnArrangement:
         """Return how it is arranged now."""
         return self._now
 
@@ -73,7 +73,7 @@ class Columns(QSplitter):
         """Whether a panel was left out by the operator."""
         return title in self._now.hidden
 
-    def misfit(self, wanted: Arrangement) -> str:
+    def misfit(self, wanted: ColumnArrangement) -> str:
         """Return "" if ``wanted`` can be shown here, else why not."""
         shares = wanted.shares
         if len(shares) != len(self._parts):
@@ -85,7 +85,7 @@ class Columns(QSplitter):
         unknown = sorted(wanted.hidden - set(self.panels))
         return f"no panel '{unknown[0]}' here" if unknown else ""
 
-    def show_arrangement(self, wanted: Arrangement) -> None:
+    def show_arrangement(self, wanted: ColumnArrangement) -> None:
         """Arrange the page so; raises ValueError for one that does not fit."""
         wrong = self.misfit(wanted)
         if wrong:
@@ -103,7 +103,7 @@ class Columns(QSplitter):
         """Leave out one panel, or bring it back; raises KeyError."""
         self.panels[title]
         hidden = self._now.hidden - {title} if shown else self._now.hidden | {title}
-        self.show_arrangement(Arrangement(self._now.shares, hidden))
+        self.show_arrangement(ColumnArrangement(self._now.shares, hidden))
 
     def lock(self, locked: bool) -> None:
         """Hold the edges, or let them be moved."""
@@ -162,11 +162,11 @@ class Columns(QSplitter):
         for k in seen:
             shares[k] = max(room * sizes[k] / total, LEAST_SHARE)
         whole = sum(shares)
-        self._now = Arrangement(tuple(s / whole for s in shares), self._now.hidden)
+        self._now = ColumnArrangement(tuple(s / whole for s in shares), self._now.hidden)
         self.arranged.emit()
 
 
-class _Edge(QSplitterHandle):
+class _ColumnEdge(QSplitterHandle):
     """One edge. With the focus the arrows move it."""
 
     def __init__(self, columns: Columns) -> None:
@@ -256,7 +256,7 @@ class Panel(QFrame):
             self.setAccessibleName(title)
 
 
-class Captioned(QWidget):
+class CaptionedView(QWidget):
     """A view under a line with its name and, at the right, live details."""
 
     def __init__(self, title: str, body: QWidget) -> None:
@@ -302,7 +302,7 @@ def set_property(widget: QWidget, name: str, value: str) -> None:
 LEAST_LINES = 2
 
 
-class Notes(QScrollArea):
+class ScrollingNote(QScrollArea):
     """A label in a scroll area; never over its neighbours."""
 
     def __init__(self, name: str) -> None:
@@ -354,7 +354,7 @@ class Notes(QScrollArea):
         self.updateGeometry()
 
 
-def chooser(texts: Sequence[str], name: str) -> QComboBox:
+def compact_combo_box(texts: Sequence[str], name: str) -> QComboBox:
     """Return a compact choice; ``name`` is said to screen readers and by the tip."""
     made = QComboBox()
     made.addItems(list(texts))
@@ -364,7 +364,7 @@ def chooser(texts: Sequence[str], name: str) -> QComboBox:
     return made
 
 
-def tool(text: str, tip: str, *, checkable: bool = False) -> QToolButton:
+def flat_button(text: str, tip: str, *, checkable: bool = False) -> QToolButton:
     """Return a flat button."""
     made = QToolButton()
     made.setText(text)

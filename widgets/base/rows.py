@@ -23,7 +23,7 @@ from PySide6.QtWidgets import (
 
 from touchdown.widgets.base.theme import Theme
 
-Index = QModelIndex | QPersistentModelIndex
+ModelIndex = QModelIndex | QPersistentModelIndex
 ROOT = QModelIndex()
 
 
@@ -70,7 +70,7 @@ class RowList(QListView):
             super().keyPressEvent(event)
 
 
-def draw_line(painter: QPainter, box: QRectF, words: str, colour: QColor) -> None:
+def draw_elided_line(painter: QPainter, box: QRectF, words: str, colour: QColor) -> None:
     """Write ``words`` at the top left of ``box``, cut where it ends."""
     painter.setPen(colour)
     metrics = painter.fontMetrics()
@@ -82,7 +82,7 @@ PAD_X, PAD_Y = 12, 7
 """Padding of the style and the margin that the style keeps round a text, px."""
 
 
-class WrappedItems(QStyledItemDelegate):
+class WrappedItemDelegate(QStyledItemDelegate):
     """Measures rows for the width that ``view`` has now, beside its scroll bar."""
 
     def __init__(self, view: QListWidget) -> None:

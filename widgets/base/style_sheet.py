@@ -160,7 +160,7 @@ MARKS = {"arrow": 1.0, "small_arrow": 0.9, "tick": 1.3, "drop": 2.2, "step": 1.8
 """Pixels per point of the text: marks and the places they stand in grow with it."""
 
 
-def style_sheet(tokens: Mapping[str, str], points: float) -> str:
+def make_style_sheet(tokens: Mapping[str, str], points: float) -> str:
     """Return the style sheet for the tokens of a theme and the base font size in points."""
     sizes = {
         "small": f"{points * 0.9:.2f}",

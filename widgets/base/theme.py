@@ -24,7 +24,7 @@ from PySide6.QtGui import (
 from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import QAbstractButton, QApplication, QWidget
 
-from touchdown.widgets.base.style_sheet import style_sheet
+from touchdown.widgets.base.style_sheet import make_style_sheet
 
 ThemeName = Literal["dark", "light", "contrast"]
 THEMES: tuple[ThemeName, ...] = ("dark", "light", "contrast")
@@ -138,7 +138,7 @@ class Theme:
         made later then gets it once, when it comes into the window, not at each step of its making.
         """
         self._take(application, name, scale)
-        sheet = style_sheet(self.tokens.as_dict(), BASE_POINTS * self.scale)
+        sheet = make_style_sheet(self.tokens.as_dict(), BASE_POINTS * self.scale)
         dressed = application if window is None else window
         if sheet != dressed.styleSheet():
             if window is not None and window.styleSheet():
@@ -258,7 +258,7 @@ MAPS: tuple[MapName, ...] = ("cividis", "viridis", "grey")
 
 
 @cache
-def table(name: MapName) -> NDArray[np.uint8]:
+def colour_table(name: MapName) -> NDArray[np.uint8]:
     """(256, 3) uint8 RGB of a map; read-only."""
     if name == "grey":
         lut = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
@@ -269,7 +269,7 @@ def table(name: MapName) -> NDArray[np.uint8]:
     return lut
 
 
-def colours(values: NDArray[np.float64], name: MapName) -> NDArray[np.uint8]:
+def map_colours(values: NDArray[np.float64], name: MapName) -> NDArray[np.uint8]:
     """Map values in 0..1 (any shape) to (..., 3) uint8; NaN becomes the colour of 0."""
     index = np.clip(np.nan_to_num(values, nan=0.0) * 255.0, 0, 255).astype(np.uint8)
-    return np.asarray(table(name)[index])
+    return np.asarray(colour_table(name)[index])

@@ -2,20 +2,20 @@ from .collect_form import TargetButtons as TargetButtons
 from .collect_form import TargetForm as TargetForm
 from .collect_form import TargetIntents as TargetIntents
 from .collect_form import TargetPanel as TargetPanel
-from .fields import inset as inset
+from .fields import inset_spin_boxes as inset_spin_boxes
 from .jogging import JOINTS as JOINTS
 from .jogging import JogIntents as JogIntents
 from .jogging import JogPad as JogPad
-from .jogging import Pace as Pace
-from .jogging import PoseLook as PoseLook
+from .jogging import JogUnit as JogUnit
+from .jogging import PoseView as PoseView
 from .probe import GripperPanel as GripperPanel
-from .probe import HealthPanel as HealthPanel
 from .probe import LastProbePanel as LastProbePanel
+from .probe import PairHealthPanel as PairHealthPanel
 from .probe import ProbePanel as ProbePanel
-from .probe import ProbeWords as ProbeWords
+from .probe import ProbeText as ProbeText
 from .questions import BESIDE as BESIDE
 from .questions import ChoiceBar as ChoiceBar
-from .questions import NameAsker as NameAsker
+from .questions import NameDialog as NameDialog
 from .run_form import STRATEGIES as STRATEGIES
 from .run_form import RunButtons as RunButtons
 from .run_form import RunForm as RunForm
@@ -34,15 +34,15 @@ __all__ = [
     "STRATEGIES",
     "ChoiceBar",
     "GripperPanel",
-    "HealthPanel",
     "JogIntents",
     "JogPad",
+    "JogUnit",
     "LastProbePanel",
-    "NameAsker",
-    "Pace",
-    "PoseLook",
+    "NameDialog",
+    "PairHealthPanel",
+    "PoseView",
     "ProbePanel",
-    "ProbeWords",
+    "ProbeText",
     "RunButtons",
     "RunForm",
     "RunPanel",
@@ -55,5 +55,5 @@ __all__ = [
     "TrainingForm",
     "TrainingFormPanel",
     "TrainingIntents",
-    "inset",
+    "inset_spin_boxes",
 ]

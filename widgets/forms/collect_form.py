@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
 )
 
 from touchdown.widgets.base import Panel, Theme, fit_icon, icon, label
-from touchdown.widgets.forms.fields import inset
+from touchdown.widgets.forms.fields import inset_spin_boxes
 from touchdown.widgets.forms.questions import NameField
 
 PATTERNS = (
@@ -135,7 +135,7 @@ class TargetPanel(Panel):
             spin.setRange(-100.0, 100.0)
             spin.setDecimals(2)
             spin.setSingleStep(0.1)
-        inset(self.within, self.count, self.per_grip, self.seed, *self.origin)
+        inset_spin_boxes(self.within, self.count, self.per_grip, self.seed, *self.origin)
         for key, text in PATTERNS:
             self.pattern.addItem(text, key)
         self.bar.setTextVisible(True)

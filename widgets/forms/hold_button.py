@@ -21,7 +21,7 @@ _WINDOW_LOST = frozenset({QEvent.Type.WindowDeactivate, QEvent.Type.WindowBlocke
                           QEvent.Type.Close, QEvent.Type.Hide})  # fmt: skip
 
 
-class Hold(QObject):
+class HoldState(QObject):
     """At most one hold at a time, shared by the buttons and keys of one pad.
 
     ``renew`` is called at once and then every 50 ms with what is held and returns whether it may
@@ -141,7 +141,7 @@ class Hold(QObject):
 class HoldButton(QPushButton):
     """Presses and lets go of a hold; takes no focus, so that Space can never press it."""
 
-    def __init__(self, text: str, what: str, name: str, hold: Hold) -> None:
+    def __init__(self, text: str, what: str, name: str, hold: HoldState) -> None:
         super().__init__(text)
         self._what, self._hold = what, hold
         self.setProperty("role", "hold")

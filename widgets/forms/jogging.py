@@ -21,12 +21,12 @@ from PySide6.QtWidgets import (
 )
 
 from touchdown.widgets.base import ElidedLabel, Panel, label, set_property
-from touchdown.widgets.forms.fields import inset
-from touchdown.widgets.forms.hold_button import Hold, HoldButton
+from touchdown.widgets.forms.fields import inset_spin_boxes
+from touchdown.widgets.forms.hold_button import HoldButton, HoldState
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
+class JogUnit:
     """Unit of a way, its steps, and slowest, fastest and usual speed in that unit per second."""
 
     unit: str
@@ -38,7 +38,7 @@ class Pace:
 class JogPace(QWidget):
     """Hold-to-run or one of the steps, and the speed. Each pace keeps its own speed."""
 
-    def __init__(self, paces: Sequence[Pace]) -> None:
+    def __init__(self, paces: Sequence[JogUnit]) -> None:
         """``paces``: the first is shown; the steps of the others are among its own."""
         super().__init__()
         self._paces = tuple(paces)
@@ -102,7 +102,7 @@ class JogPace(QWidget):
 
     def _wire_speed(self) -> None:
         self.speed.setDecimals(0)
-        inset(self.speed)
+        inset_spin_boxes(self.speed)
         for widget in (self.speed, self._slider):
             widget.setAccessibleName("Jog speed")
             widget.setToolTip("Near the surface and in contact it is 2 mm/s at most")
@@ -150,7 +150,7 @@ JOINT_PADS = tuple(
 
 
 @dataclass(frozen=True, slots=True)
-class PoseLook:
+class PoseView:
     """Where the hand is and the room each way; ``note`` says why it is slow, or why not at all.
 
     ``pose``: what the present frame shows, with its unit; "" while nothing is known. ``rooms``: for
@@ -179,11 +179,11 @@ class JogIntents:
 class JogPad(Panel):
     """The pads of one frame. With a step chosen a press is one step; else it lasts as the press."""
 
-    def __init__(self, paces: Sequence[Pace], intents: JogIntents) -> None:
+    def __init__(self, paces: Sequence[JogUnit], intents: JogIntents) -> None:
         """``paces``: of moving and of turning."""
         super().__init__("Jog")
         self._intents = intents
-        self.hold = Hold(self, intents.renew, intents.ended)
+        self.hold = HoldState(self, intents.renew, intents.ended)
         self.pads = {what: self._pad(what) for what, _, _ in (*MOVES, *TURNS, *JOINT_PADS)}
         self.frame = QComboBox()
         self.frame.addItems(["XYZ", "TOOL", "JOINT"])
@@ -210,7 +210,7 @@ class JogPad(Panel):
         self._arrange()
         self.show_turning("")
         self._show_frame()
-        self.show_look(PoseLook())
+        self.show_look(PoseView())
 
     @property
     def turning(self) -> bool:
@@ -258,7 +258,7 @@ class JogPad(Panel):
         if self.keys.isEnabled() != ready:
             self.keys.setEnabled(ready)
 
-    def show_look(self, look: PoseLook) -> None:
+    def show_look(self, look: PoseView) -> None:
         """Show pose, room and note."""
         old = f"   ({look.age_s:.1f} s old)" if look.pose and look.age_s > 0.2 else ""
         pose = f"{look.pose}{old}" or "No pose yet"
@@ -387,7 +387,7 @@ class _Pad(HoldButton):
     """A pad that can be a step button as well."""
 
     def __init__(
-        self, text: str, what: str, name: str, hold: Hold, step: Callable[[str], bool]
+        self, text: str, what: str, name: str, hold: HoldState, step: Callable[[str], bool]
     ) -> None:
         super().__init__(text, what, name, hold)
         self._as_step = step

@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
 )
 
 from touchdown.widgets.base import ElidedLabel, Panel, Theme, label, set_property, ui_font
-from touchdown.widgets.forms.fields import inset
+from touchdown.widgets.forms.fields import inset_spin_boxes
 
 PADDING = 3
 """Room round a phase's name, in letters."""
@@ -131,7 +131,7 @@ TIPS = {
 
 
 @dataclass(frozen=True, slots=True)
-class ProbeWords:
+class ProbeText:
     """A probe in words. ``tone``: good, bad or "". ``asking``: the run waits for the answer."""
 
     verdict: str
@@ -166,9 +166,9 @@ class LastProbePanel(Panel):
         for widget in (self.verdict, self.where, self.words):
             self.column.addWidget(widget)
         self.column.addLayout(grid)
-        self.show_words(ProbeWords("No probe yet"))
+        self.show_words(ProbeText("No probe yet"))
 
-    def show_words(self, words: ProbeWords) -> None:
+    def show_words(self, words: ProbeText) -> None:
         """Show what is known of the probe; only ``allowed`` decisions can be taken."""
         self.verdict.setText(words.verdict)
         set_property(self.verdict, "tone", words.tone)
@@ -180,7 +180,7 @@ class LastProbePanel(Panel):
         self.setAccessibleDescription(". ".join((words.verdict, words.where, words.detail)))
 
 
-class HealthPanel(Panel):
+class PairHealthPanel(Panel):
     """What looks wrong in what was collected: a line each, the worst first."""
 
     MOST = 4
@@ -220,7 +220,7 @@ class GripperPanel(Panel):
         self.force.setDecimals(1)
         self.force.setValue(USUAL_N)
         self.force.setSuffix(" N")
-        inset(self.force)
+        inset_spin_boxes(self.force)
         self.force.setAccessibleName("Grip force per finger")
         self.force.setToolTip("Force per finger for the next grip")
         self.grip, self.open = QPushButton("Grip"), QPushButton("Open")

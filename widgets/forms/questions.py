@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import bring_in_sight, label
+from touchdown.widgets.base import label, scroll_into_view
 
 COLUMNS = 3
 LONG = 18
@@ -178,14 +178,14 @@ class ChoiceBar(QFrame):
             self._grid.addWidget(button, at // columns, at % columns)
         self.show()
         self.setFocus()
-        bring_in_sight(self)
+        scroll_into_view(self)
 
 
 def _nothing(_word: str) -> None:
     """Do nothing: nothing was asked."""
 
 
-class NameAsker(QDialog):
+class NameDialog(QDialog):
     """``take`` is given the name and returns "" or why it cannot be had."""
 
     def __init__(self, parent: QWidget, title: str) -> None:

@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
 )
 
 from touchdown.widgets.base import ElidedLabel, Panel, Theme, fit_icon, icon, label
-from touchdown.widgets.forms.fields import inset
+from touchdown.widgets.forms.fields import inset_spin_boxes
 
 NOTHING = "nothing"
 STRATEGIES = (
@@ -88,7 +88,7 @@ class RunPanel(Panel):
         for box in self._origin:
             box.setRange(-300.0, 300.0)
             box.setDecimals(2)
-        inset(self._seed, self._trials, *self._origin)
+        inset_spin_boxes(self._seed, self._trials, *self._origin)
         for key, text in STRATEGIES:
             self._strategy.addItem(text, key)
         for key, text in MODES:

@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 )
 
 from touchdown.widgets.base import Panel, Theme, fit_icon, icon, label
-from touchdown.widgets.forms.fields import inset
+from touchdown.widgets.forms.fields import inset_spin_boxes
 
 LABELS = (
     ("approved", "Approved labels"),
@@ -244,7 +244,7 @@ class _Numbers:
         for name, tip, box in self.named:
             box.setAccessibleName(name)
             box.setToolTip(tip)
-            inset(box)
+            inset_spin_boxes(box)
             # Two share a row: the room of the largest number would not fit.
             box.setMinimumWidth(LEAST_PX)
 

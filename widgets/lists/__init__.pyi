@@ -2,28 +2,28 @@ from .recordings import CHIPS as CHIPS
 from .recordings import HistoryList as HistoryList
 from .recordings import HistoryRow as HistoryRow
 from .recordings import LabelList as LabelList
-from .recordings import LabelRow as LabelRow
+from .recordings import LabelListRow as LabelListRow
 from .recordings import RecordingList as RecordingList
 from .recordings import RecordingRow as RecordingRow
-from .tables import Arrangement as Arrangement
-from .tables import EpisodeRow as EpisodeRow
 from .tables import EpisodeTable as EpisodeTable
+from .tables import EpisodeTableRow as EpisodeTableRow
 from .tables import FigureTable as FigureTable
-from .tables import RunRow as RunRow
-from .tables import RunTable as RunTable
+from .tables import TableArrangement as TableArrangement
+from .tables import TrainingRow as TrainingRow
+from .tables import TrainingTable as TrainingTable
 
 __all__ = [
     "CHIPS",
-    "Arrangement",
-    "EpisodeRow",
     "EpisodeTable",
+    "EpisodeTableRow",
     "FigureTable",
     "HistoryList",
     "HistoryRow",
     "LabelList",
-    "LabelRow",
+    "LabelListRow",
     "RecordingList",
     "RecordingRow",
-    "RunRow",
-    "RunTable",
+    "TableArrangement",
+    "TrainingRow",
+    "TrainingTable",
 ]

@@ -19,12 +19,12 @@ from PySide6.QtWidgets import (
 
 from touchdown.widgets.base import (
     ROOT,
-    Index,
+    ModelIndex,
     RowList,
     RowPainter,
     Theme,
-    WrappedItems,
-    draw_line,
+    WrappedItemDelegate,
+    draw_elided_line,
     label,
     ui_font,
 )
@@ -54,11 +54,11 @@ class RecordingList(RowList):
 
     def __init__(self, theme: Theme, name: str, chosen: Callable[[int], None]) -> None:
         super().__init__(name)
-        self._rows, self._chosen = _Rows(self), chosen
+        self._rows, self._chosen = _RecordingModel(self), chosen
         self.current = -1
         """Number of the chosen row, -1 for none; it stays chosen while it is left out."""
         self._telling = True
-        self.draw_rows(self._rows, _TwoLines(theme, self))
+        self.draw_rows(self._rows, _RecordingPainter(theme, self))
         self.setMinimumHeight(60)
         self.selectionModel().selectionChanged.connect(lambda *_: self._on_selected())
 
@@ -114,16 +114,16 @@ class RecordingList(RowList):
             self._chosen(self.current)
 
 
-class _Rows(QAbstractListModel):
+class _RecordingModel(QAbstractListModel):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self.rows: list[RecordingRow] = []
         self.order: list[int] = []
 
-    def rowCount(self, parent: Index = ROOT) -> int:
+    def rowCount(self, parent: ModelIndex = ROOT) -> int:
         return 0 if parent.isValid() else len(self.order)
 
-    def data(self, index: Index, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
+    def data(self, index: ModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
         if not 0 <= index.row() < len(self.order):
             return None
         row = self.rows[self.order[index.row()]]
@@ -139,14 +139,14 @@ class _Rows(QAbstractListModel):
         self.endResetModel()
 
 
-class _TwoLines(RowPainter):
+class _RecordingPainter(RowPainter):
     """Of one height: the title, and below it what the recording was."""
 
-    def sizeHint(self, _option: QStyleOptionViewItem, _index: Index) -> QSize:
+    def sizeHint(self, _option: QStyleOptionViewItem, _index: ModelIndex) -> QSize:
         line = QFontMetrics(ui_font(self.theme.scale)).height()
         return QSize(160, 2 * line + 2 * PAD_Y)
 
-    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: Index) -> None:
+    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: ModelIndex) -> None:
         row = index.data(Qt.ItemDataRole.UserRole)
         if not isinstance(row, RecordingRow):
             return
@@ -156,7 +156,7 @@ class _TwoLines(RowPainter):
         inner = QRectF(option.rect).adjusted(PAD_X, PAD_Y, -PAD_X, -PAD_Y)
         for at, words in enumerate((row.title, row.detail)):
             line = inner.adjusted(0, at * painter.fontMetrics().height(), 0, 0)
-            draw_line(painter, line, words, text)
+            draw_elided_line(painter, line, words, text)
         painter.restore()
 
 
@@ -172,7 +172,7 @@ CHIPS: dict[str, tuple[str, str]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class LabelRow:
+class LabelListRow:
     """One episode of the queue. ``badges``: short words such as "flag" or "model 4.2 sigma"."""
 
     uuid: str
@@ -188,23 +188,23 @@ class LabelList(RowList):
     def __init__(self, theme: Theme, chosen: Callable[[int], None]) -> None:
         super().__init__("Episodes of the queue")
         self._rows = _LabelRows(self)
-        self.draw_rows(self._rows, _TitleAndChip(theme, self))
+        self.draw_rows(self._rows, _LabelPainter(theme, self))
         self.setMinimumWidth(170)
         self.clicked.connect(self._on_clicked)
         self._chosen = chosen
 
-    def show_rows(self, rows: Sequence[LabelRow]) -> None:
+    def show_rows(self, rows: Sequence[LabelListRow]) -> None:
         """Show another queue."""
         self._rows.show(rows)
 
-    def show_row(self, at: int, row: LabelRow) -> None:
+    def show_row(self, at: int, row: LabelListRow) -> None:
         """Show one row anew."""
         if self._rows.rows[at] != row:
             # Not told by ``dataChanged``: a list would lay out all of its rows anew.
             self._rows.rows[at] = row
             self.update(self._rows.index(at))
 
-    def rows(self) -> Sequence[LabelRow]:
+    def rows(self) -> Sequence[LabelListRow]:
         """Return what is shown."""
         return self._rows.rows
 
@@ -221,12 +221,12 @@ class LabelList(RowList):
 class _LabelRows(QAbstractListModel):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
-        self.rows: list[LabelRow] = []
+        self.rows: list[LabelListRow] = []
 
-    def rowCount(self, parent: Index = ROOT) -> int:
+    def rowCount(self, parent: ModelIndex = ROOT) -> int:
         return 0 if parent.isValid() else len(self.rows)
 
-    def data(self, index: Index, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
+    def data(self, index: ModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
         if not 0 <= index.row() < len(self.rows):
             return None
         row = self.rows[index.row()]
@@ -236,22 +236,22 @@ class _LabelRows(QAbstractListModel):
             return ", ".join((row.title, row.detail, row.state, *row.badges))
         return None
 
-    def show(self, rows: Sequence[LabelRow]) -> None:
+    def show(self, rows: Sequence[LabelListRow]) -> None:
         self.beginResetModel()
         self.rows = list(rows)
         self.endResetModel()
 
 
-class _TitleAndChip(RowPainter):
+class _LabelPainter(RowPainter):
     """Two lines: title and chip, then detail and badges."""
 
-    def sizeHint(self, _option: QStyleOptionViewItem, _index: Index) -> QSize:
+    def sizeHint(self, _option: QStyleOptionViewItem, _index: ModelIndex) -> QSize:
         line = QFontMetrics(ui_font(self.theme.scale)).height()
         return QSize(160, round(2.3 * line) + 8)
 
-    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: Index) -> None:
+    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: ModelIndex) -> None:
         row = index.data()
-        if not isinstance(row, LabelRow):
+        if not isinstance(row, LabelListRow):
             return
         painter.save()
         text, muted = self.colours(painter, option)
@@ -259,11 +259,11 @@ class _TitleAndChip(RowPainter):
         inner = QRectF(option.rect).adjusted(8, 4, -8, -4)
         chip_width = self._chip(painter, inner, row.state, line)
         painter.setFont(ui_font(self.theme.scale, 1.0, 500))
-        draw_line(painter, inner.adjusted(0, 0, -chip_width - 6, 0), row.title, text)
+        draw_elided_line(painter, inner.adjusted(0, 0, -chip_width - 6, 0), row.title, text)
         painter.setFont(ui_font(self.theme.scale, 0.88))
         second = inner.adjusted(0, 1.15 * line, 0, 0)
         words = " \N{MIDDLE DOT} ".join((*row.badges, row.detail))
-        draw_line(painter, second, words, muted)
+        draw_elided_line(painter, second, words, muted)
         painter.restore()
 
     def _chip(self, painter: QPainter, inner: QRectF, state: str, line: float) -> float:
@@ -299,9 +299,9 @@ class HistoryList(QWidget):
         super().__init__()
         self._restore = restore
         self._rows: list[HistoryRow] = []
-        self.list = _Quiet()
+        self.list = _KeylessListWidget()
         self.list.setAccessibleName("Versions of the label")
-        WrappedItems(self.list)
+        WrappedItemDelegate(self.list)
         self.restore = QPushButton("Restore")
         self.restore.setToolTip("Make a new version with the content of the chosen one")
         self.count = label("", "small")
@@ -321,7 +321,7 @@ class HistoryList(QWidget):
         """Show the revisions of another episode, newest first."""
         self._rows = list(rows)
         self.list.clear()
-        self.list.addItems([in_words(row) for row in rows])
+        self.list.addItems([revision_text(row) for row in rows])
         self.count.setText("1 version" if len(rows) == 1 else f"{len(rows)} versions")
         self._choose(-1)
 
@@ -338,14 +338,14 @@ class HistoryList(QWidget):
             self._restore(self._rows[at].rev_uuid)
 
 
-def in_words(row: HistoryRow) -> str:
+def revision_text(row: HistoryRow) -> str:
     """Return a revision as the list shows it."""
     holds = ", holds" if row.head else ""
     lines = [f"{row.number}. {row.what}{holds}", row.who]
     return "\n".join([*lines, row.difference] if row.difference else lines)
 
 
-class _Quiet(QListWidget):
+class _KeylessListWidget(QListWidget):
     """Leaves letters and digits to the page."""
 
     def keyPressEvent(self, event: QKeyEvent) -> None:

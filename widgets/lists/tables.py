@@ -29,7 +29,7 @@ from PySide6.QtWidgets import (
 
 from touchdown.widgets.base import Theme, ui_font
 
-Index = QModelIndex | QPersistentModelIndex
+ModelIndex = QModelIndex | QPersistentModelIndex
 ROOT = QModelIndex()
 HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time", "Grip", "Person")
 RIGHT = frozenset((0, 3, 4))
@@ -40,7 +40,7 @@ UP, DOWN = "\N{BLACK UP-POINTING SMALL TRIANGLE}", "\N{BLACK DOWN-POINTING SMALL
 
 
 @dataclass(frozen=True, slots=True)
-class EpisodeRow:
+class EpisodeTableRow:
     """One probe. ``status``: state of its label or "deleted"; ``quality``: ok, or why not.
 
     ``distance_mm``: how far it is displaced, which its column sorts by.
@@ -73,7 +73,7 @@ class EpisodeRow:
 
 
 @dataclass(frozen=True, slots=True)
-class Arrangement:
+class TableArrangement:
     """Which columns are shown, and which one the rows are sorted by."""
 
     columns: tuple[str, ...] = HEADS[:5]
@@ -87,9 +87,9 @@ class EpisodeTable(QTableView):
     def __init__(self, theme: Theme, choose: Callable[[str], None]) -> None:
         super().__init__()
         self._theme, self._choose = theme, choose
-        self._all: Sequence[EpisodeRow] = ()
-        self._arrangement = Arrangement()
-        self._rows = _Rows(self)
+        self._all: Sequence[EpisodeTableRow] = ()
+        self._arrangement = TableArrangement()
+        self._rows = _EpisodeModel(self)
         self.setModel(self._rows)
         self.setAccessibleName("Episodes")
         self.setSelectionBehavior(QTableView.SelectionBehavior.SelectRows)
@@ -113,7 +113,7 @@ class EpisodeTable(QTableView):
         self.fit_to_theme()
         self.arrange(self._arrangement)
 
-    def show_rows(self, rows: Sequence[EpisodeRow], chosen: str) -> None:
+    def show_rows(self, rows: Sequence[EpisodeTableRow], chosen: str) -> None:
         """Show these rows in the chosen order, with one of them marked."""
         self._all = rows
         column = HEADS.index(self._arrangement.sort)
@@ -123,11 +123,11 @@ class EpisodeTable(QTableView):
         self.mark(chosen)
 
     @property
-    def arrangement(self) -> Arrangement:
+    def arrangement(self) -> TableArrangement:
         """Columns and order."""
         return self._arrangement
 
-    def arrange(self, wanted: Arrangement) -> None:
+    def arrange(self, wanted: TableArrangement) -> None:
         """Take columns and order; raises ``ValueError`` for columns that there are not."""
         if not wanted.columns or not {*wanted.columns, wanted.sort} <= set(HEADS):
             raise ValueError("there is no such column")
@@ -168,7 +168,7 @@ class EpisodeTable(QTableView):
         index = self.currentIndex()
         return self._rows.rows[index.row()].uuid if index.isValid() else ""
 
-    def rows(self) -> Sequence[EpisodeRow]:
+    def rows(self) -> Sequence[EpisodeTableRow]:
         """Return what is shown."""
         return self._rows.rows
 
@@ -208,16 +208,16 @@ class EpisodeTable(QTableView):
             super().keyPressEvent(event)
 
 
-class _Rows(QAbstractTableModel):
+class _EpisodeModel(QAbstractTableModel):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
-        self.rows: list[EpisodeRow] = []
+        self.rows: list[EpisodeTableRow] = []
         self._marked, self._mark = NUMBER, DOWN
 
-    def rowCount(self, parent: Index = ROOT) -> int:
+    def rowCount(self, parent: ModelIndex = ROOT) -> int:
         return 0 if parent.isValid() else len(self.rows)
 
-    def columnCount(self, parent: Index = ROOT) -> int:
+    def columnCount(self, parent: ModelIndex = ROOT) -> int:
         return 0 if parent.isValid() else len(HEADS)
 
     def headerData(self, section: int, orientation: Qt.Orientation, role: int = 0) -> Any:
@@ -229,7 +229,7 @@ class _Rows(QAbstractTableModel):
             return None
         return f"{HEADS[section]} {self._mark}" if section == self._marked else HEADS[section]
 
-    def data(self, index: Index, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
+    def data(self, index: ModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
         row = self.rows[index.row()]
         if role == Qt.ItemDataRole.DisplayRole:
             return row.cells()[index.column()]
@@ -247,7 +247,7 @@ class _Rows(QAbstractTableModel):
         self._marked, self._mark = section, mark
         self.headerDataChanged.emit(Qt.Orientation.Horizontal, 0, len(HEADS) - 1)
 
-    def show(self, rows: Sequence[EpisodeRow]) -> None:
+    def show(self, rows: Sequence[EpisodeTableRow]) -> None:
         self.beginResetModel()
         self.rows = list(rows)
         self.endResetModel()
@@ -350,7 +350,7 @@ class FigureTable(QTableWidget):
 
 
 @dataclass(frozen=True, slots=True)
-class RunRow:
+class TrainingRow:
     """One training in words: id, then the texts of the columns."""
 
     uuid: str
@@ -360,7 +360,7 @@ class RunRow:
 RUN_COLUMNS = ("run", "state", "sees", "IoU %", "epoch")
 
 
-class RunTable(FigureTable):
+class TrainingTable(FigureTable):
     """The trainings; up to three can be chosen, and are then compared."""
 
     def __init__(self, theme: Theme, chosen: Callable[[tuple[str, ...]], None]) -> None:
@@ -370,7 +370,7 @@ class RunTable(FigureTable):
         self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
         self.itemSelectionChanged.connect(self._tell)
 
-    def show_runs(self, rows: Sequence[RunRow]) -> None:
+    def show_runs(self, rows: Sequence[TrainingRow]) -> None:
         """Show the trainings without telling; what is chosen stays chosen."""
         kept = self.chosen()
         with QSignalBlocker(self):

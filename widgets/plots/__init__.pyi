@@ -1,8 +1,8 @@
+from .axes import LineBuffer as LineBuffer
 from .axes import PlotArea as PlotArea
-from .axes import Strokes as Strokes
 from .axes import draw_message as draw_message
 from .axes import draw_mm_grid as draw_mm_grid
-from .axes import draw_stale as draw_stale
+from .axes import draw_stale_overlay as draw_stale_overlay
 from .axes import nice_step as nice_step
 from .axes import polygon_of as polygon_of
 from .axes import tick_text as tick_text
@@ -25,8 +25,8 @@ from .recorded_traces import TraceSheet as TraceSheet
 from .recorded_traces import WrenchTrace as WrenchTrace
 from .recorded_traces import has_moments as has_moments
 from .training import TOKENS as TOKENS
+from .training import CurveLine as CurveLine
 from .training import CurvePlot as CurvePlot
-from .training import Line as Line
 from .training import ReliabilityPlot as ReliabilityPlot
 from .training import SampleScene as SampleScene
 from .training import SampleStrip as SampleStrip
@@ -37,11 +37,12 @@ __all__ = [
     "SPANS_S",
     "TOKENS",
     "Bins",
+    "CurveLine",
     "CurvePlot",
     "DistributionScene",
     "DistributionView",
     "Drawn",
-    "Line",
+    "LineBuffer",
     "PhaseDrawn",
     "PhasePlot",
     "PhaseSheet",
@@ -50,14 +51,13 @@ __all__ = [
     "ReliabilityPlot",
     "SampleScene",
     "SampleStrip",
-    "Strokes",
     "TracePlot",
     "TraceSheet",
     "TracesPanel",
     "WrenchTrace",
     "draw_message",
     "draw_mm_grid",
-    "draw_stale",
+    "draw_stale_overlay",
     "has_moments",
     "nice_step",
     "polygon_of",

@@ -80,7 +80,7 @@ def polygon_of(points: FloatArray) -> QPolygonF:
     return polygon
 
 
-def spread(wanted: list[float], gap: float, low: float, high: float) -> list[float]:
+def spread_labels(wanted: list[float], gap: float, low: float, high: float) -> list[float]:
     """Move labels apart so that neighbours are ``gap`` away and all stay within [low, high]."""
     known = [low if math.isnan(y) else min(max(y, low), high) for y in wanted]
     order = sorted(range(len(wanted)), key=known.__getitem__)
@@ -192,7 +192,7 @@ def draw_message(
             top += high + LINE_GAP_PX
 
 
-def draw_stale(
+def draw_stale_overlay(
     painter: QPainter, rect: QRectF, theme: Theme, age_s: float, into: QColor | None = None
 ) -> None:
     """Fade ``rect`` to half of ``into``, a picture to black, and date it."""
@@ -213,7 +213,7 @@ BYTES = 4 * 8
 """A Qt line is four doubles: x1, y1, x2, y2."""
 
 
-class Strokes:
+class LineBuffer:
     """Keeps its lines between pictures; only what they hold changes."""
 
     def __init__(self) -> None:

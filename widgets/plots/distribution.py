@@ -13,7 +13,7 @@ from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPix
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import MapName, Theme, colours, table, ui_font
+from touchdown.widgets.base import MapName, Theme, colour_table, map_colours, ui_font
 from touchdown.widgets.plots.axes import (
     PlotArea,
     draw_message,
@@ -165,7 +165,7 @@ class DistributionView(QWidget):
         self._draw_scale(painter, area)
 
     def _draw_bins(self, painter: QPainter, area: PlotArea, bins: Bins) -> None:
-        shades = colours(bins.counts / self.scene.span[1], self._map)
+        shades = map_colours(bins.counts / self.scene.span[1], self._map)
         hole = QPen(self._theme.tokens.colour("border"), 1, Qt.PenStyle.DotLine)
         size = bins.bin_mm
         for row, column in np.argwhere(bins.possible | (bins.counts > 0)).tolist():
@@ -185,7 +185,7 @@ class DistributionView(QWidget):
     def _draw_dots(self, painter: QPainter, area: PlotArea) -> None:
         scene, t = self.scene, self._theme.tokens
         low, high = scene.span
-        shades = colours((scene.values - low) / (high - low), self._map)
+        shades = map_colours((scene.values - low) / (high - low), self._map)
         x, y = _pixels(area, scene.points_mm)
         rim = QPen(t.colour("border"), 1)
         for k in range(len(x)):
@@ -215,7 +215,7 @@ class DistributionView(QWidget):
     def _draw_scale(self, painter: QPainter, area: PlotArea) -> None:
         t, (low, high) = self._theme.tokens, self.scene.span
         bar = QRectF(area.rect.right() + 10, area.rect.top(), 10, area.rect.height())
-        lut = table(self._map)
+        lut = colour_table(self._map)
         for k in range(int(bar.height())):
             shade = lut[int(255 * (1.0 - k / bar.height()))]
             painter.fillRect(QRectF(bar.left(), bar.top() + k, 10, 1.5), QColor(*shade.tolist()))

@@ -11,12 +11,12 @@ from PySide6.QtGui import QPainter, QPaintEvent, QPen, QPixmap, QPolygonF, QResi
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Age, Panel, Theme, tool, ui_font
+from touchdown.widgets.base import Age, Panel, Theme, flat_button, ui_font
 from touchdown.widgets.plots.axes import (
     PlotArea,
     TraceBuckets,
     draw_message,
-    draw_stale,
+    draw_stale_overlay,
     nice_step,
     polygon_of,
     tick_text,
@@ -127,10 +127,10 @@ class TracePlot(QWidget):
         self._draw_end_labels(painter, area)
         if self._age in (Age.STALE, Age.GONE):
             panel = self._theme.tokens.colour("panel")
-            draw_stale(painter, area.rect, self._theme, self._age_s, panel)
+            draw_stale_overlay(painter, area.rect, self._theme, self._age_s, panel)
 
     def _draw_traces(self, painter: QPainter, area: PlotArea) -> None:
-        lines = _polylines(area, *thinned(*self.buckets.ordered(), int(area.rect.width())))
+        lines = _polylines(area, *thin_buckets(*self.buckets.ordered(), int(area.rect.width())))
         painter.setClipRect(area.rect)
         self.points_drawn = 0
         for name, stretches in zip(AXES, lines, strict=True):
@@ -220,7 +220,7 @@ def _next_limit(limit: float) -> float:
     return limit * 2
 
 
-def thinned(
+def thin_buckets(
     age_s: FloatArray, low: FloatArray, high: FloatArray, columns: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Merge neighbouring buckets until there are at most ``columns`` of them."""
@@ -274,7 +274,7 @@ class TracesPanel(Panel):
         self.column.setSpacing(2)
         for plot in self._plots:
             self.column.addWidget(plot, 1)
-        fit = tool("Fit", "Set both ranges to what is shown now (Ctrl+F)")
+        fit = flat_button("Fit", "Set both ranges to what is shown now (Ctrl+F)")
         fit.clicked.connect(self.fit)
         for widget in (*tools, fit):
             self.header.addWidget(widget)

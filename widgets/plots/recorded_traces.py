@@ -33,7 +33,7 @@ def unit_of(channel: int) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Paper:
+class SheetStyle:
     """What a plot is drawn on: size and line height in px, device pixels per px, and the looks."""
 
     width: int
@@ -52,9 +52,9 @@ class Paper:
         return image
 
 
-def paper_of(widget: QWidget, theme: Theme) -> Paper:
+def sheet_style(widget: QWidget, theme: Theme) -> SheetStyle:
     """Return what ``widget`` is drawn on now."""
-    return Paper(widget.width(), widget.height(), widget.devicePixelRatioF(),
+    return SheetStyle(widget.width(), widget.height(), widget.devicePixelRatioF(),
                  widget.fontMetrics().height(), theme.tokens, theme.scale)  # fmt: skip
 
 
@@ -62,7 +62,7 @@ def paper_of(widget: QWidget, theme: Theme) -> Paper:
 class TraceSheet:
     """Axes of the chosen ``channels`` for one ``trace``; sheets are equal if they look alike."""
 
-    paper: Paper
+    paper: SheetStyle
     channels: tuple[int, ...]
 
     @property
@@ -155,7 +155,9 @@ class TraceSheet:
             area = areas[unit_of(channel)]
             painter.setClipRect(area.rect)
             painter.setPen(QPen(self.colour(channel), 1))
-            t_s, values = extremes(trace.t_s, trace.values[:, channel], int(area.rect.width()))
+            t_s, values = min_max_per_column(
+                trace.t_s, trace.values[:, channel], int(area.rect.width())
+            )
             good = np.isfinite(values)
             edges = np.flatnonzero(np.diff(good.astype(np.int8), prepend=0, append=0))
             for start, end in edges.reshape(-1, 2).tolist():
@@ -163,7 +165,9 @@ class TraceSheet:
         painter.setClipping(False)
 
 
-def extremes(t_s: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
+def min_max_per_column(
+    t_s: FloatArray, values: FloatArray, columns: int
+) -> tuple[FloatArray, FloatArray]:
     """Return least and greatest of each group of samples: at most two points per pixel column."""
     group = -(-len(t_s) // max(columns, 1))
     if group <= POINTS_PER_COLUMN:
@@ -212,7 +216,7 @@ class RecordedTraces(QWidget):
 
     def sheet(self) -> TraceSheet:
         """Return what is drawn on now."""
-        return TraceSheet(paper_of(self, self._theme), self.channels)
+        return TraceSheet(sheet_style(self, self._theme), self.channels)
 
     def show_channels(self, channels: tuple[int, ...]) -> None:
         """Choose what is drawn."""
@@ -309,7 +313,7 @@ MOST_POINTS = 400
 class PhaseSheet:
     """The drawn part: axes, and the whole path faintly; by any thread."""
 
-    paper: Paper
+    paper: SheetStyle
 
     def area(self, trace: WrenchTrace | None) -> PlotArea:
         """Return the square that is drawn, centred on the path."""
@@ -397,7 +401,7 @@ class PhasePlot(QWidget):
 
     def sheet(self) -> PhaseSheet:
         """Return what is drawn on now."""
-        return PhaseSheet(paper_of(self, self._theme))
+        return PhaseSheet(sheet_style(self, self._theme))
 
     def show_cursor(self, t_s: float) -> None:
         """Move the cursor."""

@@ -13,9 +13,16 @@ from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPaintEvent, QPen, QPo
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Theme, colours, ui_font
-from touchdown.widgets.plots.axes import PlotArea, draw_message, nice_step, spread, tick_text, ticks
-from touchdown.widgets.views import on_black
+from touchdown.widgets.base import Theme, map_colours, ui_font
+from touchdown.widgets.plots.axes import (
+    PlotArea,
+    draw_message,
+    nice_step,
+    spread_labels,
+    tick_text,
+    ticks,
+)
+from touchdown.widgets.views import stroke_on_black
 
 LEAST_EPOCHS = 4
 WIDEST_ENDING = "valid. 0.000"
@@ -26,7 +33,7 @@ Points = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class CurveLine:
     """One curve: its name at the right end, its points (x rising), a colour token, its style."""
 
     name: str
@@ -35,13 +42,13 @@ class Line:
     dashed: bool = False
 
 
-class _Plot(QWidget):
+class _TrainingPlot(QWidget):
     """Axes and lines; small enough to be drawn whole."""
 
     def __init__(self, theme: Theme, name: str) -> None:
         super().__init__()
         self._theme, self._name = theme, name
-        self.lines: tuple[Line, ...] = ()
+        self.lines: tuple[CurveLine, ...] = ()
         self.setAccessibleName(name)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setMinimumSize(130, 96)
@@ -89,7 +96,7 @@ class _Plot(QWidget):
         align = Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignLeft
         painter.drawText(head, int(align), self._name)
 
-    def _draw_line(self, painter: QPainter, area: PlotArea, line: Line) -> None:
+    def _draw_line(self, painter: QPainter, area: PlotArea, line: CurveLine) -> None:
         pen = QPen(self._theme.tokens.colour(line.token), 1.6)
         if line.dashed:
             pen.setStyle(Qt.PenStyle.DashLine)
@@ -100,7 +107,7 @@ class _Plot(QWidget):
         painter.drawPolyline(QPolygonF(points))
 
 
-class CurvePlot(_Plot):
+class CurvePlot(_TrainingPlot):
     """Values over epochs. ``best`` is marked; ``top`` limits the range (1 for shares)."""
 
     def __init__(self, theme: Theme, name: str, top: float | None = None) -> None:
@@ -108,7 +115,7 @@ class CurvePlot(_Plot):
         self._top = top
         self.best = self.epochs = 0
 
-    def show_lines(self, lines: Sequence[Line], epochs: int, best: int = 0) -> None:
+    def show_lines(self, lines: Sequence[CurveLine], epochs: int, best: int = 0) -> None:
         """Show curves up to ``epochs``; ``best``: an epoch to mark, 0 for none."""
         if (tuple(lines), epochs, best) == (self.lines, self.epochs, self.best):
             return
@@ -147,20 +154,20 @@ class CurvePlot(_Plot):
         painter.setFont(ui_font(self._theme.scale, 0.82, 500))
         height = painter.fontMetrics().height()
         wanted = [area.y(one.points[-1][1]) for one in drawn]
-        places = spread(wanted, height, area.rect.top(), area.rect.bottom())
+        places = spread_labels(wanted, height, area.rect.top(), area.rect.bottom())
         for one, y in zip(drawn, places, strict=True):
             painter.setPen(self._theme.tokens.colour(one.token))
             box = QRectF(area.rect.right() + 5, y - height / 2, self.width(), height)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), _ending(one))
 
 
-class ReliabilityPlot(_Plot):
+class ReliabilityPlot(_TrainingPlot):
     """How often points are in contact that are given a probability; exact ones lie on the line."""
 
     def __init__(self, theme: Theme) -> None:
         super().__init__(theme, "Share in contact over predicted p")
 
-    def show_lines(self, lines: Sequence[Line]) -> None:
+    def show_lines(self, lines: Sequence[CurveLine]) -> None:
         """Show one line per run: (mean predicted probability, share in contact)."""
         if tuple(lines) != self.lines:
             self.lines = tuple(lines)
@@ -190,7 +197,7 @@ class ReliabilityPlot(_Plot):
             painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), one.name)
 
 
-def _ending(line: Line) -> str:
+def _ending(line: CurveLine) -> str:
     return f"{line.name} {line.points[-1][1]:.3f}".strip()
 
 
@@ -277,7 +284,7 @@ class SampleStrip(QWidget):
         scale = box.width() / (2 * reach)
         cell = scene.pitch_mm * scale
         painter.setPen(Qt.PenStyle.NoPen)
-        rgb = colours(scene.probability, "cividis")
+        rgb = map_colours(scene.probability, "cividis")
         centres = scene.points_mm * (scale, -scale) + (box.center().x(), box.center().y())
         for (x, y), colour in zip(centres.tolist(), rgb.tolist(), strict=True):
             painter.fillRect(QRectF(x - cell / 2, y - cell / 2, cell + 0.5, cell + 0.5),
@@ -289,7 +296,7 @@ class SampleStrip(QWidget):
             for (x0, y0), (x1, y1) in lines.tolist():
                 painter.drawPolyline(QPolygonF([QPointF(x0, y0), QPointF(x1, y1)]))
 
-        on_black(painter, 1.4, Qt.PenStyle.SolidLine, stroke)
+        stroke_on_black(painter, 1.4, Qt.PenStyle.SolidLine, stroke)
         self._words(painter, box, scene)
 
     def _words(self, painter: QPainter, box: QRectF, scene: SampleScene) -> None:

@@ -2,15 +2,15 @@ from .devices import ChipState as ChipState
 from .devices import ChipValue as ChipValue
 from .devices import DeviceInspector as DeviceInspector
 from .fault_cards import STOPPED as STOPPED
+from .fault_cards import CardQuestion as CardQuestion
 from .fault_cards import CardText as CardText
 from .fault_cards import FaultCards as FaultCards
-from .fault_cards import OnTop as OnTop
-from .fault_cards import Question as Question
+from .fault_cards import TopOverlay as TopOverlay
 from .fault_cards import UnsavedBanner as UnsavedBanner
-from .keys import Choice as Choice
 from .keys import CommandPalette as CommandPalette
-from .keys import KeyAsker as KeyAsker
+from .keys import KeyDialog as KeyDialog
 from .keys import KeySheet as KeySheet
+from .keys import PaletteEntry as PaletteEntry
 from .state import Colour as Colour
 from .state import PillState as PillState
 from .state import Shape as Shape
@@ -28,23 +28,23 @@ __all__ = [
     "RING_PX",
     "STOPPED",
     "BenchBanner",
+    "CardQuestion",
     "CardText",
     "ChipState",
     "ChipValue",
-    "Choice",
     "Colour",
     "CommandPalette",
     "DeviceInspector",
     "FaultCards",
-    "KeyAsker",
+    "KeyDialog",
     "KeySheet",
-    "OnTop",
+    "PaletteEntry",
     "PillState",
-    "Question",
     "Shape",
     "Spotlight",
     "StateStrip",
     "TopBar",
+    "TopOverlay",
     "TourCard",
     "TourStop",
     "UnsavedBanner",

@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import ElidedLabel, bring_in_sight, label, set_property
+from touchdown.widgets.base import ElidedLabel, label, scroll_into_view, set_property
 
 MAX_CARDS = 4
 STOPPED = "STOPPED"
@@ -58,7 +58,7 @@ class CardText:
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class CardQuestion:
     """A question asked without blocking anything: text and (label, action) per answer."""
 
     text: str
@@ -196,7 +196,7 @@ class FoldedCards(QFrame):
         self.show()
 
 
-class _Answer(QPushButton):
+class _AnswerButton(QPushButton):
     """One answer: withdraws the question, then acts."""
 
     def __init__(self, text: str, withdraw: Callable[[], None], action: Callable[[], None]) -> None:
@@ -217,7 +217,7 @@ class FaultCards(QWidget):
         self._on_reset = on_reset
         self._cards: dict[str, FaultCard] = {}
         self._question: QFrame | None = None
-        self.asks: Question | None = None
+        self.asks: CardQuestion | None = None
         """The question that stands."""
         self._unfolded = False
         self.folded = False
@@ -262,7 +262,7 @@ class FaultCards(QWidget):
             self._cards[text.key] = card
         self._lay_out()
 
-    def ask(self, question: Question) -> None:
+    def ask(self, question: CardQuestion) -> None:
         """Show a question; the former one is withdrawn, its focus goes to the first answer."""
         focus = QGuiApplication.focusObject()
         focused = self._question is not None and focus in self._question.children()
@@ -272,7 +272,7 @@ class FaultCards(QWidget):
         row = QHBoxLayout(frame)
         row.addWidget(label(question.text, "title", wrap=True), 1)
         for text, action in question.answers:
-            answer = _Answer(text, self.withdraw, action)
+            answer = _AnswerButton(text, self.withdraw, action)
             answer.setAccessibleName(f"{text}: {question.text}")
             row.addWidget(answer)
         self._question, self.asks = frame, question
@@ -381,13 +381,13 @@ class UnsavedBanner(QFrame):
         appears = bool(what) and self.isHidden()
         self.setVisible(bool(what))
         if appears:
-            bring_in_sight(self)
+            scroll_into_view(self)
 
 
 _CHANGED = frozenset({QEvent.Type.LayoutRequest, QEvent.Type.Show})
 
 
-class OnTop(QObject):
+class TopOverlay(QObject):
     """``cover`` is as wide as ``base`` and as high as it needs."""
 
     def __init__(self, cover: QWidget, base: QWidget) -> None:

@@ -35,7 +35,7 @@ FAINT = 0.72
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class PaletteEntry:
     """One entry. ``where`` is the workspace, ``key`` its key or ""."""
 
     name: str
@@ -44,7 +44,7 @@ class Choice:
     key: str
 
 
-def score(query: str, text: str) -> float | None:
+def match_score(query: str, text: str) -> float | None:
     """Return how well ``query`` fits (lower is better), None if its letters do not occur in order.
 
     Letters at the beginning of words and letters that follow each other count most.
@@ -65,17 +65,17 @@ def score(query: str, text: str) -> float | None:
     return gaps + 0.001 * len(given)
 
 
-def best(query: str, choices: Sequence[Choice]) -> list[Choice]:
+def best_matches(query: str, choices: Sequence[PaletteEntry]) -> list[PaletteEntry]:
     """Return the choices that fit, best first; all in their order for an empty query."""
     scored = []
     for order, choice in enumerate(choices):
-        fits = score(query, f"{choice.text} {choice.where}")
+        fits = match_score(query, f"{choice.text} {choice.where}")
         if fits is not None:
             scored.append((fits if query else 0.0, order, choice))
     return [choice for _, _, choice in sorted(scored, key=lambda row: row[:2])][:SHOWN]
 
 
-class _Entry(QStyledItemDelegate):
+class _PaletteDelegate(QStyledItemDelegate):
     """Writes what is done at the left, where it acts beside it, and the key at the right."""
 
     def paint(
@@ -108,7 +108,7 @@ class _Entry(QStyledItemDelegate):
             painter.drawText(box.adjusted(used, 0, 0, 0), int(middle), where)
 
 
-TAKES = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
+ACCEPT_KEYS = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 """Keys that take the entry, whatever they mean on the page."""
 
 
@@ -118,14 +118,14 @@ class CommandPalette(QDialog):
     def __init__(self, parent: QWidget, on_choice: Callable[[str], None]) -> None:
         super().__init__(parent)
         self._window, self._on_choice = parent, on_choice
-        self._choices: Sequence[Choice] = ()
+        self._choices: Sequence[PaletteEntry] = ()
         self.setWindowTitle("Commands")
         self.setModal(False)
         self.field, self.list = QLineEdit(), QListWidget()
         self.field.setPlaceholderText("What do you want to do?")
         self.field.setAccessibleName("Find a command")
         self.list.setAccessibleName("Commands that fit")
-        self.list.setItemDelegate(_Entry(self.list))
+        self.list.setItemDelegate(_PaletteDelegate(self.list))
         self.list.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.field.textChanged.connect(self._filter)
@@ -137,7 +137,7 @@ class CommandPalette(QDialog):
         column.addWidget(self.field)
         column.addWidget(self.list, 1)
 
-    def open_with(self, choices: Sequence[Choice]) -> None:
+    def open_with(self, choices: Sequence[PaletteEntry]) -> None:
         """Show all of ``choices`` with an empty field."""
         self._choices = choices
         self.field.clear()
@@ -159,7 +159,7 @@ class CommandPalette(QDialog):
         """Let the arrows walk in the list and Return take the entry while the text is edited."""
         if isinstance(event, QKeyEvent) and event.type() is QEvent.Type.ShortcutOverride:
             # Return has a meaning on some pages: here it takes the entry.
-            if event.key() in TAKES:
+            if event.key() in ACCEPT_KEYS:
                 event.accept()
             return False
         if not isinstance(event, QKeyEvent) or event.type() is not QEvent.Type.KeyPress:
@@ -172,7 +172,7 @@ class CommandPalette(QDialog):
             self.list.setCurrentRow(min(max(row, 0), self.list.count() - 1))
             self._describe()
             return True
-        if event.key() in TAKES:
+        if event.key() in ACCEPT_KEYS:
             self._take(self.list.currentItem() if self.list.count() else None)
             return True
         return False
@@ -181,7 +181,7 @@ class CommandPalette(QDialog):
 
     def _filter(self, query: str) -> None:
         self.list.clear()
-        for choice in best(query, self._choices):
+        for choice in best_matches(query, self._choices):
             key = f"   {choice.key}" if choice.key else ""
             item = QListWidgetItem(f"{choice.text}   ({choice.where}){key}")
             item.setData(NAME, choice.name)
@@ -286,7 +286,7 @@ _ALONE = frozenset({Qt.Key.Key_Control, Qt.Key.Key_Shift, Qt.Key.Key_Alt, Qt.Key
                     Qt.Key.Key_AltGr})  # fmt: skip
 
 
-class KeyAsker(QDialog):
+class KeyDialog(QDialog):
     """``change`` tries a key ("" for none) and returns "" or why it cannot be had."""
 
     def __init__(self, parent: QWidget) -> None:

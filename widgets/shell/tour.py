@@ -112,7 +112,7 @@ class TourCard(QFrame):
         self.setFixedWidth(width)
         high = max(self.heightForWidth(width), self.minimumSizeHint().height())
         self.resize(width, high)
-        corner = beside(hole, self.size(), self._window.rect())
+        corner = card_position(hole, self.size(), self._window.rect())
         lowest = self._window.height() - high - MARGIN_PX
         self.move(corner.x(), min(max(corner.y(), top + MARGIN_PX if top else 0), lowest))
 
@@ -139,7 +139,7 @@ class TourCard(QFrame):
             super().keyPressEvent(event)
 
 
-def beside(hole: QRect, card: QSize, window: QRect) -> QPoint:
+def card_position(hole: QRect, card: QSize, window: QRect) -> QPoint:
     """Return where a card stands next to ``hole``: right, left, below or above; else inside it."""
     gap = MARGIN_PX
     y = min(max(hole.top(), gap), window.height() - card.height() - gap)

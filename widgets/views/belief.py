@@ -22,7 +22,7 @@ from PySide6.QtGui import (
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import BeliefMap, FloatArray, Stability
-from touchdown.widgets.base import MapName, Theme, colours, ui_font
+from touchdown.widgets.base import MapName, Theme, map_colours, ui_font
 from touchdown.widgets.plots import PlotArea, draw_message, nice_step, tick_text, ticks
 
 ENTRIES = (
@@ -156,7 +156,7 @@ WHITE, BLACK = QColor("#FFFFFF"), QColor("#000000")
 Draw = Callable[[], None]
 
 
-def draw_all(
+def draw_marks(
     painter: QPainter, area: PlotArea, scene: BeliefScene, theme: Theme, *, small: bool
 ) -> None:
     """Draw every mark of the scene; ``small`` leaves out what a thumbnail cannot carry."""
@@ -175,10 +175,10 @@ def draw_all(
         if all(map(math.isfinite, centre)):
             if scene.step_mm is not None and not small and scene.step_mm != (0.0, 0.0):
                 _step(painter, area, centre, scene)
-            plus(painter, QPointF(area.x(centre[0]), area.y(centre[1])), 4 if small else 8)
+            draw_plus(painter, QPointF(area.x(centre[0]), area.y(centre[1])), 4 if small else 8)
 
 
-def on_black(painter: QPainter, width: float, style: Qt.PenStyle, draw: Draw) -> None:
+def stroke_on_black(painter: QPainter, width: float, style: Qt.PenStyle, draw: Draw) -> None:
     """Stroke twice: black two pixels wider below, white above."""
     for colour, extra in ((BLACK, 2.0), (WHITE, 0.0)):
         pen = QPen(colour, width + extra)
@@ -189,14 +189,14 @@ def on_black(painter: QPainter, width: float, style: Qt.PenStyle, draw: Draw) ->
         draw()
 
 
-def plus(painter: QPainter, at: QPointF, size: float) -> None:
+def draw_plus(painter: QPainter, at: QPointF, size: float) -> None:
     """Draw the centre of mass: a plus."""
 
     def stroke() -> None:
         painter.drawLine(at - QPointF(size, 0), at + QPointF(size, 0))
         painter.drawLine(at - QPointF(0, size), at + QPointF(0, size))
 
-    on_black(painter, 2.6, Qt.PenStyle.SolidLine, stroke)
+    stroke_on_black(painter, 2.6, Qt.PenStyle.SolidLine, stroke)
 
 
 def _outline(
@@ -210,12 +210,14 @@ def _outline(
     polygon = QPolygonF(
         [QPointF(area.x(x + shift[0]), area.y(y + shift[1])) for x, y in points.tolist()]
     )
-    on_black(painter, width, style, lambda: painter.drawPolygon(polygon))
+    stroke_on_black(painter, width, style, lambda: painter.drawPolygon(polygon))
 
 
 def _path(painter: QPainter, area: PlotArea, scene: BeliefScene, theme: Theme) -> None:
     points = [QPointF(area.x(x), area.y(y)) for x, y in scene.path]
-    on_black(painter, 1.0, Qt.PenStyle.SolidLine, lambda: painter.drawPolyline(QPolygonF(points)))
+    stroke_on_black(
+        painter, 1.0, Qt.PenStyle.SolidLine, lambda: painter.drawPolyline(QPolygonF(points))
+    )
     painter.setFont(ui_font(theme.scale, 0.8, 600))
     # The newest probe carries the plus of the centre of mass instead of a number.
     for number, point in enumerate(points[:-1], start=1):
@@ -237,8 +239,12 @@ def _step(
     if scene.target_mm is not None and all(map(math.isfinite, scene.target_mm)):
         target = QPointF(area.x(scene.target_mm[0]), area.y(scene.target_mm[1]))
         if scene.clipped:
-            on_black(painter, 1.0, Qt.PenStyle.DotLine, lambda: painter.drawLine(tip, target))
-        on_black(painter, 1.6, Qt.PenStyle.SolidLine, lambda: painter.drawEllipse(target, 6, 6))
+            stroke_on_black(
+                painter, 1.0, Qt.PenStyle.DotLine, lambda: painter.drawLine(tip, target)
+            )
+        stroke_on_black(
+            painter, 1.6, Qt.PenStyle.SolidLine, lambda: painter.drawEllipse(target, 6, 6)
+        )
     along = tip - tail
     length = math.hypot(along.x(), along.y())
     if length < 1:
@@ -250,7 +256,7 @@ def _step(
         painter.drawLine(tip, tip - unit * 10 + across * 5)
         painter.drawLine(tip, tip - unit * 10 - across * 5)
 
-    on_black(painter, 2.2, Qt.PenStyle.SolidLine, stroke)
+    stroke_on_black(painter, 2.2, Qt.PenStyle.SolidLine, stroke)
 
 
 class BeliefView(QWidget):
@@ -276,7 +282,7 @@ class BeliefView(QWidget):
         """Show another scene."""
         self.scene = scene
         self._drawn = None
-        self.setAccessibleDescription(describe(scene))
+        self.setAccessibleDescription(describe_scene(scene))
         self.update()
 
     def show_map(self, name: MapName) -> None:
@@ -340,7 +346,7 @@ class BeliefView(QWidget):
         painter.save()
         painter.setClipRect(area.rect)
         self._draw_cells(painter, area, belief)
-        draw_all(painter, area, self.scene, self._theme, small=self._thumbnail)
+        draw_marks(painter, area, self.scene, self._theme, small=self._thumbnail)
         painter.restore()
         if not self._thumbnail:
             self._draw_colour_bar(painter, area)
@@ -348,7 +354,7 @@ class BeliefView(QWidget):
     def _draw_cells(self, painter: QPainter, area: PlotArea, belief: BeliefMap) -> None:
         ny, nx = belief.log_odds.shape
         rgba = np.zeros((ny, nx, 4), dtype=np.uint8)
-        rgba[..., :3] = colours(belief.probability, self.map_name)
+        rgba[..., :3] = map_colours(belief.probability, self.map_name)
         rgba[..., 3] = np.where(belief.covered, 255, 0)
         rgba = np.ascontiguousarray(rgba[::-1])
         image = QImage(rgba.data, nx, ny, 4 * nx, QImage.Format.Format_RGBA8888)
@@ -386,7 +392,7 @@ class BeliefView(QWidget):
     def _draw_colour_bar(self, painter: QPainter, area: PlotArea) -> None:
         t, rect = self._theme.tokens, area.rect
         bar = QRectF(rect.right() + 10, rect.top(), 10, rect.height())
-        ramp = np.ascontiguousarray(colours(np.linspace(1, 0, 128)[:, None], self.map_name))
+        ramp = np.ascontiguousarray(map_colours(np.linspace(1, 0, 128)[:, None], self.map_name))
         painter.drawImage(bar, QImage(ramp.data, 1, 128, 3, QImage.Format.Format_RGB888))
         painter.setFont(ui_font(self._theme.scale, 0.85))
         height = painter.fontMetrics().height()
@@ -403,7 +409,7 @@ class BeliefView(QWidget):
         painter.drawLine(QPointF(bar.left(), y), QPointF(bar.right(), y))
 
 
-def describe(scene: BeliefScene) -> str:
+def describe_scene(scene: BeliefScene) -> str:
     """Return the scene in one sentence, for screen readers."""
     if scene.belief is None:
         return scene.empty[0]

@@ -31,7 +31,7 @@ OUTCOMES: tuple[tuple[Outcome, str, str], ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class TrialLook:
+class TrialPrompt:
     """One question. ``scene``: where the face starts over the bottom, None for no picture.
 
     ``yes``: text of its button, "" where an outcome is asked for; ``proposed`` stands out.
@@ -87,7 +87,7 @@ class TrialPanel(Panel):
         self._wire()
         self.show_look(None)
 
-    def show_look(self, look: TrialLook | None) -> None:
+    def show_look(self, look: TrialPrompt | None) -> None:
         """Show a question; None: nothing is asked."""
         self.setVisible(look is not None)
         if look is None:
@@ -187,7 +187,7 @@ def signed_mm(value: float) -> str:
     return f"{value:+.1f} mm".replace("-", MINUS)
 
 
-def decide_in_words(stability: Stability | None, action: PlaceAction | None) -> DecisionText:
+def decision_text(stability: Stability | None, action: PlaceAction | None) -> DecisionText:
     """Put verdict and margin into words; the reason with its numbers is the backend's."""
     if stability is None:
         return NOTHING_YET

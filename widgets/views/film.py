@@ -49,7 +49,7 @@ def latest(t_s: FloatArray, cursor_s: float) -> int:
     return int(np.searchsorted(t_s, cursor_s + 1e-9, side="right")) - 1
 
 
-class Film(QWidget):
+class FilmView(QWidget):
     """Shows a reel; ``seek`` is told where playing or stepping moves the cursor.
 
     ``ran`` tells that it plays (True) or stands still.
@@ -178,7 +178,7 @@ def _stamps(track: FilmTrack) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class TimeMark:
     """Something that happened; ``strong`` ones are a full line with their word."""
 
     t_s: float
@@ -192,7 +192,7 @@ class TimeScene:
 
     span_s: tuple[float, float] = (0.0, 0.0)
     recorded_s: tuple[tuple[float, float], ...] = ()
-    marks: tuple[Mark, ...] = ()
+    marks: tuple[TimeMark, ...] = ()
 
 
 class TimeLine(QWidget):

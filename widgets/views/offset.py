@@ -16,7 +16,7 @@ from PySide6.QtWidgets import QSizePolicy, QWidget
 from touchdown.backend.core import FloatArray, SupportKind
 from touchdown.widgets.base import Theme, blend, ui_font
 from touchdown.widgets.plots import PlotArea, draw_message, draw_mm_grid
-from touchdown.widgets.views.belief import plus
+from touchdown.widgets.views.belief import draw_plus
 
 GhostKind = Literal["commanded", "measured", "scene", "model"]
 Point = tuple[float, float]
@@ -74,7 +74,7 @@ class OffsetScene:
         return usual + REACH_STEP_MM * math.ceil(more / REACH_STEP_MM)
 
 
-def verdict_in_words(scene: OffsetScene) -> str:
+def verdict_text(scene: OffsetScene) -> str:
     """Return whether the piece would stand, and by how much."""
     if scene.offset_mm is None:
         return "No displacement yet"
@@ -89,7 +89,7 @@ def verdict_in_words(scene: OffsetScene) -> str:
     return f"Would {'stand' if scene.margin_mm >= 0 else 'fall'}: {distance}"
 
 
-def offset_in_words(offset_mm: Point | None, sigma_mm: float = 0.0) -> str:
+def offset_text(offset_mm: Point | None, sigma_mm: float = 0.0) -> str:
     """Write a displacement as "x +1.50, y +0.25 mm", with its uncertainty."""
     if offset_mm is None:
         return "no displacement"
@@ -134,7 +134,7 @@ def draw_bottom(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
         painter.drawLine(centre - arm, centre + arm)
 
 
-def legend_left(scene: OffsetScene) -> bool:
+def is_legend_left(scene: OffsetScene) -> bool:
     """Whether sources are named at the upper left: where the face is not."""
     return scene.offset_mm is not None and scene.offset_mm[0] > 0
 
@@ -153,7 +153,7 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
         painter.drawPolygon(outline)
         painter.drawPolygon(outline.translated(THICKEN_PX, THICKEN_PX))
         _sigma_circle(painter, area, ghost.offset_mm, ghost.sigma_mm)
-        _legend_line(painter, area, ghost, row, height, left=legend_left(scene))
+        _legend_line(painter, area, ghost, row, height, left=is_legend_left(scene))
         _letters(painter, area, scene, ghost)
 
 
@@ -196,7 +196,7 @@ def draw_face(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Them
     painter.drawPolygon(_placed(area, scene.face, scene.offset_mm, scene.yaw_rad))
     painter.setPen(QPen(t.colour("text"), 1))
     _sigma_circle(painter, area, scene.offset_mm, scene.sigma_mm)
-    plus(painter, QPointF(area.x(scene.centre_mm[0]), area.y(scene.centre_mm[1])), 8)
+    draw_plus(painter, QPointF(area.x(scene.centre_mm[0]), area.y(scene.centre_mm[1])), 8)
 
 
 def draw_names(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
@@ -210,7 +210,7 @@ def draw_names(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: The
     face = QPointF(area.x(scene.offset_mm[0]), area.y(scene.offset_mm[1]))
     painter.setPen(QPen(theme.tokens.colour("text"), 1, Qt.PenStyle.DotLine))
     painter.drawLine(centre, face)
-    plus(painter, face, 6)
+    draw_plus(painter, face, 6)
     painter.setPen(theme.tokens.colour("text"))
     painter.setFont(ui_font(theme.scale, 1.0, 600))
     reach = [0.55 * float(np.hypot(*outline.T).max()) for outline in (scene.bottom, scene.face)]
@@ -283,8 +283,8 @@ class OffsetView(QWidget):
             self.setAccessibleDescription("No episode")
         else:
             self._reach_mm = scene.reach_mm
-            words = offset_in_words(scene.offset_mm, scene.sigma_mm)
-            self.setAccessibleDescription(f"{words}. {verdict_in_words(scene)}.")
+            words = offset_text(scene.offset_mm, scene.sigma_mm)
+            self.setAccessibleDescription(f"{words}. {verdict_text(scene)}.")
         self.update()
 
     def area(self) -> PlotArea:
@@ -348,7 +348,7 @@ class OffsetView(QWidget):
 
     def _background(self, scene: OffsetScene, area: PlotArea) -> QPixmap:
         """Return the ground with the ghosts: drawn once per episode."""
-        side = legend_left(scene)
+        side = is_legend_left(scene)
         key = (self._fitting_ground(scene, area), scene.yaw_rad, scene.ghosts, side)
         if self._behind is None or key != self._behind_key:
             assert self._ground is not None

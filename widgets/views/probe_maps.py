@@ -10,9 +10,9 @@ from PySide6.QtGui import QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, Q
 from PySide6.QtWidgets import QBoxLayout, QScrollArea, QSizePolicy, QVBoxLayout, QWidget
 
 from touchdown.backend.core import Stability
-from touchdown.widgets.base import MAPS, MapName, Panel, Theme, chooser, label, rule
+from touchdown.widgets.base import MAPS, MapName, Panel, Theme, compact_combo_box, label, rule
 from touchdown.widgets.plots import draw_message
-from touchdown.widgets.views.belief import BeliefLegend, BeliefScene, BeliefView, describe
+from touchdown.widgets.views.belief import BeliefLegend, BeliefScene, BeliefView, describe_scene
 from touchdown.widgets.views.decision import signed_mm
 
 SIDE_PX = 62
@@ -43,7 +43,7 @@ class Thumbnail(QWidget):
         """Show the state after this probe."""
         self.view.show_scene(scene)
         self.caption.setText(caption)
-        self.setAccessibleName(f"Probe {self.index + 1}: {describe(scene)}")
+        self.setAccessibleName(f"Probe {self.index + 1}: {describe_scene(scene)}")
         said = caption.replace("\n", ", ")
         self.setToolTip(f"Probe {said} (estimated margin). Click to look back.")
 
@@ -243,7 +243,7 @@ class BeliefPanel(Panel):
             self.column.addWidget(self.legend)
         else:
             self.column.addWidget(MapAndStrip(self.view, self.legend, strip), 1)
-        self.maps = chooser(list(MAPS), "Colour map of the belief")
+        self.maps = compact_combo_box(list(MAPS), "Colour map of the belief")
         self.maps.currentIndexChanged.connect(self._choose)
         self.header.addWidget(self.maps)
 

@@ -27,7 +27,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import ElidedLabel, Theme, WrappedItems, label, ui_font
+from touchdown.widgets.base import ElidedLabel, Theme, WrappedItemDelegate, label, ui_font
 
 GAP = 10
 PARTS_PX = 220
@@ -68,7 +68,7 @@ class PictureCard(QWidget):
         self.picture.setPixmap(QPixmap.fromImage(image))
 
 
-class Flow(QWidget):
+class FlowWidget(QWidget):
     """Cards side by side, as many to a line as there is room for."""
 
     def __init__(self, cards: Sequence[PictureCard]) -> None:
@@ -113,7 +113,7 @@ class ReportSheet(QDialog):
         self.parts = QListWidget()
         self.parts.setAccessibleName("Parts of the report")
         self.parts.setFixedWidth(PARTS_PX)
-        WrappedItems(self.parts)
+        WrappedItemDelegate(self.parts)
         self.parts.currentRowChanged.connect(intents.part)
         self.room = QScrollArea()
         self.room.setWidgetResizable(True)
@@ -197,12 +197,12 @@ def _button(text: str, tip: str) -> QPushButton:
     return button
 
 
-Index = QModelIndex | QPersistentModelIndex
+ModelIndex = QModelIndex | QPersistentModelIndex
 PAD_X, PAD_Y = 9, 6
 
 
 @dataclass(frozen=True, slots=True)
-class CellLook:
+class ReportCell:
     """``value``, then ``lines`` below it; ``trace`` says where it comes from."""
 
     value: str
@@ -218,7 +218,7 @@ class ReportGrid(QTableWidget):
         theme: Theme,
         name: str,
         columns: Sequence[str],
-        rows: Sequence[tuple[str, Sequence[CellLook]]],
+        rows: Sequence[tuple[str, Sequence[ReportCell]]],
         chosen: Callable[[int, int], None],
     ) -> None:
         super().__init__(len(rows), len(columns))
@@ -269,7 +269,7 @@ class ReportGrid(QTableWidget):
         self.setFixedHeight(high)
 
 
-def _item(look: CellLook, row: str, column: str) -> QTableWidgetItem:
+def _item(look: ReportCell, row: str, column: str) -> QTableWidgetItem:
     item = QTableWidgetItem(", ".join(filter(None, (look.value, *look.lines))))
     item.setData(Qt.ItemDataRole.UserRole, look)
     item.setToolTip(look.trace)
@@ -283,16 +283,16 @@ class _CellPainter(QStyledItemDelegate):
         super().__init__(parent)
         self._theme = theme
 
-    def sizeHint(self, option: QStyleOptionViewItem, index: Index) -> QSize:
-        look: CellLook = index.data(Qt.ItemDataRole.UserRole)
+    def sizeHint(self, option: QStyleOptionViewItem, index: ModelIndex) -> QSize:
+        look: ReportCell = index.data(Qt.ItemDataRole.UserRole)
         value, small = (QFontMetrics(font) for font in self._fonts())
         wide = [value.horizontalAdvance(look.value)]
         wide += [small.horizontalAdvance(line) for line in look.lines]
         high = value.height() + len(look.lines) * small.height()
         return QSize(max(wide) + 2 * PAD_X, high + 2 * PAD_Y)
 
-    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: Index) -> None:
-        look: CellLook = index.data(Qt.ItemDataRole.UserRole)
+    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: ModelIndex) -> None:
+        look: ReportCell = index.data(Qt.ItemDataRole.UserRole)
         tokens = self._theme.tokens
         on = bool(option.state & QStyle.StateFlag.State_Selected)
         painter.save()

@@ -155,15 +155,15 @@ class SideView(QWidget):
         painter.drawText(box, int(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft),
                          self.scene.caption)  # fmt: skip
 
-    def _placing(self) -> _Place:
+    def _placing(self) -> _ViewTransform:
         scene = self.scene
         top = scene.piece.height_mm + 14 if scene.piece is not None else 30.0
         low, high = scene.span_mm
         scale = min((self.height() - 8) / (top + 4 - scene.table_mm), self.width() / (high - low))
         x_px = self.width() / 2 - 0.5 * (low + high) * scale
-        return _Place(x_px, self.height() - 6 - (3 - scene.table_mm) * scale, scale)
+        return _ViewTransform(x_px, self.height() - 6 - (3 - scene.table_mm) * scale, scale)
 
-    def _draw_jaws(self, painter: QPainter, place: _Place) -> None:
+    def _draw_jaws(self, painter: QPainter, place: _ViewTransform) -> None:
         t = self._theme.tokens
         painter.setPen(QPen(t.colour("border"), 1))
         painter.setBrush(t.colour("raised"))
@@ -172,7 +172,7 @@ class SideView(QWidget):
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class _ViewTransform:
     """Maps bench mm (x right, z up) to pixels."""
 
     x_px: float
@@ -183,7 +183,9 @@ class _Place:
         return QPointF(self.x_px + x_mm * self.scale, self.z_px - z_mm * self.scale)
 
 
-def _draw_body(painter: QPainter, place: _Place, body: SideBody, fill: QColor, ink: QColor) -> None:
+def _draw_body(
+    painter: QPainter, place: _ViewTransform, body: SideBody, fill: QColor, ink: QColor
+) -> None:
     painter.setPen(QPen(ink, 1))
     painter.setBrush(fill)
     for outline in body.outlines_mm():

@@ -30,7 +30,7 @@ SHADOW = QColor(0, 0, 0, 150)
 
 
 @dataclass(frozen=True, slots=True)
-class Outline:
+class PictureOutline:
     """``points_px`` (n, 2) in the picture."""
 
     kind: OutlineKind
@@ -42,7 +42,7 @@ class SceneShot:
     """``image`` (h, w, 3) BGR and what is drawn over it."""
 
     image: ImageArray
-    outlines: tuple[Outline, ...]
+    outlines: tuple[PictureOutline, ...]
 
 
 class SceneShotView(QWidget):
@@ -80,7 +80,7 @@ class SceneShotView(QWidget):
         painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         width = (self.width() - GAP * (len(self.shots) - 1)) / len(self.shots)
-        part = part_of(self.shots[0], width / max(self.height(), 1))
+        part = picture_part(self.shots[0], width / max(self.height(), 1))
         for number, shot in enumerate(self.shots):
             place = QRectF(number * (width + GAP), 0, width, self.height())
             self._draw(painter, place, shot, part)
@@ -111,7 +111,7 @@ class SceneShotView(QWidget):
         painter.restore()
 
 
-def part_of(shot: SceneShot, aspect: float) -> QRectF:
+def picture_part(shot: SceneShot, aspect: float) -> QRectF:
     """Return the part of the picture to show, width over height ``aspect``, inside the picture."""
     height, width = shot.image.shape[:2]
     corners = np.array([[0.0, 0.0], [width, height]])

@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 
 from touchdown.backend.core import Outcome
 from touchdown.widgets.base import Panel, Theme, label, set_property
-from touchdown.widgets.forms import inset
+from touchdown.widgets.forms import inset_spin_boxes
 from touchdown.widgets.views.belief import BeliefScene, BeliefView
 
 MOST_VOID = 3
@@ -139,7 +139,7 @@ class ScorePanel(Panel):
         # Beside a button of the header there is room for few words.
         last = f"{done}, {aborted} aborted" if aborted else f"{done} done"
         self.detail.setText(last if done else "")
-        rate = rate_words(score)
+        rate = success_rate_text(score)
         self._rate.setText(rate)
         self._rate.setVisible(bool(rate))
         self._marks.show()
@@ -166,7 +166,7 @@ class ScorePanel(Panel):
         self._last.setText(text)
 
 
-def rate_words(score: Score) -> str:
+def success_rate_text(score: Score) -> str:
     """Return the success rate with its interval, "" before the first trial that counts."""
     if score.interval is None:
         return ""
@@ -176,7 +176,7 @@ def rate_words(score: Score) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class RivalLook:
+class StrategyResult:
     """One strategy. ``count``: placed of tried; ``rate``: success with its interval, in words;
     ``trial``: how the chosen trial went.
     """
@@ -191,7 +191,7 @@ class RivalLook:
     scene: BeliefScene = field(default_factory=BeliefScene)
 
 
-class RivalPanel(Panel):
+class StrategyPanel(Panel):
     """One column of the comparison."""
 
     def __init__(self, theme: Theme) -> None:
@@ -204,7 +204,7 @@ class RivalPanel(Panel):
             self.column.addWidget(widget)
         self.column.addWidget(self.belief, 1)
 
-    def show_look(self, look: RivalLook) -> None:
+    def show_look(self, look: StrategyResult) -> None:
         """Show how a strategy did."""
         self.rename(look.title)
         self.count.setText(look.count)
@@ -235,10 +235,10 @@ class ComparisonSheet(QDialog):
         self.setWindowTitle("Strategies on the same seed")
         self.setModal(False)
         self.head = label("", "head", wrap=True)
-        self.panels = RivalPanel(theme), RivalPanel(theme)
+        self.panels = StrategyPanel(theme), StrategyPanel(theme)
         self.trial = QSpinBox()
         self.trial.setRange(1, 1)
-        inset(self.trial)
+        inset_spin_boxes(self.trial)
         self.trial.setAccessibleName("Trial")
         self.trial.setToolTip("The trial that is shown on both sides")
         self.trial.valueChanged.connect(choose)

@@ -29,8 +29,8 @@ from touchdown.backend.core import (
     MarkerState,
     TactileFrame,
 )
-from touchdown.widgets.base import Age, MapName, Theme, colours, table, ui_font
-from touchdown.widgets.plots import Strokes, draw_message, draw_stale
+from touchdown.widgets.base import Age, MapName, Theme, colour_table, map_colours, ui_font
+from touchdown.widgets.plots import LineBuffer, draw_message, draw_stale_overlay
 
 
 class DimmedPicture:
@@ -75,12 +75,12 @@ BIN_COLOURS = ("#E76E5A", "#F1834B", "#F99A3D", "#FDB32F", "#FCCD25", "#F5EA26")
 HEAD_SHARE, HEAD_MIN_PX, HEAD_MAX_PX = 0.35, 2.0, 7.0
 
 
-def bins_of(displacement_px: FloatArray) -> NDArray[np.intp]:
+def colour_bins(displacement_px: FloatArray) -> NDArray[np.intp]:
     """(n,) colour bin 0..5 of (n, 2) displacements."""
     return np.asarray(np.digitize(np.hypot(*displacement_px.T), BIN_EDGES_PX))
 
 
-def segments(rest_px: FloatArray, displacement_px: FloatArray) -> FloatArray:
+def arrow_segments(rest_px: FloatArray, displacement_px: FloatArray) -> FloatArray:
     """(n, 3, 4) shaft and two head strokes (x1 y1 x2 y2) of n arrows from their rest positions."""
     vector = displacement_px * GAIN
     tip = rest_px + vector
@@ -122,7 +122,7 @@ def magnitude_picture(field: MarkerField, map_name: MapName) -> ImageArray:
     v = np.interp(np.arange(IMAGE_H), down, np.arange(ROWS)).astype(np.float32)
     grid = np.clip(magnitude_px(field) / FULL_PX, 0.0, 1.0).astype(np.float32)
     smooth = cv2.remap(grid, *np.meshgrid(u, v), cv2.INTER_LINEAR)
-    picture = colours(np.asarray(smooth, dtype=np.float64), map_name)
+    picture = map_colours(np.asarray(smooth, dtype=np.float64), map_name)
     return np.ascontiguousarray(picture[:, :, ::-1])
 
 
@@ -137,7 +137,7 @@ def magnitude_scale(font: QFont, ratio: float, map_name: MapName = "cividis") ->
     drawn.fill(QColor(0, 0, 0, 150))
     painter = QPainter(drawn)
     try:
-        shades = table(map_name)
+        shades = colour_table(map_name)
         for at in range(SCALE_PX):
             shade = QColor(*shades[255 * at // (SCALE_PX - 1)].tolist())
             painter.fillRect(QRectF(left + at, tall / 2 - 4, 1.5, 8), shade)
@@ -175,7 +175,7 @@ class TactileView(QWidget):
         self._frame: TactileFrame | None = None
         self._field: MarkerField | None = None
         self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
-        self._picture, self._strokes = DimmedPicture(), Strokes()
+        self._picture, self._strokes = DimmedPicture(), LineBuffer()
         self._legend: QPixmap | None = None
         self._legend_key: tuple[object, ...] = ()
         self.look: Look = "both"
@@ -253,7 +253,7 @@ class TactileView(QWidget):
         if self.look != "image":
             self._draw_legend(painter, target)
         if self._age is Age.STALE:
-            draw_stale(painter, target, self._theme, self._age_s)
+            draw_stale_overlay(painter, target, self._theme, self._age_s)
 
     def _draw_picture(self, painter: QPainter, target: QRectF, frame: TactileFrame) -> None:
         """Draw what is under the arrows: the gel, dimmed under arrows; nothing; or sizes."""
@@ -285,16 +285,16 @@ class TactileView(QWidget):
         return QRectF((self.width() - width) / 2, (self.height() - height) / 2, width, height)
 
 
-def _draw_markers(painter: QPainter, field: MarkerField, scale: float, strokes: Strokes) -> None:
+def _draw_markers(painter: QPainter, field: MarkerField, scale: float, strokes: LineBuffer) -> None:
     displacement, state = field.displacement_px, field.state
     both = field.position_px + displacement
     finite: NDArray[np.bool_] = np.asarray(np.isfinite(both).all(axis=1), dtype=np.bool_)
     rest = field.position_px - displacement
     shown = np.flatnonzero(finite & (state != MarkerState.LOST))
-    bins = bins_of(displacement[shown])
+    bins = colour_bins(displacement[shown])
     order = np.argsort(bins, kind="stable")
     shown, bins = shown[order], bins[order]
-    strokes.take((segments(rest[shown], displacement[shown]) * scale).reshape(-1, 4))
+    strokes.take((arrow_segments(rest[shown], displacement[shown]) * scale).reshape(-1, 4))
     ends = (3 * np.searchsorted(bins, np.arange(len(PENS) + 1))).tolist()
     for pen, start, end in zip(PENS, ends[:-1], ends[1:], strict=True):
         if end > start:
@@ -332,8 +332,8 @@ def _legend(width_px: float, font: QFont, ratio: float) -> QPixmap:
         painter.setPen(QPen(QColor("#FFFFFF"), 2))
         start = np.array([[text, high / 2]]) / scale
         stroke = np.array([[length, 0.0]]) / scale / GAIN
-        lines = Strokes()
-        lines.take((segments(start, stroke) * scale).reshape(-1, 4))
+        lines = LineBuffer()
+        lines.take((arrow_segments(start, stroke) * scale).reshape(-1, 4))
         lines.draw(painter, 0, 3)
         painter.setFont(font)
         flags = Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignLeft

@@ -8,7 +8,7 @@ from PySide6.QtCore import Qt
 
 from tests.app.collect.conftest import CAMPAIGN, PROBES
 from tests.app.conftest import settle
-from touchdown.app.collect.origin import note_of
+from touchdown.app.collect.origin import origin_note
 from touchdown.backend.core.events import (
     DecisionAwaited,
     EpisodeDecided,
@@ -165,7 +165,7 @@ def test_the_check_of_the_origin_is_dated_used_once_and_remembered(page, qapp, t
     target.take.click()
     target.take.click()
     assert (target.origin[0].value(), target.origin[1].value()) == (0.25, -0.5)
-    assert note_of(page.workspace.memory()["origin"]) == page.presenter.origin.note
+    assert origin_note(page.workspace.memory()["origin"]) == page.presenter.origin.note
 
 
 def test_the_origin_is_set_where_the_arm_was_jogged_to(page):

@@ -11,7 +11,7 @@ from touchdown.backend.annotations.values import EpisodeFilter
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import CollectRequest, RunState
-from touchdown.widgets.lists.tables import DOWN, HEADS, Arrangement
+from touchdown.widgets.lists.tables import DOWN, HEADS, TableArrangement
 from touchdown.widgets.plots.distribution import NEAR_PX
 
 KEY = Qt.Key
@@ -150,9 +150,9 @@ def test_the_list_is_sorted_by_a_click_and_its_columns_are_chosen_and_remembered
     assert not table.isColumnHidden(HEADS.index("Person"))
     assert {row.cells()[-1] for row in table.rows()} == {"setup"}
     memory = page.workspace.memory()
-    table.arrange(Arrangement())
+    table.arrange(TableArrangement())
     assert page.workspace.recall(memory) == []
-    assert table.arrangement == Arrangement(
+    assert table.arrangement == TableArrangement(
         (*HEADS[:4], "Person"), sort="x, y (mm)", descending=True
     )
     assert page.workspace.recall({**memory, "list": {"columns": ["Mood"]}}) == ["list"]

@@ -8,7 +8,7 @@ from PySide6.QtWidgets import QApplication
 
 from tests.app.label.conftest import CTRL, ITEMS, KEY, SHIFT, WITHOUT_LABEL
 from touchdown.app.label.page import LabelIntents
-from touchdown.app.shell.actions import portable
+from touchdown.app.shell.actions import portable_key
 from touchdown.backend.annotations.values import Label
 
 LABELLED = ITEMS - WITHOUT_LABEL
@@ -45,7 +45,7 @@ def test_every_intent_of_the_page_and_every_command_has_a_key(desk):
     assert set(BY_KEYS) == {f.name for f in fields(LabelIntents)}
     assert {name for names in BY_KEYS.values() for name in names} <= set(commands)
     assert {name for name, c in commands.items() if not c.key} == BY_HAND
-    assert all(portable(c.key) for c in commands.values() if c.key)
+    assert all(portable_key(c.key) for c in commands.values() if c.key)
 
 
 def test_other_views_pictures_and_curves_come_by_keys(desk):

@@ -3,13 +3,13 @@
 from datetime import datetime
 
 from tests.app.label.conftest import CTRL, ITEMS, KEY
-from touchdown.app.label.presenter import by_kind, health_words
+from touchdown.app.label.presenter import group_findings, health_text
 from touchdown.backend.annotations.dataset import QualityReport
 from touchdown.backend.episodes.quality import QualityIssue
 
 
 def test_findings_are_grouped_by_kind_and_each_episode_keeps_its_words():
-    kinds = by_kind([
+    kinds = group_findings([
         QualityIssue("jerk", ("a",), "It jumps by 1 N."),
         QualityIssue("twins", ("a", "b"), "Nearly the same."),
         QualityIssue("jerk", ("c",), "It jumps by 2 N."),
@@ -18,10 +18,10 @@ def test_findings_are_grouped_by_kind_and_each_episode_keeps_its_words():
     assert kinds[0].said == {"a": "It jumps by 1 N.", "c": "It jumps by 2 N."}
     assert kinds[0].first == "It jumps by 1 N."
     at = datetime(2026, 1, 1, 9, 5)
-    assert health_words(QualityReport((), 1200, 1200), 0, at) == (
+    assert health_text(QualityReport((), 1200, 1200), 0, at) == (
         "1,200 episodes were looked through at 09:05: nothing is out of order."
     )
-    assert health_words(QualityReport((), 7, 9), 2, at).startswith("7 of 9 episodes")
+    assert health_text(QualityReport((), 7, 9), 2, at).startswith("7 of 9 episodes")
 
 
 def test_a_finding_opens_its_episodes_as_a_queue(desk, qtbot):

@@ -2,13 +2,13 @@
 
 import pytest
 
-from touchdown.app.label.editing import LookClock
+from touchdown.app.label.editing import ViewingTimer
 
 
 @pytest.fixture
 def clock():
     time_s = [100.0]
-    made = LookClock(lambda: time_s[0])
+    made = ViewingTimer(lambda: time_s[0])
     made.pass_s = lambda s: time_s.__setitem__(0, time_s[0] + s)
     return made
 

@@ -6,7 +6,7 @@ import pytest
 
 from tests.app.label.conftest import CTRL, ITEMS, KEY, WITHOUT_LABEL
 from tests.app.label.test_saving import content
-from touchdown.app.label.side import agreement_words
+from touchdown.app.label.side import agreement_text
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import Label
 
@@ -83,7 +83,7 @@ def test_opinions_measure_agreement_and_change_no_label(desk):
         if desk.page.choice.isVisible():  # Bob is asked once how sure he is
             desk.do(KEY.Key_Return)
     assert content(desk) == before
-    words = agreement_words(desk.workspace.presenter.dataset)
+    words = agreement_text(desk.workspace.presenter.dataset)
     assert "Ann minus Bob, 3 episodes" in words
     assert "x: bias +0.10 mm" in words
     assert "y: bias \N{MINUS SIGN}0.20 mm" in words

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.app.label.conftest import CTRL, ITEMS, KEY, WITHOUT_LABEL
-from touchdown.app.label.side import agreement_words
+from touchdown.app.label.side import agreement_text
 from touchdown.backend.annotations.values import Label
 
 
@@ -249,6 +249,6 @@ def test_gold_among_the_ordinary_queue_cannot_be_told_and_keeps_its_label(desk, 
         desk.do(KEY.Key_Return)
     assert seen[0] == seen[1] == seen[2]
     assert {uuid: desk.book.head(uuid) for uuid in gold} == heads
-    assert "Ann on gold minus approved label, 2 episodes" in agreement_words(presenter.dataset)
+    assert "Ann on gold minus approved label, 2 episodes" in agreement_text(presenter.dataset)
     desk.do((KEY.Key_R, CTRL))
     assert not set(gold) & set(presenter.walk.order)

@@ -25,11 +25,15 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+import tests.isolation.sitecustomize  # noqa: F401 - refuses bare names
 from tests.leaks import leaks_since, snapshot
 from tests.warm import WarmStart
 from touchdown.backend.learning import training_runs
 
 sys.dont_write_bytecode = False
+# Children refuse imports by bare names as well.
+_ISOLATION = str(Path(__file__).parent / "isolation")
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (_ISOLATION, os.environ.get("PYTHONPATH"))))
 settings.register_profile(
     "suite", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )

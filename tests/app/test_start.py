@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-import resources
+from touchdown import resources
 from touchdown.app.__main__ import parser
 from touchdown.app.start import open_bench
 from touchdown.backend.core.faults import InputError

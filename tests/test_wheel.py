@@ -1,0 +1,163 @@
+"""The wheel adds ``touchdown`` alone, and runs beside folders of the same names as its parts."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PARTS = ("app", "backend", "resources", "widgets")
+WRITTEN = ROOT / "tests" / "data" / "written_0_1"
+BUILD = "from setuptools import build_meta; print(build_meta.build_{kind}({out!r}))"
+
+
+def tracked() -> list[str]:
+    done = subprocess.run(
+        ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        pytest.skip("not a git checkout")
+    return [name for name in done.stdout.splitlines() if (ROOT / name).is_file()]
+
+
+def build(kind: str, source: Path, out: Path) -> Path:
+    done = subprocess.run(
+        [sys.executable, "-c", BUILD.format(kind=kind, out=str(out))],
+        cwd=source, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    return out / done.stdout.split()[-1]
+
+
+@pytest.fixture(scope="module")
+def wheels(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Path]]:
+    """The wheel built from a copy of the tree, and the one built from the sdist."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    for name in tracked():
+        if not name.startswith(("tests/", "docs/")):
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, source / name)
+    direct = build("wheel", source, folder / "direct")
+    sdist = build("sdist", source, folder / "sdist")
+    shutil.unpack_archive(sdist, folder / "unpacked")
+    unpacked = next((folder / "unpacked").iterdir())
+    yield direct, build("wheel", unpacked, folder / "again")
+    shutil.rmtree(folder)
+
+
+@pytest.fixture(scope="module")
+def installed(
+    wheels: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[Path, Path]]:
+    """An environment with the wheel in it, and a folder with packages of the parts' names.
+
+    The dependencies are those of the environment of the tests.
+    """
+    folder = tmp_path_factory.mktemp("installed")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder / "venv"], check=True)
+    python = folder / "venv" / ("Scripts" if os.name == "nt" else "bin") / "python"
+    site = Path(sysconfig.get_path("purelib", vars={"base": str(folder / "venv")}))
+    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    before = {path.name for path in site.iterdir()}
+    with zipfile.ZipFile(wheels[0]) as wheel:
+        wheel.extractall(site)
+    added = {p.name for p in site.iterdir()} - before
+    assert {name for name in added if not name.endswith(".dist-info")} == {"touchdown"}
+    laboratory = folder / "laboratory"
+    for part in PARTS:
+        (laboratory / part).mkdir(parents=True)
+        (laboratory / part / "__init__.py").write_text(f'raise ImportError("{part} of the lab")\n')
+    yield python, laboratory
+    shutil.rmtree(folder)
+
+
+def run(installed: tuple[Path, Path], *words: str | Path) -> str:
+    python, laboratory = installed
+    clean = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    done = subprocess.run(
+        [python, *words], cwd=laboratory, env=clean, capture_output=True, text=True, timeout=300,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-3000:] + done.stdout[-500:]
+    return done.stdout
+
+
+def verb(installed: tuple[Path, Path], *words: str | Path) -> str:
+    return run(installed, "-m", "touchdown", *words)
+
+
+def test_the_wheel_holds_the_tree_and_nothing_else(wheels: tuple[Path, Path]) -> None:
+    with zipfile.ZipFile(wheels[0]) as wheel:
+        names = {n for n in wheel.namelist() if ".dist-info/" not in n}
+    kinds = (".py", ".pyi", "py.typed")
+    wanted = {
+        name if name.startswith("touchdown/") else f"touchdown/{name}"
+        for name in tracked()
+        if name.split("/")[0] in (*PARTS, "touchdown")
+        and (name.endswith(kinds) or name.startswith("resources/"))
+    }
+    assert names == wanted
+
+
+def test_the_sdist_builds_the_same_wheel(wheels: tuple[Path, Path]) -> None:
+    with zipfile.ZipFile(wheels[0]) as direct, zipfile.ZipFile(wheels[1]) as again:
+        contents = [
+            {n: w.read(n) for n in w.namelist() if ".dist-info/" not in n} for w in (direct, again)
+        ]
+    assert contents[0] == contents[1]
+
+
+def test_a_piece_is_stacked_beside_folders_of_the_same_names(
+    installed: tuple[Path, Path], tmp_path: Path
+) -> None:
+    said = verb(installed, "stack", "--seed", "7", "--no-episodes", "--json", "--runs", tmp_path)
+    assert json.loads(said)["trials"][0]["outcome"] == "placed"
+
+
+def test_a_script_beside_such_folders_imports_ours(installed: tuple[Path, Path]) -> None:
+    script = installed[1] / "script.py"
+    script.write_text(
+        "import touchdown.backend.runs, touchdown.resources, touchdown.widgets\n"
+        "import touchdown.app\n"
+        "print(touchdown.backend.runs.StackRequest().piece)\n"
+    )
+    assert run(installed, script).split() == ["pot"]
+
+
+@pytest.mark.slow
+def test_each_child_process_starts_from_the_wheel(
+    installed: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """Pool, training, emulated bench with its rig, and the reader of foreign files."""
+    data, model = tmp_path / "data", tmp_path / "pot.safetensors"
+    verb(
+        installed, "simulate", "--piece", "pot", "--bottoms", "circle15,square15",
+        "--episodes", "20", "--workers", "2", "--out", data,
+    )  # fmt: skip
+    verb(
+        installed, "train", "--piece", "pot", "--data", data, "--out", model, "--epochs", "1",
+        "--json",
+    )  # fmt: skip
+    assert model.is_file()
+    shutil.unpack_archive(WRITTEN / "dataset.zip", tmp_path / "written")
+    dataset = next(p.parent for p in (tmp_path / "written").rglob("dataset.json"))
+    verb(
+        installed, "export", "lerobot", "--dataset", dataset, "--out", tmp_path / "out",
+        "--states", "draft,submitted,approved", "--video", "none",
+    )  # fmt: skip
+    verb(
+        installed, "import", "lerobot", tmp_path / "out", "--dataset", tmp_path / "taken",
+        "--person", "ann",
+    )  # fmt: skip
+    emulated = ("stack", "--emulated", "--seed", "7", "--no-episodes", "--json")
+    assert json.loads(verb(installed, *emulated, "--runs", tmp_path / "runs"))["trials"]

@@ -1,0 +1,8 @@
+"""The command line as a module: ``python -m touchdown VERB``."""
+
+import sys
+
+from touchdown.backend.__main__ import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -142,11 +142,11 @@ def test_each_child_process_starts_from_the_wheel(
     data, model = tmp_path / "data", tmp_path / "pot.safetensors"
     verb(
         installed, "simulate", "--piece", "pot", "--bottoms", "circle15,square15",
-        "--episodes", "20", "--workers", "2", "--out", data,
+        "--episodes", "40", "--workers", "2", "--out", data,
     )  # fmt: skip
     verb(
-        installed, "train", "--piece", "pot", "--data", data, "--out", model, "--epochs", "1",
-        "--json",
+        installed, "train", data, "--piece", "pot", "--out", model, "--epochs", "1",
+        "--divide-series", "--json",
     )  # fmt: skip
     assert model.is_file()
     shutil.unpack_archive(WRITTEN / "dataset.zip", tmp_path / "written")

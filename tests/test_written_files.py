@@ -170,6 +170,16 @@ def test_a_backup_is_whole_and_can_be_gone_back_to(folder: Path) -> None:
         assert [entry.state for entry in dataset.episodes()] == STATES
 
 
+def test_the_catalogue_can_be_rebuilt_from_the_files(
+    folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["dataset", "rebuild", "--dataset", str(folder), "--json"]) == 0
+    answer = json.loads(capfd.readouterr().out)
+    assert answer["equal"]
+    assert (answer["rows"]["op"], answer["rows"]["review"], answer["rows"]["opinion"]) == (19, 2, 1)
+    assert answer["rows"]["label_head"] == answer["rows"]["episode"] == 4
+
+
 # Trainings and models
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import cast
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QFontMetrics, QResizeEvent
 from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 
@@ -16,7 +15,7 @@ from touchdown.app.shell import BenchLink
 from touchdown.backend.core import FINGERS, Finger, StaleSampleError
 from touchdown.backend.devices import Arm
 from touchdown.widgets.base import Age, CaptionedView, Panel, Theme, ui_font
-from touchdown.widgets.forms import LastProbePanel, PairHealthPanel, TargetIntents, TargetPanel
+from touchdown.widgets.forms import LastProbePanel, PairHealthPanel, TargetPanel
 from touchdown.widgets.lists import EpisodeTable
 from touchdown.widgets.plots import DistributionView, TracePlot
 from touchdown.widgets.views import TactileView
@@ -25,41 +24,32 @@ FINGER_SHARE = 0.22
 """The thumbnails take at most this share of the page's height: the maps need the rest."""
 
 
-@dataclass(frozen=True, slots=True)
-class CollectIntents:
-    """What the operator can ask for on this page."""
-
-    target: TargetIntents
-    decide: Callable[[str], None]
-    choose_dot: Callable[[int], None]
-    choose_row: Callable[[str], None]
-    signal: Callable[[int], None]
-    deleted: Callable[[bool], None]
-
-
 class CollectPage(QWidget):
     """Target on the left, live views and maps in the middle, probes on the right.
 
     It is whole only once ``build`` has come to its end.
     """
 
-    def __init__(self, theme: Theme, intents: CollectIntents) -> None:
+    decided = Signal(str)
+    dot_chosen = Signal(int)
+    row_chosen = Signal(str)
+    filter_changed = Signal()
+
+    def __init__(self, theme: Theme) -> None:
         super().__init__()
         self.setObjectName("frame")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self._theme = theme
-        self._intents = intents
-        self.target = TargetPanel(theme, intents.target)
+        self.target = TargetPanel(theme)
 
     def build(self) -> Iterator[None]:
         """Make the rest of what stands on the page, in pieces of some ms."""
-        theme, intents = self._theme, self._intents
+        theme, choose = self._theme, self.dot_chosen.emit
         titles = {"left": "Left", "right": "Right"}
         self.tactile: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
         self.captions = {f: CaptionedView(titles[f], self.tactile[f]) for f in FINGERS}
         self.force = TracePlot(theme, "Force", "F", "N", 10.0)
         self.moment = TracePlot(theme, "Moment", "T", "N\N{MIDDLE DOT}m", 0.2)
-        choose = intents.choose_dot
         self.coverage = DistributionView(theme, "Coverage of the displacements", choose)
         self.distribution = DistributionView(theme, "Distribution of the displacements", choose)
         self.signal = QComboBox()
@@ -68,8 +58,8 @@ class CollectPage(QWidget):
         self.signal.setAccessibleName("Signal that colours the dots")
         self.signal.setToolTip("Colour the dots by this signal at the end of the press")
         yield
-        self.probe = LastProbePanel(intents.decide)
-        self.table = EpisodeTable(theme, intents.choose_row)
+        self.probe = LastProbePanel(self.decided.emit)
+        self.table = EpisodeTable(theme, self.row_chosen.emit)
         self.deleted = QCheckBox("Deleted too")
         self.deleted.setToolTip("Show probes that were discarded")
         self.health = PairHealthPanel()
@@ -78,8 +68,8 @@ class CollectPage(QWidget):
         self.recorder.setAccessibleName("Recorder")
         # Whoever has said their name decides by letters next: they belong to the page again.
         self.target.person.returnPressed.connect(self.setFocus, Qt.ConnectionType.QueuedConnection)
-        self.signal.currentIndexChanged.connect(intents.signal)
-        self.deleted.toggled.connect(intents.deleted)
+        self.signal.currentIndexChanged.connect(self.filter_changed)
+        self.deleted.toggled.connect(self.filter_changed)
         self._arrange()
 
     def heightForWidth(self, _width: int) -> int:

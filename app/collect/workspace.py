@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 
 from touchdown.app.collect.origin import origin_note
-from touchdown.app.collect.page import CollectIntents, CollectPage
+from touchdown.app.collect.page import CollectPage
 from touchdown.app.collect.presenter import CollectPresenter
 from touchdown.app.collect.requests import remembered_table, remembered_target_form
 from touchdown.app.label import HalvesPage, LabelWorkspace
@@ -25,7 +25,7 @@ from touchdown.app.shell import (
 from touchdown.backend.annotations import DESCRIPTION, Dataset
 from touchdown.backend.core import EpisodeDecision, Event
 from touchdown.backend.geometry import load_pieces
-from touchdown.widgets.forms import TargetForm, TargetIntents
+from touchdown.widgets.forms import TargetForm
 
 
 def join_half_commands(
@@ -101,7 +101,7 @@ class CollectWorkspace(Workspace):
     def build(self) -> Iterator[None]:
         """Make both halves, and the thread that reads for them."""
         self.page = self.pieces = HalvesPage()
-        self.collect_page = CollectPage(self._desk.theme, self._intents())
+        self.collect_page = CollectPage(self._desk.theme)
         yield
         yield from self.collect_page.build()
         self.page.add(COLLECT, TITLES[COLLECT], self.collect_page)

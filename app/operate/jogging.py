@@ -22,7 +22,7 @@ from touchdown.app.shell import (
     refusal_card,
 )
 from touchdown.backend.core import (
-    LEVEL_RAD,
+    LEVEL_TOLERANCE_RAD,
     FaultError,
     Pose,
     RefusedError,
@@ -209,7 +209,7 @@ class ManualControlPresenter:
         note = "Recovery: jog away from contact" if recovering else self._contact(hand)
         note = note or self._link.interlock.degraded
         warn = bool(note)
-        if not note and rotation_angle_rad(pose) > LEVEL_RAD:
+        if not note and rotation_angle_rad(pose) > LEVEL_TOLERANCE_RAD:
             turned_deg = math.degrees(rotation_angle_rad(pose))
             note = f"Turned by {turned_deg:.1f}\N{DEGREE SIGN}: level it to probe"
         if not note and any(room.why == "TURN-LOW" for room in rooms.values()):

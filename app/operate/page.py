@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
+from PySide6.QtCore import Signal
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QHBoxLayout
 
@@ -21,7 +21,6 @@ from touchdown.widgets.base import (
 )
 from touchdown.widgets.forms import (
     GripperPanel,
-    JogIntents,
     JogPad,
     JogUnit,
     ProbePanel,
@@ -33,39 +32,33 @@ from touchdown.widgets.views import LOOKS, BeliefPanel
 TRACES = "Force and moment"
 
 
-@dataclass(frozen=True, slots=True)
-class OperateIntents:
-    """What the operator can ask for on this page."""
-
-    jog: JogIntents
-    grip: Callable[[], None]
-    open: Callable[[], None]
-    probe: Callable[[], None]
-    cancel: Callable[[], None]
-    zero: Callable[[], None]
-    baseline: Callable[[], None]
-    span: Callable[[float], None]
-    pause: Callable[[bool], None]
-    set_scene: Callable[[str, str], None]
-
-
 class OperatePage(LivePage):
     """Live views on the left, belief and probe in the middle, the hand on the right.
 
     It is whole only once ``build`` has come to its end.
     """
 
-    def __init__(self, theme: Theme, intents: OperateIntents) -> None:
-        super().__init__(theme)
-        self._intents = intents
+    grip_requested = Signal()
+    open_requested = Signal()
+    probe_requested = Signal()
+    cancel_requested = Signal()
+    zero_requested = Signal()
+    baseline_requested = Signal()
+    span_chosen = Signal(float)
+    pause_toggled = Signal(bool)
+    scene_chosen = Signal(str, str)
 
-    def build(self, paces: Sequence[JogUnit], phases: Sequence[str]) -> Iterator[None]:
-        """Make what stands on the page, in pieces of some ms."""
-        theme, intents = self._theme, self._intents
-        self.jog = JogPad(paces, intents.jog)
-        self.gripper = GripperPanel(intents.grip, intents.open)
-        self.probe = ProbePanel(theme, phases, intents.probe, intents.cancel)
-        self.scene = ScenePanel(intents.set_scene)
+    def build(
+        self, paces: Sequence[JogUnit], phases: Sequence[str], renew: Callable[[str], bool]
+    ) -> Iterator[None]:
+        """Create the widgets of the page, a few milliseconds per step."""
+        theme = self._theme
+        self.jog = JogPad(paces, renew)
+        self.gripper = GripperPanel(self.grip_requested.emit, self.open_requested.emit)
+        self.probe = ProbePanel(
+            theme, phases, self.probe_requested.emit, self.cancel_requested.emit
+        )
+        self.scene = ScenePanel(self.scene_chosen.emit)
         yield
         titles = {"left": "Left", "right": "Right"}
         self.captions = {f: CaptionedView(titles[f], self.tactile[f]) for f in FINGERS}
@@ -136,14 +129,14 @@ class OperatePage(LivePage):
         return panel
 
     def _wire(self) -> None:
-        self.zero.clicked.connect(self._intents.zero)
-        self.baseline.clicked.connect(self._intents.baseline)
-        self.pause.toggled.connect(self._intents.pause)
+        self.zero.clicked.connect(self.zero_requested)
+        self.baseline.clicked.connect(self.baseline_requested)
+        self.pause.toggled.connect(self.pause_toggled)
         self.span.currentIndexChanged.connect(self._choose_span)
         self.looks.currentIndexChanged.connect(self._choose_look)
 
     def _choose_span(self, index: int) -> None:
-        self._intents.span(SPANS_S[index])
+        self.span_chosen.emit(SPANS_S[index])
 
     def _choose_look(self, index: int) -> None:
         for view in self.tactile.values():

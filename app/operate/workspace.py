@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from datetime import datetime
 
 from touchdown.app.operate.jogging import PACES, ROWS, JogKeyFilter, ManualControlPresenter
-from touchdown.app.operate.page import OperateIntents, OperatePage
+from touchdown.app.operate.page import OperatePage
 from touchdown.app.shell import (
     BenchLink,
     LivePresenter,
@@ -36,7 +36,7 @@ from touchdown.backend.core import (
     RunStarted,
 )
 from touchdown.backend.runs import ProbeRequest
-from touchdown.widgets.forms import JogIntents, ProbePanel
+from touchdown.widgets.forms import ProbePanel
 from touchdown.widgets.shell import CardText, FaultCards
 from touchdown.widgets.views import BeliefScene
 
@@ -160,16 +160,22 @@ class OperateWorkspace(Workspace):
 
     def build(self) -> Iterator[None]:
         """Make the page."""
-        intents = OperateIntents(
-            jog=JogIntents(self._renew, self._ended, self._step, self._arm_keys, self._level),
-            grip=self._grip, open=self._open, probe=self._probe, cancel=self._cancel,
-            zero=self._zero, baseline=self._baseline, span=self._span, pause=self._pause,
-            set_scene=self._set_scene,
-        )  # fmt: skip
+        self.page = page = OperatePage(self._desk.theme)
         yield
-        self.page = OperatePage(self._desk.theme, intents)
-        yield
-        yield from self.page.build(PACES, PHASES)
+        yield from page.build(PACES, PHASES, self._renew)
+        page.jog.hold_ended.connect(self._ended)
+        page.jog.step_pressed.connect(self._step)
+        page.jog.keys_toggled.connect(self._arm_keys)
+        page.jog.level_requested.connect(self._level)
+        page.grip_requested.connect(self._grip)
+        page.open_requested.connect(self._open)
+        page.probe_requested.connect(self._probe)
+        page.cancel_requested.connect(self._cancel)
+        page.zero_requested.connect(self._zero)
+        page.baseline_requested.connect(self._baseline)
+        page.span_chosen.connect(self._span)
+        page.pause_toggled.connect(self._pause)
+        page.scene_chosen.connect(self._set_scene)
         self.page.belief.show_scene(NO_RUN)
         self.columns = self.pieces = self.page.columns
         self.keys = JogKeyFilter(self.page, self.page.jog)

@@ -39,7 +39,6 @@ from touchdown.widgets.views import (
     PictureCard,
     ReportCell,
     ReportGrid,
-    ReportIntents,
     ReportSheet,
 )
 
@@ -153,10 +152,11 @@ class ReportsPresenter:
 
     def _show(self, file: Path, report: Report) -> None:
         if self.sheet is None:
-            intents = ReportIntents(
-                self.show_part, self._open_folder, self._open_in_browser, self.ask
-            )
-            self.sheet = ReportSheet(self._window, intents)
+            self.sheet = sheet = ReportSheet(self._window)
+            sheet.part_chosen.connect(self.show_part)
+            sheet.folder_requested.connect(self._open_folder)
+            sheet.browser_requested.connect(self._open_in_browser)
+            sheet.other_requested.connect(self.ask)
         self.report, self._file = report, file
         self.sheet.show_head(
             report.title, report.banner, str(file), [s.title for s in report.sections]

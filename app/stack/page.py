@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
+from PySide6.QtCore import Signal
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout
 
@@ -20,7 +18,6 @@ from touchdown.widgets.views import (
     ProbeStrip,
     ScorePanel,
     SideView,
-    TrialIntents,
     TrialPanel,
     TrialPrompt,
 )
@@ -30,38 +27,37 @@ SIDE_PX = 150
 """The side view needs this height."""
 
 
-@dataclass(frozen=True, slots=True)
-class StackIntents:
-    """What the operator can ask for on this page."""
-
-    start: Callable[[], None]
-    pause: Callable[[], None]
-    cancel: Callable[[], None]
-    approve: Callable[[], None]
-    decline: Callable[[], None]
-    choose: Callable[[int], None]
-    compare: Callable[[], None]
-    trial: TrialIntents
-
-
 class StackPage(LivePage):
     """The views of one stacking run."""
 
-    def __init__(self, theme: Theme, intents: StackIntents) -> None:
+    start_requested = Signal()
+    pause_requested = Signal()
+    cancel_requested = Signal()
+    approved = Signal()
+    declined = Signal()
+    probe_chosen = Signal(int)
+    compare_requested = Signal()
+
+    def __init__(self, theme: Theme) -> None:
         super().__init__(theme)
         titles = {"left": "Tactile L", "right": "Tactile R"}
         self.tactile_panels = {f: Panel(titles[f], self.tactile[f]) for f in FINGERS}
         self.traces_panel = TracesPanel("Force and moment at the wrist", self.force, self.moment)
         self.fit = self.traces_panel.fit
-        self.decision = DecisionPanel(intents.approve, intents.decline)
-        self.trial = TrialPanel(theme, intents.trial)
-        self.strip = ProbeStrip(theme, intents.choose)
+        self.decision = DecisionPanel(self.approved.emit, self.declined.emit)
+        self.trial = TrialPanel(theme)
+        self.strip = ProbeStrip(theme, self.probe_chosen.emit)
         self.belief_panel = BeliefPanel(theme, "Belief map", self.strip)
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
-        self.run = RunPanel(theme, intents.start, intents.pause, intents.cancel)
+        self.run = RunPanel(
+            theme,
+            self.start_requested.emit,
+            self.pause_requested.emit,
+            self.cancel_requested.emit,
+        )
         self.score = ScorePanel(theme)
         compare = flat_button("Compare", "Compare the strategies on the same seed (Ctrl+D)")
-        compare.clicked.connect(intents.compare)
+        compare.clicked.connect(self.compare_requested)
         self.score.header.addWidget(compare)
         self.side = SideView(theme)
         self.side_panel = Panel(SIDE, self.side)

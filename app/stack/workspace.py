@@ -17,13 +17,13 @@ from touchdown.app.shell import (
 )
 from touchdown.app.stack.attended import OperatorPromptsPresenter
 from touchdown.app.stack.comparison import ComparisonPresenter
-from touchdown.app.stack.page import StackIntents, StackPage
+from touchdown.app.stack.page import StackPage
 from touchdown.app.stack.presenter import StackPresenter, stack_request
 from touchdown.app.stack.side import SideViewPresenter
 from touchdown.backend.core import Event, Outcome
 from touchdown.backend.runs import SceneChoice
 from touchdown.widgets.forms import RunForm
-from touchdown.widgets.views import NOTHING_YET, TrialIntents
+from touchdown.widgets.views import NOTHING_YET
 
 
 def remembered_run_form(memory: Mapping[str, object]) -> tuple[RunForm, list[str]]:
@@ -92,11 +92,17 @@ class StackWorkspace(Workspace):
 
     def build(self) -> Iterator[None]:
         """Make the page."""
-        trial = TrialIntents(self._answer, self._judge, self._photo)
-        intents = StackIntents(self._start, self._pause, self._cancel, self._approve,
-                               self._decline, self._choose, self._compare, trial)  # fmt: skip
-        yield
-        self.page = StackPage(self._desk.theme, intents)
+        self.page = page = StackPage(self._desk.theme)
+        page.start_requested.connect(self._start)
+        page.pause_requested.connect(self._pause)
+        page.cancel_requested.connect(self._cancel)
+        page.approved.connect(self._approve)
+        page.declined.connect(self._decline)
+        page.probe_chosen.connect(self._choose)
+        page.compare_requested.connect(self._compare)
+        page.trial.answered.connect(self._answer)
+        page.trial.judged.connect(self._judge)
+        page.trial.photo_requested.connect(self._photo)
         self.columns = self.pieces = self.page.columns
 
     def attach(self, link: BenchLink) -> None:

@@ -2,42 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 
+from PySide6.QtCore import Signal
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QHBoxLayout, QPushButton, QSizePolicy, QWidget
 
 from touchdown.app.shell import column_of
 from touchdown.widgets.base import Columns, Panel, ScrollingNote, Theme, label, rule, ui_font
-from touchdown.widgets.forms import TrainingFormPanel, TrainingIntents
+from touchdown.widgets.forms import TrainingFormPanel
 from touchdown.widgets.lists import FigureTable, TrainingTable
 from touchdown.widgets.plots import CurvePlot, ReliabilityPlot, SampleStrip
-
-
-@dataclass(frozen=True, slots=True)
-class TrainIntents:
-    """What the operator can ask for on this page."""
-
-    form: TrainingIntents
-    choose: Callable[[tuple[str, ...]], None]
-    promote: Callable[[], None]
-    roll_back: Callable[[], None]
 
 
 class TrainPage(QWidget):
     """The views of the trainings on one dataset; whole once ``build`` has come to its end."""
 
-    def __init__(self, theme: Theme, intents: TrainIntents) -> None:
+    runs_chosen = Signal(object)  # tuple of run identifiers
+    promote_requested = Signal()
+    roll_back_requested = Signal()
+
+    def __init__(self, theme: Theme) -> None:
         super().__init__()
         self.setObjectName("frame")
         self._theme = theme
-        self.form = TrainingFormPanel(theme, intents.form)
-        self._intents = intents
+        self.form = TrainingFormPanel(theme)
 
     def build(self) -> Iterator[None]:
         """Make the rest of what stands on the page, in pieces of some ms."""
-        theme, intents = self._theme, self._intents
+        theme = self._theme
         self.split = FigureTable(theme, "Episodes per bottom", ("bottom", "train", "held out"))
         self.leaks = ScrollingNote("What the split leaks")
         self.loss = CurvePlot(theme, "Loss per epoch (nats a point)")
@@ -46,7 +39,7 @@ class TrainPage(QWidget):
         self.reliability = ReliabilityPlot(theme)
         self.samples = SampleStrip(theme)
         yield
-        self.runs = TrainingTable(theme, intents.choose)
+        self.runs = TrainingTable(theme, self.runs_chosen.emit)
         self.differences = FigureTable(theme, "What differs", ("setting", "A"))
         self.figures = FigureTable(theme, "Figures per bottom", ("IoU / points right, %", "A"))
         self.split.empty = "No episode that counts yet"
@@ -60,8 +53,8 @@ class TrainPage(QWidget):
             button.setEnabled(False)
         self.promote.setToolTip("Put the chosen model in use for its piece (Ctrl+P)")
         self.roll_back.setToolTip("Put the model before in use again (Ctrl+Shift+P)")
-        self.promote.clicked.connect(intents.promote)
-        self.roll_back.clicked.connect(intents.roll_back)
+        self.promote.clicked.connect(self.promote_requested)
+        self.roll_back.clicked.connect(self.roll_back_requested)
         yield
         self._arrange()
 

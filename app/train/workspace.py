@@ -16,12 +16,12 @@ from touchdown.app.shell import (
     Workspace,
     WorkspaceContext,
 )
-from touchdown.app.train.page import TrainIntents, TrainPage
+from touchdown.app.train.page import TrainPage
 from touchdown.app.train.presenter import TrainPresenter
 from touchdown.app.train.reading import TrainingReader
 from touchdown.backend.learning import ModelRegistry
 from touchdown.backend.runs import dataset_folder, models_folder
-from touchdown.widgets.forms import TrainingForm, TrainingIntents
+from touchdown.widgets.forms import TrainingForm
 
 MOST_FOLDERS = 8
 
@@ -69,26 +69,18 @@ class TrainWorkspace(Workspace):
 
     def build(self) -> Iterator[None]:
         """Make the page."""
-        form = TrainingIntents(
-            start=self._order(TrainPresenter.start),
-            cancel=self._order(TrainPresenter.ask_cancel),
-            resume=self._order(TrainPresenter.resume),
-            changed=self._changed,
-            folder=self._ask_folder,
-            defaults=self._defaults,
-        )
+        self.page = page = TrainPage(self._desk.theme)
         yield
-        self.page = TrainPage(
-            self._desk.theme,
-            TrainIntents(
-                form,
-                lambda _: self._on(TrainPresenter.choose),
-                self._order(TrainPresenter.promote),
-                self._order(TrainPresenter.roll_back),
-            ),
-        )
-        yield
-        yield from self.page.build()
+        yield from page.build()
+        page.form.start_requested.connect(self._order(TrainPresenter.start))
+        page.form.cancel_requested.connect(self._order(TrainPresenter.ask_cancel))
+        page.form.resume_requested.connect(self._order(TrainPresenter.resume))
+        page.form.changed.connect(self._changed)
+        page.form.folder_requested.connect(self._ask_folder)
+        page.form.defaults_requested.connect(self._defaults)
+        page.runs_chosen.connect(lambda _: self._on(TrainPresenter.choose))
+        page.promote_requested.connect(self._order(TrainPresenter.promote))
+        page.roll_back_requested.connect(self._order(TrainPresenter.roll_back))
         self.columns = self.pieces = self.page.columns
         self._show_folders(str(dataset_folder()))
         self.page.form.show_form(TrainingForm())

@@ -33,7 +33,7 @@ from touchdown.backend.config import HardwareSettings, MelfaSettings, ProbeSetti
 from touchdown.backend.core import (
     FINGERS,
     IDENTITY_ROTATION,
-    LEVEL_RAD,
+    LEVEL_TOLERANCE_RAD,
     Fault,
     Finger,
     FloatArray,
@@ -300,7 +300,11 @@ class BenchFrame:
         """Return (3, 3) by how much the hand is turned; as good as unturned is unturned."""
         hand = self._frame(joints_rad)[:3, :3]
         turn = self._turn.T @ hand @ self._hand.T @ self._turn
-        return IDENTITY_ROTATION if np.linalg.norm(rotation_vector(turn)) <= LEVEL_RAD else turn
+        return (
+            IDENTITY_ROTATION
+            if np.linalg.norm(rotation_vector(turn)) <= LEVEL_TOLERANCE_RAD
+            else turn
+        )
 
     def joints(self, pivot_mm: FloatArray) -> FloatArray:
         """Return (6,) joints that have ``G`` there, hand down; ``ValueError`` out of reach."""

@@ -6,8 +6,8 @@ from .applied import camera_conflicts as camera_conflicts
 from .applied import require_calibrated_bottom as require_calibrated_bottom
 from .cameras import AXES as AXES
 from .cameras import FINGERPRINT_LIMIT_PX as FINGERPRINT_LIMIT_PX
+from .cameras import FINGERPRINT_VALUES as FINGERPRINT_VALUES
 from .cameras import HELD_LIMIT_PX as HELD_LIMIT_PX
-from .cameras import NUMBERS as NUMBERS
 from .cameras import SIDES as SIDES
 from .cameras import Side as Side
 from .cameras import SidePress as SidePress
@@ -46,9 +46,9 @@ __all__ = [
     "CALIBRATION_KINDS",
     "CALIBRATION_NAMES",
     "FINGERPRINT_LIMIT_PX",
+    "FINGERPRINT_VALUES",
     "HELD_LIMIT_PX",
     "MIRROR_CODES",
-    "NUMBERS",
     "ON_BOTTOM",
     "PAYLOAD_POSES",
     "SIDES",

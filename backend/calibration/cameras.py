@@ -42,13 +42,13 @@ LATTICE_LIMIT_PX = 3.0
 for its neighbour is 32 px off."""
 DOT_SIGMA_PX = 0.1
 """Standard uncertainty of the mean place of a dot: tracker and print."""
-WEAK_PX = 1.0
-EVEN_PX = 0.4
-EVEN_RAD = 0.001
+MIN_MOTION_PX = 1.0
+MIN_LEAD_PX = 0.4
+MIN_TURN_RAD = 0.001
 """Smaller differences between two presses do not tell fingers or turns apart."""
-SURE_STANDARD_ERRORS = 2.5
+MIN_LEAD_ERRORS = 2.5
 """So many standard errors the difference between the fingers has to be, over repeated presses."""
-LEAST_SPREAD_PX = 0.6
+MIN_SPREAD_PX = 0.6
 """The difference is taken to vary by this much at least: three presses say little of it."""
 AXES = {"x": "x", "y": "y", "both": "x and y"}
 Side = Literal["+x", "-x", "+y", "-y"]
@@ -166,10 +166,10 @@ def fingers_distinguishable(pushes: Sequence[SidePress]) -> bool:
     leads = finger_lead_px(pushes)
     lead_px = abs(float(leads.mean()))
     if len(leads) < 2:
-        return lead_px >= EVEN_PX
-    spread_px = max(float(leads.std(ddof=1)), LEAST_SPREAD_PX)
+        return lead_px >= MIN_LEAD_PX
+    spread_px = max(float(leads.std(ddof=1)), MIN_SPREAD_PX)
     error_px = spread_px / math.sqrt(len(leads))
-    return lead_px >= max(EVEN_PX, SURE_STANDARD_ERRORS * error_px)
+    return lead_px >= max(MIN_LEAD_PX, MIN_LEAD_ERRORS * error_px)
 
 
 def find_arrangement(pushes: Sequence[SidePress]) -> CameraArrangement:
@@ -182,14 +182,14 @@ def find_arrangement(pushes: Sequence[SidePress]) -> CameraArrangement:
         raise RefusedError("PUSHES", "Press once beside each of the four sides.")
     shift, turn = _by_side(pushes)
     along_v = np.stack(list(shift.values()))[..., 1].mean(axis=0)
-    if np.abs(along_v).min() < WEAK_PX:
+    if np.abs(along_v).min() < MIN_MOTION_PX:
         raise RefusedError("WEAK-PUSH", "The dots hardly move: press harder, or clean the gels.")
     flipped = along_v > 0.0
     # Displaced to +y the face touches on its -y side, the side of the right finger.
     lead_px = float(finger_lead_px(pushes).mean())
     # Displaced to +x the contact lifts the -x side: the left picture turns from u to v.
     turned = turn["+x"] - turn["-x"]
-    if not fingers_distinguishable(pushes) or np.abs(turned).min() < EVEN_RAD:
+    if not fingers_distinguishable(pushes) or np.abs(turned).min() < MIN_TURN_RAD:
         raise RefusedError("EVEN-PUSH", "Both fingers move alike: press farther off the middle.")
     exchanged = lead_px < 0.0
     expected = np.array([-1.0, 1.0]) if exchanged else np.array([1.0, -1.0])
@@ -245,9 +245,9 @@ HELD_LIMIT_PX = 3.0
 """With a piece between the jaws the gel is pressed out of its rest, by 1.5 px at most."""
 CREEP_PX = 2.0
 """By so much a gel may have moved as a whole: it creeps, and its housing warms."""
-FEWEST_DOTS = 48
+MIN_DOTS = 48
 """So many dots have to be seen to know a gel by them."""
-NUMBERS = 2 * MARKERS
+FINGERPRINT_VALUES = 2 * MARKERS
 
 
 def fingerprint_distance_px(now_px: FloatArray, then_px: FloatArray) -> float:
@@ -256,7 +256,7 @@ def fingerprint_distance_px(now_px: FloatArray, then_px: FloatArray) -> float:
     Up to ``CREEP_PX`` of what all have moved alike is left out. Infinity where too few are seen.
     """
     seen = np.isfinite(now_px).all(axis=1)
-    if np.count_nonzero(seen) < FEWEST_DOTS:
+    if np.count_nonzero(seen) < MIN_DOTS:
         return float("inf")
     moved = (now_px - then_px)[seen]
     whole = moved.mean(axis=0)

@@ -29,12 +29,12 @@ from touchdown.backend.calibration.result import (
 from touchdown.backend.core import FloatArray, RefusedError
 
 BOARD_LIMIT_MM = 0.1
-LARGEST_YAW_RAD = math.radians(2.0)
+MAX_YAW_RAD = math.radians(2.0)
 """A corner 12 mm from the centre is then 0.4 mm off: less than a label is known to."""
 TOUCH_SIGMA_MM = 0.05
 EDGE_SIGMA_MM = 0.06
 """Standard uncertainty of one touch and one edge: arm, resolution of the search, onset."""
-LEAST_TOUCHES = 4
+MIN_TOUCHES = 4
 YawOf = Literal["board", "piece", ""]
 
 
@@ -70,8 +70,8 @@ def fit_plane(touches_mm: FloatArray) -> BoardPlane:
     Raises ``RefusedError`` "TOUCHES" for fewer than four, "DEGENERATE" if they lie on one line.
     """
     count = len(touches_mm)
-    if count < LEAST_TOUCHES:
-        raise RefusedError("TOUCHES", f"{count} touches are too few: take {LEAST_TOUCHES} or more.")
+    if count < MIN_TOUCHES:
+        raise RefusedError("TOUCHES", f"{count} touches are too few: take {MIN_TOUCHES} or more.")
     design = np.column_stack([np.ones(count), touches_mm[:, :2]])
     sigma = np.full(count, TOUCH_SIGMA_MM)
     found = solve_least_squares(
@@ -149,7 +149,7 @@ def _bottom_obstacle(yaw: Quantity) -> str:
 
     Labels and maps take it as straight: the hand does not turn while it presses.
     """
-    if abs(yaw.value) <= LARGEST_YAW_RAD + 2.0 * yaw.sigma:
+    if abs(yaw.value) <= MAX_YAW_RAD + 2.0 * yaw.sigma:
         return ""
     way = "clockwise" if yaw.value > 0.0 else "counter-clockwise"
     turned = math.degrees(yaw.value)
@@ -241,7 +241,7 @@ def estimate_payload(turns: FloatArray, wrenches: FloatArray) -> CalibrationEsti
         np.tile(sigma, count),
         "The poses do not turn the hand enough: lean it by 15 degrees or more about two axes.",
     )
-    values, covariance = _centred(found.x, found.covariance)
+    values, covariance = _centre_from_moments(found.x, found.covariance)
     left_n = np.linalg.norm(found.residuals.reshape(count, 6)[:, :3], axis=1)
     obstacle = "" if values[0] > 0.0 else "The mass comes out negative: check ft.sign."
     return CalibrationEstimate(
@@ -293,7 +293,7 @@ def _cross(vectors: FloatArray) -> FloatArray:
     return np.stack([np.stack([o, -z, y], 1), np.stack([z, o, -x], 1), np.stack([-y, x, o], 1)], 1)
 
 
-def _centred(x: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _centre_from_moments(x: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Change m c (kg·m) into c (mm), in values (10,) and covariance (10, 10)."""
     mass = float(x[0])
     centre_mm = 1e3 * x[1:4] / mass
@@ -343,6 +343,6 @@ def estimate_wrist(turns: FloatArray, wrenches: FloatArray) -> CalibrationEstima
 
 
 def _yaw_obstacle(yaw: float, sigma: float) -> str:
-    if abs(yaw) <= LARGEST_YAW_RAD + 2.0 * sigma:
+    if abs(yaw) <= MAX_YAW_RAD + 2.0 * sigma:
         return ""
     return f"The sensor is turned by {math.degrees(yaw):.1f}°: turn ft.rotation by that."

@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
-from touchdown.backend.calibration.cameras import NUMBERS
+from touchdown.backend.calibration.cameras import FINGERPRINT_VALUES
 from touchdown.backend.calibration.result import (
     CALIBRATION_KINDS,
     CALIBRATION_NAMES,
@@ -28,7 +28,7 @@ from touchdown.backend.config import Settings
 from touchdown.backend.core import CalibrationMeasured, InputError, RefusedError, write_atomically
 
 VERSION = 1
-MOST_CHARACTERS = 1_000_000
+MAX_CHARACTERS = 1_000_000
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Mode = Literal["simulated", "emulated", "hardware"]
 
@@ -131,12 +131,12 @@ def _content(file: CalibrationFile) -> dict[str, object]:
 def read_record(path: Path) -> CalibrationRecord:
     """Read a calibration; raises ``InputError`` if it is damaged, changed or of a newer version."""
     try:
-        content = json.loads(_text(path))
+        content = json.loads(_read_text(path))
         given = content.pop("sha256")
         file = CalibrationFile.model_validate(content)
     except (OSError, ValueError, KeyError, AttributeError, TypeError, RecursionError) as error:
         raise InputError(
-            f"This is no calibration of version {VERSION}: {_first(error)}.",
+            f"This is no calibration of version {VERSION}: {_first_error(error)}.",
             str(path),
             "Calibrate again; the damaged file can be deleted.",
         ) from error
@@ -148,20 +148,20 @@ def read_record(path: Path) -> CalibrationRecord:
         )
     if file.date.tzinfo is None or file.date.utcoffset() != datetime.now(UTC).utcoffset():
         raise InputError("The date of the calibration is not UTC.", str(path), "Calibrate again.")
-    if flaw := _flaw(file):
+    if flaw := _find_flaw(file):
         raise InputError(flaw, str(path), "Calibrate again; the damaged file can be deleted.")
     return CalibrationRecord(file, given)
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     with path.open(encoding="utf-8") as file:
-        text = file.read(MOST_CHARACTERS + 1)
-    if len(text) > MOST_CHARACTERS:
-        raise ValueError(f"it is longer than {MOST_CHARACTERS} characters")
+        text = file.read(MAX_CHARACTERS + 1)
+    if len(text) > MAX_CHARACTERS:
+        raise ValueError(f"it is longer than {MAX_CHARACTERS} characters")
     return text
 
 
-def _flaw(file: CalibrationFile) -> str:
+def _find_flaw(file: CalibrationFile) -> str:
     """Return what keeps a well-formed file from being applied, "" if nothing does."""
     for name in CALIBRATION_KINDS[file.what].values:
         if name not in file.values:
@@ -174,12 +174,12 @@ def _flaw(file: CalibrationFile) -> str:
     if file.about and len(file.about.split(ON_BOTTOM)) != 2:
         return "The calibration does not say which piece was on which bottom."
     for name, numbers in file.gels.items():
-        if len(numbers) != NUMBERS or name not in file.devices:
+        if len(numbers) != FINGERPRINT_VALUES or name not in file.devices:
             return f"The calibration holds no fingerprint of a gel: '{name}'."
     return ""
 
 
-def _first(error: Exception) -> str:
+def _first_error(error: Exception) -> str:
     if isinstance(error, ValidationError):
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])

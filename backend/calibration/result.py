@@ -69,7 +69,7 @@ CALIBRATION_KINDS: dict[CalibrationName, CalibrationKind] = {
 }
 
 
-LEAST_CONDITION = 1e-3
+MIN_CONDITION = 1e-3
 """Below this ratio of singular values (columns scaled) the measurements do not tell all unknowns
 apart."""
 
@@ -160,7 +160,7 @@ def solve_least_squares(
     if len(values) < design.shape[1] or not (scale > 0.0).all():
         raise RefusedError("DEGENERATE", missing)
     u, s, vt = np.linalg.svd(weighted / scale, full_matrices=False)
-    if s[-1] < LEAST_CONDITION * s[0]:
+    if s[-1] < MIN_CONDITION * s[0]:
         raise RefusedError("DEGENERATE", missing)
     back = (vt.T / s) / scale[:, None]
     x = back @ (u.T @ (values / sigma))

@@ -27,7 +27,7 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.sensing import (
     DEFAULT_RATE_HZ,
-    FEWEST_REST_FRAMES,
+    MIN_REST_FRAMES,
     REST_FRAMES,
     MarkerTracker,
     OverlayVideo,
@@ -145,7 +145,7 @@ def rest_reference(path: Path, template: Path | None = None) -> TactileReference
     else:
         shapes = [_as_reference(_whole_fields(template)).position_px]
     try:
-        rest = _as_reference(whole) if len(whole) < FEWEST_REST_FRAMES else take_reference(whole)
+        rest = _as_reference(whole) if len(whole) < MIN_REST_FRAMES else take_reference(whole)
         refuse_contact(rest.position_px, shapes)
     except RefusedError as refused:
         raise InputError(refused.detail, str(path), _REST_FIX[refused.reason]) from refused

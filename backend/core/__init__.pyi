@@ -58,7 +58,7 @@ from .files import write_atomically as write_atomically
 from .marker_interpolation import fill_unseen_markers as fill_unseen_markers
 from .marker_interpolation import marker_misfit as marker_misfit
 from .rotations import IDENTITY_ROTATION as IDENTITY_ROTATION
-from .rotations import LEVEL_RAD as LEVEL_RAD
+from .rotations import LEVEL_TOLERANCE_RAD as LEVEL_TOLERANCE_RAD
 from .rotations import pose_rotation as pose_rotation
 from .rotations import require_unrotated as require_unrotated
 from .rotations import rotation_angle_rad as rotation_angle_rad
@@ -66,7 +66,7 @@ from .rotations import rotation_from_vector as rotation_from_vector
 from .rotations import rotation_vector as rotation_vector
 from .rotations import tilt_margin_rad as tilt_margin_rad
 from .rotations import tilt_rad as tilt_rad
-from .scheduling import DISK_S as DISK_S
+from .scheduling import DISK_TIMEOUT_S as DISK_TIMEOUT_S
 from .scheduling import RepaintHold as RepaintHold
 from .scheduling import SharedLock as SharedLock
 from .scheduling import blocking_section as blocking_section
@@ -75,10 +75,10 @@ from .scheduling import lower_priority as lower_priority
 from .scheduling import raised_priority as raised_priority
 from .scheduling import round_robin_priority as round_robin_priority
 from .scheduling import set_realtime_priority as set_realtime_priority
+from .streams import Decimator as Decimator
 from .streams import Samples as Samples
 from .streams import SampleStream as SampleStream
 from .streams import Stream as Stream
-from .streams import Thinned as Thinned
 from .values import CHANNELS as CHANNELS
 from .values import FINGERS as FINGERS
 from .values import GRID_COLS as GRID_COLS
@@ -110,12 +110,12 @@ from .watchdog import ThreadStallDetector as ThreadStallDetector
 
 __all__ = [
     "CHANNELS",
-    "DISK_S",
+    "DISK_TIMEOUT_S",
     "FINGERS",
     "GRID_COLS",
     "GRID_ROWS",
     "IDENTITY_ROTATION",
-    "LEVEL_RAD",
+    "LEVEL_TOLERANCE_RAD",
     "MARKERS",
     "TACTILE_CHANNELS",
     "WRENCH_CHANNELS",
@@ -129,6 +129,7 @@ __all__ = [
     "Clock",
     "ClockJumpDetector",
     "ContactPatch",
+    "Decimator",
     "DecisionAwaited",
     "Episode",
     "EpisodeDecided",
@@ -188,7 +189,6 @@ __all__ = [
     "Stream",
     "SupportKind",
     "TactileFrame",
-    "Thinned",
     "ThreadStallDetector",
     "TouchdownError",
     "TrialFinished",

@@ -13,7 +13,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-NOTHING_TO_SYNC = frozenset({errno.EINVAL, errno.ENOTSUP})
+UNSYNCABLE_ERRNOS = frozenset({errno.EINVAL, errno.ENOTSUP})
 """What a file system says of a folder that it keeps in no form that could be synced (FAT)."""
 
 
@@ -28,7 +28,7 @@ def sync_folder(folder: Path) -> None:
     try:
         os.fsync(descriptor)
     except OSError as error:
-        if error.errno not in NOTHING_TO_SYNC:
+        if error.errno not in UNSYNCABLE_ERRNOS:
             raise
     finally:
         os.close(descriptor)

@@ -14,7 +14,7 @@ from touchdown.backend.core.values import FloatArray, Pose
 
 IDENTITY_ROTATION = np.eye(3)
 IDENTITY_ROTATION.flags.writeable = False
-LEVEL_RAD = math.radians(0.2)
+LEVEL_TOLERANCE_RAD = math.radians(0.2)
 """A hand turned by less than this counts as unturned."""
 
 
@@ -91,7 +91,7 @@ def require_unrotated(turn: FloatArray) -> None:
     """Raise ``RefusedError`` unless the hand points straight down, unturned."""
     vector = rotation_vector(turn)
     angle = math.sqrt(float(vector @ vector))
-    if not angle <= LEVEL_RAD:
+    if not angle <= LEVEL_TOLERANCE_RAD:
         raise RefusedError(
             "TURNED",
             f"The hand is turned by {math.degrees(angle):.1f}°: level it first (Operate, Level).",

@@ -108,9 +108,9 @@ class RepaintHold:
         self._until_s = float("-inf")
 
 
-DISK_S = 60.0
+DISK_TIMEOUT_S = 60.0
 """A disk, also one of another computer, has written an episode by then or never will."""
-LOCK_S = 30.0
+LOCK_TIMEOUT_S = 30.0
 """Another thread may be copying a whole catalogue, or wait for a disk."""
 
 
@@ -153,7 +153,7 @@ class SharedLock:
 
     def __enter__(self) -> None:
         if not self._lock.acquire(blocking=False):
-            with blocking_section("waits for another thread", LOCK_S):
+            with blocking_section("waits for another thread", LOCK_TIMEOUT_S):
                 self._lock.acquire()
 
     def __exit__(

@@ -168,7 +168,7 @@ class SampleStream:
         return Samples(t_s, values, self._count, lost)
 
 
-class Thinned:
+class Decimator:
     """Takes so many samples a second of those that come: the first of each period."""
 
     def __init__(self) -> None:

@@ -14,10 +14,10 @@ import psutil
 
 STALLED_AFTER_S = 0.3
 """So long nothing in it may want to run before it is called still."""
-LONGEST_LOOK_GAP_S = 1.0
+MAX_LOOK_GAP_S = 1.0
 """Who has not looked for so long stood still as well: with the whole computer, say."""
 RUNNABLE_STATES = frozenset("RDW")
-LONGEST_STEP_S = 0.1
+MAX_LOOK_STEP_S = 0.1
 """So much of the time between two looks at a thread counts; they are 50 ms apart."""
 
 
@@ -37,7 +37,7 @@ class ProcessStallDetector:
         except psutil.Error:
             return False
         used_s = used.user + used.system
-        away, self._looked_s = now_s - self._looked_s > LONGEST_LOOK_GAP_S, now_s
+        away, self._looked_s = now_s - self._looked_s > MAX_LOOK_GAP_S, now_s
         if away or used_s != self._used_s or not states or states & RUNNABLE_STATES:
             self._used_s, self._since_s = used_s, now_s
             return False
@@ -76,7 +76,7 @@ class ThreadStallDetector:
 
     def look(self, now_s: float) -> float:
         """Return for how long it has rested at ``now_s``; 0 at first and once it is gone."""
-        self.passed_s, self._looked_s = min(now_s - self._looked_s, LONGEST_STEP_S), now_s
+        self.passed_s, self._looked_s = min(now_s - self._looked_s, MAX_LOOK_STEP_S), now_s
         self.rested_s = self.rested_s + self.passed_s if self._rests() else 0.0
         return self.rested_s
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import astuple, replace
 
 from touchdown.backend.core import (
-    LEVEL_RAD,
+    LEVEL_TOLERANCE_RAD,
     Pose,
     RefusedError,
     SampleStream,
@@ -273,7 +273,7 @@ class GuardedArm(_Guarded):
     def _refuse_turned_move(self, target: Pose, turn_rad_s: float) -> bool:
         """Return whether the hand is turned on the way; refuse what may not be."""
         here = self._arm.pose(max_age_s=0.2)
-        if max(rotation_angle_rad(here), rotation_angle_rad(target)) <= LEVEL_RAD:
+        if max(rotation_angle_rad(here), rotation_angle_rad(target)) <= LEVEL_TOLERANCE_RAD:
             return False
         self._refuse_turning_jog(here, turn_rad_s)
         low = replace(target, z_mm=min(here.z_mm, target.z_mm))

@@ -20,7 +20,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from touchdown.backend.core import (
-    LEVEL_RAD,
+    LEVEL_TOLERANCE_RAD,
     Fault,
     FloatArray,
     Pose,
@@ -511,7 +511,7 @@ def refuse_place(pose: Pose, surface_mm: float, limits: Limits) -> None:
             f"The hand would lean by {math.degrees(lean_rad):.1f}\N{DEGREE SIGN}: "
             f"{math.degrees(limits.tilt_rad):.0f}\N{DEGREE SIGN} is the most.",
         )
-    if rotation_angle_rad(pose) > LEVEL_RAD:
+    if rotation_angle_rad(pose) > LEVEL_TOLERANCE_RAD:
         refuse_turning(pose, surface_mm, 0.0, limits)
 
 
@@ -526,6 +526,6 @@ def room_rad(pose: Pose, axis: Direction, limits: Limits) -> float:
 
 def falls_mm(pose: Pose, surface_mm: float, limits: Limits) -> float:
     """Return how far a turned hand may go down; the soft limit alone holds an unturned one."""
-    if rotation_angle_rad(pose) <= LEVEL_RAD:
+    if rotation_angle_rad(pose) <= LEVEL_TOLERANCE_RAD:
         return math.inf
     return max(pose.z_mm - surface_mm - limits.turn_clear_mm, 0.0)

@@ -23,7 +23,7 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from touchdown.backend.config import NonNegative, Positive, Settings, read_settings
-from touchdown.backend.core import Thinned
+from touchdown.backend.core import Decimator
 
 WIRE_KINDS = ("lost", "flip", "garbage", "cut", "duplicate", "late", "silent", "unplug")
 """lost: a message is missing; flip: one bit of it is wrong; garbage: random bytes before it; cut:
@@ -251,7 +251,7 @@ class SampleSchedule:
         self._start_s: float | None = None
         self._period_s = 1.0
         self._sent = 0
-        self._thinned = Thinned()
+        self._thinned = Decimator()
         self.faults: Faults | None = None
         """Of the sensor: the kind ``slow`` makes fewer samples due, which it numbers as usual."""
 

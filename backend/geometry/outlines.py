@@ -180,7 +180,7 @@ CLOSING_TOLERANCE_MM = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
-class EdgePieces:
+class EdgeSegments:
     """Pieces of edges: ``start_mm`` and ``end_mm`` (..., k, 2); ``kept`` (..., k) which exist."""
 
     start_mm: FloatArray
@@ -188,13 +188,13 @@ class EdgePieces:
     kept: NDArray[np.bool_]
 
 
-def overlap_edges(first_mm: FloatArray, second_mm: FloatArray) -> EdgePieces:
+def overlap_edges(first_mm: FloatArray, second_mm: FloatArray) -> EdgeSegments:
     """Return the edge of the overlap of two ccw convex polygons, (..., n, 2) and (..., m, 2) mm.
 
     The leading axes broadcast. Accurate to about 1e-7 mm.
     """
-    second_mm = _nudged(second_mm)
-    own, other = _inside(first_mm, second_mm), _inside(second_mm, first_mm)
+    second_mm = _perturbed(second_mm)
+    own, other = _clip_edges(first_mm, second_mm), _clip_edges(second_mm, first_mm)
     start = np.concatenate([own.start_mm, other.start_mm], axis=-2)
     end = np.concatenate([own.end_mm, other.end_mm], axis=-2)
     kept = np.concatenate([own.kept, other.kept], axis=-1)
@@ -203,10 +203,10 @@ def overlap_edges(first_mm: FloatArray, second_mm: FloatArray) -> EdgePieces:
     gap, length = along.sum(axis=-2), np.hypot(along[..., 0], along[..., 1]).sum(axis=-1)
     closes = np.hypot(gap[..., 0], gap[..., 1]) < CLOSING_TOLERANCE_MM
     closes &= length > CLOSING_TOLERANCE_MM
-    return EdgePieces(start, end, kept & closes[..., None])
+    return EdgeSegments(start, end, kept & closes[..., None])
 
 
-def _nudged(polygon_mm: FloatArray) -> FloatArray:
+def _perturbed(polygon_mm: FloatArray) -> FloatArray:
     """Turn and shrink a polygon by a hair about its middle.
 
     Outlines of equal pieces share edges exactly, and round-off would then keep a shared edge
@@ -217,7 +217,7 @@ def _nudged(polygon_mm: FloatArray) -> FloatArray:
     return np.asarray(middle + (1.0 - NUDGE) * rotated(away, np.sqrt(2.0) * NUDGE))
 
 
-def _inside(edges_of: FloatArray, within: FloatArray) -> EdgePieces:
+def _clip_edges(edges_of: FloatArray, within: FloatArray) -> EdgeSegments:
     """Cut every edge of one polygon to its stretch inside the other."""
     start, normal = edge_normals(within)
     reach = (start * normal).sum(axis=-1)
@@ -229,14 +229,14 @@ def _inside(edges_of: FloatArray, within: FloatArray) -> EdgePieces:
     low, high = np.zeros(whole.shape), whole.astype(np.float64)
     # Only the few edges that are neither inside nor behind one half-plane need the full cut.
     doubtful = (np.maximum(depth, after).min(axis=-1) >= 0.0) & ~whole
-    low[doubtful], high[doubtful] = _stretch(depth[doubtful], after[doubtful])
+    low[doubtful], high[doubtful] = _clip_interval(depth[doubtful], after[doubtful])
     along = round_trip[..., 1:, :] - edges_of
     kept = (high - low) * np.hypot(along[..., 0], along[..., 1]) > EDGE_TOLERANCE_MM
     low, high = np.where(kept, low, 0.0), np.where(kept, high, 0.0)
-    return EdgePieces(edges_of + low[..., None] * along, edges_of + high[..., None] * along, kept)
+    return EdgeSegments(edges_of + low[..., None] * along, edges_of + high[..., None] * along, kept)
 
 
-def _stretch(depth: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _clip_interval(depth: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return where (0..1) edges enter and leave all half-planes, from the depths of their ends."""
     drop = depth - after
     crossing = np.divide(depth, drop, out=np.zeros_like(depth), where=drop != 0.0)
@@ -245,20 +245,20 @@ def _stretch(depth: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArr
     return np.maximum(entry, 0.0), np.minimum(leave, 1.0)
 
 
-def enclosed_area_mm2(cut: EdgePieces) -> FloatArray:
+def enclosed_area_mm2(cut: EdgeSegments) -> FloatArray:
     """Return the area (...,) of the overlap by Green's theorem."""
     a, b = cut.start_mm, cut.end_mm
     cross = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     return np.asarray(np.maximum(0.5 * (cross * cut.kept).sum(axis=-1), 0.0), dtype=np.float64)
 
 
-def polygon_edges(polygon_mm: FloatArray) -> EdgePieces:
+def polygon_edges(polygon_mm: FloatArray) -> EdgeSegments:
     """Return the edges of a ccw polygon (k, 2) as pieces."""
     end = np.roll(polygon_mm, -1, axis=-2)
-    return EdgePieces(polygon_mm, end, np.hypot(*np.moveaxis(end - polygon_mm, -1, 0)) > 0.0)
+    return EdgeSegments(polygon_mm, end, np.hypot(*np.moveaxis(end - polygon_mm, -1, 0)) > 0.0)
 
 
-def edges_to_polygon(cut: EdgePieces) -> FloatArray:
+def edges_to_polygon(cut: EdgeSegments) -> FloatArray:
     """Return the overlap (without leading axes) as a ccw polygon (k, 2); k = 0 if it is empty."""
     points = cut.start_mm[cut.kept]
     if len(points) < 3:
@@ -267,7 +267,7 @@ def edges_to_polygon(cut: EdgePieces) -> FloatArray:
     return np.asarray(points[np.argsort(np.arctan2(away[:, 1], away[:, 0]))], dtype=np.float64)
 
 
-def signed_distances_mm(points_mm: FloatArray, cut: EdgePieces) -> FloatArray:
+def signed_distances_mm(points_mm: FloatArray, cut: EdgeSegments) -> FloatArray:
     """Return the signed distance (...,) of points (..., 2) to the edge of a convex overlap.
 
     Positive inside, negative outside, ``NO_SUPPORT`` where the overlap is empty.
@@ -332,12 +332,14 @@ def overlap_area_mm2(
     """
     offset = np.asarray(offset_mm, dtype=np.float64)
     if face.kind == bottom.kind == "circle":
-        return _lens_mm2(np.hypot(offset[..., 0], offset[..., 1]), face.radius_mm, bottom.radius_mm)
+        return _circle_overlap_mm2(
+            np.hypot(offset[..., 0], offset[..., 1]), face.radius_mm, bottom.radius_mm
+        )
     moved = rotated(face.polygon(segments), yaw_rad) + offset[..., None, :]
     return enclosed_area_mm2(overlap_edges(moved, bottom.polygon(segments)))
 
 
-def _lens_mm2(distance_mm: FloatArray, r: float, s: float) -> FloatArray:
+def _circle_overlap_mm2(distance_mm: FloatArray, r: float, s: float) -> FloatArray:
     """Return the common area of two circles of radius r and s mm, their centres apart."""
     apart = np.clip(distance_mm, abs(r - s), r + s)
     # Distance from each centre to the common chord; concentric equal circles share a diameter.

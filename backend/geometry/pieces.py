@@ -248,7 +248,7 @@ def load_pieces(folder: Path | None = None) -> PieceLibrary:
 
     Raises one ``InputError`` with file, key and reason for the first bad file.
     """
-    pieces = dict(_shipped())
+    pieces = dict(_shipped_pieces())
     if folder is not None:
         if not folder.is_dir():
             raise InputError("There is no such folder of pieces.", str(folder), "Check the path.")
@@ -257,7 +257,7 @@ def load_pieces(folder: Path | None = None) -> PieceLibrary:
 
 
 @cache
-def _shipped() -> Mapping[str, Piece]:
+def _shipped_pieces() -> Mapping[str, Piece]:
     """Read the shipped files, once: they stay as they are while the program runs."""
     return _read_folder(Path(str(files("touchdown.resources"))) / "objects")
 

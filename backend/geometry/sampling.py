@@ -83,7 +83,7 @@ def draw_start(
     raise InputError("No unstable start was found.", where, "Choose another bottom.")
 
 
-LEAN_MM = 6.0
+MAX_LEAN_MM = 6.0
 """An upper bottom stands off the lower one by 0 to this, uniformly, in any direction."""
 PLACEMENT_PITCH_MM = 2.0
 """Pitch of the places at which a stable position of the piece is looked for."""
@@ -97,7 +97,7 @@ def draw_tower(rng: np.random.Generator, bottoms: Sequence[Piece]) -> Tower:
     tower = Tower((bottoms[0].body(),))
     for piece in bottoms[1:]:
         x, y = tower.bodies[-1].at_mm
-        reach, angle = rng.uniform(0.0, LEAN_MM), rng.uniform(0.0, 2.0 * math.pi)
+        reach, angle = rng.uniform(0.0, MAX_LEAN_MM), rng.uniform(0.0, 2.0 * math.pi)
         at = (x + reach * math.cos(angle), y + reach * math.sin(angle))
         tower = tower.with_top(piece.body(at))
     return tower

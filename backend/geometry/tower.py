@@ -132,7 +132,7 @@ def judge_tower(tower: Tower, disturbance_mm: Point = (0.0, 0.0)) -> TowerVerdic
     return TowerVerdict(tuple(margins), tuple(names))
 
 
-def interface_overlap(tower: Tower, k: int) -> outlines.EdgePieces:
+def interface_overlap(tower: Tower, k: int) -> outlines.EdgeSegments:
     """Return the edge of the overlap under body ``k`` (its own base for k = 0)."""
     body = tower.bodies[k]
     base = body.lower.placed(body.at_mm, body.yaw_rad)

@@ -21,8 +21,8 @@ import psutil
 from touchdown.backend.core import InputError, ProcessStallDetector, lower_priority
 from touchdown.backend.jobs.job import JobFunctions, JobResult, JobSpec, JobStore, run_job
 
-LOOK_S = 0.05
-END_S = 1.0
+POLL_S = 0.05
+EXIT_TIMEOUT_S = 1.0
 """A worker without a job ends at once; one that is stopped never does."""
 JobStart = tuple[int, str]
 """Number of a process, and the job that it begins ("" before its first)."""
@@ -82,9 +82,9 @@ class PoolWorkers:
         for number in self._jobs:
             with suppress(psutil.NoSuchProcess):
                 there.append(psutil.Process(number))
-        _, left = psutil.wait_procs(there, END_S)
+        _, left = psutil.wait_procs(there, EXIT_TIMEOUT_S)
         self.kill(process.pid for process in left)
-        psutil.wait_procs(left, END_S)
+        psutil.wait_procs(left, EXIT_TIMEOUT_S)
 
     def _take(self) -> None:
         while not self._begun.empty():
@@ -117,7 +117,7 @@ def run_in_worker(
 
 MAX_WORKER_DEATHS = 2
 """A job that was under way when a worker died is tried again this often."""
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Executor(Protocol):
@@ -197,7 +197,7 @@ class ProcessPool:
     def finished(self) -> list[JobResult]:
         """Return the jobs that ended; those of a dead worker begin again."""
         while True:
-            ended, _ = wait(self._running, LOOK_S, return_when=FIRST_COMPLETED)
+            ended, _ = wait(self._running, POLL_S, return_when=FIRST_COMPLETED)
             results: list[JobResult] = []
             orphans: list[JobSpec] = []
             for future in ended:
@@ -219,7 +219,7 @@ class ProcessPool:
         self._pool.shutdown(wait=False, cancel_futures=True)
         while any(
             self._workers.has_begun(self._running[future].id)
-            for future in wait(self._running, LOOK_S).not_done
+            for future in wait(self._running, POLL_S).not_done
         ):
             still, _ = self._workers.look({spec.id for spec in self._running.values()})
             self._workers.kill(still)
@@ -228,7 +228,7 @@ class ProcessPool:
         self._running.clear()
 
     def _submitted(self, spec: JobSpec) -> Future[JobResult]:
-        with _one_thread_each(), self._workers.starting():
+        with _single_threaded(), self._workers.starting():
             return self._pool.submit(run_in_worker, run_job, spec, self._kinds, self._store)
 
     def _look(self) -> None:
@@ -263,14 +263,14 @@ class ProcessPool:
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def _single_threaded() -> Iterator[None]:
     """Let workers that are spawned meanwhile use one thread for linear algebra.
 
     The libraries read these variables once, as they load, and two threads beside another worker
     cost more than they bring.
     """
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     try:
         yield
     finally:
@@ -303,7 +303,7 @@ def run_campaign(
                 failed.add(result.id)
                 ahead.discard(result.id)
                 yield result
-            for spec in _ready(waiting, ahead, executor.room()):
+            for spec in _ready_jobs(waiting, ahead, executor.room()):
                 del waiting[spec.id]
                 executor.submit(spec)
                 running += 1
@@ -354,7 +354,7 @@ def _id(spec: JobSpec) -> str:
     return spec.id
 
 
-def _ready(waiting: dict[str, JobSpec], ahead: set[str], room: int) -> list[JobSpec]:
+def _ready_jobs(waiting: dict[str, JobSpec], ahead: set[str], room: int) -> list[JobSpec]:
     ready = [spec for spec in waiting.values() if not ahead & set(spec.inputs)]
     return ready[: max(room, 0)]
 

@@ -12,9 +12,9 @@ from typing import cast
 from touchdown.backend.calibration import (
     AXES,
     FINGERPRINT_LIMIT_PX,
+    FINGERPRINT_VALUES,
     HELD_LIMIT_PX,
     MIRROR_CODES,
-    NUMBERS,
     CalibrationName,
     CalibrationRecord,
     CalibrationStore,
@@ -30,7 +30,7 @@ from touchdown.backend.calibration import (
 from touchdown.backend.config import BenchMode
 from touchdown.backend.core import (
     FINGERS,
-    LEVEL_RAD,
+    LEVEL_TOLERANCE_RAD,
     CalibrationMeasured,
     Event,
     Fault,
@@ -52,10 +52,10 @@ from touchdown.backend.sensing import (
     MOTION_FACTOR,
     NOISE_FLOOR_PX,
     REST_FRAMES,
-    DriftWatch,
     GelRest,
     LiveSensing,
     WrenchDrift,
+    WrenchDriftEstimator,
     gripper_payload,
     measure_rest,
 )
@@ -165,7 +165,10 @@ def accept_calibration(
 
 def _places(gels_px: Sequence[float]) -> list[FloatArray]:
     """Return the dots (63, 2) of each finger, none where no fingerprint was taken."""
-    return [numbers_to_dots(gels_px[i : i + NUMBERS]) for i in range(0, len(gels_px), NUMBERS)]
+    return [
+        numbers_to_dots(gels_px[i : i + FINGERPRINT_VALUES])
+        for i in range(0, len(gels_px), FINGERPRINT_VALUES)
+    ]
 
 
 def calibration_metadata(used: Used) -> tuple[tuple[str, str], ...]:
@@ -328,7 +331,7 @@ class DriftMonitor:
     ) -> None:
         self._place, self._sensing, self._publish = place, sensing, publish
         self._cursor = sensing.raw.samples.count
-        self._watch = DriftWatch()
+        self._watch = WrenchDriftEstimator()
         self._stands: Pose | None = None
         self._since_s = math.inf
         self._load: tuple[bool, float] | None = None
@@ -359,7 +362,7 @@ class DriftMonitor:
             pose = place.arm.pose(POSE_AGE_S)
         except StaleSampleError:
             pose = None
-        if pose is None or math.hypot(pose.rx_rad, pose.ry_rad, pose.rz_rad) > LEVEL_RAD:
+        if pose is None or math.hypot(pose.rx_rad, pose.ry_rad, pose.rz_rad) > LEVEL_TOLERANCE_RAD:
             self._stands = None
             if pose is not None:
                 self._watch.reload()

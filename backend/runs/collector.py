@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from touchdown.backend.annotations import Dataset, EpisodeContext, EpisodeEntry, Label, with_uuid
 from touchdown.backend.config import CollectSettings
 from touchdown.backend.core import (
-    DISK_S,
+    DISK_TIMEOUT_S,
     MARKERS,
     TACTILE_CHANNELS,
     DecisionAwaited,
@@ -153,7 +153,7 @@ class EpisodeRecorder:
         Asked again after that, it tries once more: the episode is still held.
         """
         pending, self._pending = self._pending or self._begin(), None
-        with blocking_section("waits for the disk", DISK_S):
+        with blocking_section("waits for the disk", DISK_TIMEOUT_S):
             return pending.result()
 
     def _begin(self) -> Future[EpisodeEntry]:

@@ -26,7 +26,7 @@ from typing import IO, Any
 import numpy as np
 
 from touchdown.backend.core import (
-    DISK_S,
+    DISK_TIMEOUT_S,
     ActionChosen,
     ApprovalAwaited,
     BeliefUpdated,
@@ -245,7 +245,7 @@ class EventLog:
         raw = json.dumps(line, separators=(",", ":"), allow_nan=False).encode() + b"\n"
         self._file.write(raw)
         self._file.flush()
-        with blocking_section("waits for the disk", DISK_S):
+        with blocking_section("waits for the disk", DISK_TIMEOUT_S):
             os.fsync(self._file.fileno())
         self._durable_bytes += len(raw)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from touchdown.backend.annotations import NO_ROOM, free_bytes_if_low, free_space_for
 from touchdown.backend.core import (
-    DISK_S,
+    DISK_TIMEOUT_S,
     ClockJumpDetector,
     Episode,
     EpisodeDecision,
@@ -70,7 +70,7 @@ def save_or_wait(save: Callable[[], None]) -> Plan[bool]:
     """
     while True:
         try:
-            with blocking_section("waits for the disk", DISK_S):
+            with blocking_section("waits for the disk", DISK_TIMEOUT_S):
                 save()
         except FaultError as error:
             if error.fault.code != FULL:
@@ -204,7 +204,7 @@ class RunStore:
             self._begin(self._folder, self._newest)
         pending, self._pending = self._pending, None
         try:
-            with blocking_section("waits for the disk", DISK_S):
+            with blocking_section("waits for the disk", DISK_TIMEOUT_S):
                 path = None if pending is None else pending.result()
         except OSError as error:
             raise FaultError(

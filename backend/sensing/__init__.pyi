@@ -17,28 +17,27 @@ from .slip import slip_since_loading as slip_since_loading
 from .tracker import GelRest as GelRest
 from .tracker import MarkerTracker as MarkerTracker
 from .tracker import measure_rest as measure_rest
-from .zeroing import FEWEST_REST_FRAMES as FEWEST_REST_FRAMES
+from .zeroing import MIN_REST_FRAMES as MIN_REST_FRAMES
 from .zeroing import MOTION_FACTOR as MOTION_FACTOR
 from .zeroing import NOISE_FLOOR_PX as NOISE_FLOOR_PX
 from .zeroing import REST_FRAMES as REST_FRAMES
 from .zeroing import STANDARD_GRAVITY_M_S2 as STANDARD_GRAVITY_M_S2
-from .zeroing import DriftWatch as DriftWatch
 from .zeroing import TactileReference as TactileReference
 from .zeroing import WrenchDrift as WrenchDrift
+from .zeroing import WrenchDriftEstimator as WrenchDriftEstimator
 from .zeroing import gripper_payload as gripper_payload
 from .zeroing import refuse_contact as refuse_contact
 from .zeroing import take_reference as take_reference
 
 __all__ = [
     "DEFAULT_RATE_HZ",
-    "FEWEST_REST_FRAMES",
     "HEIGHT_PX",
+    "MIN_REST_FRAMES",
     "MOTION_FACTOR",
     "NOISE_FLOOR_PX",
     "REST_FRAMES",
     "STANDARD_GRAVITY_M_S2",
     "WIDTH_PX",
-    "DriftWatch",
     "EpisodeLimits",
     "GelRest",
     "Homography",
@@ -49,6 +48,7 @@ __all__ = [
     "TactileReference",
     "TorsionSlipDetector",
     "WrenchDrift",
+    "WrenchDriftEstimator",
     "assemble_episode",
     "calibrate_scene_camera",
     "count_pictures",

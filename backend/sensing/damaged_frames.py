@@ -38,7 +38,7 @@ TINT_LEVELS = 1.0
 LINE_LEVELS, SURE_LINE_LEVELS = 3.0, 5.0
 """A change of brightness that begins at one row of blocks and goes on below it: the levels of a
 JPEG count from block to block. Beside a doubtful marker the first is enough."""
-APART_PX, LOOKS_SHARE = 0.2, 0.03
+DOUBT_PX, DOUBT_LOOKS_SHARE = 0.2, 0.03
 """A step that leaves the affine step of the eight neighbours, and a dot so much lighter or darker
 than one frame ago: together they make a marker doubtful."""
 CHANGED_LEVELS, LOCAL_LEVELS, LOCAL_RATIO = 35.0, 8.5, 8.5
@@ -111,7 +111,7 @@ class DamageCheckingTracker:
             return True
         both = last.seen & new.seen
         step_px = new.position_px - last.position_px
-        apart_px = np.where(both, step_apart_px(step_px), 0.0)
+        apart_px = np.where(both, neighbour_residual_px(step_px), 0.0)
         if np.abs(step_px[both]).max(initial=0.0) > JUMP_PX or apart_px.max() > TORN_PX:
             return True
         if shifted_along_rows(step_px) or tint_levels(last.blocks, new.blocks) > TINT_LEVELS:
@@ -125,7 +125,7 @@ class DamageCheckingTracker:
         dark = np.full_like(new.looks, np.inf)
         ratio = np.divide(new.looks, last.looks, out=dark, where=last.looks > 0.0)
         share = np.abs(ratio - 1.0).max(axis=1)
-        doubtful = (apart_px > APART_PX) & (share > LOOKS_SHARE)
+        doubtful = (apart_px > DOUBT_PX) & (share > DOUBT_LOOKS_SHARE)
         if not doubtful.any():
             return False
         usual = np.median([unexplained_levels(last, new, k) for k in _OTHERS])
@@ -134,9 +134,9 @@ class DamageCheckingTracker:
         return line_levels > LINE_LEVELS or found > min(CHANGED_LEVELS, limit)
 
 
-def step_apart_px(step_px: FloatArray) -> FloatArray:
+def neighbour_residual_px(step_px: FloatArray) -> FloatArray:
     """Return (63,) by how much steps (63, 2) leave the affine fit of their eight neighbours'."""
-    apart = _APART @ step_px
+    apart = _NEIGHBOUR_RESIDUAL @ step_px
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", apart, apart)), dtype=np.float64)
 
 
@@ -179,7 +179,7 @@ def _seen(field: MarkerField) -> NDArray[np.bool_]:
     return np.asarray(field.state == MarkerState.SEEN)
 
 
-def _neighbours() -> FloatArray:
+def _neighbour_residual() -> FloatArray:
     """Return (63, 63): each marker less the affine fit of the eight around it, or next to it at
     the border.
     """
@@ -199,5 +199,5 @@ def _neighbours() -> FloatArray:
     return rows
 
 
-_APART = _neighbours()
-_APART.flags.writeable = False
+_NEIGHBOUR_RESIDUAL = _neighbour_residual()
+_NEIGHBOUR_RESIDUAL.flags.writeable = False

@@ -35,7 +35,7 @@ _LIGHT_SHARE = 0.8
 _BLOB_DEPTH = 0.25
 _RAMP = (0.15, 0.55)
 """Darkness below the first is background; above the second a dot is as dark as it gets."""
-_LEAST_DARKNESS = np.float32(1e-9)
+_MIN_DARKNESS = np.float32(1e-9)
 """Keeps the centroid of a window without any darkness in its middle."""
 _WEIGHT_SIGMA_PX = 5.0
 _BELL = np.float32(-0.5 / _WEIGHT_SIGMA_PX**2)
@@ -44,10 +44,10 @@ _SUMS = np.stack([np.ones_like(_U), _U, _V, _U * _U, _U * _V, _V * _V, _U], axis
 _SUMS *= np.exp(_BELL * (_U * _U + _V * _V))[:, None]
 _SUMS[:, 6] = 1.0
 """(441, 7): weights of the bell's moments about the middle of a window, and of the plain sum."""
-_LEAST_PULL = 0.2
+_MIN_PULL = 0.2
 """Even darkness has no centre, and no stride would be long enough: this bounds it."""
 _TRIES = 3
-_LONGEST_PX, _SHORT_PX = 3.0, 1.5
+_MAX_STRIDE_PX, _CONVERGED_PX = 3.0, 1.5
 """A stride goes no further than the first; after one below the second the window stays."""
 _LAST_PIXEL = np.array([WIDTH_PX - 1.0, HEIGHT_PX - 1.0])
 _OPENING = np.ones((3, 3), np.uint8)
@@ -130,14 +130,14 @@ class Detector:
             weight = self._darkness(middle)
             sums = (weight.reshape(-1, len(_SUMS)) @ _SUMS).astype(np.float64).T
             stride = _stride(sums)
-            step = _times(stride, sums[1:3] / sums[0])
-            step = np.minimum(np.maximum(step, -_LONGEST_PX), _LONGEST_PX)
+            step = _apply_stride(stride, sums[1:3] / sums[0])
+            step = np.minimum(np.maximum(step, -_MAX_STRIDE_PX), _MAX_STRIDE_PX)
             position = middle + step.T
-            if np.abs(step).max(initial=0.0) < _SHORT_PX:
+            if np.abs(step).max(initial=0.0) < _CONVERGED_PX:
                 break
         mass, shift = _moments(weight, step)
         looks = np.stack([mass, sums[6]], axis=1)
-        return Centres(position + _times(stride, shift).T, looks)
+        return Centres(position + _apply_stride(stride, shift).T, looks)
 
     def _darkness(self, middle_px: FloatArray) -> NDArray[np.float32]:
         """Return (n, 21, 21): how dark the paint is round whole pixels ``middle_px`` (n, 2)."""
@@ -146,7 +146,7 @@ class Detector:
         rows = weight.reshape(-1, len(_SPAN))
         if len(rows):
             cv2.threshold(rows, _RAMP[1] - _RAMP[0], 0.0, cv2.THRESH_TRUNC, rows)
-        return np.maximum(weight, _LEAST_DARKNESS, out=weight)
+        return np.maximum(weight, _MIN_DARKNESS, out=weight)
 
 
 def _background(picture: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -175,13 +175,13 @@ def _stride(sums: FloatArray) -> FloatArray:
     V / sigma² - 1 with the covariance V under the bell. Newton's stride is its inverse.
     """
     spread = sums[3:6] * (_WEIGHT_SIGMA_PX**-2 / sums[0])
-    pull = np.maximum(1.0 - spread[2::-2], _LEAST_PULL)
+    pull = np.maximum(1.0 - spread[2::-2], _MIN_PULL)
     product = pull[0] * pull[1]
     scale = 1.0 / np.maximum(product - spread[1] * spread[1], 0.5 * product)
     return np.stack([pull[0] * scale, pull[1] * scale, spread[1] * scale])
 
 
-def _times(stride: FloatArray, shift: FloatArray) -> FloatArray:
+def _apply_stride(stride: FloatArray, shift: FloatArray) -> FloatArray:
     """Return the strides (2, n) of shifts (2, n)."""
     return np.asarray(stride[:2] * shift + stride[2] * shift[::-1], dtype=np.float64)
 
@@ -202,9 +202,9 @@ Cell = tuple[int, int]
 _REACH = 0.38
 _PITCH_RANGE_PX = (22.0, 44.0)
 _USUAL_PITCH_PX = 32.0
-_MOST_SEEDS = 12
-_FEWEST_PER_LINE = 3
-_MOST_MISSING = 12
+_MAX_SEEDS = 12
+_MIN_PER_LINE = 3
+_MAX_MISSING = 12
 _STEPS: tuple[Cell, ...] = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
 
@@ -221,7 +221,7 @@ class GridReport:
     def usable(self) -> bool:
         """Whether every marker of a 7 x 9 grid has its certain place (some may be hidden)."""
         fits = (self.rows, self.cols) == (GRID_ROWS, GRID_COLS)
-        return fits and len(self.missing) <= _MOST_MISSING
+        return fits and len(self.missing) <= _MAX_MISSING
 
     @property
     def complete(self) -> bool:
@@ -259,7 +259,7 @@ def order_grid(blobs: Blobs) -> OrderedDots:
     """Order the dots of one frame; ``index`` is all -1 unless ``report.usable``."""
     nowhere = np.full(MARKERS, -1, dtype=np.intp)
     count = len(blobs.whole)
-    if count < 2 * _FEWEST_PER_LINE:
+    if count < 2 * _MIN_PER_LINE:
         return OrderedDots(NO_GRID, nowhere)
     best, pitch_px = _best_lattice(blobs)
     report, first = _report(best, blobs.whole, pitch_px)
@@ -298,7 +298,7 @@ def _seeds(blobs: Blobs) -> NDArray[np.intp]:
     """Return whole blobs from the middle of the image outwards."""
     middle = np.array([WIDTH_PX / 2, HEIGHT_PX / 2])
     away = np.linalg.norm(blobs.centre_px - middle, axis=1) + 1e6 * ~blobs.whole
-    return np.argsort(away, kind="stable")[:_MOST_SEEDS]
+    return np.argsort(away, kind="stable")[:_MAX_SEEDS]
 
 
 def _grow(dots: FloatArray, seed: int, pitch_px: float) -> dict[Cell, int]:
@@ -334,7 +334,7 @@ def _trim(cells: dict[Cell, int]) -> dict[Cell, int]:
         for axis in (0, 1):
             lines = [cell[axis] for cell in cells]
             for line in (min(lines), max(lines)):
-                if lines.count(line) < _FEWEST_PER_LINE:
+                if lines.count(line) < _MIN_PER_LINE:
                     cells = {c: i for c, i in cells.items() if c[axis] != line}
                     break
             else:

@@ -112,7 +112,9 @@ def synchronise(
     limits = limits or SyncLimits()
     steps = np.arange(1, SAMPLES_PER_PROBE + 1, dtype=np.float64)
     tick_s = np.asarray(onset_s + TICK_S * steps, dtype=np.float64)
-    by_finger = {finger: _on_ticks(recording.fields, finger, tick_s, limits) for finger in FINGERS}
+    by_finger = {
+        finger: _finger_on_ticks(recording.fields, finger, tick_s, limits) for finger in FINGERS
+    }
     wrench = wrench_on_ticks(recording.wrench_t_s, recording.wrench, tick_s, limits.wrench_share)
     return SynchronisedProbe(tick_s, wrench, by_finger["left"], by_finger["right"])
 
@@ -141,7 +143,7 @@ def wrench_on_ticks(
     return means
 
 
-def _on_ticks(
+def _finger_on_ticks(
     fields: tuple[MarkerField, ...], finger: Finger, tick_s: FloatArray, limits: SyncLimits
 ) -> FingerTicks:
     own = [field for field in fields if field.finger == finger]
@@ -152,19 +154,21 @@ def _on_ticks(
     # A field with NaN is not an observation: it counts as a frame that never came.
     whole = np.isfinite(moved).all(axis=(1, 2))
     frame_s, moved, state = frame_s[whole], moved[whole], state[whole]
-    before, after, part, measured = _around(frame_s, tick_s, limits.longest_hole_s)
+    before, after, part, measured = _frames_around_ticks(frame_s, tick_s, limits.longest_hole_s)
     values = np.full((len(tick_s), MARKERS, 2), np.nan)
     worst = np.zeros((len(tick_s), MARKERS), dtype=np.uint8)
     share = part[measured, None, None]
     values[measured] = (1.0 - share) * moved[before[measured]] + share * moved[after[measured]]
     worst[measured] = np.maximum(state[before[measured]], state[after[measured]])
-    skew_s = _nearest(frame_s, tick_s)
+    skew_s = _nearest_frame_s(frame_s, tick_s)
     near = (skew_s <= limits.nearest_frame_s + ROUNDING_S) & measured
     inferred, lost = worst >= int(MarkerState.INFERRED), worst == int(MarkerState.LOST)
-    return FingerTicks(values, near, inferred, lost, skew_s, _hole(frame_s, tick_s), dropped)
+    return FingerTicks(
+        values, near, inferred, lost, skew_s, _longest_hole_s(frame_s, tick_s), dropped
+    )
 
 
-def _around(
+def _frames_around_ticks(
     frame_s: FloatArray, tick_s: FloatArray, longest_hole_s: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, NDArray[np.bool_]]:
     """Return per tick the frames before and after it, the part of the way, and whether measured.
@@ -188,7 +192,7 @@ def _around(
     return before, after, np.asarray(part, dtype=np.float64), measured
 
 
-def _nearest(frame_s: FloatArray, tick_s: FloatArray) -> FloatArray:
+def _nearest_frame_s(frame_s: FloatArray, tick_s: FloatArray) -> FloatArray:
     if not len(frame_s):
         return np.full(len(tick_s), np.inf)
     after = np.searchsorted(frame_s, tick_s)
@@ -196,7 +200,7 @@ def _nearest(frame_s: FloatArray, tick_s: FloatArray) -> FloatArray:
     return np.asarray(np.abs(frame_s[neighbours] - tick_s).min(axis=0), dtype=np.float64)
 
 
-def _hole(frame_s: FloatArray, tick_s: FloatArray) -> float:
+def _longest_hole_s(frame_s: FloatArray, tick_s: FloatArray) -> float:
     """Return the longest time without a frame between the onset and the last tick."""
     start, end = float(tick_s[0] - TICK_S), float(tick_s[-1])
     before = frame_s[frame_s <= start + ROUNDING_S]
@@ -258,8 +262,8 @@ def assemble_episode(
     offset = np.array(offset_mm, dtype=np.float64)
     quality = judge_quality(ticks, slip_mm, limits)
     if quality.accepted and not (np.isfinite(offset).all() and np.isfinite(observation).all()):
-        quality = _refused(quality, "A value of the observation is not a finite number")
-    bridged = _bridged(ticks)
+        quality = _reject(quality, "A value of the observation is not a finite number")
+    bridged = _bridged_ticks(ticks)
     return Episode(
         episode_id=_digest(observation, offset, onset_s, piece, recording),
         piece=piece,
@@ -327,7 +331,7 @@ def _wrench_reasons(wrench: FloatArray, limits: EpisodeLimits) -> list[str]:
     return []
 
 
-def _refused(quality: EpisodeQuality, reason: str) -> EpisodeQuality:
+def _reject(quality: EpisodeQuality, reason: str) -> EpisodeQuality:
     return EpisodeQuality(
         accepted=False,
         reasons=(*quality.reasons, reason),
@@ -339,7 +343,7 @@ def _refused(quality: EpisodeQuality, reason: str) -> EpisodeQuality:
     )
 
 
-def _bridged(ticks: SynchronisedProbe) -> str:
+def _bridged_ticks(ticks: SynchronisedProbe) -> str:
     """Name the ticks that lie in a hole and were interpolated across it: nothing in silence."""
     return " ".join(
         f"{name}:{number + 1}"

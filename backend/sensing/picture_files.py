@@ -36,7 +36,7 @@ def read_pictures(path: Path, finger: Finger = "left") -> Iterator[TactileFrame]
     """
     if not path.exists():
         raise InputError("There is no such file or folder.", str(path), _FIX)
-    rate_hz, pictures = _open(path)
+    rate_hz, pictures = _open_pictures(path)
     count = 0
     for picture in pictures:
         yield TactileFrame(finger, count, count / rate_hz, resize_picture(picture, path))
@@ -73,7 +73,7 @@ def resize_picture(picture: ImageArray, path: Path) -> ImageArray:
     return np.asarray(scaled, dtype=np.uint8)
 
 
-def _open(path: Path) -> tuple[float, Iterator[ImageArray]]:
+def _open_pictures(path: Path) -> tuple[float, Iterator[ImageArray]]:
     if path.is_dir():
         return DEFAULT_RATE_HZ, (_read_image(file) for file in _images_in(path))
     if path.suffix.lower() in IMAGE_SUFFIXES:
@@ -82,10 +82,10 @@ def _open(path: Path) -> tuple[float, Iterator[ImageArray]]:
     if not capture.isOpened():
         raise InputError("This is neither a picture nor a video.", str(path), _FIX)
     rate_hz = float(capture.get(cv2.CAP_PROP_FPS))
-    return (rate_hz if 1.0 <= rate_hz <= 1000.0 else DEFAULT_RATE_HZ), _video(capture)
+    return (rate_hz if 1.0 <= rate_hz <= 1000.0 else DEFAULT_RATE_HZ), _video_frames(capture)
 
 
-def _video(capture: cv2.VideoCapture) -> Iterator[ImageArray]:
+def _video_frames(capture: cv2.VideoCapture) -> Iterator[ImageArray]:
     try:
         while True:
             there, picture = capture.read()

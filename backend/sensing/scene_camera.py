@@ -22,10 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 from touchdown.backend.core import FloatArray, ImageArray, InputError, read_only
 from touchdown.backend.geometry import BOARD_DOTS_MM
 
-LEAST_AREA_PX = 20
+MIN_DOT_AREA_PX = 20
 BRIGHT = 230
 """Dots are magenta: blue and red above this, green below ``255 - BRIGHT``; nothing else is."""
-WORST_PX = 2.0
+MAX_RESIDUAL_PX = 2.0
 _FIX = "Show all four dots to the camera, evenly lit, and calibrate again."
 
 
@@ -41,12 +41,12 @@ class Homography:
 
     def to_px(self, board_mm: ArrayLike) -> FloatArray:
         """Return (n, 2) px of board points (n, 2) in mm."""
-        return _mapped(self.matrix, board_mm)
+        return _apply_homography(self.matrix, board_mm)
 
     def to_mm(self, image_px: ArrayLike) -> FloatArray:
         """Return (n, 2) mm on the board of image points (n, 2) in px."""
         inverse: FloatArray = np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
-        return _mapped(inverse, image_px)
+        return _apply_homography(inverse, image_px)
 
     def text(self) -> str:
         """Return the form in which episodes keep it."""
@@ -75,7 +75,7 @@ def fit_homography(board_mm: FloatArray, image_px: FloatArray) -> Homography:
     if len(board_mm) < 4:
         raise InputError(f"{len(board_mm)} points are no calibration.", "scene", _FIX)
     to, back = _normaliser(board_mm), _normaliser(image_px)
-    source, target = _mapped(to, board_mm), _mapped(back, image_px)
+    source, target = _apply_homography(to, board_mm), _apply_homography(back, image_px)
     rows = []
     for (x, y), (u, v) in zip(source, target, strict=True):
         rows.append([-x, -y, -1, 0, 0, 0, u * x, u * y, u])
@@ -85,7 +85,7 @@ def fit_homography(board_mm: FloatArray, image_px: FloatArray) -> Homography:
         raise InputError("The points lie on a line.", "scene", _FIX)
     matrix = np.linalg.inv(back) @ vectors[-1].reshape(3, 3) @ to
     matrix = matrix / matrix[2, 2]
-    errors = _mapped(matrix, board_mm) - image_px
+    errors = _apply_homography(matrix, board_mm) - image_px
     return Homography(matrix, float(np.sqrt((errors**2).sum(axis=1).mean())))
 
 
@@ -99,11 +99,11 @@ def calibrate_scene_camera(image: ImageArray) -> Homography:
     bright &= image[..., 1] <= 255 - BRIGHT
     count, labels = cv2.connectedComponents(bright.astype(np.uint8))
     spots = [np.argwhere(labels == k)[:, ::-1] for k in range(1, count)]
-    found = [spot.mean(axis=0) for spot in spots if len(spot) >= LEAST_AREA_PX]
+    found = [spot.mean(axis=0) for spot in spots if len(spot) >= MIN_DOT_AREA_PX]
     if len(found) != len(BOARD_DOTS_MM):
         raise InputError(f"{len(found)} dots are seen instead of four.", "scene camera", _FIX)
     fitted = fit_homography(BOARD_DOTS_MM, _in_order(np.array(found)))
-    if not fitted.residual_px <= WORST_PX:
+    if not fitted.residual_px <= MAX_RESIDUAL_PX:
         raise InputError(
             f"The dots are {fitted.residual_px:.1f} px off their places.", "scene camera", _FIX
         )
@@ -129,7 +129,7 @@ def _normaliser(points: FloatArray) -> FloatArray:
     )
 
 
-def _mapped(matrix: FloatArray, points: ArrayLike) -> FloatArray:
+def _apply_homography(matrix: FloatArray, points: ArrayLike) -> FloatArray:
     given = np.asarray(points, dtype=np.float64).reshape(-1, 2)
     mapped = np.column_stack([given, np.ones(len(given))]) @ matrix.T
     return np.asarray(mapped[:, :2] / mapped[:, 2:])
@@ -141,15 +141,15 @@ STEP_MM = 0.1
 RIM_POINTS = 96
 INNER_PART = 0.4
 """The colour of the piece is that of the inner part of its face."""
-LEAST_SPREAD = 12.0
+MIN_COLOUR_SPREAD = 12.0
 """Colours nearer than this (of 255) are one colour in any light."""
 FRONT_SHARE = 0.35
 """The rim is seen where its outward direction points down in the picture by at least this share."""
-BEHIND_MM, MOST = 1.0, 0.6
+BEHIND_MM, MIN_BEHIND_SHARE = 1.0, 0.6
 """Above the far rim the piece is seen so far behind it, at this share of places at least."""
-FEWEST_POINTS = 12
+MIN_EDGE_POINTS = 12
 FIT_ROUNDS = 6
-FARTHEST_MM = 0.5
+MAX_EDGE_ERROR_MM = 0.5
 """Edges that lie farther off the fitted rim belong to something else."""
 FLOOR_MM = 0.12
 """What edge, picture compression and the fit of the board leave at best (measured, see tests)."""
@@ -176,7 +176,7 @@ def observe_offset(
     true one. The camera stands upright and sees the piece in a colour of its own.
     """
     rim, outward = _even_rim(face_mm)
-    like = _likeness(image, board, INNER_PART * face_mm + near_mm)
+    like = _colour_match(image, board, INNER_PART * face_mm + near_mm)
     at: FloatArray = np.array(near_mm, dtype=np.float64)
     found = None
     for turn in range(FIT_ROUNDS):
@@ -186,7 +186,7 @@ def observe_offset(
         at = at + found[0]
     assert found is not None
     _, sigma_mm = found
-    if not math.dist(at, near_mm) <= REACH_MM or not _stands_up(like, board, rim + at, outward):
+    if not math.dist(at, near_mm) <= REACH_MM or not _is_upright(like, board, rim + at, outward):
         return None
     one_mm = board.to_px(np.array([at, at + np.array([1.0, 0.0])]))
     board_mm = board.residual_px / math.dist(*one_mm.tolist())
@@ -205,7 +205,9 @@ def _even_rim(face_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
     return points, np.column_stack([along[:, 1], -along[:, 0]])
 
 
-def _likeness(image: ImageArray, board: Homography, inner_mm: FloatArray) -> NDArray[np.float32]:
+def _colour_match(
+    image: ImageArray, board: Homography, inner_mm: FloatArray
+) -> NDArray[np.float32]:
     """Return (h, w) how much each pixel has the colour of the piece, 0..1."""
     mask = np.zeros(image.shape[:2], dtype=np.uint8)
     cv2.fillPoly(mask, [np.rint(board.to_px(inner_mm)).astype(np.int32)], 1)
@@ -214,7 +216,7 @@ def _likeness(image: ImageArray, board: Homography, inner_mm: FloatArray) -> NDA
         return np.zeros(image.shape[:2], dtype=np.float32)
     middle = np.median(colours, axis=0)
     usual = np.median(np.linalg.norm(colours - middle, axis=1))
-    spread = max(3.0 * float(usual), LEAST_SPREAD)
+    spread = max(3.0 * float(usual), MIN_COLOUR_SPREAD)
     apart = np.linalg.norm(image.astype(np.float32) - middle.astype(np.float32), axis=2)
     return np.asarray(np.clip(1.5 - 0.5 * apart / spread, 0.0, 1.0), dtype=np.float32)
 
@@ -233,7 +235,7 @@ def _fit(
     front = board.to_px(place + outward) - board.to_px(place)
     shown = front[:, 1] > FRONT_SHARE * np.linalg.norm(front, axis=1)
     place, normal = place[shown], outward[shown]
-    if len(place) < FEWEST_POINTS:
+    if len(place) < MIN_EDGE_POINTS:
         return None
     lines = place[:, None] + steps[None, :, None] * normal[:, None]
     px = board.to_px(lines.reshape(-1, 2)).astype(np.float32).reshape(len(place), len(steps), 2)
@@ -243,7 +245,7 @@ def _fit(
     return _solve(normal[known], edge[known])
 
 
-def _stands_up(
+def _is_upright(
     like: NDArray[np.float32], board: Homography, rim: FloatArray, outward: FloatArray
 ) -> bool:
     """Return whether the piece goes on behind its far rim: a flat face ends there."""
@@ -251,7 +253,7 @@ def _stands_up(
     far = (out - board.to_px(rim))[:, 1]
     behind = out[far <= np.quantile(far, 0.25)].astype(np.float32)
     seen = cv2.remap(like, behind[:, :1], behind[:, 1:], cv2.INTER_LINEAR)
-    return bool((np.asarray(seen) >= 0.5).mean() >= MOST)
+    return bool((np.asarray(seen) >= 0.5).mean() >= MIN_BEHIND_SHARE)
 
 
 def _edges(profile: FloatArray, steps: FloatArray) -> FloatArray:
@@ -270,11 +272,11 @@ def _solve(normal: FloatArray, edge: FloatArray) -> tuple[FloatArray, float] | N
     step: FloatArray = np.zeros(2)
     kept = np.ones(len(edge), dtype=bool)
     for _ in range(3):
-        if int(kept.sum()) < FEWEST_POINTS:
+        if int(kept.sum()) < MIN_EDGE_POINTS:
             return None
         step = np.asarray(np.linalg.lstsq(normal[kept], edge[kept], rcond=None)[0], np.float64)
         rest = np.abs(edge - normal @ step)
-        kept = rest <= max(3.0 * float(np.median(rest)), FARTHEST_MM)
+        kept = rest <= max(3.0 * float(np.median(rest)), MAX_EDGE_ERROR_MM)
     weight = normal[kept].T @ normal[kept]
     if not np.linalg.cond(weight) < 1e3:
         return None

@@ -82,11 +82,11 @@ def _complex(points_px: FloatArray) -> NDArray[np.complex128]:
     return np.ascontiguousarray(points_px).view(np.complex128)[:, 0]
 
 
-FITTED_PART = (0.15, 0.6)
+FIT_RANGE = (0.15, 0.6)
 """Part of the travel in which the line is fitted: after settling, before a likely slip."""
-LEAST_FRAMES = 5
-LEAST_TRAVEL_MM = 0.1
-LEAST_SLOPE_PX_MM = 1.0
+MIN_FRAMES = 5
+MIN_TRAVEL_MM = 0.1
+MIN_SLOPE_PX_MM = 1.0
 """A press that moves the markers less than this per mm shows nothing about slip."""
 
 
@@ -105,27 +105,27 @@ def _finger_slip_mm(recording: Recording, finger: Finger, onset_s: float, end_s:
         for field in recording.fields
         if field.finger == finger and onset_s <= field.t_s <= end_s
     ]
-    if len(fields) < LEAST_FRAMES or not np.isfinite(recording.pose_mm).all():
+    if len(fields) < MIN_FRAMES or not np.isfinite(recording.pose_mm).all():
         return math.nan
     shear_px = np.array([field.displacement_px[:, 1] for field in fields]).mean(axis=1)
     whole = np.isfinite(shear_px)
     shear_px = shear_px[whole]
     travel_mm = _travel_mm(recording, onset_s, np.array([field.t_s for field in fields])[whole])
     deepest_mm = float(travel_mm.max()) if len(travel_mm) else 0.0
-    if not deepest_mm >= LEAST_TRAVEL_MM:
+    if not deepest_mm >= MIN_TRAVEL_MM:
         return math.nan
     part = travel_mm / deepest_mm
-    fitted = (part >= FITTED_PART[0]) & (part <= FITTED_PART[1])
-    if int(fitted.sum()) < LEAST_FRAMES:
+    fitted = (part >= FIT_RANGE[0]) & (part <= FIT_RANGE[1])
+    if int(fitted.sum()) < MIN_FRAMES:
         return math.nan
-    slope, start = _line(travel_mm[fitted], shear_px[fitted])
-    if not abs(slope) >= LEAST_SLOPE_PX_MM:
+    slope, start = _fit_line(travel_mm[fitted], shear_px[fitted])
+    if not abs(slope) >= MIN_SLOPE_PX_MM:
         return math.nan
     shortfall_mm = travel_mm - (shear_px - start) / slope
-    return float(max(0.0, np.median(shortfall_mm[-LEAST_FRAMES:])))
+    return float(max(0.0, np.median(shortfall_mm[-MIN_FRAMES:])))
 
 
-def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+def _fit_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     """Return slope and start of the least-squares line through (x, y), both (n,); NaN if none."""
     from_mean = x - x.mean()
     spread = float(from_mean @ from_mean)
@@ -144,7 +144,7 @@ def _travel_mm(recording: Recording, onset_s: float, t_s: FloatArray) -> FloatAr
     return np.asarray(onset_mm - height_mm, dtype=np.float64)
 
 
-LEAST_RAD, WITHIN_S, TOGETHER_S = 0.005, 0.1, 0.15
+MIN_TURN_RAD, TURN_WINDOW_S, MAX_FINGER_LAG_S = 0.005, 0.1, 0.15
 """So much the markers of both gels turn within so long, so soon one after the other, where a piece
 turns.
 
@@ -182,20 +182,20 @@ class TorsionSlipDetector:
         recent = self._recent[finger]
         recent.append((field.t_s, turn_rad))
         # Pictures further apart are compared all the same: what turned meanwhile has turned.
-        while len(recent) > 2 and recent[0][0] < field.t_s - WITHIN_S:
+        while len(recent) > 2 and recent[0][0] < field.t_s - TURN_WINDOW_S:
             recent.popleft()
         jump_rad = max(abs(turn_rad - before_rad) for _, before_rad in recent)
-        if jump_rad < LEAST_RAD:
+        if jump_rad < MIN_TURN_RAD:
             return
         self._jumps[finger] = field.t_s, jump_rad
         (one_s, one_rad), (other_s, other_rad) = self._jumps.values()
-        if abs(one_s - other_s) <= TOGETHER_S:
+        if abs(one_s - other_s) <= MAX_FINGER_LAG_S:
             self.turned_rad = max(self.turned_rad, min(one_rad, other_rad))
 
 
-FIT_N = (0.5, 4.0)
+FIT_RANGE_N = (0.5, 4.0)
 """Range of press force in which the loading line is fitted."""
-FEWEST_SAMPLES = 20
+MIN_SAMPLES = 20
 
 
 def slip_since_loading(
@@ -208,9 +208,9 @@ def slip_since_loading(
     """
     force_n = recording.wrench[:, 2]
     rising = recording.wrench_t_s <= onset_s + 1.5
-    inside = (force_n >= FIT_N[0]) & (force_n <= FIT_N[1]) & rising
+    inside = (force_n >= FIT_RANGE_N[0]) & (force_n <= FIT_RANGE_N[1]) & rising
     inside &= (recording.wrench_t_s >= onset_s) & np.isfinite(force_n)
-    if int(inside.sum()) < FEWEST_SAMPLES or not len(recording.pose_t_s):
+    if int(inside.sum()) < MIN_SAMPLES or not len(recording.pose_t_s):
         return float("nan")
     loading_mm = np.interp(
         recording.wrench_t_s[inside], recording.pose_t_s, recording.pose_mm[:, 2]

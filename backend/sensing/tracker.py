@@ -45,7 +45,7 @@ from touchdown.backend.sensing.detector import (
 from touchdown.backend.sensing.slip import fit_rigid
 from touchdown.backend.sensing.zeroing import TactileReference
 
-NEAREST_ORDER_PX = 4.0
+MIN_ORDER_PX = 4.0
 """Neighbours closer than this along their axis have lost their order."""
 
 
@@ -57,7 +57,7 @@ def nearest_dots(expected_px: FloatArray, dots_px: FloatArray, reach_px: float) 
     owner = np.full(len(expected_px), -1, dtype=np.intp)
     if not len(dots_px):
         return owner
-    gap = _gap(expected_px, dots_px)
+    gap = _distances(expected_px, dots_px)
     mine, theirs = gap.argmin(axis=1), gap.argmin(axis=0)
     places = np.arange(len(expected_px))
     mutual = (theirs[mine] == places) & (gap[places, mine] <= reach_px)
@@ -65,7 +65,7 @@ def nearest_dots(expected_px: FloatArray, dots_px: FloatArray, reach_px: float) 
     return owner
 
 
-def assign_rest(
+def assign_remaining(
     owner: NDArray[np.intp], expected_px: FloatArray, dots_px: FloatArray, reach_px: float
 ) -> NDArray[np.intp]:
     """Complete ``owner``: markers without a dot share out the free dots at least total distance."""
@@ -74,34 +74,34 @@ def assign_rest(
     completed = owner.copy()
     if not len(places) or not len(free):
         return completed
-    gap = _gap(expected_px[places], dots_px[free])
+    gap = _distances(expected_px[places], dots_px[free])
     rows, cols = linear_sum_assignment(np.minimum(gap, 2 * reach_px))
     near = gap[rows, cols] <= reach_px
     completed[places[rows[near]]] = free[cols[near]]
     return completed
 
 
-def out_of_order(position_px: FloatArray) -> NDArray[np.bool_]:
+def misordered_markers(position_px: FloatArray) -> NDArray[np.bool_]:
     """Return the (63,) markers whose right or lower neighbour is not right of or below them."""
     grid = position_px.reshape(GRID_ROWS, GRID_COLS, 2)
     wrong = np.zeros((GRID_ROWS, GRID_COLS), dtype=bool)
-    across = np.diff(grid[:, :, 0], axis=1) < NEAREST_ORDER_PX
+    across = np.diff(grid[:, :, 0], axis=1) < MIN_ORDER_PX
     wrong[:, :-1] |= across
     wrong[:, 1:] |= across
-    down = np.diff(grid[:, :, 1], axis=0) < NEAREST_ORDER_PX
+    down = np.diff(grid[:, :, 1], axis=0) < MIN_ORDER_PX
     wrong[:-1] |= down
     wrong[1:] |= down
     return wrong.ravel()
 
 
-def _gap(expected_px: FloatArray, dots_px: FloatArray) -> FloatArray:
+def _distances(expected_px: FloatArray, dots_px: FloatArray) -> FloatArray:
     across = expected_px[:, None, 0] - dots_px[None, :, 0]
     down = expected_px[:, None, 1] - dots_px[None, :, 1]
     # Not hypot, whose care for overflow takes six times as long.
     return np.asarray(np.sqrt(across * across + down * down), dtype=np.float64)
 
 
-LARGEST_CARRY_PX = 8.0
+MAX_CARRY_PX = 8.0
 
 
 class HiddenMarkers:
@@ -150,7 +150,7 @@ class HiddenMarkers:
         smooth = self.carry(self._known, seen)
         deviation = self._known - smooth
         length = np.maximum(np.linalg.norm(deviation, axis=1), 1e-9)
-        self._deviation = deviation * np.minimum(1.0, LARGEST_CARRY_PX / length)[:, None]
+        self._deviation = deviation * np.minimum(1.0, MAX_CARRY_PX / length)[:, None]
         self._size = np.linalg.norm(smooth, axis=1)
 
 
@@ -211,9 +211,9 @@ STRAY_PX = 5.0
 """A step that differs this much from its neighbours' steps is not believed."""
 SMOOTH_PX = 0.5
 """Frame-to-frame misfit (rms) up to which a field counts as smooth."""
-_LARGEST_SHIFT_PX = 5.0
+_MAX_SHIFT_PX = 5.0
 """A centre further from where it was looked for belongs to something else."""
-_FEWEST_SEEN = 32
+_MIN_SEEN = 32
 _REORDER_EVERY = 5
 _NO_BLOB = -1
 
@@ -314,7 +314,7 @@ class MarkerTracker:
             return None
         centres = self._detector.refine(self._position)
         place = centres.position_px
-        near = np.abs(place - self._position).max() < _LARGEST_SHIFT_PX
+        near = np.abs(place - self._position).max() < _MAX_SHIFT_PX
         if not (near and self._looks.recognise_all(centres.looks)):
             return None
         self._restless = 0
@@ -346,12 +346,12 @@ class MarkerTracker:
         hit = found >= 0
         step[hit] = dots[found[hit]] - self._position[hit]
         expected = self._position + self._hidden.carry(step, hit)
-        return assign_rest(found, expected, dots, reach_px)
+        return assign_remaining(found, expected, dots, reach_px)
 
     def _should_reorder(self, missing: int, dots: int) -> bool:
         if not missing or self._restless % _REORDER_EVERY != 1:
             return False
-        return MARKERS - missing < _FEWEST_SEEN or dots >= MARKERS
+        return MARKERS - missing < _MIN_SEEN or dots >= MARKERS
 
     def _lock(self, blobs: Blobs) -> NDArray[np.intp] | None:
         ordered = order_grid(blobs)
@@ -364,7 +364,7 @@ class MarkerTracker:
     def _reordered(self, blobs: Blobs, owner: NDArray[np.intp]) -> NDArray[np.intp]:
         """Take the order from geometry if it is certain, else keep ``owner``."""
         ordered = order_grid(blobs)
-        few = int((owner >= 0).sum()) < _FEWEST_SEEN
+        few = int((owner >= 0).sum()) < _MIN_SEEN
         if not (ordered.report.complete or (few and ordered.report.usable)):
             return owner
         self.grid = ordered.report
@@ -398,7 +398,7 @@ class MarkerTracker:
         centres = self._detector.refine(start)
         stale = t_s - self._last_seen_s[seen] > LOST_AFTER_S
         good = self._looks.recognise(np.flatnonzero(seen), centres.looks, stale)
-        good &= np.abs(centres.position_px - start).max(axis=1, initial=0.0) < _LARGEST_SHIFT_PX
+        good &= np.abs(centres.position_px - start).max(axis=1, initial=0.0) < _MAX_SHIFT_PX
         position[seen] = np.where(good[:, None], centres.position_px, position[seen])
         seen[seen] = good
         return seen, position
@@ -422,7 +422,7 @@ class MarkerTracker:
         """Fill in the unseen and remember the frame."""
         self._position = self._hidden.fill(position, seen)
         if not seen.all():
-            self._hidden.forget(out_of_order(self._position) & ~seen)
+            self._hidden.forget(misordered_markers(self._position) & ~seen)
         self._last_seen_s[seen] = t_s
         self._was_seen = seen
 

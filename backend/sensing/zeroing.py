@@ -136,7 +136,7 @@ def _largest(channels: FloatArray) -> tuple[float, float]:
 
 REST_FRAMES = 10
 """Frames of a usual reference."""
-FEWEST_REST_FRAMES = 3
+MIN_REST_FRAMES = 3
 NOISE_FLOOR_PX = 0.06
 """Noise of one marker centre on a still gel (measured on real frames, docs/tracking.md)."""
 MOTION_FACTOR = 3.0
@@ -213,9 +213,9 @@ def shape_change_px(position_px: FloatArray, rest_px: FloatArray) -> float:
 
 
 def _check_frames(fields: Sequence[MarkerField]) -> None:
-    if len(fields) < FEWEST_REST_FRAMES or len({field.finger for field in fields}) > 1:
+    if len(fields) < MIN_REST_FRAMES or len({field.finger for field in fields}) > 1:
         raise RefusedError(
-            "frames", f"A reference needs {FEWEST_REST_FRAMES} or more frames of one finger."
+            "frames", f"A reference needs {MIN_REST_FRAMES} or more frames of one finger."
         )
     hidden = max(int((field.state != MarkerState.SEEN).sum()) for field in fields)
     if hidden:
@@ -226,22 +226,22 @@ def _check_frames(fields: Sequence[MarkerField]) -> None:
 
 BLOCK_S = 0.5
 """Samples of so long are one mean."""
-LEAST_S = 0.15
+MIN_BLOCK_S = 0.15
 """Shorter air says nothing."""
-STEP_N = 0.15
+LOAD_STEP_N = 0.15
 """From one mean to the next; more, or more than the noise explains, is a load."""
-FAST_N_S = 0.1
+MAX_DRIFT_N_S = 0.1
 """Between two stays in air it may have drifted by so much more a second; beyond is a load."""
 NOISE_FACTOR = 8.0
-BROKEN_S = 0.2
+MAX_SAMPLE_GAP_S = 0.2
 """Samples that are farther apart are not one air."""
-LONGEST_GAP_S = 60.0
+MAX_AIR_GAP_S = 60.0
 """What happened over a longer time out of the air is not known."""
-WINDOW_S = 300.0
+DRIFT_WINDOW_S = 300.0
 """Drift is told over so long: a tare is as old as that at most (reliability S8)."""
-NAMED_N, QUIET_N = 0.5, 0.25
+WARN_DRIFT_N, CLEAR_DRIFT_N = 0.5, 0.25
 """So much drift is named, well before it reaches 1 N, until there is as little as this again."""
-SOON_S = 5.0
+MIN_DRIFT_SPAN_S = 5.0
 """Less time in air gives no figure yet."""
 
 
@@ -277,7 +277,7 @@ class _AirMean:
     sigma_n: float
 
 
-class DriftWatch:
+class WrenchDriftEstimator:
     """Adds up what the air moves; the caller knows what air is."""
 
     def __init__(self) -> None:
@@ -296,7 +296,7 @@ class DriftWatch:
         t_s, force_n = t_s[finite], force_n[finite]
         if not len(t_s):
             return
-        if self._blocks and t_s[0] - self._blocks[-1][0][-1] > BROKEN_S:
+        if self._blocks and t_s[0] - self._blocks[-1][0][-1] > MAX_SAMPLE_GAP_S:
             self.leave()
         self._blocks.append((t_s, force_n))
         if t_s[-1] - self._blocks[0][0][0] >= BLOCK_S:
@@ -304,7 +304,7 @@ class DriftWatch:
 
     def leave(self) -> None:
         """Leave the air, or stand still no longer: until the next air more may change."""
-        if self._blocks and self._blocks[-1][0][-1] - self._blocks[0][0][0] >= LEAST_S:
+        if self._blocks and self._blocks[-1][0][-1] - self._blocks[0][0][0] >= MIN_BLOCK_S:
             self._close()
         self._blocks.clear()
         self._contiguous = False
@@ -316,11 +316,11 @@ class DriftWatch:
 
     def drift(self) -> WrenchDrift | None:
         """Return what was found, None as long as that is too little to say."""
-        if not self._told or self._told[-1][0] - self._told[0][0] < SOON_S:
+        if not self._told or self._told[-1][0] - self._told[0][0] < MIN_DRIFT_SPAN_S:
             return None
         (first_s, first_n), (last_s, last_n) = self._told[0], self._told[-1]
         moved_n = float(np.linalg.norm(last_n - first_n))
-        self._named = moved_n >= (QUIET_N if self._named else NAMED_N)
+        self._named = moved_n >= (CLEAR_DRIFT_N if self._named else WARN_DRIFT_N)
         return WrenchDrift(moved_n, last_s - first_s, self._named)
 
     def _close(self) -> None:
@@ -339,7 +339,7 @@ class DriftWatch:
             self._count(None if self._loaded else air.mean_n - before.mean_n)
         self._contiguous = True
         self._told.append((air.until_s if before is None else before.until_s, self._sum_n))
-        while self._told[0][0] < air.until_s - WINDOW_S:
+        while self._told[0][0] < air.until_s - DRIFT_WINDOW_S:
             self._told.popleft()
 
     def _count(self, step_n: FloatArray | None) -> None:
@@ -352,4 +352,4 @@ class DriftWatch:
         gap_s = 0.0 if self._contiguous else air.until_s - before.until_s
         noise_n = NOISE_FACTOR * math.hypot(air.sigma_n, before.sigma_n)
         moved_n = float(np.linalg.norm(air.mean_n - before.mean_n))
-        return gap_s > LONGEST_GAP_S or moved_n > max(STEP_N, noise_n) + FAST_N_S * gap_s
+        return gap_s > MAX_AIR_GAP_S or moved_n > max(LOAD_STEP_N, noise_n) + MAX_DRIFT_N_S * gap_s

@@ -287,10 +287,10 @@ class ArmDrive:
 
 
 ACCELERATION_RAD_S2 = 2.0
-HandPlace = tuple[FloatArray, FloatArray]
+HandPose = tuple[FloatArray, FloatArray]
 """Position (3,) of ``G``, mm, and turn (3, 3) of the hand."""
-PlaceCheck = Callable[[HandPlace], Fault | None]
-ForwardKinematics = Callable[[FloatArray], HandPlace]
+PoseCheck = Callable[[HandPose], Fault | None]
+ForwardKinematics = Callable[[FloatArray], HandPose]
 """From joints (6,), rad, to the place of the hand."""
 
 
@@ -306,19 +306,19 @@ class JointKinematics:
     """How joints become places, and which places are allowed."""
 
     chain: ForwardKinematics
-    allowed: PlaceCheck
+    allowed: PoseCheck
 
 
-class _SimRotation:
+class _CheckedProgram:
     """What the programs share: where they are, and how they end where they may not go on."""
 
-    def __init__(self, start: HandPlace, allowed: PlaceCheck) -> None:
+    def __init__(self, start: HandPose, allowed: PoseCheck) -> None:
         self.turn: FloatArray | None = start[1]
         self.failure: Fault | None = None
         self.done = False
         self._allowed = allowed
 
-    def _go(self, command_mm: FloatArray, place: HandPlace) -> FloatArray:
+    def _go(self, command_mm: FloatArray, place: HandPose) -> FloatArray:
         """Return the command of ``place``, or stand still for good where it is not allowed."""
         self.failure = self._allowed(place)
         if self.failure is not None:
@@ -328,11 +328,11 @@ class _SimRotation:
         return place[0]
 
 
-class SimRotationTravel(_SimRotation):
+class SimRotationTravel(_CheckedProgram):
     """Straight to a place while the hand turns evenly: neither goes faster than its speed."""
 
     def __init__(
-        self, start: HandPlace, end: HandPlace, speeds: tuple[float, float], allowed: PlaceCheck
+        self, start: HandPose, end: HandPose, speeds: tuple[float, float], allowed: PoseCheck
     ) -> None:
         """``speeds``: mm/s and rad/s."""
         super().__init__(start, allowed)
@@ -361,10 +361,10 @@ class SimRotationTravel(_SimRotation):
         return self._go(command_mm, (self._start[0] + share * self._way_mm, turn))
 
 
-class SimRotationJog(_SimRotation):
+class SimRotationJog(_CheckedProgram):
     """Follows a velocity and a turn until its time is up, then brakes. Renewed in place."""
 
-    def __init__(self, start: HandPlace, allowed: PlaceCheck) -> None:
+    def __init__(self, start: HandPose, allowed: PoseCheck) -> None:
         super().__init__(start, allowed)
         self._asked: tuple[FloatArray, FloatArray, float] = (np.zeros(3), np.zeros(3), -math.inf)
         self._mm_s, self._rad_s = np.zeros(3), np.zeros(3)
@@ -388,7 +388,7 @@ class SimRotationJog(_SimRotation):
         return self._go(command_mm, (command_mm + self._mm_s * dt_s, turn))
 
 
-class SimJointTravel(_SimRotation):
+class SimJointTravel(_CheckedProgram):
     """All joints to their ends at once; the one with the longest way sets the pace."""
 
     def __init__(
@@ -409,7 +409,7 @@ class SimJointTravel(_SimRotation):
         return after
 
 
-class SimJointJog(_SimRotation):
+class SimJointJog(_CheckedProgram):
     """Turns joints until its time is up, then brakes. Renewed in place."""
 
     def __init__(self, start_rad: FloatArray, how: JointKinematics) -> None:

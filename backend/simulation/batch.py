@@ -217,7 +217,7 @@ class _BatchBench:
             rejected += int((~good).sum())
             waiting = waiting[~good]
             if not len(waiting):
-                return _joined([parts[i] for i in range(len(grips))], rejected)
+                return _join_rows([parts[i] for i in range(len(grips))], rejected)
         raise RuntimeError(
             f"{len(waiting)} probes of {self.plan.piece} failed {MAX_ATTEMPTS} times"
         )
@@ -405,7 +405,7 @@ def usable_presses(
     return np.asarray(pressed.detected & converged & (largest <= bound))
 
 
-def _joined(
+def _join_rows(
     parts: list[tuple[EpisodeBatch, GraspHistory, int]], rejected: int
 ) -> tuple[EpisodeBatch, GraspHistory]:
     """Pick row k of each part, in order."""
@@ -476,7 +476,7 @@ class BatchedTrials:
     @staticmethod
     def shared(scene: Scene) -> tuple[object, ...]:
         """Return what must be the same in all scenes."""
-        return scene.piece, scene.surface, scene.settings, _free(scene)
+        return scene.piece, scene.surface, scene.settings, _count_free_bodies(scene)
 
     def surfaces(self, rows: NDArray[np.intp]) -> Region:
         """Return what lies under the faces of the trials ``rows``."""
@@ -559,5 +559,5 @@ class BatchedTrials:
         return nuisance.scoped_generator(seed, SeedScope.PROBE, _MOUNTING, _GRIP, number, _SENSORS)
 
 
-def _free(scene: Scene) -> int:
+def _count_free_bodies(scene: Scene) -> int:
     return sum(not body.fixed for body in scene.bottoms.bodies)

@@ -223,7 +223,7 @@ def halve_steps(
         done += count
 
 
-SCALE = np.array([1.0, 1.0, 1.0, 1 / 20.0, 1 / 20.0, 1 / 20.0])
+RESIDUAL_SCALE = np.array([1.0, 1.0, 1.0, 1 / 20.0, 1 / 20.0, 1 / 20.0])
 """Residual scale: forces in N, moments divided by 20 mm."""
 TOLERANCE = 1e-6
 RESIDUAL_LIMIT = 1e-4
@@ -270,7 +270,7 @@ def solve_equilibrium(
         matrix[:, _DIAGONAL, _DIAGONAL] -= stiffness
         step = np.asarray(np.linalg.solve(matrix, -now.left[:, :, None])[:, :, 0], np.float64)
         step[~busy] = 0.0
-        now = _stepped(spring, now, step, busy)
+        now = _newton_step(spring, now, step, busy)
     return now.q, now.touch, now.size
 
 
@@ -308,10 +308,10 @@ class _SpringLoad:
     def at(self, q: FloatArray) -> _MotionTrial:
         there = contact_forces(self.cells, self.anchor, q)
         left = there.wrench - self.stiffness * (q - self.zero)
-        return _MotionTrial(q, there, left, _size(left))
+        return _MotionTrial(q, there, left, _residual_norm(left))
 
 
-def _stepped(
+def _newton_step(
     spring: _SpringLoad, now: _MotionTrial, step: FloatArray, busy: NDArray[np.bool_]
 ) -> _MotionTrial:
     """Go one Newton step, halved for each probe until its residual falls."""
@@ -328,6 +328,6 @@ def _stepped(
 _DIAGONAL = np.arange(6)
 
 
-def _size(residual: FloatArray) -> FloatArray:
-    scaled = residual * SCALE
+def _residual_norm(residual: FloatArray) -> FloatArray:
+    scaled = residual * RESIDUAL_SCALE
     return np.asarray(np.sqrt((scaled * scaled).sum(axis=1)), dtype=np.float64)

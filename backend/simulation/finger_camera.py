@@ -110,7 +110,7 @@ class DotRenderer:
     ) -> None:
         self._look, self._still_px = look, still_px
         self._drawn_px = np.full((MARKERS, 2), np.inf)
-        self._slopes = _slopes(look.rest_px)
+        self._slopes = _gradient_operators(look.rest_px)
         contrast = 1.0 - np.abs(_CONTRAST_SPREAD * rng.standard_normal(MARKERS))
         self._contrast = contrast.astype(np.float32)[:, None, None]
         angle = rng.uniform(0.0, 2.0 * np.pi, (MARKERS, _FLECKS))
@@ -179,7 +179,7 @@ class DotRenderer:
 _LAST_CORNER = (WIDTH_PX + _SIZE_PX, HEIGHT_PX + _SIZE_PX)
 
 
-def _slopes(rest_px: FloatArray) -> FloatArray:
+def _gradient_operators(rest_px: FloatArray) -> FloatArray:
     """Return (2, 63, 63): maps a field on the grid to its slopes along u and v, per px."""
     rest = rest_px.reshape(GRID_ROWS, GRID_COLS, 2)
     units = np.eye(MARKERS).reshape(GRID_ROWS, GRID_COLS, MARKERS)
@@ -232,8 +232,8 @@ class TactileRenderer:
         self._bank = _noise_bank(json.dumps(fixed.bit_generator.state), look.noise)
         margin = 2 * _FRINGE_PX
         shadow = np.zeros((HEIGHT_PX + margin, WIDTH_PX + margin), dtype=np.float32)
-        self._shadow = _moved(shadow, 0, 0)
-        self._fringes = [_moved(shadow, du, dv) for du, dv in _FRINGE]
+        self._shadow = _shifted_view(shadow, 0, 0)
+        self._fringes = [_shifted_view(shadow, du, dv) for du, dv in _FRINGE]
         self._shaded = np.empty((3, HEIGHT_PX, WIDTH_PX), dtype=np.float32)
         self._smeared = False
         self._plane = np.empty((HEIGHT_PX, WIDTH_PX), dtype=np.float32)
@@ -271,7 +271,7 @@ class TactileRenderer:
             there += cover * (np.float32(self.look.smear[channel]) - there)
 
 
-def _moved(wide: Float32, du: int, dv: int) -> Float32:
+def _shifted_view(wide: Float32, du: int, dv: int) -> Float32:
     """Return the image within ``wide``, which has a margin, moved by (du, dv)."""
     u, v = _FRINGE_PX - du, _FRINGE_PX - dv
     return wide[v : v + HEIGHT_PX, u : u + WIDTH_PX]

@@ -33,9 +33,9 @@ from touchdown.backend.simulation.scene import Scene
 from touchdown.backend.simulation.supports import slide_bottoms, support_stack
 from touchdown.backend.simulation.wrist_sensor import held_piece_load
 
-CLOSING_S = 0.5
+CLOSING_TIME_S = 0.5
 """Time to reach the piece from the open position."""
-SQUEEZE_S = 0.1
+SQUEEZE_TIME_S = 0.1
 """Time from touching the piece to full force."""
 LET_GO_MM = 0.1
 """The pads have lost the piece when the jaws are wider than it by this much."""
@@ -72,7 +72,7 @@ class SimulatedJaws:
         with self._lock:
             self._target_mm = self._piece_mm if self.piece_present else 0.0
             way = max(self.width_mm - self._target_mm, 0.0)
-            self._speed_mm_s = -max(way / CLOSING_S, 1.0)
+            self._speed_mm_s = -max(way / CLOSING_TIME_S, 1.0)
             self.asked_n = force_n
 
     def open_to(self, width_mm: float, speed_mm_s: float) -> None:
@@ -116,7 +116,7 @@ class SimulatedJaws:
         if not self.piece_present:
             self._target_mm = None
             return JawEvents()
-        self.force_n = min(self.force_n + self.asked_n * dt_s / SQUEEZE_S, self.asked_n)
+        self.force_n = min(self.force_n + self.asked_n * dt_s / SQUEEZE_TIME_S, self.asked_n)
         if self.force_n < self.asked_n:
             return JawEvents()
         self._target_mm = None

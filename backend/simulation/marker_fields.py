@@ -71,7 +71,7 @@ FillMarkers = Callable[[FloatArray, NDArray[np.bool_]], FloatArray]
 
 FRAMES_PER_PRESS = 72
 """Frames per camera that cover any press at 25 Hz."""
-LEAD_S = 0.25
+LEAD_TIME_S = 0.25
 """The first frames come this much before first touch."""
 IMAGE_PX = (320.0, 240.0)
 
@@ -96,7 +96,7 @@ def draw_camera(settings: TactileSettings, rng: np.random.Generator) -> CameraDr
     phase = period * rng.random((2, 1))
     jitter = settings.jitter_s * (2.0 * rng.random((2, FRAMES_PER_PRESS)) - 1.0)
     dropped = rng.random((2, FRAMES_PER_PRESS)) < settings.drop_share
-    t_s = phase + period * np.arange(FRAMES_PER_PRESS) - LEAD_S + jitter
+    t_s = phase + period * np.arange(FRAMES_PER_PRESS) - LEAD_TIME_S + jitter
     white = rng.standard_normal((SAMPLES_PER_PROBE, 2, 2, MARKERS, 2), dtype=np.float32)
     white *= np.float32(settings.white_px)
     # From the reference, about 1.5 s before the press, the field has drifted already.
@@ -106,11 +106,11 @@ def draw_camera(settings: TactileSettings, rng: np.random.Generator) -> CameraDr
         * np.sqrt(np.r_[1.6, np.full(SAMPLES_PER_PROBE - 1, 0.1)])[:, None, None]
     )
     return CameraDraw(
-        np.where(dropped, np.inf, t_s), _lost(settings, rng), white, np.cumsum(steps, axis=0)
+        np.where(dropped, np.inf, t_s), _draw_lost(settings, rng), white, np.cumsum(steps, axis=0)
     )
 
 
-def _lost(settings: TactileSettings, rng: np.random.Generator) -> NDArray[np.bool_]:
+def _draw_lost(settings: TactileSettings, rng: np.random.Generator) -> NDArray[np.bool_]:
     """Return (2, 72, 63) markers lost in bursts of 1 to ``lost_frames`` frames."""
     lost = np.zeros((2, FRAMES_PER_PRESS, MARKERS), dtype=bool)
     mean_length = 0.5 * (1 + settings.lost_frames)
@@ -121,7 +121,9 @@ def _lost(settings: TactileSettings, rng: np.random.Generator) -> NDArray[np.boo
     return lost
 
 
-def around_ticks(t_s: FloatArray, ticks_s: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+def frames_around_ticks(
+    t_s: FloatArray, ticks_s: FloatArray
+) -> tuple[NDArray[np.intp], FloatArray]:
     """Return frame indices (B, 2, 20, 2) before and after each tick, and weights of the same shape.
 
     ``t_s`` (B, 2, 72), inf where dropped; ``ticks_s`` (B, 20).
@@ -169,7 +171,7 @@ def fields_at_ticks(
     ``air`` (B, 14): values with the piece held in air (the reference).
     """
     t_s = np.stack([draw.t_s for draw in draws])
-    index, weight = around_ticks(t_s, ticks_s)
+    index, weight = frames_around_ticks(t_s, ticks_s)
     count = len(draws)
     rows = np.arange(count)[:, None, None, None]
     fingers = np.arange(2)[None, :, None, None]
@@ -178,7 +180,7 @@ def fields_at_ticks(
     moved = _inputs(values, sight) - _inputs(air[:, None, None, None, :], sight)
     field = (moved.reshape(count, 2, -1, 4) @ sight.gel.map).reshape(*index.shape, MARKERS, 2)
     lost = np.stack([draw.lost for draw in draws])[rows, fingers, index]
-    lost |= _outside(sight.gel.rest_px[:, None, None] + field, sight.border_px)
+    lost |= _near_border(sight.gel.rest_px[:, None, None] + field, sight.border_px)
     field *= sight.gain[:, :, None, None, None, None]
     field += np.stack([draw.white_px for draw in draws]).swapaxes(1, 2)
     hurt = lost.any(axis=-1)
@@ -200,7 +202,7 @@ def _inputs(values: FloatArray, sight: PadImaging) -> FloatArray:
     return np.stack([both[:, 0, ..., 0, :], both[:, 1, ..., 1, :]], axis=1)
 
 
-def _outside(position_px: FloatArray, border_px: float) -> NDArray[np.bool_]:
+def _near_border(position_px: FloatArray, border_px: float) -> NDArray[np.bool_]:
     low = (position_px < border_px).any(axis=-1)
     high = (position_px > np.array(IMAGE_PX) - border_px).any(axis=-1)
     return np.asarray(low | high)

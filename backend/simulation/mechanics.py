@@ -154,7 +154,7 @@ def relax(
 
 
 SLIP_TOLERANCE = 1e-5
-SLIP_PASSES = 200
+MAX_SLIP_PASSES = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,32 +258,32 @@ def solve_with_slip(step: TimeStep, start: GripSolution) -> tuple[GripSolution, 
     Never raises for lack of convergence: the residual is infinite then.
     """
     if step.stand is None:
-        return _together(step, start)
-    return _each_for_itself(step, step.stand, start)
+        return _solve_on_rigid(step, start)
+    return _solve_on_moving(step, step.stand, start)
 
 
-def _together(step: TimeStep, start: GripSolution) -> tuple[GripSolution, ContactForces]:
+def _solve_on_rigid(step: TimeStep, start: GripSolution) -> tuple[GripSolution, ContactForces]:
     now = start
-    for _ in range(SLIP_PASSES):
-        zero = _zero(step, now.slip)
+    for _ in range(MAX_SLIP_PASSES):
+        zero = _elastic_zero_of(step, now.slip)
         q, there, residual = solve_equilibrium(
             step.cells, step.anchor, now.q, zero, step.spring.matrix_diagonal
         )
-        now, mapped = _mapped(step, replace(now, q=q, residual=residual), zero)
+        now, mapped = _map_slip(step, replace(now, q=q, residual=residual), zero)
         if np.abs(mapped - now.slip).max(initial=0.0) < SLIP_TOLERANCE:
             return now, there
         now = replace(now, slip=mapped)
     return replace(now, residual=np.full_like(now.residual, np.inf)), there
 
 
-def _each_for_itself(
+def _solve_on_moving(
     step: TimeStep, stand: SupportStack, start: GripSolution
 ) -> tuple[GripSolution, ContactForces]:
     rows = np.arange(len(start.q))
     ends, part, now = start, step, start
-    for _ in range(SLIP_PASSES):
+    for _ in range(MAX_SLIP_PASSES):
         assert part.stand is not None
-        zero = _zero(part, now.slip)
+        zero = _elastic_zero_of(part, now.slip)
         held = part.held(zero, part.stand)
         settled = solve_on_supports(held, now.q, now.pose, now.alive, eased=step.last)
         now = replace(
@@ -293,7 +293,7 @@ def _each_for_itself(
             residual=settled.residual,
             alive=now.alive & (settled.residual <= RESIDUAL_LIMIT),
         )
-        now, mapped = _mapped(part, now, zero)
+        now, mapped = _map_slip(part, now, zero)
         ends = ends.replaced(rows, now)
         change = np.abs(mapped - now.slip).max(axis=(1, 2), initial=0.0)
         slipping = np.flatnonzero(now.alive & ~(change < SLIP_TOLERANCE))
@@ -311,13 +311,15 @@ def _each_for_itself(
     return ends, contact_forces(step.cells, step.anchor, ends.q - ride)
 
 
-def _zero(step: TimeStep, slip: FloatArray) -> FloatArray:
+def _elastic_zero_of(step: TimeStep, slip: FloatArray) -> FloatArray:
     unloaded = step.spring.hidden.copy()
     unloaded[:, :, :3] += slip
     return elastic_zero(step.commanded_mm, unloaded, step.conditions.width_mm)
 
 
-def _mapped(step: TimeStep, now: GripSolution, zero: FloatArray) -> tuple[GripSolution, FloatArray]:
+def _map_slip(
+    step: TimeStep, now: GripSolution, zero: FloatArray
+) -> tuple[GripSolution, FloatArray]:
     """Return ``now`` with the motion of the pads, and the slip mapped back."""
     conditions, spring = step.conditions, step.spring
     d = pad_motion(now.q, zero, step.commanded_mm, spring.give, conditions.width_mm)
@@ -326,9 +328,9 @@ def _mapped(step: TimeStep, now: GripSolution, zero: FloatArray) -> tuple[GripSo
     return replace(now, d=d, normal_n=normal_n), mapped
 
 
-SPLITS = 2
+MAX_SPLITS = 2
 """A step without balance is gone again in halves, and these again, so many times."""
-_MOVING = ("q", "slip", "relaxed", "residual", "depth_mm", "slope", "toppled")
+_STATE_ARRAYS = ("q", "slip", "relaxed", "residual", "depth_mm", "slope", "toppled")
 
 
 class Region(Protocol):
@@ -386,9 +388,9 @@ class ContactState:
     stand: SupportStack | None
     pose: SupportMotion
     toppled: NDArray[np.bool_]
-    splits: int = SPLITS
+    splits: int = MAX_SPLITS
 
-    def on(self, stand: SupportStack | None, splits: int = SPLITS) -> ContactState:
+    def on(self, stand: SupportStack | None, splits: int = MAX_SPLITS) -> ContactState:
         """Return the state on supports that can rock and slide, upright by now; None: rigid."""
         if stand is None:
             return self
@@ -405,14 +407,14 @@ class ContactState:
             pivot_mm=self.pivot_mm[rows],
             stand=None if self.stand is None else self.stand.take(rows),
             pose=self.pose.take(rows),
-            **{name: getattr(self, name)[rows] for name in _MOVING},
+            **{name: getattr(self, name)[rows] for name in _STATE_ARRAYS},
         )
 
     def replaced(self, rows: NDArray[np.intp], by: ContactState) -> ContactState:
         """Return a copy in which the probes ``rows`` have moved on to ``by``."""
         anchor = self.anchor.copy()
         anchor[:, rows] = by.anchor
-        moved = {n: _put(getattr(self, n), rows, getattr(by, n)) for n in _MOVING}
+        moved = {n: _with_rows(getattr(self, n), rows, getattr(by, n)) for n in _STATE_ARRAYS}
         return replace(self, anchor=anchor, pose=self.pose.replaced(rows, by.pose), **moved)
 
 
@@ -437,7 +439,9 @@ class ProbeEquilibrium:
     def replaced(self, rows: NDArray[np.intp], by: ProbeEquilibrium) -> ProbeEquilibrium:
         """Return a copy in which the probes ``rows`` are those of ``by``."""
         names = [f.name for f in fields(self)]
-        return ProbeEquilibrium(**{n: _put(getattr(self, n), rows, getattr(by, n)) for n in names})
+        return ProbeEquilibrium(
+            **{n: _with_rows(getattr(self, n), rows, getattr(by, n)) for n in names}
+        )
 
     @property
     def pressing_n(self) -> FloatArray:
@@ -509,7 +513,7 @@ def advance_probes(
     position. Where moving supports find no balance the step is gone again in halves.
     Never raises for lack of convergence: check ``residual`` against ``RESIDUAL_LIMIT``.
     """
-    after, solved = _advanced(state, commanded_mm, dt_s)
+    after, solved = _advance_once(state, commanded_mm, dt_s)
     alive = state.residual <= RESIDUAL_LIMIT
     lost = np.flatnonzero(alive & ~(solved.residual <= RESIDUAL_LIMIT))
     if state.stand is None or not state.splits or not len(lost):
@@ -524,7 +528,7 @@ def advance_probes(
     return after.replaced(lost, part), solved.replaced(lost, found)
 
 
-def _advanced(
+def _advance_once(
     state: ContactState, commanded_mm: FloatArray, dt_s: float | FloatArray
 ) -> tuple[ContactState, ProbeEquilibrium]:
     conditions = state.conditions
@@ -577,7 +581,7 @@ def _advanced(
     return after, solved
 
 
-def _put(values: Any, rows: NDArray[np.intp], by: Any) -> Any:
+def _with_rows(values: Any, rows: NDArray[np.intp], by: Any) -> Any:
     """Return the array ``values`` with ``rows`` from ``by``; which array it is, the name says."""
     changed = values.copy()
     changed[rows] = by

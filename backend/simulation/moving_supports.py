@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from touchdown.backend.core import FloatArray
 from touchdown.backend.simulation.contact import (
     RESIDUAL_LIMIT,
-    SCALE,
+    RESIDUAL_SCALE,
     TOLERANCE,
     ContactCells,
     ContactForces,
@@ -101,7 +101,7 @@ class SupportLaw:
         """Return the law at the motion ``q`` (B, 6), supports at ``pose``, forces ``now``."""
         stand = held.stand
         load = now.wrench[:, 2:3] + stand.weight_n
-        moment = np.einsum("bmij,bj->bmi", levers(held), now.wrench)
+        moment = np.einsum("bmij,bj->bmi", moment_arms(held), now.wrench)
         moment += now.wrench[:, None, 2:3] * face_motion(held.cells, q)[:, None]
         moment += stand.centre_nmm + weight_moment_growth(stand, pose)
         centre = moment / load[..., None]
@@ -144,7 +144,7 @@ class SupportLaw:
         return np.asarray(np.sqrt((rock**2 + self.slide**2).sum(axis=(1, 2))), dtype=np.float64)
 
 
-def levers(held: SolutionInputs) -> FloatArray:
+def moment_arms(held: SolutionInputs) -> FloatArray:
     """Return (B, m, 2, 6): moments of a unit wrench on the piece, as resultant times load."""
     up = held.stand.height_mm - held.cells.r_z[:, None]
     levers = np.zeros((*up.shape, 2, 6))
@@ -206,7 +206,7 @@ def solve_on_supports(
     if not len(rows):
         return start
     loose = held.take(rows)
-    found = _together(loose, start.q[rows], start.pose.take(rows))
+    found = _solve_newton(loose, start.q[rows], start.pose.take(rows))
     lost = np.flatnonzero(~(found.residual <= TOLERANCE))
     if eased and len(lost):
         again = _relaxed_drag(loose.take(lost), start.q[rows[lost]], start.pose.take(rows[lost]))
@@ -218,7 +218,7 @@ def solve_on_supports(
 
 def _resting_solution(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:
     """Return the equilibrium on supports that stay; residual infinity where they may not."""
-    q, now, residual = _fixed(held, q, pose)
+    q, now, residual = _solve_fixed(held, q, pose)
     law = SupportLaw.at(held, q, pose, now)
     return SupportSolution(q, pose, np.where(law.size <= TOLERANCE, residual, np.inf))
 
@@ -251,13 +251,13 @@ def _relaxed_drag(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> S
     now = SupportSolution(q, pose, np.full(len(q), np.inf))
     for drag in DRAGS_MM_RAD:
         slowly = replace(held, leaned_rad=now.pose.rock_rad, drag_mm_rad=drag)
-        found = _together(slowly, now.q, now.pose)
+        found = _solve_newton(slowly, now.q, now.pose)
         there = np.flatnonzero(found.residual <= TOLERANCE)
         now = now.replaced(there, found.take(there))
-    return _together(held, now.q, now.pose)
+    return _solve_newton(held, now.q, now.pose)
 
 
-def _fixed(
+def _solve_fixed(
     held: SolutionInputs, q: FloatArray, pose: SupportMotion
 ) -> tuple[FloatArray, ContactForces, FloatArray]:
     """Return q (B, 6), forces and residual of the equilibrium on supports that stay at ``pose``."""
@@ -268,7 +268,7 @@ def _fixed(
     return relative + ride, now, residual
 
 
-def _together(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:
+def _solve_newton(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:
     """Newton with step halving on piece and supports at once; finished probes are laid aside.
 
     During one step the edges stay where the last one found them: the lift of a body about a given
@@ -292,14 +292,14 @@ def _together(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> Suppo
                 return ends
             rows, held, rest = rows[busy], held.take(busy), rest.take(busy)
             edge, before = edge[busy], before[busy]
-        rest = _stepped(held, edge, rest)
+        rest = _newton_step(held, edge, rest)
     return ends.replaced(rows, rest.settled)
 
 
-def _stepped(held: SolutionInputs, edge_mm: FloatArray, rest: _ResidualTrial) -> _ResidualTrial:
+def _newton_step(held: SolutionInputs, edge_mm: FloatArray, rest: _ResidualTrial) -> _ResidualTrial:
     """Go one Newton step, halved for each probe until its residual falls."""
     count, m = rest.law.load_n.shape
-    matrix = _matrix(held, rest.q, rest.now, rest.law, edge_mm)
+    matrix = _jacobian(held, rest.q, rest.now, rest.law, edge_mm)
     laws = np.concatenate([rest.law.rock, rest.law.slide], axis=1).reshape(count, 4 * m)
     right = np.concatenate([rest.force, laws], axis=1)
     step = np.linalg.solve(matrix, -right[:, :, None])[:, :, 0]
@@ -333,7 +333,7 @@ class _ResidualTrial:
         now = contact_forces(held.cells, held.anchor, q - carried_motion(held, pose, edge_mm))
         law = SupportLaw.at(held, q, pose, now)
         force = now.wrench - held.stiffness * (q - held.zero)
-        size = np.sqrt(((force * SCALE) ** 2).sum(axis=1) + law.size**2)
+        size = np.sqrt(((force * RESIDUAL_SCALE) ** 2).sum(axis=1) + law.size**2)
         return cls(q, pose, now, law, force, size)
 
     @property
@@ -365,7 +365,7 @@ class _ResidualTrial:
         self.law.put(rows, by.law)
 
 
-def _matrix(
+def _jacobian(
     held: SolutionInputs, q: FloatArray, now: ContactForces, law: SupportLaw, edge_mm: FloatArray
 ) -> FloatArray:
     """Return d(residuals)/d(q, rock, slide), (B, 6 + 4m, 6 + 4m)."""
@@ -375,7 +375,7 @@ def _matrix(
     # Only motion relative to the support changes the wrench on the piece.
     relative = np.zeros((count, 6, width))
     relative[:, :, :6] = np.eye(6)
-    relative[:, :, rock] = -_ride_rock(held, edge_mm)
+    relative[:, :, rock] = -_carried_slope(held, edge_mm)
     relative[:, :2, slide] = -np.tile(AXES, (1, m))
     wrench = tangent_stiffness(held.cells, now) @ relative
     matrix = np.zeros((count, width, width))
@@ -384,15 +384,15 @@ def _matrix(
     at = _resultant_slope(held, q, now, law, wrench)
     away = AXES - law.corner_slope
     rows = away @ at
-    rows[..., rock] -= ROCK_MM_RAD * _each(law.corner_slope)
+    rows[..., rock] -= ROCK_MM_RAD * _block_diagonal(law.corner_slope)
     rigid = np.zeros((count, m, 2, width))
-    rigid[..., rock] = ROCK_MM_RAD * _each(np.broadcast_to(AXES, (count, m, 2, 2)))
+    rigid[..., rock] = ROCK_MM_RAD * _block_diagonal(np.broadcast_to(AXES, (count, m, 2, 2)))
     rows = np.where(stand.rocks[..., None, None], rows, rigid)
     matrix[:, rock] = rows.reshape(count, 2 * m, width)
     lateral = -wrench[:, None, :2]
     rows = (AXES - law.reach) @ lateral
     rows -= law.reach_load[..., None] * wrench[:, None, 2:3]
-    rows[..., slide] -= SLIDE_N_MM * _each(law.reach + VISCOUS * AXES)
+    rows[..., slide] -= SLIDE_N_MM * _block_diagonal(law.reach + VISCOUS * AXES)
     matrix[:, slide] = rows.reshape(count, 2 * m, width)
     return matrix
 
@@ -402,22 +402,24 @@ def _resultant_slope(
 ) -> FloatArray:
     """Return d(``at_mm``)/d(q, rock, slide), (B, m, 2, 6 + 4m); ``wrench``: that of the wrench."""
     stand, m = held.stand, held.stand.interfaces
-    slope: FloatArray = levers(held) @ wrench[:, None]
+    slope: FloatArray = moment_arms(held) @ wrench[:, None]
     spare = face_motion(held.cells, q)[:, None] - law.centre_mm
     slope += spare[..., None] * wrench[:, None, 2:3]
     face = np.zeros((len(q), 2, 6))
     face[:, :, :2] = AXES
     face[:, 0, 4], face[:, 1, 3] = held.cells.r_z, -held.cells.r_z
     slope[..., :6] += (now.wrench[:, 2, None, None] * face)[:, None]
-    slope[..., 6 : 6 + 2 * m] += _spread(stand.rocked_nmm)
-    slope[..., 6 + 2 * m :] += _spread(stand.moved_n)
+    slope[..., 6 : 6 + 2 * m] += _for_both_axes(stand.rocked_nmm)
+    slope[..., 6 + 2 * m :] += _for_both_axes(stand.moved_n)
     slope /= law.load_n[..., None, None]
-    slope[..., 6 : 6 + 2 * m] -= _spread(interface_heights_mm(stand) + held.drag_mm_rad * np.eye(m))
-    slope[..., 6 + 2 * m :] -= _spread(np.broadcast_to(np.tri(m), (len(q), m, m)))
+    slope[..., 6 : 6 + 2 * m] -= _for_both_axes(
+        interface_heights_mm(stand) + held.drag_mm_rad * np.eye(m)
+    )
+    slope[..., 6 + 2 * m :] -= _for_both_axes(np.broadcast_to(np.tri(m), (len(q), m, m)))
     return slope
 
 
-def _ride_rock(held: SolutionInputs, edge_mm: FloatArray) -> FloatArray:
+def _carried_slope(held: SolutionInputs, edge_mm: FloatArray) -> FloatArray:
     """Return d(``carried``)/d(rock), (B, 6, 2m)."""
     m = held.stand.interfaces
     up = held.stand.height_mm - held.cells.r_z[:, None]
@@ -428,14 +430,14 @@ def _ride_rock(held: SolutionInputs, edge_mm: FloatArray) -> FloatArray:
     return slope.reshape(len(up), 6, 2 * m)
 
 
-def _spread(per_pair: FloatArray) -> FloatArray:
+def _for_both_axes(per_pair: FloatArray) -> FloatArray:
     """Return (B, m, 2, 2m): the number of each pair of interfaces, for both axes."""
     m = per_pair.shape[1]
     both = per_pair[:, :, None, :, None] * AXES[None, None, :, None, :]
     return np.asarray(both.reshape(-1, m, 2, 2 * m))
 
 
-def _each(blocks: FloatArray) -> FloatArray:
+def _block_diagonal(blocks: FloatArray) -> FloatArray:
     """Return (B, m, 2, 2m) with the block (2, 2) of each interface under its own unknowns."""
     m = blocks.shape[1]
     wide = np.eye(m)[None, :, None, :, None] * blocks[:, :, :, None, :]

@@ -69,7 +69,7 @@ AIR_MARGIN = 20
 """Samples in air beyond what the running baseline needs."""
 AIR_MM, AIR_S = 3.0, 1.5
 """Height and time in air before the descent (where a slipped gel settles)."""
-FIRST_BLOCK, NEXT_BLOCK, LONGEST = 15, 3, 60
+FIRST_BLOCK, NEXT_BLOCK, MAX_CYCLES = 15, 3, 60
 """Cycles of descent solved before looking for contact, between looks, and at most."""
 
 
@@ -112,7 +112,7 @@ def air_samples(rule: OnsetRule) -> int:
 
 def noise_samples(rule: OnsetRule, cycle_s: float) -> int:
     """Return how many samples of press-force noise ``press`` may need."""
-    return air_samples(rule) + LONGEST * round(cycle_s * rule.rate_hz)
+    return air_samples(rule) + MAX_CYCLES * round(cycle_s * rule.rate_hz)
 
 
 def press_batch(
@@ -129,16 +129,16 @@ def press_batch(
     ``noise_n`` (B, ``noise_samples``): errors of the press force on the sample grid.
     """
     speed = probe.approach_mm_s
-    descent = _in_air(state, phase_s, cycle_s, speed)
+    descent = _start_descent(state, phase_s, cycle_s, speed)
     end = FIRST_BLOCK
     while True:
         _descend(descent, end, cycle_s, speed)
         force = _sampled_force(descent, noise_n, rule, cycle_s)
         over = force_over_baseline(force, rule)
         found = detect_contact(over, rule)
-        if ((found >= 0) | (state.cells.count == 0)).all() or end >= LONGEST:
+        if ((found >= 0) | (state.cells.count == 0)).all() or end >= MAX_CYCLES:
             break
-        end = min(end + NEXT_BLOCK, LONGEST)
+        end = min(end + NEXT_BLOCK, MAX_CYCLES)
     air = air_samples(rule)
     sample_s = np.arange(force.shape[1]) + 1.0 - air
     sample_t = sample_s / rule.rate_hz - phase_s[:, None]
@@ -151,7 +151,7 @@ def press_batch(
     ticks = onset[:, None] + TICK_S * np.arange(1, SAMPLES_PER_PROBE + 1)
     chosen = _state_at(descent.states, acted)
     command = _Ramp(probe, onset, first.t_s[:, -1], descent.lead_mm)
-    later, chosen = _follow(chosen, command, ticks)
+    later, chosen = _follow_ramp(chosen, command, ticks)
     return PressBatch(
         timeline=first.followed_by(later),
         onset_s=onset,
@@ -163,7 +163,7 @@ def press_batch(
     )
 
 
-def _in_air(
+def _start_descent(
     state: ContactState, phase_s: FloatArray, cycle_s: float, speed_mm_s: float
 ) -> _Descent:
     command = np.zeros((len(phase_s), 3))
@@ -271,7 +271,9 @@ class _Ramp:
         return command
 
 
-def _follow(state: ContactState, ramp: _Ramp, ticks_s: FloatArray) -> tuple[Timeline, ContactState]:
+def _follow_ramp(
+    state: ContactState, ramp: _Ramp, ticks_s: FloatArray
+) -> tuple[Timeline, ContactState]:
     """Follow the ramp; time steps end at the ticks and at its corners."""
     ends = np.concatenate([ticks_s, ramp.corners_s()], axis=1)
     ends = np.sort(np.maximum(ends, ramp.start_s[:, None]), axis=1)

@@ -60,7 +60,7 @@ class Scene:
         return upper
 
 
-DROP_MM = 2.0
+MAX_RELEASE_GAP_MM = 2.0
 """Let go higher than this above the support the piece is counted as fallen."""
 
 
@@ -111,7 +111,7 @@ def release_kick_mm(scene: Scene, release: int) -> tuple[float, float]:
 
 def falls_on_release(gap_mm: float) -> bool:
     """Return whether a piece let go at this height counts as fallen."""
-    return not (math.isfinite(gap_mm) and gap_mm <= DROP_MM)
+    return not (math.isfinite(gap_mm) and gap_mm <= MAX_RELEASE_GAP_MM)
 
 
 def mujoco_opinion(

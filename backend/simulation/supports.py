@@ -51,13 +51,13 @@ class SupportArea:
     @classmethod
     def joined(cls, areas: Sequence[SupportArea]) -> SupportArea:
         """Return the areas of one tower as (1, m)."""
-        parts = _padded(areas)
+        parts = _pad_areas(areas)
         return cls(*(np.stack([getattr(a, f.name) for a in parts])[None] for f in fields(cls)))
 
     @classmethod
     def stacked(cls, areas: Sequence[SupportArea]) -> SupportArea:
         """Join along the first axis."""
-        parts = _padded(areas)
+        parts = _pad_areas(areas)
         return cls(*(np.concatenate([getattr(a, f.name) for a in parts]) for f in fields(cls)))
 
     def take(self, index: NDArray[np.intp]) -> SupportArea:
@@ -71,12 +71,12 @@ class SupportArea:
         """
         if self._alike():
             # A body on the table: its own face alone.
-            feet, slopes = _onto(
+            feet, slopes = _project(
                 self.core_mm[..., :1, :, :], self.grown_mm[..., :1], points_mm[..., None, :]
             )
             return feet[..., 0, :], slopes[..., 0, :, :]
-        feet, slopes = _onto(self.core_mm, self.grown_mm, points_mm[..., None, :])
-        other, _ = _onto(self.core_mm[..., ::-1, :, :], self.grown_mm[..., ::-1], feet)
+        feet, slopes = _project(self.core_mm, self.grown_mm, points_mm[..., None, :])
+        other, _ = _project(self.core_mm[..., ::-1, :, :], self.grown_mm[..., ::-1], feet)
         usable = ((other - feet) ** 2).sum(axis=-1) <= ON_MM**2
         distance = np.where(usable, ((points_mm[..., None, :] - feet) ** 2).sum(axis=-1), np.inf)
         corner = ((points_mm[..., None, :] - self.corner_mm) ** 2).sum(axis=-1)
@@ -105,7 +105,7 @@ class SupportArea:
         size = np.hypot(direction[..., 0], direction[..., 1])
         outward = direction / np.where(size > 0.0, size, 1.0)[..., None]
         tip = corner + self.grown_mm[..., None] * outward[..., None, :]
-        other, _ = _onto(self.core_mm[..., ::-1, :, :], self.grown_mm[..., ::-1], tip)
+        other, _ = _project(self.core_mm[..., ::-1, :, :], self.grown_mm[..., ::-1], tip)
         usable = ((other - tip) ** 2).sum(axis=-1) <= ON_MM**2
         along = np.where(usable, (tip @ direction[..., None])[..., 0], -1e30)
         exists = np.isfinite(self.corner_mm[..., 0])
@@ -160,7 +160,7 @@ def _edge_distance_mm(core_mm: FloatArray, grown_mm: float, points_mm: FloatArra
     return np.abs(signed_distances_mm(points_mm, polygon_edges(core_mm)))
 
 
-def _padded(areas: Sequence[SupportArea]) -> list[SupportArea]:
+def _pad_areas(areas: Sequence[SupportArea]) -> list[SupportArea]:
     """Return the areas with equally many corners each."""
     most = max(area.core_mm.shape[-2] for area in areas)
     crossings = max(area.corner_mm.shape[-2] for area in areas)
@@ -174,11 +174,11 @@ def _padded(areas: Sequence[SupportArea]) -> list[SupportArea]:
     return padded
 
 
-def _onto(
+def _project(
     core_mm: FloatArray, grown_mm: FloatArray, points_mm: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the nearest points of grown polygons to points (..., 2), and the slope."""
-    foot, slope = _onto_core(core_mm, points_mm)
+    foot, slope = _project_on_core(core_mm, points_mm)
     away = points_mm - foot
     distance = np.hypot(away[..., 0], away[..., 1])[..., None]
     inside = distance <= grown_mm[..., None]
@@ -193,7 +193,7 @@ def _onto(
     )
 
 
-def _onto_core(core_mm: FloatArray, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _project_on_core(core_mm: FloatArray, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
     if core_mm.shape[-2] == 1:
         # Discs alone, as most bottoms are: nothing to look for.
         return core_mm[..., 0, :] + np.zeros_like(points_mm), np.zeros((*points_mm.shape, 2))
@@ -290,16 +290,16 @@ def support_stack(bottoms: Tower, settings: SupportSettings) -> SupportStack | N
     weight = np.array([1e-3 * body.mass_g * GRAVITY_M_S2 for body in bodies])
     centre = np.array([body.centre_mm for body in bodies]) - origin
     rise = np.array([body.com_height_mm for body in bodies]) + base
-    above = _above(weight)
+    above = _sum_above(weight)
     count = len(bodies)
     later = np.maximum.outer(np.arange(count), np.arange(count))
-    levers = _above(weight * rise)[later] - above[later] * base
+    levers = _sum_above(weight * rise)[later] - above[later] * base
     areas = [interface_area(bottoms, first + k, origin) for k in range(count)]
     return SupportStack(
         area=SupportArea.joined(areas),
         height_mm=(top - base)[None],
         weight_n=above[None],
-        centre_nmm=_above(weight[:, None] * centre)[None],
+        centre_nmm=_sum_above(weight[:, None] * centre)[None],
         rocked_nmm=levers[None],
         moved_n=above[later][None],
         mu=np.full((1, count), settings.mu if settings.slides else np.inf),
@@ -349,6 +349,6 @@ def interface_heights_mm(stand: SupportStack) -> FloatArray:
     return np.asarray(np.maximum(rise, 0.0))
 
 
-def _above(values: FloatArray) -> FloatArray:
+def _sum_above(values: FloatArray) -> FloatArray:
     """Return for each body the sum over itself and all above."""
     return np.asarray(np.cumsum(values[::-1], axis=0)[::-1], dtype=np.float64)

@@ -40,7 +40,7 @@ from touchdown.backend.simulation.pressing import TIMELINE_VALUES
 from touchdown.backend.simulation.scene import Scene, SceneTruth
 from touchdown.backend.simulation.wrist_sensor import WristLoad, WristSampler
 
-CLEARANCE_MM = 20.0
+OPEN_CLEARANCE_MM = 20.0
 """Open jaws at the start are wider than the piece by this much."""
 DRAG_MM = 1.0
 """Dragging a pressed piece sideways by more than this knocks a free support over."""
@@ -48,7 +48,7 @@ DRAG_N = 0.5
 JIG_MM = 1.0
 """Let go within this distance of the jig's place the piece is back in the jig."""
 _TARE_CYCLES = 20
-_AIR_US = 400_000
+_AIR_HISTORY_US = 400_000
 """What is remembered of the air: as much as a contact is measured against, none of it judged."""
 
 
@@ -78,7 +78,7 @@ class World:
         self.now_us = 0
         self.drive = ArmDrive(start_command_mm(scene))
         width_mm = scene.piece.width_mm
-        self.jaws = SimulatedJaws(width_mm + CLEARANCE_MM, width_mm)
+        self.jaws = SimulatedJaws(width_mm + OPEN_CLEARANCE_MM, width_mm)
         tactile = settings.tactile
         self._gel = build_gel(
             tactile.mm_per_px, tactile.pitch_mm, tactile.roll_off_mm, tactile.dilation
@@ -92,7 +92,7 @@ class World:
         self._rest = np.zeros(TIMELINE_VALUES)
         self._values = self._rest
         self._heard: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
-        self._air = deque([self._heard], _AIR_US // self.cycle_us)
+        self._air = deque([self._heard], _AIR_HISTORY_US // self.cycle_us)
         self._recent_n: list[float] = []
         self._tare_n = 0.0
         self._put_down: tuple[tuple[float, float], float] | None = None

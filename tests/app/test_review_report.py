@@ -13,7 +13,7 @@ from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.experiments.document import INK, reliability_chart
 from touchdown.backend.experiments.results import read_report
 from touchdown.widgets.base.theme import DARK, LIGHT, Theme, load_resources
-from touchdown.widgets.views.report import PictureCard, ReportGrid, ReportIntents, ReportSheet
+from touchdown.widgets.views.report import PictureCard, ReportGrid, ReportSheet
 
 FULL = Path(__file__).parents[2] / "docs/results/tables-full.json"
 
@@ -69,7 +69,7 @@ def test_in_text_of_twice_the_size_the_report_fits_into_the_least_window(qapp, q
     window.resize(1280, 720)
     try:
         theme.apply(qapp, "dark", 2.0)
-        sheet = ReportSheet(window, ReportIntents(*(lambda *_: None,) * 4))
+        sheet = ReportSheet(window)
         sheet.show_head(
             "Touchdown: the paper's experiments, full",
             "SIMULATED BENCH: no robot moved for these figures",

@@ -5,7 +5,7 @@ from dataclasses import fields
 import pytest
 
 from touchdown.widgets.base.theme import Theme, load_resources
-from touchdown.widgets.forms.collect_form import TargetButtons, TargetIntents, TargetPanel
+from touchdown.widgets.forms.collect_form import TargetButtons, TargetPanel
 
 BUTTONS = {
     "start": "start",

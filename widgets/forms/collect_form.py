@@ -72,25 +72,20 @@ class TargetButtons:
     form: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class TargetIntents:
-    """What the operator can ask for."""
-
-    start: Callable[[], None]
-    go_on: Callable[[], None]
-    pause: Callable[[], None]
-    end: Callable[[], None]
-    person: Callable[[str], None]
-    take_origin: Callable[[], None]
-    origin_here: Callable[[], None]
-    lift: Callable[[], None]
-    pair: Callable[[], None]
-
-
 class TargetPanel(Panel):
     """The form of a campaign with its buttons and its progress."""
 
-    def __init__(self, theme: Theme, intents: TargetIntents) -> None:
+    start_requested = Signal()
+    resume_requested = Signal()
+    pause_requested = Signal()
+    end_requested = Signal()
+    person_entered = Signal(str)
+    residual_requested = Signal()
+    origin_requested = Signal()
+    lift_requested = Signal()
+    pair_chosen = Signal()
+
+    def __init__(self, theme: Theme) -> None:
         super().__init__("Target")
         self._theme = theme
         self.piece, self.bottom, self.pattern = QComboBox(), QComboBox(), QComboBox()
@@ -117,7 +112,7 @@ class TargetPanel(Panel):
         self._limits()
         self._tips()
         self._arrange()
-        self._wire(intents)
+        self._wire()
         self.show_form(TargetForm())
         self.show_residual("Origin not checked yet.", usable=False)
         self.show_buttons(TargetButtons(start=False, pause=False, end=False, paused=False))
@@ -225,17 +220,17 @@ class TargetPanel(Panel):
         self.column.addWidget(self.eta)
         self.column.addStretch(1)
 
-    def _wire(self, intents: TargetIntents) -> None:
-        self.start.clicked.connect(intents.start)
-        self.go_on.clicked.connect(intents.go_on)
-        self.pause.clicked.connect(intents.pause)
-        self.end.clicked.connect(intents.end)
-        self.take.clicked.connect(intents.take_origin)
-        self.here.clicked.connect(intents.origin_here)
-        self.lift.clicked.connect(intents.lift)
-        self.person.editingFinished.connect(lambda: intents.person(self.person.text()))
+    def _wire(self) -> None:
+        self.start.clicked.connect(self.start_requested)
+        self.go_on.clicked.connect(self.resume_requested)
+        self.pause.clicked.connect(self.pause_requested)
+        self.end.clicked.connect(self.end_requested)
+        self.take.clicked.connect(self.residual_requested)
+        self.here.clicked.connect(self.origin_requested)
+        self.lift.clicked.connect(self.lift_requested)
+        self.person.editingFinished.connect(lambda: self.person_entered.emit(self.person.text()))
         for combo in (self.piece, self.bottom):
-            combo.currentIndexChanged.connect(intents.pair)
+            combo.currentIndexChanged.connect(self.pair_chosen)
 
     def show_catalogue(
         self, pieces: Sequence[tuple[str, str]], bottoms: Sequence[tuple[str, str]]

@@ -165,25 +165,22 @@ class PoseView:
     turned: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class JogIntents:
-    """What the operator can ask for. ``renew`` is called again and again while a pad is held."""
-
-    renew: Callable[[str], bool]
-    ended: Callable[[str], None]
-    step: Callable[[str], None]
-    arm_keys: Callable[[bool], None]
-    level: Callable[[], None]
-
-
 class JogPad(Panel):
     """The pads of one frame. With a step chosen a press is one step; else it lasts as the press."""
 
-    def __init__(self, paces: Sequence[JogUnit], intents: JogIntents) -> None:
-        """``paces``: of moving and of turning."""
+    hold_ended = Signal(str)
+    step_pressed = Signal(str)
+    keys_toggled = Signal(bool)
+    level_requested = Signal()
+
+    def __init__(self, paces: Sequence[JogUnit], renew: Callable[[str], bool]) -> None:
+        """Create the pads.
+
+        ``paces`` holds the units of moving and of turning. ``renew`` is called repeatedly while a
+        pad is held; it returns False to end the hold.
+        """
         super().__init__("Jog")
-        self._intents = intents
-        self.hold = HoldState(self, intents.renew, intents.ended)
+        self.hold = HoldState(self, renew, self.hold_ended.emit)
         self.pads = {what: self._pad(what) for what, _, _ in (*MOVES, *TURNS, *JOINT_PADS)}
         self.frame = QComboBox()
         self.frame.addItems(["XYZ", "TOOL", "JOINT"])
@@ -342,12 +339,12 @@ class JogPad(Panel):
         """Take a press as one step if a step is chosen."""
         if self.step is None:
             return False
-        self._intents.step(what)
+        self.step_pressed.emit(what)
         return True
 
     def _wire(self) -> None:
-        self.keys.toggled.connect(self._intents.arm_keys)
-        self.level.clicked.connect(self._intents.level)
+        self.keys.toggled.connect(self.keys_toggled)
+        self.level.clicked.connect(self.level_requested)
         self.level.setToolTip("Turn the hand back to straight down, where it is (Shift+T)")
         self.turn.setToolTip("Turn the hand about these axes instead of moving it (T)")
         self.level.setEnabled(False)

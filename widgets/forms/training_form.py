@@ -62,24 +62,19 @@ class TrainingButtons:
     why_not: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class TrainingIntents:
-    """What the form asks for."""
-
-    start: Callable[[], None]
-    cancel: Callable[[], None]
-    resume: Callable[[], None]
-    changed: Callable[[], None]
-    folder: Callable[[], None]
-    defaults: Callable[[], None]
-
-
 class TrainingFormPanel(Panel):
     """The form and its buttons."""
 
-    def __init__(self, theme: Theme, intents: TrainingIntents) -> None:
+    start_requested = Signal()
+    cancel_requested = Signal()
+    resume_requested = Signal()
+    changed = Signal()
+    folder_requested = Signal()
+    defaults_requested = Signal()
+
+    def __init__(self, theme: Theme) -> None:
         super().__init__("Train")
-        self._theme, self._intents = theme, intents
+        self._theme = theme
         # A form that is squeezed has fields over one another.
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self.data, self.labels, self.piece = QComboBox(), QComboBox(), QComboBox()
@@ -101,18 +96,16 @@ class TrainingFormPanel(Panel):
         self.show_buttons(TrainingButtons(start=False, cancel=False, resume=False))
 
     def _connect(self) -> None:
-        intents = self._intents
-        for button, act in (
-            (self.start, intents.start), (self.cancel, intents.cancel),
-            (self.resume, intents.resume), (self.folder, intents.folder),
-            (self.defaults, intents.defaults),
-        ):  # fmt: skip
-            button.clicked.connect(act)
+        self.start.clicked.connect(self.start_requested)
+        self.cancel.clicked.connect(self.cancel_requested)
+        self.resume.clicked.connect(self.resume_requested)
+        self.folder.clicked.connect(self.folder_requested)
+        self.defaults.clicked.connect(self.defaults_requested)
         for combo in (self.data, self.labels, self.piece, self.modality):
-            combo.currentIndexChanged.connect(intents.changed)
+            combo.currentIndexChanged.connect(self.changed)
         for number in self.numbers.all():
-            number.valueChanged.connect(intents.changed)
-        self.divide.toggled.connect(intents.changed)
+            number.valueChanged.connect(self.changed)
+        self.divide.toggled.connect(self.changed)
 
     def _tips(self) -> None:
         for widget, name, tip in (

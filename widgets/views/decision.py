@@ -44,15 +44,6 @@ class TrialPrompt:
     proposed: Outcome | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class TrialIntents:
-    """What the operator can answer; ``judge`` gets the outcome and the reason that was written."""
-
-    answer: Callable[[bool], None]
-    judge: Callable[[Outcome, str], None]
-    photo: Callable[[], None]
-
-
 class _Reason(QLineEdit):
     """A line whose Enter is its own, whatever Enter does on the page."""
 
@@ -66,9 +57,12 @@ class _Reason(QLineEdit):
 class TrialPanel(Panel):
     """Hidden while nothing is asked."""
 
-    def __init__(self, theme: Theme, intents: TrialIntents) -> None:
+    answered = Signal(bool)
+    judged = Signal(object, str)  # outcome, written reason
+    photo_requested = Signal()
+
+    def __init__(self, theme: Theme) -> None:
         super().__init__("Your turn")
-        self._intents = intents
         self.text = label("", wrap=True)
         self.picture = OffsetView(theme, _stay, _drop)
         self.picture.editable = False
@@ -111,7 +105,7 @@ class TrialPanel(Panel):
         if outcome is Outcome.ABORTED and not reason:
             self.reason.setFocus()
         else:
-            self._intents.judge(outcome, reason)
+            self.judged.emit(outcome, reason)
 
     # -- inside -----------------------------------------------------------------------------------
 
@@ -135,9 +129,9 @@ class TrialPanel(Panel):
         self.column.addWidget(self._judging)
 
     def _wire(self) -> None:
-        self.yes.clicked.connect(lambda: self._intents.answer(True))
-        self.no.clicked.connect(lambda: self._intents.answer(False))
-        self.photo.clicked.connect(self._intents.photo)
+        self.yes.clicked.connect(lambda: self.answered.emit(True))
+        self.no.clicked.connect(lambda: self.answered.emit(False))
+        self.photo.clicked.connect(self.photo_requested)
         self.no.setToolTip("End the run; nothing has moved")
         self.yes.setToolTip("Go on (Y)")
         self.reason.returnPressed.connect(lambda: self.judge(Outcome.ABORTED))

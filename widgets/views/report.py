@@ -33,16 +33,6 @@ GAP = 10
 PARTS_PX = 220
 
 
-@dataclass(frozen=True, slots=True)
-class ReportIntents:
-    """What can be asked for here; ``part`` is told the number of the part that was chosen."""
-
-    part: Callable[[int], None]
-    folder: Callable[[], None]
-    browser: Callable[[], None]
-    other: Callable[[], None]
-
-
 class PictureCard(QWidget):
     """A picture of known size, which may come later, between its title and its note."""
 
@@ -102,7 +92,12 @@ class FlowWidget(QWidget):
 class ReportSheet(QDialog):
     """Not modal: the bench goes on, and STOP is where it was."""
 
-    def __init__(self, parent: QWidget, intents: ReportIntents) -> None:
+    part_chosen = Signal(int)
+    folder_requested = Signal()
+    browser_requested = Signal()
+    other_requested = Signal()
+
+    def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self._window = parent
         self.setModal(False)
@@ -114,7 +109,7 @@ class ReportSheet(QDialog):
         self.parts.setAccessibleName("Parts of the report")
         self.parts.setFixedWidth(PARTS_PX)
         WrappedItemDelegate(self.parts)
-        self.parts.currentRowChanged.connect(intents.part)
+        self.parts.currentRowChanged.connect(self.part_chosen)
         self.room = QScrollArea()
         self.room.setWidgetResizable(True)
         self.room.setFrameShape(QFrame.Shape.NoFrame)
@@ -123,12 +118,12 @@ class ReportSheet(QDialog):
         self.folder = _button("Open run folder", "The folder that this cell was made from")
         self.browser = _button("Open in browser", "The same report as a page")
         self.other = _button("Open another", "Choose another report")
-        for button, act in (
-            (self.folder, intents.folder),
-            (self.browser, intents.browser),
-            (self.other, intents.other),
+        for button, requested in (
+            (self.folder, self.folder_requested),
+            (self.browser, self.browser_requested),
+            (self.other, self.other_requested),
         ):
-            button.clicked.connect(act)
+            button.clicked.connect(requested)
         self.show_trace("", can_open=False)
         self._arrange()
 

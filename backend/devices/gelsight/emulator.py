@@ -17,7 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from touchdown.backend.core import Clock, ImageArray, Thinned
+from touchdown.backend.core import Clock, Decimator, ImageArray
 from touchdown.backend.emulation import DeviceServer, Faults
 
 PictureFunction = Callable[[float], ImageArray | None]
@@ -54,7 +54,7 @@ class GelsightServer(DeviceServer):
         self._pictures, self._folder, self._serial = pictures, folder, serial
         self._period_s = 1.0 / rate_hz
         self._last: bytes | None = None
-        self._thinned = Thinned()
+        self._thinned = Decimator()
         self._light, self._seen_s = 1.0, 0.0
         for part in ("by-id", "names", "nodes"):
             (folder / part).mkdir(parents=True, exist_ok=True)

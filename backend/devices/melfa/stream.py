@@ -19,7 +19,7 @@ import numpy as np
 from touchdown.backend.config import MelfaSettings
 from touchdown.backend.core import (
     IDENTITY_ROTATION,
-    LEVEL_RAD,
+    LEVEL_TOLERANCE_RAD,
     Fault,
     FloatArray,
     RefusedError,
@@ -346,7 +346,9 @@ class StreamCore:
         # The first command is the position that the controller itself has replied.
         self.sent_rad = echo.command_rad
         self.turn = (
-            IDENTITY_ROTATION if np.linalg.norm(rotation_vector(turn)) <= LEVEL_RAD else turn
+            IDENTITY_ROTATION
+            if np.linalg.norm(rotation_vector(turn)) <= LEVEL_TOLERANCE_RAD
+            else turn
         )
         self.command_mm = self._placing.pivot_mm(self.sent_rad)
         self._hear(now_s, echo)

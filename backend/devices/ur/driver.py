@@ -16,7 +16,7 @@ import numpy as np
 
 from touchdown.backend.config import UrSettings
 from touchdown.backend.core import (
-    LEVEL_RAD,
+    LEVEL_TOLERANCE_RAD,
     Fault,
     FaultError,
     FloatArray,
@@ -414,7 +414,7 @@ class UrArm(LevelHand):
         pose = np.array(robot.receive.getActualTCPPose())
         self._rotation = pose[3:]
         lean = lean_rad(self._rotation)
-        if lean > LEVEL_RAD:
+        if lean > LEVEL_TOLERANCE_RAD:
             raise FaultError(leaning_fault(math.degrees(lean)))
         self._core.begin(self._placing.pivot_mm(pose))
         self.steps.reached("configure")
@@ -558,7 +558,7 @@ class UrArm(LevelHand):
         goal = np.array([target.x_mm, target.y_mm, target.z_mm])
         if not (np.isfinite(goal).all() and 0.0 < speed_mm_s < math.inf):
             raise ValueError("target and speed must be finite, the speed positive")
-        if not rotation_angle_rad(target) <= LEVEL_RAD:
+        if not rotation_angle_rad(target) <= LEVEL_TOLERANCE_RAD:
             raise ValueError(NO_TURNS)
         robot = self._require_ready()
         with self._lock:

@@ -13,7 +13,7 @@ import numpy as np
 from touchdown.backend.config import MelfaSettings
 from touchdown.backend.core import (
     IDENTITY_ROTATION,
-    LEVEL_RAD,
+    LEVEL_TOLERANCE_RAD,
     Fault,
     FaultError,
     FloatArray,
@@ -43,7 +43,7 @@ from touchdown.backend.devices import (
 )
 from touchdown.backend.devices.melfa import JOINT_RANGES, MelfaPlacement, check_joints
 from touchdown.backend.simulation.arm import (
-    HandPlace,
+    HandPose,
     JointKinematics,
     PressLaw,
     SimJog,
@@ -76,7 +76,7 @@ class SimPressMotion(CommandedMotion):
         return self._press.onset_s
 
 
-CLEAR_MM = 10.0
+MIN_TURNED_HEIGHT_MM = 10.0
 """The simulated contact knows an unturned face only: turned, it stays as high as this."""
 
 
@@ -90,32 +90,32 @@ class SimJoints:
         self._world = world
         self._last = np.zeros(6)
 
-    def of(self, place: HandPlace) -> FloatArray:
+    def of(self, place: HandPose) -> FloatArray:
         """Return the (6,) joints, rad, of a place, near the last ones; raises ``RefusedError``."""
         self._last = self._placing.joints(place[0], self._last, place[1])
         return self._last.copy()
 
-    def place(self, joints_rad: FloatArray) -> HandPlace:
+    def place(self, joints_rad: FloatArray) -> HandPose:
         """Return where (6,) joints put the hand."""
         return self._placing.pivot_mm(joints_rad), self._placing.turn(joints_rad)
 
-    def allowed(self, place: HandPlace) -> Fault | None:
+    def allowed(self, place: HandPose) -> Fault | None:
         """Return why the arm may not be at ``place``, None if it may."""
         try:
             check_joints(self.of(place))
         except RefusedError as error:
-            return _refused(error.reason, error.detail, "Choose another way or place.")
-        turned = float(np.linalg.norm(rotation_vector(place[1]))) > LEVEL_RAD
-        if turned and not self._world.clear_mm(place[0]) >= CLEAR_MM:
+            return _pose_fault(error.reason, error.detail, "Choose another way or place.")
+        turned = float(np.linalg.norm(rotation_vector(place[1]))) > LEVEL_TOLERANCE_RAD
+        if turned and not self._world.clear_mm(place[0]) >= MIN_TURNED_HEIGHT_MM:
             what = (
                 f"The hand is turned (tilted by {math.degrees(tilt_rad(place[1])):.1f}°): "
-                f"it would come within {CLEAR_MM:.0f} mm of the surface."
+                f"it would come within {MIN_TURNED_HEIGHT_MM:.0f} mm of the surface."
             )
-            return _refused("TURNED-LOW", what, "Go up, or level the hand first.")
+            return _pose_fault("TURNED-LOW", what, "Go up, or level the hand first.")
         return None
 
 
-def _refused(code: str, what: str, next_step: str) -> Fault:
+def _pose_fault(code: str, what: str, next_step: str) -> Fault:
     return Fault(code, what, "The arm stands still.", next_step, "arm")
 
 
@@ -348,7 +348,7 @@ class SimArm(SimDevice):
                 self._motion.end(self._program.failure)
                 self._motion = self._program = None
 
-    def _place(self) -> HandPlace:
+    def _place(self) -> HandPose:
         return self._world.drive.command_mm, self._world.drive.turn
 
     def _begin(

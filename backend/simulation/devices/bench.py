@@ -11,6 +11,7 @@ import numpy as np
 from touchdown.backend.config import SimulationSettings
 from touchdown.backend.core import (
     FINGERS,
+    Decimator,
     Finger,
     FloatArray,
     ImageArray,
@@ -18,7 +19,6 @@ from touchdown.backend.core import (
     SampleStream,
     Stream,
     TactileFrame,
-    Thinned,
 )
 from touchdown.backend.devices import Device, DeviceState
 from touchdown.backend.emulation import DisturbanceScript
@@ -79,7 +79,7 @@ class SimulatedBench:
         now_s = self.clock.now_s
         self.arm = SimArm(self._world, streams.poses, streams.commands, now_s)
         self.gripper = SimGripper(self._world, now_s)
-        self._thinned = Thinned()
+        self._thinned = Decimator()
         self.force_torque = SimForceTorque(streams.samples, now_s, scene.settings.wrist.rate_hz)
         self.tactile: Mapping[Finger, SimTactile] = {
             finger: SimTactile(finger, streams.frames[finger], now_s, self._script)

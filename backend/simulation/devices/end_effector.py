@@ -9,13 +9,13 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from touchdown.backend.core import (
+    Decimator,
     Finger,
     FloatArray,
     ImageArray,
     SampleStream,
     Stream,
     TactileFrame,
-    Thinned,
     require_unrotated,
 )
 from touchdown.backend.devices import (
@@ -127,7 +127,7 @@ class SimTactile(SimDevice):
     ) -> None:
         self._finger, self._frames, self._script = finger, frames, script
         super().__init__(SimConnection(f"tactile_{finger}", "simulated tactile finger", now_s))
-        self._thinned = Thinned()
+        self._thinned = Decimator()
         self._newest: int | None = None
         self._frozen: ImageArray | None = None
 

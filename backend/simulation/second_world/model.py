@@ -221,8 +221,8 @@ def bottoms_after_press(mounted: MountedPiece, bottoms: Tower) -> tuple[FloatArr
     bodies = range(model.nbody - free, model.nbody)
     for k, number in enumerate(bodies):
         then = model.qpos0[HELD_JOINTS.stop + FREE_BODY_QPOS * k :][:3]
-        board = _axes(model.body_quat[number])
-        now = _axes(data.xquat[number])
+        board = _rotation_matrix(model.body_quat[number])
+        now = _rotation_matrix(data.xquat[number])
         lean = (board.T @ now)[:2, 2]
         edge = np.zeros(3)
         if np.hypot(*lean) > UPRIGHT_RAD:
@@ -240,7 +240,7 @@ def bottoms_after_press(mounted: MountedPiece, bottoms: Tower) -> tuple[FloatArr
     return 1e3 * slides, falls
 
 
-def _axes(quat: FloatArray) -> FloatArray:
+def _rotation_matrix(quat: FloatArray) -> FloatArray:
     """Return the rotation (3, 3) of a unit quaternion (w, x, y, z)."""
     w, x, y, z = quat
     return np.array(

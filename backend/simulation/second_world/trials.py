@@ -44,7 +44,7 @@ from touchdown.backend.simulation.batch import (
 from touchdown.backend.simulation.conditions import Conditions, true_offset_mm
 from touchdown.backend.simulation.marker_fields import Gel
 from touchdown.backend.simulation.mechanics import SIGN, GraspHistory, elastic_zero
-from touchdown.backend.simulation.pressing import LONGEST, Timeline, air_samples
+from touchdown.backend.simulation.pressing import MAX_CYCLES, Timeline, air_samples
 from touchdown.backend.simulation.scene import Scene
 from touchdown.backend.simulation.second_world.model import (
     HAND_JOINTS,
@@ -176,7 +176,7 @@ def _saturated(strain: FloatArray) -> FloatArray:
     return shown
 
 
-CLEAR_MM = 0.1
+START_CLEARANCE_MM = 0.1
 """Height of the face over the highest place it may touch, at the start."""
 BALANCE_N, BALANCE_NMM = 0.1, 2.0
 """Contact and springs may differ by this at the end; otherwise the press has not settled."""
@@ -239,7 +239,7 @@ class SecondWorldPress:
         air = self._now()
         speed = self._probe.approach_mm_s
         onset_s, acted = float("nan"), 0
-        for cycle in range(LONGEST):
+        for cycle in range(MAX_CYCLES):
             high = start_mm - speed * cycle * cycle_s
             self._cycle(high, high - speed * cycle_s, cycle_s)
             found = self._onset(noise_n, rule, cycle_s)
@@ -352,7 +352,7 @@ class SecondWorldTrials(BatchedTrials):
             own = conditions.take(np.array([k]))
             mounted = build_model(first.piece, self.bottoms[trial], own, true[k], settings.support)
             pads = CreepingPads(own, before[k])
-            high_mm = CLEAR_MM + float(np.hypot(*own.tilt_rad[0])) * reach_mm
+            high_mm = START_CLEARANCE_MM + float(np.hypot(*own.tilt_rad[0])) * reach_mm
             high_mm += self._probe.approach_mm_s * noise[k].phase_s
             press = SecondWorldPress(mounted, pads, own, self._probe)
             pressed.append(
@@ -367,7 +367,7 @@ class SecondWorldTrials(BatchedTrials):
         moved = slip[:, :, :2] - before[:, :, :2]
         return TrialPresses(
             observation=observe_presses(
-                _side_by_side(pressed), conditions, settings, noise, self._eye
+                _join_presses(pressed), conditions, settings, noise, self._eye
             ),
             true_mm=true_offset_mm(commands_mm, conditions, slip) - self._slid_mm[rows],
             valid=_valid(pressed, toppled),
@@ -382,7 +382,7 @@ def _valid(pressed: list[DescentRecord], toppled: NDArray[np.bool_]) -> NDArray[
     return np.array(found, dtype=np.bool_) & ~toppled
 
 
-def _side_by_side(pressed: list[DescentRecord]) -> _JoinedPresses:
+def _join_presses(pressed: list[DescentRecord]) -> _JoinedPresses:
     """Join presses; the shorter ones stay as they ended."""
     longest = max(len(p.t_s) for p in pressed)
     index = [np.minimum(np.arange(longest), len(p.t_s) - 1) for p in pressed]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.backend.catalogue.conftest import Record, context_for, small_episode
-from touchdown.app.shell.datasets import opener
+from touchdown.app.shell.datasets import dataset_opener
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.rebuild import rebuild_dataset
 from touchdown.backend.annotations.reconciliation import check_dataset
@@ -55,7 +55,7 @@ def test_it_is_looked_at_and_nothing_appears_beside_the_catalogue(
         Dataset.open(closed, person="ann")
     with pytest.raises(ReadOnlyFolderError):
         rebuild_dataset(closed, replace=False)
-    opened = opener(closed, "ann")()
+    opened = dataset_opener(closed, "ann")()
     assert "cannot be written" in opened.read_only
     assert not opened.dataset.writable
     opened.dataset.close()

@@ -14,16 +14,16 @@ from touchdown.backend.core.scheduling import NICENESS, RAISED_NICENESS, raised_
 
 TWICE = """
 import os
-from touchdown.backend.core.scheduling import step_back
+from touchdown.backend.core.scheduling import lower_priority
 os.nice(5)
-step_back()
-step_back()
+lower_priority()
+lower_priority()
 print(os.nice(0))
 """
 
 
 @pytest.mark.skipif(os.name != "posix", reason="only there is a niceness")
-def test_what_has_stepped_back_already_does_not_step_back_again() -> None:
+def test_what_has_stepped_back_already_does_not_lower_priority_again() -> None:
     told = subprocess.run([sys.executable, "-c", TWICE], capture_output=True, text=True, check=True)
     assert int(told.stdout) == max(NICENESS, min(os.nice(0) + 5, 19))
 

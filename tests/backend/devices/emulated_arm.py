@@ -11,7 +11,7 @@ from touchdown.backend.config.hardware import HardwareSettings, MelfaSettings
 from touchdown.backend.config.method import ProbeSettings
 from touchdown.backend.core.clock import ManualClock
 from touchdown.backend.core.faults import Fault, FaultError
-from touchdown.backend.core.rotations import IDENTITY_ROTATION, LEVEL_RAD, rotation_vector
+from touchdown.backend.core.rotations import IDENTITY_ROTATION, LEVEL_TOLERANCE_RAD, rotation_vector
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import FloatArray
 from touchdown.backend.devices.melfa.command_channel import (
@@ -235,7 +235,11 @@ class _Follow:
     @property
     def turn(self) -> FloatArray:
         turn = self._turn()
-        return IDENTITY_ROTATION if np.linalg.norm(rotation_vector(turn)) <= LEVEL_RAD else turn
+        return (
+            IDENTITY_ROTATION
+            if np.linalg.norm(rotation_vector(turn)) <= LEVEL_TOLERANCE_RAD
+            else turn
+        )
 
     def next_mm(self, command_mm: FloatArray, cycle: Cycle10) -> FloatArray:
         holding = self._world.holding

@@ -10,7 +10,7 @@ from touchdown.backend.devices.dynpick.protocol import DynpickRecord, encode_rec
 from touchdown.backend.devices.force_torque.reader import WrenchStamper
 from touchdown.backend.devices.supervision import RateMonitor
 from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
-from touchdown.backend.sensing.zeroing import DriftWatch
+from touchdown.backend.sensing.zeroing import WrenchDriftEstimator
 
 ZERO = 0x2000
 PER_UNIT = (100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0)
@@ -135,7 +135,7 @@ def test_an_emulated_sensor_that_slows_down_is_slow_and_not_silent_and_gets_its_
 
 
 def test_an_emulated_sensor_that_drifts_is_named_by_what_the_reader_reads():
-    faults, now_s, watch = Faults("force_torque"), 0.0, DriftWatch()
+    faults, now_s, watch = Faults("force_torque"), 0.0, WrenchDriftEstimator()
     faults.begin(now_s)
     hangs = add_noise(lambda now_s: (0.0, 0.0, -14.7, 0.0, 0.0, 0.0))
     sensor = EmulatedDynpick(apply_faults(hangs, faults))

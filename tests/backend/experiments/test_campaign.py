@@ -33,7 +33,7 @@ from touchdown.backend.experiments.tables import (
 )
 from touchdown.backend.experiments.trials import SceneSetup, balanced_offset, start_scene
 from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.geometry.sampling import LEAN_MM
+from touchdown.backend.geometry.sampling import MAX_LEAN_MM
 from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
 from touchdown.backend.jobs.job import SPEC_FILE, JobSpec, JobStore, run_job
 from touchdown.backend.runs.requests import SceneChoice
@@ -131,7 +131,7 @@ def test_two_bottoms_lean_by_up_to_six_millimetres() -> None:
     scenes = [start_scene(case, seed) for seed in range(60)]
     reach = [np.hypot(*scene.bottoms.bodies[1].at_mm) for scene in scenes if scene]
     assert len(reach) >= 55
-    assert max(reach) <= LEAN_MM
+    assert max(reach) <= MAX_LEAN_MM
     assert 2.0 < np.mean(reach) < 4.0
 
 

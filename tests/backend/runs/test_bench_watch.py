@@ -13,7 +13,7 @@ from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core import scheduling as doings
 from touchdown.backend.core.events import FaultRaised
 from touchdown.backend.core.scheduling import SharedLock, blocking_section, blocking_section_of
-from touchdown.backend.core.watchdog import LONGEST_STEP_S, ThreadStallDetector
+from touchdown.backend.core.watchdog import MAX_LOOK_STEP_S, ThreadStallDetector
 from touchdown.backend.runs.engine import LOOK_S, STILL_S, WORKS_S, ThreadWatchdog
 from touchdown.backend.runs.requests import SceneChoice
 
@@ -97,7 +97,7 @@ def test_a_thread_that_waits_without_a_word_is_told_within_ten_looks(watched):
 
 def test_a_watch_that_comes_late_itself_knows_nothing_by_it(watched):
     one = watched(waits).settled()
-    looks = int(STILL_S / LONGEST_STEP_S)
+    looks = int(STILL_S / MAX_LOOK_STEP_S)
     assert one.look(looks, every_s=1e4) == [], "as if the whole computer had slept in between"
 
 

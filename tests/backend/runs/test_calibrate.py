@@ -10,7 +10,7 @@ import pytest
 
 from tests.backend.runs.blind_bench import BRISK, BlindBench
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
-from touchdown.backend.calibration.cameras import NUMBERS
+from touchdown.backend.calibration.cameras import FINGERPRINT_VALUES
 from touchdown.backend.calibration.result import CalibrationEstimate
 from touchdown.backend.config.simulation import SimulationSettings
 from touchdown.backend.core.events import CalibrationMeasured, Said
@@ -293,7 +293,7 @@ def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch) -> None:
     # A dot that was not seen for a moment was waited for.
     assert len(looks) == 5
     assert "known again by their dots" in found.note
-    assert len(found.gels_px) == 2 * NUMBERS
+    assert len(found.gels_px) == 2 * FINGERPRINT_VALUES
     # The pictures are those of a real gel: 0.058 by 0.060 mm per px.
     scales = dict(zip(found.names, found.values, strict=True))
     for finger in ("left", "right"):

@@ -10,7 +10,7 @@ import pytest
 
 from tests.app.label.conftest import make_episode
 from tests.backend.brisk import brisk_bench, brisk_method
-from touchdown.app.collect.requests import decide_stored
+from touchdown.app.collect.requests import apply_decision
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.labels import LabelStore
 from touchdown.backend.annotations.values import EpisodeFilter
@@ -195,7 +195,7 @@ def test_a_cancel_while_a_skip_waits_for_room_does_not_lose_it(
         assert [card.code for card in cards] == ["DISK-FULL"]
         assert "'skip' for item 1" in cards[0].what
         with Dataset.open(tmp_path / "ds", person="ann") as dataset:
-            held = decide_stored(dataset, "ann", uuid, "skip")
+            held = apply_decision(dataset, "ann", uuid, "skip")
             assert held.entry.deleted
     assert skipped_items(tmp_path / "ds") == (0,)
 

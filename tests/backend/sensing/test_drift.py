@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchdown.backend.sensing.zeroing import NAMED_N, DriftWatch, WrenchDrift
+from touchdown.backend.sensing.zeroing import WARN_DRIFT_N, WrenchDrift, WrenchDriftEstimator
 
 WEIGHT_N = np.array([0.3, -0.2, -15.2])
 NOISE_N = 0.1
@@ -15,7 +15,7 @@ class Hanging:
     """A sensor of ``hz`` below which something hangs, read every ``read_s``."""
 
     def __init__(self, hz: float = 1000.0, seed: int = 1, read_s: float = 0.1) -> None:
-        self.watch, self.now_s = DriftWatch(), 0.0
+        self.watch, self.now_s = WrenchDriftEstimator(), 0.0
         self._count, self._read_s, self._hz = round(hz * read_s), read_s, hz
         self._rng = np.random.default_rng(seed)
         self.error_n = np.zeros(3)
@@ -52,7 +52,7 @@ def test_a_drift_is_named_between_half_a_newton_and_one(n_per_s: float, hz: floa
     sensor.stand(8.0)
     sensor.stand(1.0 / abs(n_per_s), n_per_s)
     ((_, true_n),) = sensor.named_at
-    assert NAMED_N - 0.1 < true_n < 0.8
+    assert WARN_DRIFT_N - 0.1 < true_n < 0.8
 
 
 def test_in_a_run_it_is_named_though_each_probe_tares() -> None:
@@ -80,7 +80,7 @@ def test_what_is_touched_or_hung_on_is_a_load_and_no_drift() -> None:
 def test_a_good_sensor_is_never_named_in_a_day_of_probes() -> None:
     """Air, a press out of it, air again: 24 hours, with the wandering of the simulated sensor."""
     rng = np.random.default_rng(8)
-    watch, t_s, walk_n = DriftWatch(), 0.0, np.zeros(3)
+    watch, t_s, walk_n = WrenchDriftEstimator(), 0.0, np.zeros(3)
     worst_n = 0.0
     while t_s < 86_400.0:
         for _ in range(2):
@@ -95,7 +95,7 @@ def test_a_good_sensor_is_never_named_in_a_day_of_probes() -> None:
         if found is not None:
             worst_n = max(worst_n, found.moved_n)
             assert not found.named
-    assert 0.02 < worst_n < 0.5 * NAMED_N
+    assert 0.02 < worst_n < 0.5 * WARN_DRIFT_N
 
 
 def test_the_word_is_taken_back_once_it_stands_and_comes_once() -> None:
@@ -110,7 +110,7 @@ def test_the_word_is_taken_back_once_it_stands_and_comes_once() -> None:
 
 
 def test_samples_that_are_no_numbers_are_left_out() -> None:
-    watch = DriftWatch()
+    watch = WrenchDriftEstimator()
     for k in range(600):
         t_s = 0.02 * k + np.array([0.01, 0.02])
         watch.feed(t_s, np.array([[np.nan] * 3, [0.0, 0.0, 1.0]]))

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from touchdown.backend.sensing.detector import Blobs, order_grid
-from touchdown.backend.sensing.tracker import assign_rest, nearest_dots, out_of_order
+from touchdown.backend.sensing.tracker import assign_remaining, misordered_markers, nearest_dots
 
 
 def lattice(rows: int, cols: int, pitch: float = 32.0) -> np.ndarray:
@@ -90,14 +90,14 @@ def test_the_rest_is_shared_out_at_least_total_distance() -> None:
     places = np.array([[0.0, 0.0], [10.0, 0.0], [50.0, 50.0]])
     dots = np.array([[9.0, 0.0], [18.0, 0.0], [90.0, 90.0]])
     none = np.full(3, -1)
-    np.testing.assert_array_equal(assign_rest(none, places, dots, 12.0), [0, 1, -1])
+    np.testing.assert_array_equal(assign_remaining(none, places, dots, 12.0), [0, 1, -1])
     held = np.array([1, -1, -1])
-    np.testing.assert_array_equal(assign_rest(held, places, dots, 12.0), [1, 0, -1])
+    np.testing.assert_array_equal(assign_remaining(held, places, dots, 12.0), [1, 0, -1])
 
 
 def test_exchanged_neighbours_are_out_of_order() -> None:
     dots = lattice(7, 9)
-    assert not out_of_order(dots).any()
+    assert not misordered_markers(dots).any()
     dots[[30, 31]] = dots[[31, 30]]
-    assert out_of_order(dots)[[30, 31]].all()
-    assert not out_of_order(dots)[:18].any()
+    assert misordered_markers(dots)[[30, 31]].all()
+    assert not misordered_markers(dots)[:18].any()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.streams import Thinned
+from touchdown.backend.core.streams import Decimator
 from touchdown.backend.emulation.disturbances import Disturbance, parse_disturbance, parse_script
 
 
@@ -35,7 +35,7 @@ def test_a_slow_sensor_has_its_rate_and_takes_the_first_sample_of_each_period():
         300.0,
         None,
     ]
-    thinned = Thinned()
+    thinned = Decimator()
     taken = [k for k in range(1000) if thinned.takes(1.0 + 0.001 * k, 300.0)]
     assert len(taken) == 300
     assert set(np.diff(taken)) == {3, 4}

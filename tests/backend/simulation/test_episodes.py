@@ -191,7 +191,7 @@ def test_frames_round_a_tick_skip_those_that_were_dropped() -> None:
     t_s[0, :, :60] = 0.04 * np.arange(60)
     t_s[0, 0, 26] = np.inf
     ticks = np.full((1, 20), 1.03)
-    index, weight = marker_fields.around_ticks(t_s, ticks)
+    index, weight = marker_fields.frames_around_ticks(t_s, ticks)
     assert index[0, 0, 0].tolist() == [25, 27]
     assert index[0, 1, 0].tolist() == [25, 26]
     np.testing.assert_allclose(weight[0, 0, 0], [0.625, 0.375])

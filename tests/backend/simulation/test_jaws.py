@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from touchdown.backend.simulation.gripper import CLOSING_S, SQUEEZE_S, JawEvents, SimulatedJaws
+from touchdown.backend.simulation.gripper import (
+    CLOSING_TIME_S,
+    SQUEEZE_TIME_S,
+    JawEvents,
+    SimulatedJaws,
+)
 
 STEP_S = 0.01
 
@@ -17,9 +22,9 @@ def run(jaws, seconds):
 def test_closing_takes_the_piece_once_with_the_force_asked_for():
     jaws = SimulatedJaws(50.0, 30.0)
     jaws.close(10.0)
-    assert run(jaws, CLOSING_S - 0.02) == []
+    assert run(jaws, CLOSING_TIME_S - 0.02) == []
     assert jaws.force_n == 0.0
-    assert run(jaws, SQUEEZE_S + 0.05) == [JawEvents(taken=True)]
+    assert run(jaws, SQUEEZE_TIME_S + 0.05) == [JawEvents(taken=True)]
     assert (jaws.width_mm, jaws.force_n, jaws.holding) == (30.0, 10.0, True)
     assert not jaws.moving
 
@@ -57,7 +62,7 @@ def test_opening_lets_go_just_beyond_the_width_of_the_piece():
     assert not jaws.moving
 
 
-@pytest.mark.parametrize("halt_after_s", [0.0, 0.2, CLOSING_S + 0.5 * SQUEEZE_S])
+@pytest.mark.parametrize("halt_after_s", [0.0, 0.2, CLOSING_TIME_S + 0.5 * SQUEEZE_TIME_S])
 def test_a_halted_grip_can_be_taken_up_again(halt_after_s):
     jaws = SimulatedJaws(50.0, 30.0)
     jaws.close(10.0)

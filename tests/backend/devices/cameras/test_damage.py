@@ -12,7 +12,7 @@ import pytest
 from tests.backend.devices.cameras.damage import GELSIGHT, SCENES, outcomes
 from tests.backend.sensing.known_truth import rest_dots
 from touchdown.backend.core.values import MarkerState, TactileFrame
-from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker, step_apart_px
+from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker, neighbour_residual_px
 from touchdown.backend.sensing.picture_files import read_pictures
 
 
@@ -88,9 +88,9 @@ def test_pictures_that_were_no_jpeg_are_not_judged():
 def test_an_affine_motion_leaves_no_neighbour_and_one_marker_alone_does():
     grid = np.stack(np.divmod(np.arange(63), 9)[::-1], axis=1).astype(float)
     even = grid @ np.array([[0.3, -0.1], [0.2, 0.4]]) + (3.0, -2.0)
-    assert step_apart_px(even).max() < 1e-9
+    assert neighbour_residual_px(even).max() < 1e-9
     even[31] += (0.3, 0.4)
-    assert step_apart_px(even)[31] == pytest.approx(0.5)
+    assert neighbour_residual_px(even)[31] == pytest.approx(0.5)
 
 
 def as_jpeg(frame):

@@ -1,1 +1,1 @@
-"""Views of values, with no knowledge of the machinery behind them."""
+"""Reusable Qt widgets. They show plain values and know no device, file or run."""

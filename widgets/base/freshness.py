@@ -15,7 +15,7 @@ GONE_AFTER_S = 2.0
 
 
 class Age(Enum):
-    """How far a picture may be trusted."""
+    """Freshness of a displayed value."""
 
     NEVER = "never"
     FRESH = "fresh"
@@ -24,25 +24,25 @@ class Age(Enum):
 
 
 class Freshness:
-    """Watches a sequence number. A producer that hangs cannot claim to be alive."""
+    """Age of a stream, judged by its sequence number: a stalled producer counts as old."""
 
     def __init__(self) -> None:
         self._count: int | None = None
         self._changed_s = 0.0
 
     def note(self, count: int, now_s: float) -> bool:
-        """Take the producer's present count; return whether it changed since the last call."""
+        """Record the present sequence number; return True if it changed since the last call."""
         if count == 0 or count == self._count:
             return False
         self._count, self._changed_s = count, now_s
         return True
 
     def age_s(self, now_s: float) -> float:
-        """Seconds since the count last changed (infinite if it never did)."""
+        """Return the seconds since the number last changed, infinite if it never did."""
         return now_s - self._changed_s if self._count is not None else float("inf")
 
     def judge(self, now_s: float) -> Age:
-        """Fresh up to 0.2 s, stale up to 2 s, then gone."""
+        """Return the age class: fresh up to 0.2 s, stale up to 2 s, then gone."""
         if self._count is None:
             return Age.NEVER
         age_s = self.age_s(now_s)
@@ -52,7 +52,7 @@ class Freshness:
 
 
 def scroll_into_view(widget: QWidget) -> None:
-    """Scroll the page to ``widget``, once it has got its place."""
+    """Scroll the page to ``widget`` after the pending layout."""
 
     def scroll() -> None:
         ancestor = widget.parentWidget()
@@ -64,20 +64,18 @@ def scroll_into_view(widget: QWidget) -> None:
     QTimer.singleShot(0, widget, scroll)
 
 
+# Qt paints everything drawn in one tick in one go. Half of the views per tick halve that pause.
 TURNS = 2
-"""What is drawn in one tick Qt paints in one go, and nothing else happens meanwhile: half the views
-at a time keep the window waiting half as long."""
-PERIOD_MS = 32 // TURNS
-"""Each view slightly above 30 Hz: a late tick now and then still leaves 30 pictures a second."""
+PERIOD_MS = 32 // TURNS  # each view at slightly above 30 Hz; a late tick leaves 30 frames/s
 BUDGET_S = 0.008
 
 
 class EventPump:
-    """Calls ``pull`` for facts until there is none, then ``draw`` of half the views, every 16 ms.
+    """Timer of 16 ms that handles queued events and then redraws half of the views.
 
-    ``pull`` handles one fact and returns False when there was none; the budget is checked after
-    every single fact, so a burst is spread over ticks and the window stays alive. A view that no
-    longer fits into the budget is the first of its half next time.
+    ``pull`` handles one event and returns False if there was none. The time budget is checked after
+    every event, so that a burst is spread over several ticks. A view that exceeds the budget is
+    drawn first at the next turn of its half.
     """
 
     def __init__(
@@ -99,19 +97,19 @@ class EventPump:
         self._timer.timeout.connect(self.tick)
 
     def add(self, draw: Callable[[], None]) -> None:
-        """Draw this view on every other tick; neighbours take turns."""
+        """Register a view; it is drawn on every other tick."""
         min(self._turns, key=len).append(draw)
 
     def start(self) -> None:
-        """Begin to tick."""
+        """Start the timer."""
         self._timer.start()
 
     def stop(self) -> None:
-        """End ticking; what waits stays where it is."""
+        """Stop the timer; queued events stay queued."""
         self._timer.stop()
 
     def tick(self) -> None:
-        """Run one tick now; nothing is done while ``hold`` asks for quiet."""
+        """Run one tick; does nothing while ``hold`` returns True."""
         if self._hold():
             return
         views = self._turns[self.ticks % TURNS]

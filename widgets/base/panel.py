@@ -28,17 +28,21 @@ LEAST_SHARE = 0.02
 
 @dataclass(frozen=True, slots=True)
 class ColumnArrangement:
-    """``shares`` of the width by column, sum 1; ``hidden``: titles of the panels left out."""
+    """Column widths as ``shares`` of the page (sum 1), and titles of the ``hidden`` panels."""
 
     shares: tuple[float, ...]
     hidden: frozenset[str] = frozenset()
 
 
 class Columns(QSplitter):
-    """``parts``: (column, usual share) from the left; ``panels`` by title can be left out."""
+    """Splitter of the columns of a page.
 
+    ``parts``: (column, default share) from the left. ``panels``: panels that can be hidden, by
+    title.
+    """
+
+    # A panel was shown or hidden, or an edge was moved.
     arranged = Signal()
-    """Panels came or went, or an edge was moved."""
 
     def __init__(
         self,
@@ -62,19 +66,19 @@ class Columns(QSplitter):
         self.lock(True)
 
     def createHandle(self) -> QSplitterHandle:
-        """Return an edge that keys can move too."""
+        """Return an edge that can be moved with the keyboard too."""
         return _ColumnEdge(self)
 
     def arrangement(self) -> ColumnArrangement:
-        """Return how it is arranged now."""
+        """Return the present arrangement."""
         return self._now
 
     def hides(self, title: str) -> bool:
-        """Whether a panel was left out by the operator."""
+        """Return True if the operator has hidden this panel."""
         return title in self._now.hidden
 
     def misfit(self, wanted: ColumnArrangement) -> str:
-        """Return "" if ``wanted`` can be shown here, else why not."""
+        """Return "" if ``wanted`` fits this page, else the reason."""
         shares = wanted.shares
         if len(shares) != len(self._parts):
             return f"{len(shares)} columns instead of {len(self._parts)}"
@@ -86,7 +90,7 @@ class Columns(QSplitter):
         return f"no panel '{unknown[0]}' here" if unknown else ""
 
     def show_arrangement(self, wanted: ColumnArrangement) -> None:
-        """Arrange the page so; raises ValueError for one that does not fit."""
+        """Apply an arrangement; raises ValueError if it does not fit."""
         wrong = self.misfit(wanted)
         if wrong:
             raise ValueError(wrong)
@@ -100,13 +104,13 @@ class Columns(QSplitter):
         self.arranged.emit()
 
     def show_panel(self, title: str, *, shown: bool) -> None:
-        """Leave out one panel, or bring it back; raises KeyError."""
+        """Hide one panel or show it again; raises KeyError for an unknown title."""
         self.panels[title]
         hidden = self._now.hidden - {title} if shown else self._now.hidden | {title}
         self.show_arrangement(ColumnArrangement(self._now.shares, hidden))
 
     def lock(self, locked: bool) -> None:
-        """Hold the edges, or let them be moved."""
+        """Lock or unlock the edges."""
         self.locked = locked
         for index in range(1, self.count()):
             edge = self.handle(index)
@@ -116,12 +120,12 @@ class Columns(QSplitter):
             edge.setCursor(shape)
 
     def take_out(self) -> None:
-        """Take the columns out, so that the page is put into a window without them."""
+        """Detach the columns, so that the page can be added to a window without them."""
         for part in self._parts:
             part.setParent(None)
 
     def put_back(self) -> Iterator[None]:
-        """Put the columns back, one at a time: each takes the window's style sheet then."""
+        """Attach the columns again, one per step; each takes over the style sheet of the window."""
         for at in self._order():
             self.addWidget(self._parts[at])
             yield
@@ -129,7 +133,7 @@ class Columns(QSplitter):
         self._apply()
 
     def lead_with_controls(self, lead: bool) -> None:
-        """Show the controls first, where they are the last column; or in their usual place."""
+        """Show the column of controls first or, if not ``lead``, at its default place, last."""
         if self._controls_last and lead != self._leading:
             self._leading = lead
             self.insertWidget(0 if lead else self.count() - 1, self._parts[-1])
@@ -137,14 +141,12 @@ class Columns(QSplitter):
             self._apply()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Keep the shares, whatever the width."""
+        """Keep the shares at the new width."""
         super().resizeEvent(event)
         self._apply()
 
-    # -- inside -----------------------------------------------------------------------------------
-
     def _order(self) -> list[int]:
-        """Return the numbers of the columns from the left."""
+        """Return the column indices from left to right."""
         usual = list(range(len(self._parts)))
         return [usual[-1], *usual[:-1]] if self._leading else usual
 
@@ -153,7 +155,7 @@ class Columns(QSplitter):
         self.setSizes([max(1, round(1e5 * shares[k])) for k in self._order()])
 
     def _moved(self) -> None:
-        """Take the widths that the operator made; a hidden column keeps its share."""
+        """Read the widths set by the operator; a hidden column keeps its share."""
         sizes = dict(zip(self._order(), self.sizes(), strict=True))
         seen = [k for k, size in sizes.items() if size > 0]
         room = sum(self._now.shares[k] for k in seen)
@@ -167,7 +169,7 @@ class Columns(QSplitter):
 
 
 class _ColumnEdge(QSplitterHandle):
-    """One edge. With the focus the arrows move it."""
+    """Edge between two columns; the arrow keys move it while it has the focus."""
 
     def __init__(self, columns: Columns) -> None:
         super().__init__(Qt.Orientation.Horizontal, columns)
@@ -175,7 +177,7 @@ class _ColumnEdge(QSplitterHandle):
         self.setToolTip("Drag, or Tab to it and press the arrows")
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Move by one nudge."""
+        """Move the edge by one step."""
         steps = {Qt.Key.Key_Left: -NUDGE_PX, Qt.Key.Key_Right: NUDGE_PX}
         step = steps.get(Qt.Key(event.key()))
         if step is None:
@@ -184,7 +186,7 @@ class _ColumnEdge(QSplitterHandle):
             self.moveSplitter(self.x() + step)
 
     def changeEvent(self, event: QEvent) -> None:
-        """Say by the tip whether it can be moved."""
+        """Show the tool tip only while the edge can be moved."""
         super().changeEvent(event)
         if event.type() is QEvent.Type.EnabledChange:
             tip = "Drag, or Tab to it and press the arrows"
@@ -192,14 +194,14 @@ class _ColumnEdge(QSplitterHandle):
 
 
 def _children(part: QWidget) -> list[QWidget]:
-    """Return the widgets that stand in a column, or the column itself if it is a panel."""
+    """Return the panels of a column; a column that is a panel itself is its only one."""
     if part.property("role") == "card":
         return [part]
     return [c for c in part.children() if isinstance(c, QWidget)]
 
 
 class ElidedLabel(QLabel):
-    """Takes the width it is given; a cut text says so and is whole in the tool tip."""
+    """Label that adapts to its width: a text cut off ends with an ellipsis."""
 
     def __init__(self, role: str) -> None:
         super().__init__()
@@ -208,27 +210,26 @@ class ElidedLabel(QLabel):
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
 
     def minimumSizeHint(self) -> QSize:
-        """Return no width: the row decides."""
+        """Return no width; the row decides."""
         return QSize(0, super().minimumSizeHint().height())
 
     def shown(self) -> str:
-        """Return the text as it is drawn at the present width."""
+        """Return the text as drawn at the present width."""
         mode = Qt.TextElideMode.ElideRight
         return self.fontMetrics().elidedText(self.text(), mode, self.width())
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw as much as there is room for."""
+        """Draw the text elided to the width."""
         painter = QPainter(self)
         painter.setPen(self.palette().color(self.foregroundRole()))
         painter.drawText(QRectF(self.rect()), int(self.alignment()), self.shown())
 
 
-HEADER_PX = 28
-"""Least height of every header, the room of its tools: the titles of neighbours are in line."""
+HEADER_PX = 28  # height of every header, so that titles of neighbouring panels align
 
 
 class Panel(QFrame):
-    """Frame round one view. ``detail`` is the right-hand text of the header."""
+    """Card with a header round one view. ``detail`` is the text at the right of the header."""
 
     def __init__(self, title: str, body: QWidget | None = None) -> None:
         super().__init__()
@@ -250,14 +251,14 @@ class Panel(QFrame):
             self.column.addWidget(body, 1)
 
     def rename(self, title: str) -> None:
-        """Give the panel another title."""
+        """Change the title."""
         if title != self._title.text():
             self._title.setText(title)
             self.setAccessibleName(title)
 
 
 class CaptionedView(QWidget):
-    """A view under a line with its name and, at the right, live details."""
+    """View below a line with its name at the left and live details at the right."""
 
     def __init__(self, title: str, body: QWidget) -> None:
         super().__init__()
@@ -291,7 +292,7 @@ def rule() -> QFrame:
 
 
 def set_property(widget: QWidget, name: str, value: str) -> None:
-    """Set a style-sheet property and restyle, only if it changed."""
+    """Set a style-sheet property; restyle the widget only if the value changed."""
     if widget.property(name) == value:
         return
     widget.setProperty(name, value)
@@ -303,7 +304,7 @@ LEAST_LINES = 2
 
 
 class ScrollingNote(QScrollArea):
-    """A label in a scroll area; never over its neighbours."""
+    """Label in a scroll area, so that a long text does not overlap its neighbours."""
 
     def __init__(self, name: str) -> None:
         super().__init__()
@@ -318,11 +319,11 @@ class ScrollingNote(QScrollArea):
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Preferred)
 
     def text(self) -> str:
-        """Return the words."""
+        """Return the text."""
         return self._label.text()
 
     def setText(self, text: str) -> None:
-        """Show these words; their beginning stays in sight."""
+        """Set the text and scroll to its start."""
         if text != self.text():
             self._label.setText(text)
             self.setToolTip(text)
@@ -330,16 +331,16 @@ class ScrollingNote(QScrollArea):
             self._fit()
 
     def sizeHint(self) -> QSize:
-        """Return the room of all lines at the present width."""
+        """Return the size of the whole text at the present width."""
         return QSize(120, self._needed())
 
     def minimumSizeHint(self) -> QSize:
-        """Return the room of the first lines."""
+        """Return the size of the first two lines."""
         least = LEAST_LINES * self._label.fontMetrics().lineSpacing() + 2
         return QSize(60, min(least, self._needed()))
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Take the lines of the new width."""
+        """Fit the height to the new width."""
         super().resizeEvent(event)
         if event.size().width() != event.oldSize().width():
             self._fit()
@@ -355,7 +356,7 @@ class ScrollingNote(QScrollArea):
 
 
 def compact_combo_box(texts: Sequence[str], name: str) -> QComboBox:
-    """Return a compact choice; ``name`` is said to screen readers and by the tip."""
+    """Return a small combo box; ``name`` is its accessible name and tool tip."""
     made = QComboBox()
     made.addItems(list(texts))
     made.setProperty("role", "compact")

@@ -28,14 +28,14 @@ ROOT = QModelIndex()
 
 
 class RowPainter(QStyledItemDelegate):
-    """Draws the rows in the colours of the theme."""
+    """Delegate that draws rows in the colours of the theme."""
 
     def __init__(self, theme: Theme, parent: QWidget) -> None:
         super().__init__(parent)
         self.theme = theme
 
     def colours(self, painter: QPainter, option: QStyleOptionViewItem) -> tuple[QColor, QColor]:
-        """Fill the row where it is chosen; return the colours of text and of muted text there."""
+        """Fill the background of a selected row; return the colours of normal and muted text."""
         tokens = self.theme.tokens
         if option.state & QStyle.StateFlag.State_Selected:
             painter.fillRect(QRectF(option.rect), tokens.colour("selection"))
@@ -44,7 +44,7 @@ class RowPainter(QStyledItemDelegate):
 
 
 class RowList(QListView):
-    """Rows of one height; ``model`` and ``painter`` are kept here: a view does not own them."""
+    """List of rows of equal height. It keeps its model and delegate alive: Qt does not own them."""
 
     def __init__(self, name: str) -> None:
         super().__init__()
@@ -53,17 +53,17 @@ class RowList(QListView):
         self.setAccessibleName(name)
 
     def draw_rows(self, model: QAbstractListModel, painter: RowPainter) -> None:
-        """Take what holds the rows and what draws them."""
+        """Set model and delegate."""
         self._rows_of, self._painter = model, painter
         self.setModel(model)
         self.setItemDelegate(painter)
 
     def fit_to_theme(self) -> None:
-        """Take the row height of another font scale."""
+        """Adapt the row height to the font scale."""
         self._rows_of.layoutChanged.emit()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Keep only what moves the choice: letters and Space are the page's."""
+        """Handle keys that move the selection; letters and Space go to the page."""
         if event.text() and event.text().isprintable():
             event.ignore()
         else:
@@ -71,19 +71,18 @@ class RowList(QListView):
 
 
 def draw_elided_line(painter: QPainter, box: QRectF, words: str, colour: QColor) -> None:
-    """Write ``words`` at the top left of ``box``, cut where it ends."""
+    """Draw ``words`` at the top left of ``box``, elided to its width."""
     painter.setPen(colour)
     metrics = painter.fontMetrics()
     cut = metrics.elidedText(words, Qt.TextElideMode.ElideRight, int(box.width()))
     painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop), cut)
 
 
-PAD_X, PAD_Y = 12, 7
-"""Padding of the style and the margin that the style keeps round a text, px."""
+PAD_X, PAD_Y = 12, 7  # padding of the style plus its text margin, px
 
 
 class WrappedItemDelegate(QStyledItemDelegate):
-    """Measures rows for the width that ``view`` has now, beside its scroll bar."""
+    """Delegate that wraps texts at the present width of ``view``, less its scroll bar."""
 
     def __init__(self, view: QListWidget) -> None:
         super().__init__(view)
@@ -92,13 +91,13 @@ class WrappedItemDelegate(QStyledItemDelegate):
         view.setResizeMode(QListWidget.ResizeMode.Adjust)
         view.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         view.setItemDelegate(self)
-        # By whole rows, of which some are higher, the end of a short list left its room empty.
+        # Rows differ in height: scrolling by rows would leave empty space below the last one.
         view.setVerticalScrollMode(QListWidget.ScrollMode.ScrollPerPixel)
 
     def sizeHint(
         self, option: QStyleOptionViewItem, index: QModelIndex | QPersistentModelIndex
     ) -> QSize:
-        """Return the height of the text where it is drawn."""
+        """Return the height of the wrapped text."""
         width = max(self._view.viewport().width() - 2 * PAD_X, 1)
         text = str(index.data(Qt.ItemDataRole.DisplayRole))
         room = QRect(0, 0, width, 10_000)

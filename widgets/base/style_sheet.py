@@ -145,6 +145,7 @@ QListWidget:focus, QPlainTextEdit:focus, QTableWidget:focus {{ border: 2px solid
 QListWidget::item {{ padding: 6px 8px; }}
 """
 
+# The contrast theme is black and white: disabled widgets also get a dashed frame.
 _CONTRAST = """
 QPushButton:disabled, QToolButton:disabled, QPushButton[role="primary"]:disabled,
 QComboBox:disabled, QAbstractSpinBox:disabled, QLineEdit:disabled {{ color: {disabled};
@@ -153,11 +154,10 @@ QAbstractSpinBox QLineEdit:disabled {{ border: none; }}
 QToolButton[role="rail"]:disabled, QToolButton[role="plain"]:disabled {{ border: none; }}
 QAbstractSpinBox::up-arrow:disabled, QAbstractSpinBox::down-arrow:disabled {{ image: none; }}
 """
-"""Where all is black or white, what is disabled differs by its frame too, not by shade alone."""
 
 
+# Size of marks in px per point of the text.
 MARKS = {"arrow": 1.0, "small_arrow": 0.9, "tick": 1.3, "drop": 2.2, "step": 1.8}
-"""Pixels per point of the text: marks and the places they stand in grow with it."""
 
 
 def make_style_sheet(tokens: Mapping[str, str], points: float) -> str:

@@ -29,17 +29,14 @@ from touchdown.widgets.base.style_sheet import make_style_sheet
 ThemeName = Literal["dark", "light", "contrast"]
 THEMES: tuple[ThemeName, ...] = ("dark", "light", "contrast")
 BASE_POINTS = 10.0
-LEAST, MOST = 0.8, 2.0
-"""Font scales."""
-STYLED = "touchdown-styled"
-"""Property of an application that has its style already."""
-FONTS = "touchdown-fonts"
-"""Property of an application that has the bundled fonts already."""
+LEAST, MOST = 0.8, 2.0  # range of the font scale
+STYLED = "touchdown-styled"  # property of an application whose style is set
+FONTS = "touchdown-fonts"  # property of an application with the bundled fonts
 
 
 @dataclass(frozen=True, slots=True)
 class Tokens:
-    """Colours of one theme as ``#rrggbb``; state and action colours are equal in all themes."""
+    """Colours of one theme as ``#rrggbb``; those of states and actions are equal in all themes."""
 
     name: ThemeName
     bg: str
@@ -109,17 +106,17 @@ def tokens_of(name: ThemeName) -> Tokens:
 
 
 class Theme:
-    """The tokens in force. Widgets hold it and read ``theme.tokens`` whenever they paint."""
+    """Current tokens and font scale. Widgets keep it and read ``theme.tokens`` when they paint."""
 
     def __init__(self, name: ThemeName = "dark", scale: float = 1.0) -> None:
         self.tokens = tokens_of(name)
         self.scale = scale
 
     def choose(self, application: QApplication, name: ThemeName, scale: float) -> None:
-        """Take a theme and font scale for widgets that are about to be made; then ``apply``.
+        """Set theme and font scale before widgets are made; call ``apply`` afterwards.
 
-        Under a style sheet every widget that comes into a layout is polished anew, with all that
-        it holds: without one a window is made in half the time.
+        With a style sheet in force, Qt polishes every widget again when it enters a layout. Without
+        one a window is built in half the time.
         """
         self._take(application, name, scale)
         if application.styleSheet():
@@ -134,18 +131,19 @@ class Theme:
     ) -> None:
         """Switch the whole application to a theme and font scale (0.8 to 2).
 
-        With ``window`` only that and what is opened from it has the style sheet: a page that is
-        made later then gets it once, when it comes into the window, not at each step of its making.
+        With ``window`` the style sheet is set on that window alone, not on the application. A page
+        built later is then styled once, when it enters the window, and not at every step of its
+        construction.
         """
         self._take(application, name, scale)
         sheet = make_style_sheet(self.tokens.as_dict(), BASE_POINTS * self.scale)
         dressed = application if window is None else window
         if sheet != dressed.styleSheet():
             if window is not None and window.styleSheet():
-                # Beside another window, what is laid out before the first showing keeps the rules
-                # of the first sheet: Qt forgets them for polished widgets alone.
+                # Qt drops the rules of the old sheet only for polished widgets: those laid out
+                # before they are first shown would keep them while a second window is open.
                 window.ensurePolished()
-            # Qt takes five times as long to put one sheet in the place of another.
+            # Replacing a sheet directly takes Qt five times as long.
             dressed.setStyleSheet("")
             dressed.setStyleSheet(sheet)
         for widget in application.allWidgets():
@@ -157,16 +155,16 @@ class Theme:
         if not application.property(STYLED):
             application.setStyle("Fusion")
             application.setProperty(STYLED, True)
-        # Font, palette and sheet each lay out and paint every widget: only what changed is set.
+        # Setting a font, palette or sheet lays out and paints every widget: skip unchanged ones.
         if application.font() != ui_font(self.scale):
             application.setFont(ui_font(self.scale))
         application.setPalette(_palette(self.tokens))
 
 
 def load_resources() -> None:
-    """Register the bundled interface font and icons with Qt (equal looks on every machine).
+    """Register the bundled interface font and icons, so that all machines show the same.
 
-    Once per application: with each font that comes Qt forgets all that it has measured of any.
+    Runs once per application: each added font makes Qt discard its text measurements.
     """
     application = QApplication.instance()
     assert application is not None
@@ -182,9 +180,9 @@ def load_resources() -> None:
 
 @cache
 def ui_font(scale: float = 1.0, size: float = 1.0, weight: int = 400) -> QFont:
-    """Return the interface font; ``size`` is a multiple of the base, digits have equal widths.
+    """Return the interface font with digits of equal width; ``size`` multiplies the base size.
 
-    Fonts are shared between callers: making one anew costs as much as drawing a line of text.
+    Fonts are cached: constructing one costs as much as drawing a line of text.
     """
     font = QFont(["Inter", "DejaVu Sans"])
     font.setPointSizeF(BASE_POINTS * scale * size)
@@ -212,7 +210,7 @@ def _palette(t: Tokens) -> QPalette:
 
 
 def blend(under: QColor, over: QColor, share: float) -> QColor:
-    """Mix two opaque colours; ``share`` of ``over`` in 0..1."""
+    """Mix two opaque colours; ``share`` is that of ``over``, 0 to 1."""
     return QColor.fromRgbF(
         under.redF() + share * (over.redF() - under.redF()),
         under.greenF() + share * (over.greenF() - under.greenF()),
@@ -229,14 +227,14 @@ def icon(name: str, colour: QColor, size_px: int = 20) -> QIcon:
 
 
 def fit_icon(*buttons: QAbstractButton) -> None:
-    """Draw the icons of buttons as high as their letters."""
+    """Scale the icons of buttons to the height of their text."""
     for button in buttons:
         side = round(ICON_SHARE * button.fontMetrics().height())
         button.setIconSize(QSize(side, side))
 
 
 def pixmap(name: str, colour: QColor, size_px: int) -> QPixmap:
-    """Return icon ``name`` as a square pixmap; raises FileNotFoundError for an unknown one."""
+    """Return icon ``name`` as a square pixmap; raises FileNotFoundError if unknown."""
     kept, drawn = f"icon {name} {colour.name()} {size_px}", QPixmap()
     if QPixmapCache.find(kept, drawn):
         return drawn
@@ -259,7 +257,7 @@ MAPS: tuple[MapName, ...] = ("cividis", "viridis", "grey")
 
 @cache
 def colour_table(name: MapName) -> NDArray[np.uint8]:
-    """(256, 3) uint8 RGB of a map; read-only."""
+    """Return the (256, 3) uint8 RGB table of a colour map, read-only."""
     if name == "grey":
         lut = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
     else:

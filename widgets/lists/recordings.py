@@ -34,42 +34,41 @@ PAD_X, PAD_Y = 8, 5
 
 @dataclass(frozen=True, slots=True)
 class RecordingRow:
-    """One recording: when it was made, and what it was ("" while that is not known)."""
+    """One recording: its time as ``title``, its content as ``detail`` ("" while unknown)."""
 
     title: str
     detail: str = ""
 
     @property
     def text(self) -> str:
-        """Both lines, as they are searched and read aloud."""
+        """Both lines, for search and screen readers."""
         return "\n".join(filter(None, (self.title, self.detail)))
 
 
 class RecordingList(RowList):
-    """Shows some of many rows in any order; ``chosen`` is told the number of the row picked.
+    """List that can filter and sort its rows; ``chosen`` gets the number of the selected row.
 
-    Rows keep their number (their place in ``take``) however they are ordered or left out. A detail
-    that is too long for its line is whole in the tool tip.
+    A row keeps its number (its index in ``take``) however rows are sorted or filtered. The tool tip
+    shows a detail too long for its line.
     """
 
     def __init__(self, theme: Theme, name: str, chosen: Callable[[int], None]) -> None:
         super().__init__(name)
         self._rows, self._chosen = _RecordingModel(self), chosen
-        self.current = -1
-        """Number of the chosen row, -1 for none; it stays chosen while it is left out."""
+        self.current = -1  # number of the selected row, -1 for none; kept while it is filtered out
         self._telling = True
         self.draw_rows(self._rows, _RecordingPainter(theme, self))
         self.setMinimumHeight(60)
         self.selectionModel().selectionChanged.connect(lambda *_: self._on_selected())
 
     def take(self, rows: Sequence[RecordingRow]) -> None:
-        """Take other recordings: none is chosen, none is shown until ``show_order``."""
+        """Replace all rows: none is selected, none shown until ``show_order``."""
         self.current = -1
         self._rows.rows = list(rows)
         self.show_order([])
 
     def show_order(self, order: Sequence[int]) -> None:
-        """Show the rows of these numbers, in this order; what is chosen stays chosen."""
+        """Show the rows of these numbers, in this order; the selection is kept."""
         if list(order) == self._rows.order:
             return
         self._telling = False
@@ -79,15 +78,15 @@ class RecordingList(RowList):
         self._telling = True
 
     def show_row(self, number: int, row: RecordingRow) -> None:
-        """Show one recording anew."""
+        """Update one row."""
         if self._rows.rows[number] != row:
-            # Not told by ``dataChanged``: a list would lay out all of its rows anew.
+            # ``dataChanged`` would lay out all rows again.
             self._rows.rows[number] = row
             if number in self._rows.order:
                 self.update(self._rows.index(self._rows.order.index(number)))
 
     def choose(self, number: int) -> None:
-        """Mark a recording as the chosen one without telling so."""
+        """Select a recording without calling ``chosen``."""
         self._telling = False
         self.current = number
         if number in self._rows.order:
@@ -95,19 +94,19 @@ class RecordingList(RowList):
         self._telling = True
 
     def choose_row(self, at: int) -> None:
-        """Pick the row at this place of those that are shown, as a click does."""
+        """Select the row at this visible position, like a click."""
         self.setCurrentIndex(self._rows.index(at))
 
     def rows(self) -> Sequence[RecordingRow]:
-        """Return all recordings by number."""
+        """Return all rows by number."""
         return self._rows.rows
 
     def shown(self) -> list[RecordingRow]:
-        """Return the rows that are shown, in their order."""
+        """Return the visible rows in their order."""
         return [self._rows.rows[number] for number in self._rows.order]
 
     def _on_selected(self) -> None:
-        """Take what was selected; a list that only gets the focus has its cursor on a row too."""
+        # Selection, not the current index: a list that only gets the focus has a current row too.
         found = self.selectedIndexes()
         if self._telling and found:
             self.current = self._rows.order[found[0].row()]
@@ -140,7 +139,7 @@ class _RecordingModel(QAbstractListModel):
 
 
 class _RecordingPainter(RowPainter):
-    """Of one height: the title, and below it what the recording was."""
+    """Two lines of equal height: title and detail."""
 
     def sizeHint(self, _option: QStyleOptionViewItem, _index: ModelIndex) -> QSize:
         line = QFontMetrics(ui_font(self.theme.scale)).height()
@@ -160,6 +159,7 @@ class _RecordingPainter(RowPainter):
         painter.restore()
 
 
+# fill and text colour of the chip of each label state
 CHIPS: dict[str, tuple[str, str]] = {
     "unlabelled": ("pill_grey", "on_dark"),
     "draft": ("pill_yellow", "on_light"),
@@ -168,7 +168,6 @@ CHIPS: dict[str, tuple[str, str]] = {
     "rejected": ("pill_red", "on_dark"),
     "superseded": ("pill_grey", "on_dark"),
 }
-"""Fill and text of the chip of each state; the word is always written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +182,7 @@ class LabelListRow:
 
 
 class LabelList(RowList):
-    """Shows thousands of rows without a widget each; ``chosen`` is told the row that was picked."""
+    """List of thousands of episodes; ``chosen`` gets the index of the clicked row."""
 
     def __init__(self, theme: Theme, chosen: Callable[[int], None]) -> None:
         super().__init__("Episodes of the queue")
@@ -194,22 +193,22 @@ class LabelList(RowList):
         self._chosen = chosen
 
     def show_rows(self, rows: Sequence[LabelListRow]) -> None:
-        """Show another queue."""
+        """Replace all rows."""
         self._rows.show(rows)
 
     def show_row(self, at: int, row: LabelListRow) -> None:
-        """Show one row anew."""
+        """Update one row."""
         if self._rows.rows[at] != row:
-            # Not told by ``dataChanged``: a list would lay out all of its rows anew.
+            # ``dataChanged`` would lay out all rows again.
             self._rows.rows[at] = row
             self.update(self._rows.index(at))
 
     def rows(self) -> Sequence[LabelListRow]:
-        """Return what is shown."""
+        """Return all rows."""
         return self._rows.rows
 
     def choose(self, at: int) -> None:
-        """Mark a row as the present one, in sight."""
+        """Select a row and scroll to it."""
         index = self._rows.index(at)
         self.setCurrentIndex(index)
         self.scrollTo(index)
@@ -282,7 +281,7 @@ class _LabelPainter(RowPainter):
 
 @dataclass(frozen=True, slots=True)
 class HistoryRow:
-    """One revision in words. ``head``: it is the one that holds; ``difference`` to the former."""
+    """One revision in words. ``head``: in force. ``difference``: to the revision before."""
 
     rev_uuid: str
     number: int
@@ -293,7 +292,7 @@ class HistoryRow:
 
 
 class HistoryList(QWidget):
-    """Lists revisions; ``restore`` is told the one that was asked back."""
+    """List of revisions; ``restore`` gets the id of the one to restore."""
 
     def __init__(self, restore: Callable[[str], None]) -> None:
         super().__init__()
@@ -318,7 +317,7 @@ class HistoryList(QWidget):
         self.show_rows([])
 
     def show_rows(self, rows: Sequence[HistoryRow]) -> None:
-        """Show the revisions of another episode, newest first."""
+        """Replace all revisions, newest first."""
         self._rows = list(rows)
         self.list.clear()
         self.list.addItems([revision_text(row) for row in rows])
@@ -326,7 +325,7 @@ class HistoryList(QWidget):
         self._choose(-1)
 
     def choose(self, at: int) -> None:
-        """Mark a revision."""
+        """Select a revision."""
         self.list.setCurrentRow(at)
 
     def _choose(self, at: int) -> None:
@@ -339,14 +338,14 @@ class HistoryList(QWidget):
 
 
 def revision_text(row: HistoryRow) -> str:
-    """Return a revision as the list shows it."""
+    """Return the text of a revision."""
     holds = ", holds" if row.head else ""
     lines = [f"{row.number}. {row.what}{holds}", row.who]
     return "\n".join([*lines, row.difference] if row.difference else lines)
 
 
 class _KeylessListWidget(QListWidget):
-    """Leaves letters and digits to the page."""
+    """List that leaves letters and digits to the page."""
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         if event.text() and event.text().isprintable():

@@ -35,15 +35,15 @@ HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time", "Grip", "Person")
 RIGHT = frozenset((0, 3, 4))
 WIDTHS_EM = (2.9, 4.5, 3.8, 5.3, 4.1, 3.4, 4.6)
 NUMBER, QUALITY, TIME = 0, 2, 4
+# Appended to the header that sorts: Qt's own indicator would cover the text.
 UP, DOWN = "\N{BLACK UP-POINTING SMALL TRIANGLE}", "\N{BLACK DOWN-POINTING SMALL TRIANGLE}"
-"""Beside the head that sorts: Qt's own mark would cover the word."""
 
 
 @dataclass(frozen=True, slots=True)
 class EpisodeTableRow:
-    """One probe. ``status``: state of its label or "deleted"; ``quality``: ok, or why not.
+    """One probe. ``status``: state of its label or "deleted"; ``quality``: ok, or the defect.
 
-    ``distance_mm``: how far it is displaced, which its column sorts by.
+    ``distance_mm``: size of the displacement, by which its column sorts.
     """
 
     uuid: str
@@ -59,13 +59,13 @@ class EpisodeTableRow:
     distance_mm: float = 0.0
 
     def cells(self) -> tuple[str, ...]:
-        """Return the texts of the row."""
+        """Return the texts of the columns."""
         flag = "\N{BLACK FLAG} " if self.flagged else ""
         status = f"{flag}{self.status}"
         return self.number, status, self.quality, self.where, self.time, self.grip, self.person
 
     def keys(self) -> tuple[float | str, ...]:
-        """Return what each column sorts by."""
+        """Return the sort keys of the columns."""
         number = float(self.number)
         return (
             number, self.status, self.quality, self.distance_mm, number, self.grip, self.person,
@@ -74,7 +74,7 @@ class EpisodeTableRow:
 
 @dataclass(frozen=True, slots=True)
 class TableArrangement:
-    """Which columns are shown, and which one the rows are sorted by."""
+    """Visible columns and sort order."""
 
     columns: tuple[str, ...] = HEADS[:5]
     sort: str = HEADS[NUMBER]
@@ -82,7 +82,7 @@ class TableArrangement:
 
 
 class EpisodeTable(QTableView):
-    """Shows thousands of rows; ``choose`` is told the uuid of the row that was picked."""
+    """Table of thousands of episodes; ``choose`` gets the uuid of the clicked row."""
 
     def __init__(self, theme: Theme, choose: Callable[[str], None]) -> None:
         super().__init__()
@@ -114,7 +114,7 @@ class EpisodeTable(QTableView):
         self.arrange(self._arrangement)
 
     def show_rows(self, rows: Sequence[EpisodeTableRow], chosen: str) -> None:
-        """Show these rows in the chosen order, with one of them marked."""
+        """Replace the rows, sort them and select one."""
         self._all = rows
         column = HEADS.index(self._arrangement.sort)
         newest = sorted(rows, key=lambda row: row.keys()[NUMBER], reverse=True)
@@ -124,13 +124,13 @@ class EpisodeTable(QTableView):
 
     @property
     def arrangement(self) -> TableArrangement:
-        """Columns and order."""
+        """Visible columns and sort order."""
         return self._arrangement
 
     def arrange(self, wanted: TableArrangement) -> None:
-        """Take columns and order; raises ``ValueError`` for columns that there are not."""
+        """Set columns and sort order; raises ValueError for an unknown column."""
         if not wanted.columns or not {*wanted.columns, wanted.sort} <= set(HEADS):
-            raise ValueError("there is no such column")
+            raise ValueError("unknown column")
         chosen = self.chosen()
         self._arrangement = wanted
         for column, name in enumerate(HEADS):
@@ -141,39 +141,39 @@ class EpisodeTable(QTableView):
         self.show_rows(self._all, chosen)
 
     def sort_by(self, column: int) -> None:
-        """Sort by a column, the other way round if it is the one already."""
+        """Sort by a column; a second call reverses the order."""
         now, name = self._arrangement, HEADS[column]
         down = not now.descending if now.sort == name else column in (NUMBER, TIME)
         self.arrange(replace(now, sort=name, descending=down))
 
     def sort_by_next(self) -> None:
-        """Sort by the next column that is shown."""
+        """Sort by the next visible column."""
         shown = [column for column, name in enumerate(HEADS) if name in self._arrangement.columns]
         at = HEADS.index(self._arrangement.sort)
         self.sort_by(next((column for column in shown if column > at), shown[0]))
 
     def show_column(self, column: int, *, shown: bool) -> None:
-        """Show or hide a column; the last one stays."""
+        """Show or hide a column; the last visible one stays."""
         now, name = self._arrangement, HEADS[column]
         wanted = [one for one in HEADS if (one in now.columns if one != name else shown)]
         if wanted:
             self.arrange(replace(now, columns=tuple(wanted)))
 
     def choose_columns(self) -> None:
-        """Offer the columns in a menu below the heads."""
+        """Open the menu of columns below the header."""
         self._offer_columns(self.horizontalHeader().rect().bottomLeft())
 
     def chosen(self) -> str:
-        """Return the uuid of the marked row, "" if none is."""
+        """Return the uuid of the selected row, "" for none."""
         index = self.currentIndex()
         return self._rows.rows[index.row()].uuid if index.isValid() else ""
 
     def rows(self) -> Sequence[EpisodeTableRow]:
-        """Return what is shown."""
+        """Return the rows in their present order."""
         return self._rows.rows
 
     def mark(self, uuid: str) -> None:
-        """Mark one row, in sight; an unknown uuid marks none."""
+        """Select one row and scroll to it; an unknown uuid clears the selection."""
         for at, row in enumerate(self._rows.rows):
             if row.uuid == uuid:
                 index = self._rows.index(at, 0)
@@ -183,7 +183,7 @@ class EpisodeTable(QTableView):
         self.clearSelection()
 
     def fit_to_theme(self) -> None:
-        """Take row height and column widths of the font scale."""
+        """Adapt row height and column widths to the font scale."""
         em = QFontMetrics(ui_font(self._theme.scale)).height()
         self.verticalHeader().setDefaultSectionSize(round(1.45 * em))
         self.horizontalHeader().setMinimumSectionSize(round(min(WIDTHS_EM) * em))
@@ -259,15 +259,14 @@ def _aligned(column: int) -> int:
 
 
 MOST_COMPARED = 3
-LEAST_ROWS = 3
-"""Every table has room for so many, at the least size of the window too."""
+LEAST_ROWS = 3  # rows that fit even at the smallest window size
 ALIGN_RIGHT = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
 
 
 class FigureTable(QTableWidget):
-    """Rows of texts; all columns but the first are figures at the right.
+    """Table of texts; all columns but the first are right-aligned figures.
 
-    ``empty`` is written in the middle while there is no row.
+    ``empty`` is the text shown while there are no rows.
     """
 
     empty = ""
@@ -286,7 +285,7 @@ class FigureTable(QTableWidget):
         self.show_columns(columns)
 
     def show_columns(self, columns: Sequence[str]) -> None:
-        """Name the columns."""
+        """Set the column headers."""
         self.setColumnCount(len(columns))
         for at, text in enumerate(columns):
             item = QTableWidgetItem(text)
@@ -303,7 +302,7 @@ class FigureTable(QTableWidget):
         self.fit_to_theme()
 
     def show_rows(self, rows: Sequence[Sequence[str]]) -> None:
-        """Show these texts; a row may be shorter than the table."""
+        """Replace the rows; a row may have fewer cells than the table has columns."""
         self.setRowCount(len(rows))
         for r, row in enumerate(rows):
             for c in range(self.columnCount()):
@@ -316,12 +315,12 @@ class FigureTable(QTableWidget):
         self.updateGeometry()
 
     def sizeHint(self) -> QSize:
-        """Return the room of all rows."""
+        """Return the size of all rows."""
         rows = max(self.rowCount(), LEAST_ROWS) * self.verticalHeader().defaultSectionSize()
         return QSize(256, self.horizontalHeader().height() + rows + 2 * self.frameWidth() + 2)
 
     def paintEvent(self, event: QPaintEvent) -> None:
-        """Draw the rows, or why there are none."""
+        """Draw the rows, or ``empty``."""
         super().paintEvent(event)
         if self.empty and not self.rowCount():
             painter = QPainter(self.viewport())
@@ -333,16 +332,16 @@ class FigureTable(QTableWidget):
             painter.end()
 
     def texts(self) -> list[list[str]]:
-        """Return what is shown."""
+        """Return the shown texts by row."""
         return [
             [item.text() if (item := self.item(r, c)) else "" for c in range(self.columnCount())]
             for r in range(self.rowCount())
         ]
 
     def fit_to_theme(self) -> None:
-        """Take the row height of the font scale."""
+        """Adapt the row height to the font scale."""
         height = round(1.55 * QFontMetrics(ui_font(self._theme.scale)).height())
-        # The least first: below it Qt takes no usual height, and smaller text kept the old rows.
+        # Minimum first: Qt ignores a default below it, and smaller text would keep the old rows.
         self.verticalHeader().setMinimumSectionSize(height)
         self.verticalHeader().setDefaultSectionSize(height)
         self.horizontalHeader().setFixedHeight(height)
@@ -351,7 +350,7 @@ class FigureTable(QTableWidget):
 
 @dataclass(frozen=True, slots=True)
 class TrainingRow:
-    """One training in words: id, then the texts of the columns."""
+    """One training: its id and the texts of the columns."""
 
     uuid: str
     cells: tuple[str, ...]
@@ -361,7 +360,7 @@ RUN_COLUMNS = ("run", "state", "sees", "IoU %", "epoch")
 
 
 class TrainingTable(FigureTable):
-    """The trainings; up to three can be chosen, and are then compared."""
+    """Table of trainings; up to three can be selected for comparison."""
 
     def __init__(self, theme: Theme, chosen: Callable[[tuple[str, ...]], None]) -> None:
         super().__init__(theme, "Trainings", RUN_COLUMNS)
@@ -371,7 +370,7 @@ class TrainingTable(FigureTable):
         self.itemSelectionChanged.connect(self._tell)
 
     def show_runs(self, rows: Sequence[TrainingRow]) -> None:
-        """Show the trainings without telling; what is chosen stays chosen."""
+        """Replace the rows without calling ``chosen``; the selection is kept."""
         kept = self.chosen()
         with QSignalBlocker(self):
             self._uuids = [row.uuid for row in rows]
@@ -379,7 +378,7 @@ class TrainingTable(FigureTable):
             self._select(kept)
 
     def choose(self, uuids: Sequence[str]) -> None:
-        """Choose these trainings, and no others."""
+        """Select these trainings and no others."""
         with QSignalBlocker(self):
             self._select(uuids)
         self._tell()
@@ -393,7 +392,7 @@ class TrainingTable(FigureTable):
                 model.select(index, flag.Select | flag.Rows)
 
     def chosen(self) -> tuple[str, ...]:
-        """Return the ids of the chosen trainings, in the order of the table, three at most."""
+        """Return the ids of the selected trainings in table order, three at most."""
         rows = sorted({index.row() for index in self.selectedIndexes()})
         return tuple(self._uuids[row] for row in rows[:MOST_COMPARED])
 

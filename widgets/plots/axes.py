@@ -16,28 +16,28 @@ from touchdown.widgets.base import Theme, ui_font
 
 
 def nice_step(span: float, count: int) -> float:
-    """Return a step of 1, 2 or 5 times a power of ten that gives about ``count`` ticks."""
+    """Return a tick step of 1, 2 or 5 times a power of ten for about ``count`` ticks."""
     raw = span / max(count, 1)
     power = 10.0 ** math.floor(math.log10(raw))
     return float(next(m * power for m in (1.0, 2.0, 5.0, 10.0) if raw <= m * power * (1 + 1e-9)))
 
 
 def ticks(low: float, high: float, count: int) -> list[float]:
-    """Return round values within [low, high]."""
+    """Return the round values within [low, high]."""
     step = nice_step(high - low, count)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [round(k * step, 10) for k in range(first, last + 1)]
 
 
 def tick_text(value: float, step: float) -> str:
-    """Write a tick with as many decimals as its step needs and a true minus sign."""
+    """Format a tick with the decimals of its step and a true minus sign."""
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     return f"{value:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
 
 
 @dataclass(frozen=True, slots=True)
 class PlotArea:
-    """Maps values in [x0, x1] x [y0, y1] to ``rect`` (y up)."""
+    """Linear map of [x0, x1] x [y0, y1] to the pixels of ``rect`` (y up)."""
 
     rect: QRectF
     x0: float
@@ -46,23 +46,23 @@ class PlotArea:
     y1: float
 
     def x(self, value: float) -> float:
-        """Pixel column of a value."""
+        """Return the pixel column of a value."""
         return self.rect.left() + (value - self.x0) / (self.x1 - self.x0) * self.rect.width()
 
     def y(self, value: float) -> float:
-        """Pixel row of a value."""
+        """Return the pixel row of a value."""
         return self.rect.bottom() - (value - self.y0) / (self.y1 - self.y0) * self.rect.height()
 
     def columns(self, x: FloatArray) -> FloatArray:
-        """Pixel columns of values of any shape."""
+        """Return the pixel columns of an array of any shape."""
         return self.rect.left() + (x - self.x0) * (self.rect.width() / (self.x1 - self.x0))
 
     def rows(self, y: FloatArray) -> FloatArray:
-        """Pixel rows of values of any shape."""
+        """Return the pixel rows of an array of any shape."""
         return self.rect.bottom() - (y - self.y0) * (self.rect.height() / (self.y1 - self.y0))
 
     def polygon(self, x: FloatArray, y: FloatArray) -> QPolygonF:
-        """Map (n,) and (n,) to a polyline without a Python loop."""
+        """Map values of shape (n,) and (n,) to a polyline."""
         points = np.empty((len(x), 2))
         points[:, 0], points[:, 1] = self.columns(x), self.rows(y)
         return polygon_of(points)
@@ -81,7 +81,7 @@ def polygon_of(points: FloatArray) -> QPolygonF:
 
 
 def spread_labels(wanted: list[float], gap: float, low: float, high: float) -> list[float]:
-    """Move labels apart so that neighbours are ``gap`` away and all stay within [low, high]."""
+    """Move labels apart by at least ``gap`` within [low, high]."""
     known = [low if math.isnan(y) else min(max(y, low), high) for y in wanted]
     order = sorted(range(len(wanted)), key=known.__getitem__)
     placed = [known[i] for i in order]
@@ -99,10 +99,10 @@ def spread_labels(wanted: list[float], gap: float, low: float, high: float) -> l
 
 
 class TraceBuckets:
-    """Keeps, per bucket of time, the least and greatest sample of every channel.
+    """Ring buffer of the minimum and maximum of every channel per time bucket.
 
-    A ring over the newest ``span_s`` of signal time. Buckets without a sample are NaN: a gap is
-    shown as a gap, never as zero. Time that jumps back (a new trial) empties the ring.
+    It covers the newest ``span_s`` of signal time. Buckets without a sample are NaN, so that a gap
+    is drawn as a gap. A jump back in time (a new trial) clears the ring.
     """
 
     def __init__(self, channels: int, span_s: float = 10.0, buckets: int = 500) -> None:
@@ -115,18 +115,18 @@ class TraceBuckets:
 
     @property
     def empty(self) -> bool:
-        """Whether no finite sample has arrived."""
+        """True while no sample has arrived."""
         return self._newest < 0
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove all samples."""
         self._low[:] = np.nan
         self._high[:] = np.nan
         self._newest = -1
         self.last = np.full(self.channels, np.nan)
 
     def add(self, t_s: FloatArray, values: FloatArray) -> None:
-        """Take samples: ``t_s`` (n,) ascending, ``values`` (n, channels)."""
+        """Add samples: ``t_s`` (n,) ascending, ``values`` (n, channels)."""
         if len(t_s) == 0:
             return
         index = np.floor(t_s / self._width_s + 1e-9).astype(np.int64)
@@ -146,7 +146,7 @@ class TraceBuckets:
         self.last = values[-1].copy()
 
     def _advance(self, newest: int) -> None:
-        """Empty the buckets between the former newest one and the new one."""
+        """Clear the buckets between the last newest one and ``newest``."""
         if self._newest >= 0:
             count = min(newest - self._newest, self.buckets)
             fresh = (self._newest + 1 + np.arange(count)) % self.buckets
@@ -161,7 +161,7 @@ class TraceBuckets:
         return np.asarray(age_s, dtype=np.float64), self._low[order], self._high[order]
 
     def largest(self) -> float:
-        """Largest magnitude kept (0 if empty)."""
+        """Return the largest magnitude, 0 if empty."""
         both = np.stack([self._low, self._high])
         finite = np.abs(both[np.isfinite(both)])
         return float(finite.max()) if len(finite) else 0.0
@@ -173,7 +173,7 @@ LINE_GAP_PX = 5
 def draw_message(
     painter: QPainter, rect: QRect | QRectF, theme: Theme, text: str, detail: str = ""
 ) -> None:
-    """Write an empty state in the middle of ``rect``: as many lines as the words need there."""
+    """Draw an empty state centred in ``rect``, wrapped to its width."""
     both = int(Qt.AlignmentFlag.AlignHCenter | Qt.TextFlag.TextWordWrap)
     area = QRectF(rect).adjusted(8, 0, -8, 0)
     parts = [(text, "text", ui_font(theme.scale, 1.1, 500)),
@@ -195,7 +195,7 @@ def draw_message(
 def draw_stale_overlay(
     painter: QPainter, rect: QRectF, theme: Theme, age_s: float, into: QColor | None = None
 ) -> None:
-    """Fade ``rect`` to half of ``into``, a picture to black, and date it."""
+    """Fade ``rect`` by half into ``into`` (default black) and print the age."""
     veil = QColor(0, 0, 0) if into is None else QColor(into)
     veil.setAlpha(128)
     painter.fillRect(rect, veil)
@@ -209,21 +209,20 @@ def draw_stale_overlay(
     painter.drawText(badge, int(Qt.AlignmentFlag.AlignCenter), text)
 
 
-BYTES = 4 * 8
-"""A Qt line is four doubles: x1, y1, x2, y2."""
+BYTES = 4 * 8  # a QLineF is four doubles: x1, y1, x2, y2
 
 
 class LineBuffer:
-    """Keeps its lines between pictures; only what they hold changes."""
+    """Reusable QLineF objects over one array: only their coordinates change per frame."""
 
     def __init__(self) -> None:
         self._memory: FloatArray = np.zeros((0, 4))
         self._lines: list[QLineF] = []
 
     def take(self, lines: FloatArray) -> None:
-        """Hold ``lines`` (n, 4) from now on, in pixels of the painter."""
+        """Set the lines, (n, 4) in pixels of the painter."""
         if len(lines) > len(self._lines):
-            # The lines go first: they lie in the memory.
+            # Release the lines before the memory they point to.
             self._lines = []
             self._memory = np.zeros((len(lines), 4))
             start = self._memory.ctypes.data
@@ -232,13 +231,13 @@ class LineBuffer:
         self._memory[: len(lines)] = lines
 
     def draw(self, painter: QPainter, start: int, end: int) -> None:
-        """Draw the lines from ``start`` up to but without ``end``."""
+        """Draw the lines ``start`` to ``end``, exclusive."""
         if end > start:
             painter.drawLines(self._lines[start:end])
 
 
 def draw_mm_grid(painter: QPainter, area: PlotArea, theme: Theme, count: int = 6) -> None:
-    """Draw about ``count`` lines each way, with figures outside and names inside of the square."""
+    """Draw a grid of about ``count`` lines each way, tick labels outside, axis names inside."""
     t, rect = theme.tokens, area.rect
     painter.fillRect(rect, t.colour("bg"))
     height = painter.fontMetrics().height()

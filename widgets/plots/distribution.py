@@ -23,8 +23,7 @@ from touchdown.widgets.plots.axes import (
     ticks,
 )
 
-NEAR_PX = 12.0
-"""A click further from every dot than this chooses none."""
+NEAR_PX = 12.0  # a click farther than this from every dot selects none
 DOT_PX = 7.0
 
 
@@ -34,7 +33,7 @@ def _no_points() -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Bins:
-    """``counts`` (ny, nx) and whether each bin is ``possible``; bin (0, 0) is centred there."""
+    """Histogram: ``counts`` and ``possible`` (ny, nx); bin (0, 0) is centred at ``first_mm``."""
 
     counts: NDArray[np.intp]
     possible: NDArray[np.bool_]
@@ -44,11 +43,12 @@ class Bins:
 
 @dataclass(frozen=True, slots=True)
 class DistributionScene:
-    """``bottom`` (k, 2) contour; ``points_mm`` (n, 2) displacements with their ``values`` (n,).
+    """Displacements over the contour of a bottom, coloured by a value or counted in bins.
 
+    ``bottom`` (k, 2): contour; ``points_mm`` (n, 2): displacements; ``values`` (n,): their values.
     ``refused`` (n,): no observation. ``flagged`` (n,). ``chosen``: index of a dot or -1.
-    ``reach_mm``: half width of the square that is drawn. With ``bins`` counts are drawn instead of
-    values. ``title``: what the colours mean, with its unit.
+    ``reach_mm``: half width of the drawn square. With ``bins`` the counts are drawn instead of the
+    values. ``title``: meaning of the colours, with unit.
     """
 
     bottom: FloatArray = field(default_factory=_no_points)
@@ -63,7 +63,7 @@ class DistributionScene:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Lowest and highest value of the colour scale; never empty."""
+        """Lowest and highest value of the colour scale; never of zero length."""
         if self.bins is not None:
             return 0.0, float(max(self.bins.counts.max(initial=0), 1))
         known = self.values[np.isfinite(self.values) & ~self.refused]
@@ -74,7 +74,7 @@ class DistributionScene:
 
 
 class DistributionView(QWidget):
-    """Draws a ``DistributionScene``; ``choose`` is told the index of the dot that was clicked."""
+    """Plot of a ``DistributionScene``; ``choose`` gets the index of the clicked dot."""
 
     def __init__(self, theme: Theme, name: str, choose: Callable[[int], None]) -> None:
         super().__init__()
@@ -89,11 +89,11 @@ class DistributionView(QWidget):
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
 
     def sizeHint(self) -> QSize:
-        """Return nearly a square: the colour bar stands at the right."""
+        """Return nearly a square; the colour bar takes room at the right."""
         return QSize(320, 280)
 
     def show_scene(self, scene: DistributionScene) -> None:
-        """Show other displacements, values or another choice."""
+        """Show another scene."""
         self.scene = scene
         low, high = scene.span
         said = f"{len(scene.points_mm)} displacements, {scene.title} {low:.3g} to {high:.3g}"
@@ -101,7 +101,7 @@ class DistributionView(QWidget):
         self.update()
 
     def area(self) -> PlotArea:
-        """Return the square that is drawn."""
+        """Return the drawn square."""
         em = self.fontMetrics().height()
         left, bottom, edge = 2.2 * em, 1.4 * em, 0.9 * em
         right = 3.6 * em
@@ -112,7 +112,7 @@ class DistributionView(QWidget):
         return PlotArea(QRectF(x, y, side, side), -reach, reach, -reach, reach)
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Choose the nearest dot."""
+        """Select the nearest dot."""
         points = self.scene.points_mm
         if event.button() is not Qt.MouseButton.LeftButton or not len(points):
             return
@@ -123,10 +123,8 @@ class DistributionView(QWidget):
         if away[nearest] <= NEAR_PX:
             self._choose(nearest)
 
-    # -- drawing ----------------------------------------------------------------------------------
-
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Copy the picture; it is drawn anew when anything in it changed."""
+        """Draw the cached picture; render it again if the scene, size or theme changed."""
         painter = QPainter(self)
         if not len(self.scene.bottom):
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
@@ -240,7 +238,7 @@ def _pixels(area: PlotArea, points: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 def reach_of(bottom: FloatArray, points_mm: FloatArray) -> float:
-    """Return a half width, in whole 5 mm, in which the contour and all points lie."""
+    """Return the half width, a multiple of 5 mm, that holds the contour and all points."""
     largest = max(
         float(np.abs(part).max(initial=0.0)) for part in (bottom, points_mm[_finite(points_mm)])
     )

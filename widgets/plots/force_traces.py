@@ -26,13 +26,12 @@ from touchdown.widgets.plots.axes import (
 AXES = ("x", "y", "z")
 LIMITS = (1.0, 2.0, 5.0)
 BUCKETS = 360
-ROW_EM = 1.4
-"""Distance of the read-outs, in their height."""
+ROW_EM = 1.4  # distance of the read-outs in text heights
 SPANS_S = (10.0, 30.0, 60.0)
 
 
 class TracePlot(QWidget):
-    """Three traces with one unit. The range grows in round steps and shrinks only on ``fit``."""
+    """Three traces of one unit. The range grows in round steps and shrinks only with ``fit``."""
 
     def __init__(self, theme: Theme, name: str, symbol: str, unit: str, limit: float) -> None:
         super().__init__()
@@ -51,7 +50,7 @@ class TracePlot(QWidget):
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
 
     def add(self, t_s: FloatArray, values: FloatArray) -> None:
-        """Take samples: ``t_s`` (n,), ``values`` (n, 3)."""
+        """Add samples: ``t_s`` (n,), ``values`` (n, 3)."""
         self.buckets.add(t_s, values)
         finite = values[np.isfinite(values)]
         if len(finite):
@@ -59,32 +58,32 @@ class TracePlot(QWidget):
         self.update()
 
     def show_span(self, span_s: float) -> None:
-        """Show another length of time; what is shown is forgotten and has to be added anew."""
+        """Set the time span; this removes all samples."""
         self.buckets = TraceBuckets(3, span_s, buckets=BUCKETS)
         self._ground = None
         self.update()
 
     def clear(self) -> None:
-        """Forget the samples."""
+        """Remove all samples."""
         self.buckets.clear()
         self._age = Age.NEVER
         self.update()
 
     def fit(self) -> None:
-        """Set the range to what is shown now."""
+        """Set the range to the shown samples."""
         self.limit = self._least / 100
         self._grow(max(self.buckets.largest(), self._least / 10))
         self.update()
 
     def show_age(self, age: Age, age_s: float, reason: str) -> None:
-        """Say how old the newest sample is."""
+        """Set the age of the newest sample."""
         if age is Age.FRESH and self._age is Age.FRESH:
             return
         self._age, self._age_s, self._reason = age, age_s, reason
         self.update()
 
     def show_note(self, note: str) -> None:
-        """Show a figure of the sensor beside the title, such as its drift."""
+        """Show a sensor figure beside the title, such as its drift."""
         if note != self._note:
             self._note, self._ground = note, None
             self.update()
@@ -104,18 +103,18 @@ class TracePlot(QWidget):
             self.limit = _next_limit(self.limit)
 
     def resizeEvent(self, _event: QResizeEvent) -> None:
-        """Forget the drawn background."""
+        """Discard the cached background."""
         self._ground = None
 
     def area(self) -> PlotArea:
-        """Return where the traces are drawn."""
+        """Return the area of the traces."""
         em = self.fontMetrics().height()
         top = 1.7 * em
         rect = QRectF(2.9 * em, top, self.width() - 8.9 * em, self.height() - top - 1.6 * em)
         return PlotArea(rect, -self.buckets.span_s, 0.0, -self.limit, self.limit)
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the background from its copy, then the traces."""
+        """Draw the cached background and the traces."""
         self.paints += 1
         painter = QPainter(self)
         area = self.area()
@@ -144,7 +143,7 @@ class TracePlot(QWidget):
         font = ui_font(self._theme.scale, 0.92, 500)
         painter.setFont(font)
         height = painter.fontMetrics().height()
-        # Read-outs: places that follow the curves would jump while they are being read.
+        # Fixed rows: read-outs that follow the curves would jump while they are read.
         top = area.rect.center().y() - (ROW_EM + 0.5) * height
         decimals = 1 if self.limit >= 5 else 3
         left, right = area.rect.right() + 8, self.width() - 2.0
@@ -176,7 +175,7 @@ class TracePlot(QWidget):
         painter.fillRect(rect, t.colour("bg"))
         painter.setFont(ui_font(self._theme.scale, 0.85))
         height = painter.fontMetrics().height()
-        # No more numbers than there is room for: low plots name the middle and the ends.
+        # Low plots label only the middle and the ends.
         count = 4 if rect.height() >= 7 * height else 2
         step = nice_step(2 * self.limit, count)
         for value in ticks(-self.limit, self.limit, count):
@@ -184,7 +183,7 @@ class TracePlot(QWidget):
             painter.setPen(QPen(t.colour("border" if value == 0 else "grid"), 1))
             painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
             painter.setPen(t.colour("muted"))
-            # The lowest number would meet the first one of the time axis.
+            # Keeps the lowest label clear of the first one of the time axis.
             y = min(y, rect.bottom() - 0.35 * height)
             box = QRectF(0, y - height / 2, rect.left() - 6, height)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
@@ -212,7 +211,7 @@ class TracePlot(QWidget):
 
 
 def _next_limit(limit: float) -> float:
-    """Next of 1, 2, 5, 10 ... above ``limit``."""
+    """Return the next of 1, 2, 5, 10 ... above ``limit``."""
     power = 10.0 ** np.floor(np.log10(limit) + 1e-9)
     for mantissa in (2.0, 5.0, 10.0):
         if mantissa * power > limit * (1 + 1e-9):
@@ -223,7 +222,7 @@ def _next_limit(limit: float) -> float:
 def thin_buckets(
     age_s: FloatArray, low: FloatArray, high: FloatArray, columns: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Merge neighbouring buckets until there are at most ``columns`` of them."""
+    """Merge neighbouring buckets to at most ``columns``."""
     factor = -(-len(age_s) // max(columns, 1))
     if factor <= 1:
         return age_s, low, high
@@ -238,7 +237,7 @@ def thin_buckets(
 def _polylines(
     area: PlotArea, age_s: FloatArray, low: FloatArray, high: FloatArray
 ) -> list[list[QPolygonF]]:
-    """Per axis one polyline per stretch without a gap; a bucket gives its low and high point."""
+    """Return per axis one polyline for each stretch without a gap; a bucket adds two points."""
     points = np.empty((low.shape[1], len(age_s), 2, 2))
     points[..., 0] = area.columns(age_s)[:, None]
     for end, values in enumerate((low, high)):
@@ -256,7 +255,7 @@ def _polylines(
 
 @lru_cache(maxsize=1024)
 def _laid_out(text: str, scale: float) -> QStaticText:
-    """Return a read-out whose letters have their places; most values come again and again."""
+    """Return a read-out with cached text layout; most values recur."""
     made = QStaticText(text.replace("-", "\N{MINUS SIGN}"))
     made.setTextFormat(Qt.TextFormat.PlainText)
     made.prepare(font=ui_font(scale, 0.92, 500))
@@ -264,7 +263,7 @@ def _laid_out(text: str, scale: float) -> QStaticText:
 
 
 class TracesPanel(Panel):
-    """``tools`` stand in the header before *Fit*."""
+    """Panel of the force and the moment plot; ``tools`` precede *Fit* in the header."""
 
     def __init__(
         self, title: str, force: TracePlot, moment: TracePlot, tools: Sequence[QWidget] = ()

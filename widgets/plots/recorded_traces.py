@@ -34,7 +34,7 @@ def unit_of(channel: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SheetStyle:
-    """What a plot is drawn on: size and line height in px, device pixels per px, and the looks."""
+    """Style of a plot: size and line height in px, device pixels per px, tokens, font scale."""
 
     width: int
     height: int
@@ -44,7 +44,7 @@ class SheetStyle:
     scale: float
 
     def blank(self) -> QImage:
-        """Return an image of this size on the ground of a panel."""
+        """Return an image of this size in the panel colour."""
         size = round(self.width * self.ratio), round(self.height * self.ratio)
         image = QImage(*size, QImage.Format.Format_RGB32)
         image.setDevicePixelRatio(self.ratio)
@@ -53,14 +53,14 @@ class SheetStyle:
 
 
 def sheet_style(widget: QWidget, theme: Theme) -> SheetStyle:
-    """Return what ``widget`` is drawn on now."""
+    """Return the present style of ``widget``."""
     return SheetStyle(widget.width(), widget.height(), widget.devicePixelRatioF(),
                  widget.fontMetrics().height(), theme.tokens, theme.scale)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class TraceSheet:
-    """Axes of the chosen ``channels`` for one ``trace``; sheets are equal if they look alike."""
+    """Axes and curves of the chosen ``channels``; equal sheets draw the same picture."""
 
     paper: SheetStyle
     channels: tuple[int, ...]
@@ -71,13 +71,13 @@ class TraceSheet:
         return tuple(dict.fromkeys(unit_of(c) for c in self.channels))
 
     def colour(self, channel: int) -> QColor:
-        """Return the colour of the axis; of a pair each has its own, whatever its axis."""
+        """Return the axis colour; two channels always get different colours."""
         pair = len(self.channels) == 2
         axis = "xz"[self.channels.index(channel)] if pair else "xyz"[channel % 3]
         return self.paper.tokens.colour(f"axis_{axis}")
 
     def area(self, trace: WrenchTrace | None, unit: str) -> PlotArea:
-        """Where the curves of ``unit`` are drawn."""
+        """Return the plot area of ``unit``."""
         em = self.paper.em
         right = 3.4 * em if len(self.units) > 1 else 0.6 * em
         rect = QRectF(3.0 * em, 1.5 * em, self.paper.width - 3.0 * em - right,
@@ -97,7 +97,7 @@ class TraceSheet:
         return low - room, high + room
 
     def draw(self, trace: WrenchTrace) -> QImage:
-        """Return axes and curves."""
+        """Return a picture of axes and curves."""
         image = self.paper.blank()
         painter = QPainter(image)
         try:
@@ -127,7 +127,7 @@ class TraceSheet:
     def _draw_scale(self, painter: QPainter, area: PlotArea, unit: str, *, right: bool) -> None:
         t, rect = self.paper.tokens, area.rect
         height = painter.fontMetrics().height()
-        # No more numbers than there is room for: low plots name two or three.
+        # Low plots get fewer labels.
         count = min(max(int(rect.height() / (1.4 * height)), 1), 4)
         step = nice_step(area.y1 - area.y0, count)
         for value in ticks(area.y0, area.y1, count):
@@ -168,7 +168,7 @@ class TraceSheet:
 def min_max_per_column(
     t_s: FloatArray, values: FloatArray, columns: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return least and greatest of each group of samples: at most two points per pixel column."""
+    """Reduce to minimum and maximum per group: at most two points per pixel column."""
     group = -(-len(t_s) // max(columns, 1))
     if group <= POINTS_PER_COLUMN:
         return t_s, values
@@ -180,15 +180,13 @@ def min_max_per_column(
 
 NAMES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 NOTHING = "No wrench was recorded"
-Drawn = tuple[TraceSheet, QImage]
-"""A sheet that was drawn ahead, and its picture."""
+Drawn = tuple[TraceSheet, QImage]  # a sheet and its picture, drawn in advance
 
-FONTS, GAP_PX = (0.85, 0.75, 0.68), 8
-"""Sizes of the readings at the cursor: the first for which there is room."""
+FONTS, GAP_PX = (0.85, 0.75, 0.68), 8  # font scales of the read-outs; the first that fits is used
 
 
 class RecordedTraces(QWidget):
-    """Draws the chosen channels on one plot; ``seek`` is told the time that was clicked."""
+    """Plot of the chosen channels; ``seek`` gets the clicked time."""
 
     def __init__(self, theme: Theme, channels: tuple[int, ...], seek: Callable[[float], None]):
         super().__init__()
@@ -210,16 +208,16 @@ class RecordedTraces(QWidget):
     def show_trace(
         self, trace: WrenchTrace | None, drawn: Drawn | None = None, why: str = NOTHING
     ) -> None:
-        """Show another probe, or ``why`` there is nothing; ``drawn`` is used if it fits."""
+        """Show another probe, or the reason ``why`` there is none; uses ``drawn`` if it fits."""
         self.trace, self._drawn, self._why_empty = trace, drawn, why
         self.update()
 
     def sheet(self) -> TraceSheet:
-        """Return what is drawn on now."""
+        """Return the present sheet."""
         return TraceSheet(sheet_style(self, self._theme), self.channels)
 
     def show_channels(self, channels: tuple[int, ...]) -> None:
-        """Choose what is drawn."""
+        """Choose the channels."""
         self.channels, self._drawn = channels, None
         self.update()
 
@@ -230,7 +228,7 @@ class RecordedTraces(QWidget):
         self.update()
 
     def at_cursor(self) -> FloatArray:
-        """(6,) newest sample not later than the cursor; NaN before the first."""
+        """Return the (6,) newest sample at or before the cursor; NaN before the first."""
         if self.trace is None:
             return np.full(6, np.nan)
         index = int(np.searchsorted(self.trace.t_s, self.cursor_s, side="right")) - 1
@@ -242,11 +240,11 @@ class RecordedTraces(QWidget):
         return ", ".join(_reading(c, values[c]) for c in self.channels)
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Move the cursor to where the plot was pressed."""
+        """Move the cursor to the pressed time."""
         self._go_to(event)
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
-        """Move the cursor along."""
+        """Drag the cursor."""
         self._go_to(event)
 
     def _go_to(self, event: QMouseEvent) -> None:
@@ -256,18 +254,16 @@ class RecordedTraces(QWidget):
         share = (event.position().x() - area.rect.left()) / area.rect.width()
         self._seek(area.x0 + min(max(share, 0.0), 1.0) * (area.x1 - area.x0))
 
-    # -- drawing ----------------------------------------------------------------------------------
-
     def units(self) -> tuple[str, ...]:
         """Units of the chosen channels, left axis first."""
         return self.sheet().units
 
     def area(self, unit: str) -> PlotArea:
-        """Where the curves of ``unit`` are drawn."""
+        """Return the plot area of ``unit``."""
         return self.sheet().area(self.trace, unit)
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Copy the curves, then draw cursor and readings."""
+        """Draw the cached curves, the cursor and the read-outs."""
         painter = QPainter(self)
         if self.trace is None or len(self.trace.t_s) < 2:
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
@@ -311,12 +307,12 @@ MOST_POINTS = 400
 
 @dataclass(frozen=True, slots=True)
 class PhaseSheet:
-    """The drawn part: axes, and the whole path faintly; by any thread."""
+    """Static part of the phase plot: axes and the whole path, faint. Safe in any thread."""
 
     paper: SheetStyle
 
     def area(self, trace: WrenchTrace | None) -> PlotArea:
-        """Return the square that is drawn, centred on the path."""
+        """Return the drawn square, centred on the path."""
         em = self.paper.em
         side = max(min(self.paper.width - 3.2 * em, self.paper.height - 3.0 * em), 30.0)
         rect = QRectF(2.9 * em, 1.4 * em, side, side)
@@ -330,7 +326,7 @@ class PhaseSheet:
         return PlotArea(rect, x - half, x + half, y - half, y + half)
 
     def draw(self, trace: WrenchTrace) -> QImage:
-        """Return axes and path of a trace with moments."""
+        """Return a picture of axes and path of a trace with moments."""
         image, area = self.paper.blank(), self.area(trace)
         painter = QPainter(image)
         try:
@@ -364,17 +360,17 @@ PhaseDrawn = tuple[PhaseSheet, QImage]
 
 
 def has_moments(trace: WrenchTrace) -> bool:
-    """Whether there is a path to draw."""
+    """Return True if there is a path to draw."""
     return bool(np.isfinite(trace.values[:, 3:5]).all(axis=1).any())
 
 
 def step_of(trace: WrenchTrace) -> int:
-    """Return which samples are drawn: every so many."""
+    """Return the stride of the drawn samples."""
     return max(len(trace.t_s) // MOST_POINTS, 1)
 
 
 class PhasePlot(QWidget):
-    """Draws the path of (Tx, Ty) up to the cursor strongly, the rest faintly."""
+    """Plot of the path (Tx, Ty): strong up to the cursor, faint after it."""
 
     def __init__(self, theme: Theme) -> None:
         super().__init__()
@@ -395,12 +391,12 @@ class PhasePlot(QWidget):
     def show_trace(
         self, trace: WrenchTrace | None, drawn: PhaseDrawn | None = None, why: str = "No moments"
     ) -> None:
-        """Show another probe, or ``why`` there is nothing; ``drawn`` is used if it fits."""
+        """Show another probe, or the reason ``why`` there is none; uses ``drawn`` if it fits."""
         self._trace, self._drawn, self._why_empty = trace, drawn, why
         self.update()
 
     def sheet(self) -> PhaseSheet:
-        """Return what is drawn on now."""
+        """Return the present sheet."""
         return PhaseSheet(sheet_style(self, self._theme))
 
     def show_cursor(self, t_s: float) -> None:
@@ -409,7 +405,7 @@ class PhasePlot(QWidget):
         self.update()
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Copy axes and path, then draw what was until now and the present place."""
+        """Draw the cached sheet, the path up to the cursor and the present point."""
         painter = QPainter(self)
         trace = self._trace
         if trace is None or not has_moments(trace):

@@ -25,16 +25,15 @@ from touchdown.widgets.plots.axes import (
 from touchdown.widgets.views import stroke_on_black
 
 LEAST_EPOCHS = 4
-WIDEST_ENDING = "valid. 0.000"
-"""Room for this beside all curves: those below each other end in line."""
+WIDEST_ENDING = "valid. 0.000"  # reserved width right of the curves, so that the plots align
+# Colours of the compared runs A, B, C; each line also carries its letter.
 TOKENS = ("axis_x", "axis_z", "axis_y")
-"""Colours of the compared runs A, B, C; each line also carries its letter."""
 Points = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class CurveLine:
-    """One curve: its name at the right end, its points (x rising), a colour token, its style."""
+    """One curve: name at its right end, points (x ascending), colour token, style."""
 
     name: str
     points: Points
@@ -43,7 +42,7 @@ class CurveLine:
 
 
 class _TrainingPlot(QWidget):
-    """Axes and lines; small enough to be drawn whole."""
+    """Axes and lines; small enough to be drawn without a cache."""
 
     def __init__(self, theme: Theme, name: str) -> None:
         super().__init__()
@@ -64,7 +63,7 @@ class _TrainingPlot(QWidget):
         return PlotArea(QRectF(2.6 * em, top, max(width, 20), max(height, 20)), *x, *y)
 
     def _beside(self, endings: Iterable[str] = ()) -> float:
-        """Return the room at the right that the words there take."""
+        """Return the width of the texts right of the curves."""
         metrics = QFontMetrics(ui_font(self._theme.scale, 0.82, 500))
         return 12.0 + max(metrics.horizontalAdvance(text) for text in (WIDEST_ENDING, *endings))
 
@@ -108,7 +107,7 @@ class _TrainingPlot(QWidget):
 
 
 class CurvePlot(_TrainingPlot):
-    """Values over epochs. ``best`` is marked; ``top`` limits the range (1 for shares)."""
+    """Values over epochs. The best epoch is marked; ``top`` limits the range (1 for shares)."""
 
     def __init__(self, theme: Theme, name: str, top: float | None = None) -> None:
         super().__init__(theme, name)
@@ -116,7 +115,7 @@ class CurvePlot(_TrainingPlot):
         self.best = self.epochs = 0
 
     def show_lines(self, lines: Sequence[CurveLine], epochs: int, best: int = 0) -> None:
-        """Show curves up to ``epochs``; ``best``: an epoch to mark, 0 for none."""
+        """Show curves up to ``epochs``; ``best``: epoch to mark, 0 for none."""
         if (tuple(lines), epochs, best) == (self.lines, self.epochs, self.best):
             return
         self.lines, self.epochs, self.best = tuple(lines), epochs, best
@@ -125,7 +124,7 @@ class CurvePlot(_TrainingPlot):
         self.update()
 
     def area(self) -> PlotArea:
-        """Return where the curves are drawn, in epochs and values."""
+        """Return the area of the curves, in epochs and values."""
         values = [y for one in self.lines for _, y in one.points if math.isfinite(y)]
         low, high = (min(values), max(values)) if values else (0.0, 1.0)
         gap = max(0.08 * (high - low), 0.01)
@@ -136,7 +135,7 @@ class CurvePlot(_TrainingPlot):
         return self._area((1.0, float(max(self.epochs, LEAST_EPOCHS))), (low, high), room)
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw axes, curves, and their names where they end."""
+        """Draw axes, curves, and the names at their ends."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         area = self.area()
@@ -162,7 +161,7 @@ class CurvePlot(_TrainingPlot):
 
 
 class ReliabilityPlot(_TrainingPlot):
-    """How often points are in contact that are given a probability; exact ones lie on the line."""
+    """Share of points in contact over predicted probability; calibrated ones lie on the line."""
 
     def __init__(self, theme: Theme) -> None:
         super().__init__(theme, "Share in contact over predicted p")
@@ -203,13 +202,12 @@ def _ending(line: CurveLine) -> str:
 
 GAP = 8
 CAPTION_LINES = 2
-LEAST_EM, MOST_EM = 4.6, 9.0
-"""Side of a tile, in heights of the base font."""
+LEAST_EM, MOST_EM = 4.6, 9.0  # side of a tile in heights of the base font
 
 
 @dataclass(frozen=True, slots=True)
 class SampleScene:
-    """One sample: face points (N, 2) mm on a lattice of ``pitch_mm``, both patches (N,), words."""
+    """One sample: face points (N, 2) mm on a lattice of ``pitch_mm``, patches (N,), texts."""
 
     points_mm: FloatArray
     probability: FloatArray
@@ -220,7 +218,7 @@ class SampleScene:
 
 
 class SampleStrip(QWidget):
-    """As many samples as there is room for, from the best to the worst."""
+    """Tiles of samples from best to worst, as many as fit."""
 
     def __init__(self, theme: Theme) -> None:
         super().__init__()
@@ -236,14 +234,14 @@ class SampleStrip(QWidget):
         return QSize(520, 240)
 
     def show_scenes(self, scenes: Sequence[SampleScene], why: str = "") -> None:
-        """Show these samples; ``why`` there are none."""
+        """Show these samples; ``why`` is shown if there are none."""
         self.scenes, self._why = tuple(scenes), why
         words = [f"{scene.caption}, {scene.detail}" for scene in self.shown()]
         self.setAccessibleDescription("; ".join(words) or why)
         self.update()
 
     def _grid(self) -> tuple[int, int, float]:
-        """Return (columns, rows, side) that cover the most; captions need ``LEAST_EM``."""
+        """Return (columns, rows, side) of the largest covered area; side at least ``LEAST_EM``."""
         em = self.fontMetrics().height()
         best, covered = (1, 1, LEAST_EM * em), 0.0
         for columns in range(1, 9):
@@ -256,7 +254,7 @@ class SampleStrip(QWidget):
         return best
 
     def shown(self) -> list[SampleScene]:
-        """Return what there is room for, evenly from the best to the worst."""
+        """Return the samples that fit, evenly from best to worst."""
         if not self.scenes:
             return []
         columns, rows, _ = self._grid()
@@ -313,7 +311,7 @@ class SampleStrip(QWidget):
 
 
 def _edges(points_mm: FloatArray, pitch_mm: float) -> FloatArray:
-    """Return (k, 2, 2) the sides of the lattice cells of ``points_mm`` that no two cells share."""
+    """Return (k, 2, 2) the outer sides of the lattice cells of ``points_mm``."""
     cells = {(round(x / pitch_mm), round(y / pitch_mm)) for x, y in points_mm.tolist()}
     half = pitch_mm / 2
     found = []

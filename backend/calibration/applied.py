@@ -50,8 +50,7 @@ class CalibratedPositions:
     """What board and tool say of places; neither where no calibration holds."""
 
     board: BoardPosition | None = None
-    face: HandPosition | None = None
-    """Centre of the held face from the axis of the tool."""
+    face: HandPosition | None = None  # centre of the held face relative to the tool axis
 
     def origin(self, named_mm: tuple[float, float], sigma_mm: float, bottom: str) -> HandPosition:
         """Return where the hand has the face over the centre of ``bottom``.

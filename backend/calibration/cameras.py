@@ -37,19 +37,16 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.sensing import HEIGHT_PX, WIDTH_PX
 
+# The dots of a real gel lie 1.7 px (rms) off a straight lattice (lens, curved gel). A dot confused
+# with its neighbour is 32 px off.
 LATTICE_LIMIT_PX = 3.0
-"""The dots of a real gel lie 1.7 px (rms) off a straight lattice: lens and curved gel. A dot taken
-for its neighbour is 32 px off."""
-DOT_SIGMA_PX = 0.1
-"""Standard uncertainty of the mean place of a dot: tracker and print."""
+DOT_SIGMA_PX = 0.1  # standard uncertainty of the mean position of a dot: tracker and print
 MIN_MOTION_PX = 1.0
 MIN_LEAD_PX = 0.4
-MIN_TURN_RAD = 0.001
-"""Smaller differences between two presses do not tell fingers or turns apart."""
+MIN_TURN_RAD = 0.001  # smaller differences between two presses do not distinguish fingers or turns
+# Smallest difference between the fingers in standard errors, over repeated presses.
 MIN_LEAD_ERRORS = 2.5
-"""So many standard errors the difference between the fingers has to be, over repeated presses."""
-MIN_SPREAD_PX = 0.6
-"""The difference is taken to vary by this much at least: three presses say little of it."""
+MIN_SPREAD_PX = 0.6  # lower bound of the standard deviation, which three presses determine poorly
 AXES = {"x": "x", "y": "y", "both": "x and y"}
 Side = Literal["+x", "-x", "+y", "-y"]
 SIDES: tuple[Side, ...] = ("+x", "-x", "+y", "-y")
@@ -239,14 +236,11 @@ def _by_side(pushes: Sequence[SidePress]) -> tuple[dict[Side, FloatArray], dict[
     return shift, turn
 
 
-FINGERPRINT_LIMIT_PX = 1.0
-"""The same gel rests within this (rms) of its fingerprint."""
+FINGERPRINT_LIMIT_PX = 1.0  # the same gel rests within this (rms) of its fingerprint
+# The same with a held piece, which presses the gel out of its rest by at most 1.5 px.
 HELD_LIMIT_PX = 3.0
-"""With a piece between the jaws the gel is pressed out of its rest, by 1.5 px at most."""
-CREEP_PX = 2.0
-"""By so much a gel may have moved as a whole: it creeps, and its housing warms."""
-MIN_DOTS = 48
-"""So many dots have to be seen to know a gel by them."""
+CREEP_PX = 2.0  # common motion that is ignored: creep, and expansion of the warm housing
+MIN_DOTS = 48  # smallest number of seen dots for identification
 FINGERPRINT_VALUES = 2 * MARKERS
 
 

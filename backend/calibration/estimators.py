@@ -29,11 +29,11 @@ from touchdown.backend.calibration.result import (
 from touchdown.backend.core import FloatArray, RefusedError
 
 BOARD_LIMIT_MM = 0.1
+# A corner 12 mm from the centre is then 0.4 mm off, less than the error of a label.
 MAX_YAW_RAD = math.radians(2.0)
-"""A corner 12 mm from the centre is then 0.4 mm off: less than a label is known to."""
 TOUCH_SIGMA_MM = 0.05
+# Standard uncertainty of one touch and one edge: arm, search resolution, onset.
 EDGE_SIGMA_MM = 0.06
-"""Standard uncertainty of one touch and one edge: arm, resolution of the search, onset."""
 MIN_TOUCHES = 4
 YawOf = Literal["board", "piece", ""]
 
@@ -169,8 +169,7 @@ def _yaw_note(yaw_of: YawOf) -> str:
 
 
 TOOL_LIMIT_MM = 0.2
-FELT_SIGMA_MM = 0.06
-"""Standard uncertainty of a felt centre of the bottom."""
+FELT_SIGMA_MM = 0.06  # standard uncertainty of a measured centre of the bottom
 _TOOL_NAMES, _TOOL_UNITS = ("face_x_mm", "face_y_mm"), ("mm", "mm")
 KNOWN_NOTE = "The centre of the bottom counts as known; its error is in the face centre."
 TOOL_GRIPS = 3
@@ -204,8 +203,8 @@ def estimate_tool(
 GRAVITY_M_S2 = 9.80665
 PAYLOAD_LIMIT_N = 0.3
 PAYLOAD_POSES = 6
+# Standard uncertainty of a mean at rest: noise, creep and cables.
 FORCE_SIGMA_N, MOMENT_SIGMA_NM = 0.02, 0.0008
-"""Standard uncertainty of a mean over one rest: noise, creep and cables."""
 _PAYLOAD_NAMES = (
     "mass_kg", "com_x_mm", "com_y_mm", "com_z_mm",
     "bias_fx_n", "bias_fy_n", "bias_fz_n", "bias_tx_nm", "bias_ty_nm", "bias_tz_nm",

@@ -64,11 +64,10 @@ class CalibrationFile(Settings):
     date: datetime
     expires_days: Annotated[int, Field(ge=1)]
     devices: dict[str, DeviceName]
-    about: str = ""
-    """Which piece on which bottom, "" where neither matters."""
+    about: str = ""  # piece and bottom, "" where neither matters
+    # Gel fingerprints: by camera name as in ``devices``, u and v of the 63 dots at rest. Empty if
+    # none was taken.
     gels: dict[str, tuple[Finite, ...]] = Field(default_factory=dict)
-    """Of each camera, by its name in ``devices``, u and v of the 63 dots at rest: the fingerprint
-    of its gel. Empty where none was taken."""
 
     @property
     def expires(self) -> datetime:

@@ -16,10 +16,8 @@ import numpy as np
 from touchdown.backend.core import CalibrationMeasured, FloatArray, RefusedError, read_only
 
 CalibrationName = Literal["payload", "board", "tool", "wrist", "camera"]
-MIRROR_CODES = ("none", "x", "y", "both")
-"""How a picture is turned round, by code: 1 for x, 2 for y."""
-ON_BOTTOM = " on "
-"""Between piece and bottom of a board."""
+MIRROR_CODES = ("none", "x", "y", "both")  # mirroring of an image by code: bit 0 in x, bit 1 in y
+ON_BOTTOM = " on "  # separates piece and bottom in ``about`` of a board
 CALIBRATION_NAMES: tuple[CalibrationName, ...] = get_args(CalibrationName)
 
 
@@ -69,9 +67,8 @@ CALIBRATION_KINDS: dict[CalibrationName, CalibrationKind] = {
 }
 
 
+# Smallest ratio of singular values (scaled columns) at which all unknowns are determined.
 MIN_CONDITION = 1e-3
-"""Below this ratio of singular values (columns scaled) the measurements do not tell all unknowns
-apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,8 +210,8 @@ _MIRRORED = tuple(
     {"none": "no", "both": "in x and y"}.get(one, f"in {one}") for one in MIRROR_CODES
 )
 _CODES = {"exchanged": ("no", "yes"), "left_mirror": _MIRRORED, "right_mirror": _MIRRORED}
+# Displayed unit and factor in place of a unit.
 _DISPLAY_UNITS: dict[str, tuple[str, float]] = {"rad": ("°", math.degrees(1.0))}
-"""What people read in place of a unit, and how much of it one is."""
 
 
 def quantity_name(name: str) -> str:

@@ -12,8 +12,8 @@ from typing import Any, Literal
 from touchdown.backend.config.method import Positive, Settings
 from touchdown.backend.config.simulation import SimulationSettings
 
+# Emulated: simulated physics behind the protocols and drivers of real devices.
 BenchMode = Literal["", "simulated", "emulated", "hardware"]
-"""Emulated: simulated physics behind the protocols and drivers of real devices."""
 
 
 class BenchDescription(Settings):
@@ -25,12 +25,10 @@ class BenchDescription(Settings):
 
     mode: BenchMode = ""
     sha256: str = ""
+    # Image scale of the left and the right finger.
     mm_per_px: tuple[Positive, Positive] | None = None
-    """Image scale of the left and the right finger."""
-    ft_frame: str = ""
-    """In which frame the wrench is given."""
-    sensor_height_mm: Positive | None = None
-    """Wrist sensor above the grasp pivot."""
+    ft_frame: str = ""  # reference frame of the wrench
+    sensor_height_mm: Positive | None = None  # wrist sensor above the grasp pivot
 
 
 def describe_simulation(settings: SimulationSettings) -> BenchDescription:

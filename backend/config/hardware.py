@@ -20,9 +20,10 @@ Six = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
 Row = tuple[float, float, float]
 ProgramName = Annotated[str, Field(pattern="^[A-Za-z0-9_]{1,12}$")]
 
+# Defaults without a source; displayed as such until the lab file sets them.
 PLACEHOLDERS = ("melfa.mxt.error_overspeed", "melfa.mxt.error_timeout", "melfa.r3.error_unknown")
-"""Settings whose default is made up: shown as such until the lab has put in its own number."""
 
+# Names of camera controls in newer and older kernels.
 CONTROL_NAMES: dict[str, tuple[str, ...]] = {
     "white_balance_auto": ("white_balance_automatic", "white_balance_temperature_auto"),
     "exposure_auto": ("auto_exposure", "exposure_auto"),
@@ -30,7 +31,6 @@ CONTROL_NAMES: dict[str, tuple[str, ...]] = {
     "exposure_priority": ("exposure_dynamic_framerate", "exposure_auto_priority"),
     "white_balance": ("white_balance_temperature",),
 }
-"""Names of camera controls in older and newer kernels."""
 
 
 class MonitorSettings(Settings):
@@ -48,10 +48,8 @@ class MxtSettings(Settings):
 
     position_type: Literal[0, 1, 2] = 1
     port: Port = 10000
-    program: ProgramName = "TDMXT"
-    """Program of the controller that opens the stream."""
-    allow_unlimited: bool = False
-    """Stream even where the controller never ends a silent stream."""
+    program: ProgramName = "TDMXT"  # controller program that opens the stream
+    allow_unlimited: bool = False  # stream even if the controller never ends a silent stream
     send_type_must_match: bool = True
     ends_on_servo_off: bool = True
     mxttout: Annotated[int, Field(ge=-1)] = -1
@@ -66,8 +64,7 @@ class R3Settings(Settings):
     """Command channel."""
 
     port: Port = 10001
-    stop_port: Port = 10002
-    """Of a second connection that carries STOP only."""
+    stop_port: Port = 10002  # second connection that carries STOP only
     error_unknown: U16 = 9903
     reply_terminator: Literal["same", "none", "cr", "crlf"] = "same"
     reply_gap_ms: Positive = 30.0
@@ -76,8 +73,8 @@ class R3Settings(Settings):
 class ForceControlSettings(Settings):
     """The controller's force control."""
 
+    # Controller program for presses with ``stiffness_mode`` controller.
     program: ProgramName = "TDPROBE"
-    """Program of the controller that presses, with ``stiffness_mode`` controller."""
     limited_stiffness_mode: Annotated[int, Field(ge=0, le=9)] = 3
     off_on_reset: bool = True
     damping: NonNegative = 0.0
@@ -94,37 +91,31 @@ class ForceSensorSettings(Settings):
 class MelfaSettings(Settings):
     """Arm and controller."""
 
+    # "melfa", "ur", or the name of an entry point.
     driver: Annotated[str, Field(min_length=1)] = "melfa"
-    """melfa, ur, or one that an entry point adds."""
     host: str = "192.168.0.20"
-    robot_type: str = "RV-5AS-D"
-    """What the controller calls its arm, from the start; empty: any."""
-    origin_mm: Row = (450.0, 0.0, 0.0)
-    """Bench origin in the base of the arm."""
-    yaw_deg: float = 0.0
-    """Turn of the bench in the base of the arm."""
-    hand_deg: float = 180.0
-    """Turn of the flange's x against that of the bench."""
-    tool_mm: Positive = 200.0
-    """From the flange to the grasp pivot."""
+    robot_type: str = "RV-5AS-D"  # start of the arm type that the controller reports; empty: any
+    origin_mm: Row = (450.0, 0.0, 0.0)  # bench origin in the base frame of the arm
+    yaw_deg: float = 0.0  # rotation of the bench in the base frame of the arm
+    hand_deg: float = 180.0  # rotation of the flange's x axis relative to that of the bench
+    tool_mm: Positive = 200.0  # distance from the flange to the grasp pivot
+    # SCHED_FIFO priority of the stream if the system allows it; 0: none.
     realtime_priority: Annotated[int, Field(ge=0, le=98)] = 50
-    """SCHED_FIFO priority of the stream where the system allows it; 0: none."""
+    # Duration of the cycle-time check before the arm is switched on; 0: no check.
     idle_check_s: Annotated[float, Field(ge=0, le=60)] = 5.0
-    """How long this computer's cycles are watched before the arm is switched on; 0: not at all."""
     arm_lag_ms: NonNegative = 10.0
-    sensor_lag_ms: NonNegative = 16.0
-    """Age of a wrench sample when it comes: adapter, line, filter."""
+    sensor_lag_ms: NonNegative = 16.0  # age of a wrench sample on arrival: adapter, line, filter
     euler: Literal["Rz(C) Ry(B) Rx(A)", "Rx(A) Ry(B) Rz(C)"] = "Rz(C) Ry(B) Rx(A)"
+    # Bits of Right, Above, NonFlip in the first structure flag.
     flags: tuple[Count, Count, Count] = (4, 2, 1)
-    """Bits of Right, Above, NonFlip in the first structure flag."""
     mxt_in_fsc: bool = False
+    # Compliance in a press by this computer over the stream, or by the controller.
     stiffness_mode: Literal["software", "controller"] = "software"
-    """Who makes the arm comply in a press: this computer over the stream, or the controller."""
     servo_delay_s: NonNegative = 2.0
     servo_timeout_s: Positive = 10.0
     override_start: Annotated[int, Field(ge=1, le=100)] = 10
+    # Regular expression of the reply; its one group holds the six numbers.
     force_variable_text: str = r"P_FsCurD=\((.+)\)\([0-9]+,[0-9]+\)"
-    """Regular expression of the answer; its one group holds the six numbers."""
     probe_force_limit_n: Positive = 30.0
     probe_margin_s: Positive = 2.0
     monitor: MonitorSettings = MonitorSettings()
@@ -156,30 +147,25 @@ class UrSettings(Settings):
     """A Universal Robots arm in place of the MELFA: ``melfa.driver = "ur"``."""
 
     host: str = "192.168.0.3"
+    # 125 for a CB series, up to 500 for an e-series.
     rate_hz: Annotated[float, Field(ge=50, le=500)] = 125.0
-    """Cycles per second: 125 of a CB series, up to 500 of an e-series."""
-    origin_mm: Row = (450.0, 0.0, 0.0)
-    """Bench origin in the base of the arm."""
-    yaw_deg: float = 0.0
-    """Turn of the bench in the base of the arm."""
-    tool_mm: Positive = 200.0
-    """From the flange to the grasp pivot."""
+    origin_mm: Row = (450.0, 0.0, 0.0)  # bench origin in the base frame of the arm
+    yaw_deg: float = 0.0  # rotation of the bench in the base frame of the arm
+    tool_mm: Positive = 200.0  # distance from the flange to the grasp pivot
+    # Smoothing of the servo motion; adds about this lag.
     lookahead_s: Annotated[float, Field(ge=0.03, le=0.2)] = 0.05
-    """Smoothing of the servo motion: a lag of about as much."""
     gain: Annotated[float, Field(ge=100, le=2000)] = 600.0
     arm_lag_ms: NonNegative = 60.0
     sensor_lag_ms: NonNegative = 16.0
-    watchdog_hz: Positive = 10.0
-    """The controller stops by itself if it hears less often."""
+    watchdog_hz: Positive = 10.0  # the controller stops if commands arrive less often
+    # Range of the built-in sensor of a UR5e, N and N·m.
     rated: Six = (50.0, 50.0, 50.0, 10.0, 10.0, 10.0)
-    """Range of the built-in sensor, N and N·m: that of a UR5e."""
 
 
 class WsgSettings(Settings):
     """Gripper; the ranges count only if the gripper does not tell its own."""
 
-    driver: Annotated[str, Field(min_length=1)] = "wsg"
-    """wsg, or one that an entry point adds."""
+    driver: Annotated[str, Field(min_length=1)] = "wsg"  # "wsg", or the name of an entry point
     protocol: Literal["binary", "gcl"] = "binary"
     host: str = "192.168.1.20"
     port: Port = 1000
@@ -189,20 +175,19 @@ class WsgSettings(Settings):
     force_min_n: Positive = 5.0
     force_max_n: Positive = 50.0
     acceleration_mm_s2: Positive = 500.0
-    grasp_width_mm: NonNegative = 0.0
-    """Nominal width of a grasp: 0 closes until something is met."""
+    grasp_width_mm: NonNegative = 0.0  # nominal width of a grasp; 0 closes until contact
     grasp_speed_mm_s: Positive = 50.0
+    # Commanded force: "device" sum over both fingers, "finger" each.
     force_convention: Literal["device", "finger"] = "device"
-    """What the gripper takes: "device" the sum over both fingers, "finger" each."""
     bad_crc_reply: Literal["CHECKSUM_ERROR", "none"] = "CHECKSUM_ERROR"
     temperature: Literal["i16, 0.1 degC"] = "i16, 0.1 degC"
     grasp_force_parameter: Literal[False] = False
+    # True if a piece stays held after an announced disconnect. Otherwise no disconnect is announced
+    # while a piece is held, and the fast stop of the gripper keeps it.
     keeps_grip_after_07: bool = True
-    """Whether a piece stays held when a connection ends as announced; without, none is announced
-    while a piece is held, and the gripper's fast stop keeps it."""
     gcl_autosend_third: Literal["true", "false"] = "true"
+    # Meaning of the distance in RELEASE (text protocol): opening width, or way of each finger.
     gcl_release: Literal["width", "finger"] = "width"
-    """What the distance of RELEASE in the text protocol is: the opening, or each finger's way."""
     update_ms: Annotated[int, Field(ge=1, le=1000)] = 50
     margin_s: Positive = 1.0
 
@@ -210,21 +195,20 @@ class WsgSettings(Settings):
 class ForceTorqueSettings(Settings):
     """Which wrist sensor, and how it sits."""
 
+    # "melfa", "dynpick", "leptrino", "ft300", "bota", "optoforce", "netft", "ur", or an entry
+    # point.
     driver: Annotated[str, Field(min_length=1)] = "melfa"
-    """melfa, dynpick, leptrino, ft300, bota, optoforce, netft, ur, or one of an entry point."""
-    address: str = ""
-    """Path of a serial port, ``socket://host:port`` or ``udp://host:port``."""
+    address: str = ""  # path of a serial port, ``socket://host:port`` or ``udp://host:port``
+    # Sensor frame to tool frame.
     rotation: tuple[Row, Row, Row] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    """Sensor to tool."""
-    sign: Literal[1, -1] = 1
-    """1: force on the sensor, -1: force by the sensor."""
+    sign: Literal[1, -1] = 1  # 1: force on the sensor, -1: force by the sensor
+    # For sensors without sample numbers whose rate is not the default.
     rate_hz: Positive | None = None
-    """Where the sensor numbers nothing and its rate is not the usual one."""
+    # Age of the newest sample on arrival; its time stamp is earlier by this.
     latency_ms: NonNegative = 0.0
-    """Age of the newest sample when it comes: by so much its stamp lies before its arrival."""
     silence_s: Positive = 0.2
+    # After this many identical samples the signal counts as stuck.
     stuck_after: Annotated[int, Field(ge=2)] = 5
-    """Samples equal to the last digit, after which they are no measurement."""
 
     @field_validator("rotation")
     @classmethod
@@ -248,8 +232,8 @@ class ForceTorqueSettings(Settings):
 class DynpickSettings(Settings):
     """WACOH-TECH Dynpick."""
 
+    # Counts per N and per N·m of a WEF-6A200.
     sensitivity: Six = (65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75)
-    """Counts per N and per N·m of a WEF-6A200."""
     tick_step: Annotated[int, Field(ge=1, le=9)] = 1
     max_step: Count = 2000
     saturation: tuple[U16, U16] = (0, 0x3FFF)
@@ -272,42 +256,38 @@ class BotaSettings(Settings):
     """Bota SensONE."""
 
     quiet_in_config: bool = True
+    # Filter length: sample period in steps of 19.53125 us.
     sinc: Annotated[int, Field(ge=51, le=512)] = 51
-    """Length of the filter: period of the samples in steps of 19.53125 us."""
     rated: Six = (500.0, 500.0, 1200.0, 15.0, 15.0, 12.0)
 
 
 class NetftSettings(Settings):
     """Net F/T."""
 
-    onrobot: bool = False
-    """10 000 counts per N and 100 000 per N·m, and the two commands below."""
+    onrobot: bool = False  # 10 000 counts per N and 100 000 per N·m, and the two commands below
     http_port: Port = 80
     tcp_port: Port = 49151
+    # Counts per N and per N·m, for a box that reports neither.
     counts: tuple[Positive, Positive] | None = None
-    """Counts per N and per N·m of a box that tells them neither by page nor by TCP."""
     rated: Six = (130.0, 130.0, 400.0, 10.0, 10.0, 10.0)
-    onrobot_commands: tuple[U16, U16] = (0x82, 0x83)
-    """Filter and speed."""
+    onrobot_commands: tuple[U16, U16] = (0x82, 0x83)  # filter and speed
 
 
 class FingerCameraSettings(Settings):
     """The camera of one finger."""
 
-    serial: str = ""
-    """As printed on the sensor, such as 2D8Y-69GR."""
-    file: str = ""
-    """A video or pipe in place of a camera."""
+    serial: str = ""  # as printed on the sensor, such as 2D8Y-69GR
+    file: str = ""  # A video or pipe in place of a camera
     mirror: Literal["none", "x", "y", "both"] = "none"
+    # Overrides the value for both fingers.
     crop_fraction: Annotated[float, Field(ge=0, lt=0.5)] | None = None
-    """Where it differs from that of both."""
 
 
 class GelsightSettings(Settings):
     """GelSight Mini."""
 
+    # "gelsight", "lerobot", or the name of an entry point.
     driver: Annotated[str, Field(min_length=1)] = "gelsight"
-    """gelsight, lerobot, or one that an entry point adds."""
     left: FingerCameraSettings = FingerCameraSettings()
     right: FingerCameraSettings = FingerCameraSettings()
     by_id: str = "/dev/v4l/by-id"
@@ -324,20 +304,19 @@ class GelsightSettings(Settings):
     mm_per_px_x: Positive = 0.0581
     mm_per_px_y: Positive = 0.0596
     buffer_size: Count = 1
+    # Names of each camera control; the first that exists is set.
     control_names: dict[str, tuple[str, ...]] = CONTROL_NAMES
-    """Names of each camera control; the first that exists is set."""
     keep_jpeg: bool = True
 
 
 class LerobotSettings(Settings):
     """Cameras of the package lerobot: ``gelsight.driver = "lerobot"``."""
 
+    # Module and class of the camera configuration.
     config: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")] = (
         "lerobot.cameras.opencv:OpenCVCameraConfig"
     )
-    """Module and class of the camera's configuration."""
-    left: str = "{}"
-    """Its fields, as JSON, such as {"index_or_path": 2}."""
+    left: str = "{}"  # fields of the configuration as JSON, such as {"index_or_path": 2}
     right: str = "{}"
 
 

@@ -27,10 +27,10 @@ from touchdown.backend.core import InputError, write_atomically
 
 ADDRESS_URL = re.compile(r"(?:socket|udp|tcp)://(?:[^@/]*@)?(?P<host>\[[^\]]+\]|[^:/]+)")
 TERMINALS = Path("/dev/pts")
+# MEMORY holds temporary files, not devices.
 DEVICES, MEMORY = Path("/dev"), Path("/dev/shm")  # noqa: S108 - only compared
-"""The other is a place for temporary files, where no device of the system is."""
+# Setting with the address of the arm, by driver.
 ARM_HOSTS = {"melfa": "melfa.host", "ur": "ur.host"}
-"""Where the arm of each driver answers."""
 
 
 def require_matching_addresses(settings: HardwareSettings, kind: str, where: str) -> None:
@@ -101,8 +101,8 @@ def _is_below(path: Path, folder: Path) -> bool:
 LAB_FILE_VERSION = 1
 Length = Annotated[float, Field(allow_inf_nan=False)]
 LabKind = Literal["hardware", "emulated"]
+# A file with one of these keys is a lab file; simulation settings have none.
 LAB_FILE_KEYS = frozenset({"version", "kind", "melfa", "wsg", "ft", "gelsight"})
-"""A file with one of these keys is a lab file; settings of the simulated bench have none."""
 
 
 class LimitSettings(Settings):
@@ -118,8 +118,8 @@ class LimitSettings(Settings):
     most_y_mm: Length = 150.0
     lowest_mm: Length = 0.0
     highest_mm: Length = 400.0
+    # Standards call 250 mm/s reduced speed.
     speed_mm_s: Annotated[float, Field(gt=0, le=250)] = 50.0
-    """250 mm/s is what standards call reduced speed."""
     contact_speed_mm_s: Positive = 2.0
     contact_n: Positive = 1.0
     press_n: Positive = 25.0
@@ -145,6 +145,7 @@ class LimitSettings(Settings):
         return self
 
 
+# The first of each pair must not exceed the second.
 ORDERED_LIMITS = (
     ("least_x_mm", "most_x_mm"),
     ("least_y_mm", "most_y_mm"),
@@ -158,20 +159,16 @@ ORDERED_LIMITS = (
     ("probe_n", "trip_n"),
     ("trip_n", "trip_at_once_n"),
 )
-"""Pairs of limits of which the first must not be above the second."""
 
 
 class MountingSettings(Settings):
     """What hangs below the wrist sensor, and where the sensor sits."""
 
-    sensor_height_mm: Positive = 120.0
-    """Sensor above the grasp pivot."""
-    sensor_yaw_rad: Length = 0.0
-    """What is left of its turn after ``ft.rotation``."""
-    payload_kg: NonNegative = 1.5
-    """Gripper and fingers."""
+    sensor_height_mm: Positive = 120.0  # sensor above the grasp pivot
+    sensor_yaw_rad: Length = 0.0  # remaining yaw after ``ft.rotation``
+    payload_kg: NonNegative = 1.5  # gripper and fingers
+    # Their centre of mass relative to the grasp pivot.
     payload_com_mm: tuple[Length, Length, Length] = (0.0, 0.0, 60.0)
-    """Their centre of mass from the grasp pivot."""
 
 
 class SerialNumbers(Settings):
@@ -186,14 +183,12 @@ class LabSettings(HardwareSettings):
     """One bench: its name, its limits, its devices (one table each)."""
 
     version: Literal[1]
+    # Shown in the window frame and stored in every recording.
     name: Annotated[str, Field(min_length=1, max_length=32)]
-    """Stands in the window's frame and in every recording."""
     kind: LabKind
     piece: str = "pot"
-    bottom: str = "short"
-    """What is on the bench at the start, bottom-up and joined by + for a tower."""
-    calibrations: str = "calibrations"
-    """Folder of the calibrations, from the folder of this file."""
+    bottom: str = "short"  # on the bench at the start; bottom-up and joined by + for a tower
+    calibrations: str = "calibrations"  # folder of the calibrations, relative to this file
     limits: LimitSettings = LimitSettings()
     mounting: MountingSettings = MountingSettings()
     serials: SerialNumbers = SerialNumbers()

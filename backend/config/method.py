@@ -13,19 +13,18 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
 
+# T = 2 s at 10 Hz [P]; ticks at 0.1, 0.2 ... 2.0 s after the onset (20, not 21) [U].
 SAMPLES_PER_PROBE = 20
-"""T = 2 s at 10 Hz [P]; ticks at 0.1, 0.2 ... 2.0 s after the onset (20, not 21) [U]."""
 
+# Ticks that can be processed before the last sample of a probe arrives.
 EARLY_TICKS = SAMPLES_PER_PROBE - 1
-"""Ticks that can be worked through before the last sample of a probe arrives."""
 
-TICK_S = 0.1
-"""Distance of the ticks, 1 / 10 Hz [P]."""
+TICK_S = 0.1  # period of the ticks, 1 / 10 Hz [P]
 
 
+# Choice of the next move: the paper's method, a network that reads all probes, release where the
+# push causes no moment, and release without a probe.
 StrategyName = Literal["paper", "fused", "zero-wrench", "pick-and-place"]
-"""How a trial goes from a probe to its next move: the paper's way, a network that reads all probes
-at once, letting go where the push turns nothing, and letting go without a test."""
 
 
 class Settings(BaseModel):
@@ -37,168 +36,142 @@ class Settings(BaseModel):
 class ProbeSettings(Settings):
     """One press."""
 
-    depth_mm: Positive = 1.5
-    """Commanded travel after first contact [P]."""
-    duration_s: Positive = 2.0
-    """Length of a probe [P]."""
-    ramp_fraction: Probability = 0.75
-    """Linear ramp over this share of the probe, then hold [U]."""
+    depth_mm: Positive = 1.5  # commanded travel after first contact [P]
+    duration_s: Positive = 2.0  # length of a probe [P]
+    ramp_fraction: Probability = 0.75  # linear ramp over this share of the probe, then hold [U]
+    # Stiffness-control gains [P].
     stiffness_n_mm: tuple[Positive, Positive, Positive] = (30.0, 30.0, 15.0)
-    """Stiffness-control gains [P]."""
-    grip_force_n: Positive = 10.0
-    """Grasp force per finger [P]."""
-    approach_mm_s: Positive = 2.0
-    """Descent until contact [U]; limits the force at detection."""
+    grip_force_n: Positive = 10.0  # grasp force per finger [P]
+    approach_mm_s: Positive = 2.0  # descent until contact [U]; limits the force at detection
+    # Contact: press force above the running air baseline on 3 samples [U].
     threshold_n: Positive = 1.0
-    """Contact: press force over the running air baseline on 3 samples [U]."""
+    # Lift-off before lateral moves, and start of the next descent [U].
     start_height_mm: Positive = 3.0
-    """Lift-off before any lateral move, and start of the next descent [U]."""
-    travel_mm_s: Positive = 20.0
-    """Speed of free moves [U]."""
+    travel_mm_s: Positive = 20.0  # speed of free moves [U]
+    # Still frames averaged for the tactile reference [U].
     reference_frames: Annotated[int, Field(ge=1)] = 10
-    """Still frames averaged for the tactile reference [U]."""
-    max_travel_mm: Positive = 8.0
-    """No contact on this way below the start height ends the probe [U]."""
-    verdict_wait_s: Positive = 3.0
-    """The arm holds the press at most this long for the verdict [U]."""
+    max_travel_mm: Positive = 8.0  # the probe ends without contact after this descent [U]
+    verdict_wait_s: Positive = 3.0  # the arm holds the press at most this long for the verdict [U]
 
 
 class BeliefSettings(Settings):
     """Fusion of probes in log odds."""
 
-    pitch_mm: Positive = 1.0
-    """Pitch of face lattice and belief map [U]."""
+    pitch_mm: Positive = 1.0  # pitch of face lattice and belief map [U]
+    # Half size of the square map around the first probe [U]: face 12.7 + 7 steps of 3 mm.
     half_extent_mm: Positive = 32.0
-    """The square map reaches this far from the first probe [U]: face 12.7 + 7 steps of 3 mm."""
+    # Probabilities are clipped to [clip, 1 - clip] before fusion [U], so one probe never decides.
     clip: Annotated[float, Field(gt=0, lt=0.5)] = 0.02
-    """Probabilities are limited to [clip, 1 - clip] before fusing [U]: one probe never decides."""
-    log_odds_limit: Positive = 20.0
-    """Limit of the accumulated log odds [U]."""
-    temperature: Annotated[float, Field(ge=1)] = 1.0
-    """Logits are divided by it [U]; 1 is the paper."""
+    log_odds_limit: Positive = 20.0  # limit of the accumulated log odds [U]
+    temperature: Annotated[float, Field(ge=1)] = 1.0  # divisor of the logits [U]; the paper uses 1
+    # Subtract the logit of the training base rate [U]; off in the paper.
     prior_correction: bool = False
-    """Subtract the training base rate's logit [U]; off is the paper."""
+    # A probe replaces a former one within this distance: repeats are not independent [U].
     min_shift_mm: NonNegative = 0.5
-    """A probe nearer than this to a former one replaces it: repeats are not independent [U]."""
 
 
 class StabilitySettings(Settings):
     """Would the piece stand?"""
 
-    delta: Probability = 0.9
-    """A cell supports if its probability exceeds this [P]."""
+    delta: Probability = 0.9  # A cell supports if its probability exceeds this [P]
+    # Required signed distance of the centre of mass to the hull's edge [U]; 0 in the paper.
     margin_mm: float = 0.0
-    """Required signed distance of the centre of mass to the hull's edge; 0 is the paper [U]."""
+    # The paper's text judges the latest patch, its table the belief map [U].
     judge_from: Literal["belief", "patch"] = "belief"
-    """The paper's text judges the latest patch, its table the aggregated map [U]."""
 
 
 class PolicySettings(Settings):
     """Where to probe next."""
 
-    longest_step_mm: Positive = 3.0
-    """Longest shift [P]."""
+    longest_step_mm: Positive = 3.0  # longest shift [P]
+    # Points whose mean is the target [U]: cells in the hull, confident cells, hull vertices.
     hull_centre: Literal["area", "cells", "vertices"] = "area"
-    """Mean of what is the target [U]: cells inside the hull, confident cells, hull vertices."""
+    # Without confident support, or when stalled [U].
     fallback: Literal["best-cells", "spiral", "stop"] = "best-cells"
-    """What to do without confident support or when stalled [U]."""
-    max_probes: Annotated[int, Field(ge=1)] = 8
-    """Give up after this many probes [U]."""
+    max_probes: Annotated[int, Field(ge=1)] = 8  # give up after this many probes [U]
 
 
 class ZeroWrenchSettings(Settings):
     """When the push turns nothing."""
 
+    # Release where the push acts within this distance of the centre of mass [U].
     release_mm: Positive = 1.0
-    """Release where the push acts within this of the centre of mass [U]."""
 
 
 class TowerSettings(Settings):
     """What the operator enters of a tower below the touched bottom."""
 
+    # Centre of each upper bottom relative to the one below it; empty: centred.
     offset_mm: tuple[tuple[float, float], ...] = ()
-    """Centre of each bottom above the lowest from that of the one below it; none: centred."""
+    # Standard uncertainty of each offset in x and y; default: placed by eye.
     sigma_mm: Positive = 2.5
-    """Standard uncertainty of each along x and along y; by default that of one put there by eye."""
 
 
 class FusedSettings(Settings):
     """Support as a network fuses it from the signals of all probes."""
 
-    weights: str = ""
-    """File of the network; empty for the one that ships."""
+    weights: str = ""  # network file; empty for the shipped one
+    # Largest probability at release that the support misses the centre of mass [U].
     risk: Probability = 0.07
-    """Release only where the centre of mass lies in the support in all but this share [U]."""
+    # Smallest distance of the centre of mass from the edge of the support [U].
     inset_mm: NonNegative = 0.25
-    """The centre of mass must lie this far within the support to count as carried [U]."""
 
 
 class ReleaseSettings(Settings):
     """Letting go, as a lab would do it."""
 
-    unload_n: Positive = 1.0
-    """Press force to unload to, within 0.3 to 2 N."""
-    settle_s: Positive = 0.2
-    """Wait after unloading before the second slip check."""
-    open_mm_s: Positive = 5.0
-    """Speed of opening."""
-    clearance_mm: Positive = 2.0
-    """Each finger clears the piece by this much before the arm rises."""
-    rise_mm: Positive = 30.0
-    """The arm rises by this much afterwards."""
+    unload_n: Positive = 1.0  # press force after unloading, within 0.3 to 2 N
+    settle_s: Positive = 0.2  # wait after unloading before the second slip check
+    open_mm_s: Positive = 5.0  # speed of opening
+    clearance_mm: Positive = 2.0  # distance of each finger from the piece before the arm rises
+    rise_mm: Positive = 30.0  # height by which the arm rises afterwards
 
 
 class TrainingSettings(Settings):
     """How a model is trained; the paper names only network and loss."""
 
     modality: Literal["FT", "Tac", "FT+Tac"] = "FT+Tac"
-    hidden: Annotated[int, Field(ge=1)] = 256
-    """Units per LSTM layer [P]."""
-    layers: Annotated[int, Field(ge=1)] = 2
-    """LSTM layers [P]."""
+    hidden: Annotated[int, Field(ge=1)] = 256  # units per LSTM layer [P]
+    layers: Annotated[int, Field(ge=1)] = 2  # LSTM layers [P]
     learning_rate: Positive = 1e-3
+    # Learning rate over the epochs [U]. A rate falling to zero gave a lower validation loss (0.377
+    # in 14 epochs) than a constant one (0.400, best of 20) on 1,500 pot probes.
     schedule: Literal["cosine", "constant"] = "cosine"
-    """Rate over the epochs [U]: falling to zero gave a lower validation loss (0.377 in 14 epochs)
-    than a constant one (0.400, best of 20) on 1,500 pot probes."""
     epochs: Annotated[int, Field(ge=1)] = 16
+    # Stop after this many epochs without a lower validation loss [U].
     patience: Annotated[int, Field(ge=1)] = 8
-    """Stop after this many epochs without a lower validation loss [U]."""
+    # Weights of the epoch with the lowest validation loss, or of the last [U].
     keep: Literal["best", "last"] = "best"
-    """Which epoch's weights [U]: of the lowest validation loss, or the last ones."""
     batch: Annotated[int, Field(ge=1)] = 64
+    # Of the products in a training step; weights, loss and validation stay float32 [U].
     precision: Literal["float32", "bfloat16"] = "float32"
-    """Of the products in a training step; weights, loss and validation stay float32 [U]."""
     validation_share: Probability = 0.1
+    # Hold out whole grips if there are few mountings; their errors are then in both sets.
     divide_series: bool = False
-    """Hold out whole grips where there are few mountings: validation knows the errors of theirs."""
     seed: Annotated[int, Field(ge=0)] = 0
 
 
 class CollectSettings(Settings):
     """Collecting labelled probes: how long one grip lasts, and what a measured label is worth."""
 
+    # Probes before the piece is put back and gripped again [U].
     probes_per_grip: Annotated[int, Field(ge=1)] = 50
-    """At most so many probes before the piece is put back and gripped anew [U]."""
+    # Grips before bottom and gels are mounted again [U].
     grips_per_mounting: Annotated[int, Field(ge=1)] = 10
-    """At most so many grips before bottom and gels are fitted anew [U]."""
+    # A grip ends when the contact height has changed by more than this [U].
     drift_mm: Positive = 0.3
-    """A grip ends when the height of contact has changed by more than this [U]."""
+    # Tolerance of the held weight; for nominal masses a deviation is only reported [U].
     weight_tolerance_n: Positive = 0.15
-    """The held piece weighs what its file says within this; nominal masses are only told [U]."""
-    clearance_mm: Positive = 10.0
-    """The piece is carried between jig and bottom at this height above the jig [U]."""
-    open_mm: Positive = 10.0
-    """The jaws open by so much over the jig [U]."""
+    clearance_mm: Positive = 10.0  # height above the jig while the piece is carried [U]
+    open_mm: Positive = 10.0  # opening of the jaws above the jig [U]
+    # Rejected probes at one displacement before it is postponed, then skipped [U].
     tries: Annotated[int, Field(ge=1)] = 2
-    """A displacement whose probes are rejected so many times is put off, then left out [U]."""
-    arm_sigma_mm: Positive = 0.05
-    """Standard uncertainty of the arm's position [U]."""
+    arm_sigma_mm: Positive = 0.05  # standard uncertainty of the arm position [U]
+    # Standard uncertainty of the piece in the grasp, taken from a jig [U].
     grip_sigma_mm: Positive = 0.1
-    """Standard uncertainty of the piece in the grasp when it comes from a jig [U]."""
-    handed_sigma_mm: Positive = 0.5
-    """The same where the operator hands the piece over [U]."""
+    handed_sigma_mm: Positive = 0.5  # the same, handed over by the operator [U]
+    # Standard uncertainty of the bottom position before a check [U].
     origin_sigma_mm: Positive = 0.1
-    """Standard uncertainty of the bottom's place before a check [U]."""
 
 
 class StackSettings(Settings):

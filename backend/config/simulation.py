@@ -21,93 +21,70 @@ Preset: TypeAlias = Literal["mixed", "quiet", "hard", "off", "realistic", "bench
 class GraspSettings(Settings):
     """Compliant grasp of two fingers."""
 
-    shear_n_mm: Positive = 4.0
-    """Shear stiffness of one gel, x and z [U]."""
-    normal_n_mm: Positive = 10.0
-    """Normal stiffness of one gel [U]."""
+    shear_n_mm: Positive = 4.0  # shear stiffness of one gel, x and z [U]
+    normal_n_mm: Positive = 10.0  # normal stiffness of one gel [U]
+    # Torsional stiffness of one gel about the jaw axis, N·mm/rad [U].
     torsion_nmm_rad: Positive = 128.0
-    """Torsional stiffness of one gel about the jaw axis, N·mm/rad [U]."""
-    limit_radius_mm: Positive = 3.8
-    """Lever of the frictional torque of one pad (limit surface)."""
-    slip: bool = True
-    """Pads slip when the limit surface is reached; slip stays until the next grip."""
-    hysteresis: bool = False
-    """One Maxwell branch per gel spring."""
-    hysteresis_share: Share = 0.1
-    """Stiffness of the Maxwell branch relative to the spring [U]."""
-    hysteresis_s: Positive = 0.5
-    """Relaxation time of the Maxwell branch [U]."""
+    limit_radius_mm: Positive = 3.8  # lever of the frictional torque of one pad (limit surface)
+    slip: bool = True  # pads slip at the limit surface; slip stays until the next grip
+    hysteresis: bool = False  # one Maxwell branch per gel spring
+    hysteresis_share: Share = 0.1  # stiffness of the Maxwell branch relative to the spring [U]
+    hysteresis_s: Positive = 0.5  # relaxation time of the Maxwell branch [U]
 
 
 class FaceSettings(Settings):
     """Contact of the two faces."""
 
+    # Normal stiffness of the elastic foundation, a nuisance parameter [U].
     foundation_n_mm3: Positive = 20.0
-    """Normal stiffness of the elastic foundation [U]: a nuisance parameter, not a detail."""
+    # If set, drawn log-uniformly per mounting instead.
     foundation_range_n_mm3: tuple[Positive, Positive] | None = None
-    """If set, drawn log-uniformly per mounting instead."""
-    tangential_n_mm3: Positive = 16.0
-    """Tangential stiffness before sliding [U]."""
+    tangential_n_mm3: Positive = 16.0  # tangential stiffness before sliding [U]
     lattice_mm: Positive = 1.0
 
 
 class SupportSettings(Settings):
     """Bottoms that are not fixed to the table, pressed or dragged by the piece."""
 
-    rocks: bool = False
-    """A bottom tips about the edge of what it stands on when the press leaves it."""
-    slides: bool = False
-    """A bottom slides when the lateral force exceeds friction; it stays where it slid to."""
-    mu: Positive = 0.40
-    """Friction of bottoms on the table and on each other [U]."""
+    rocks: bool = False  # bottoms tip about their edge when the press leaves their base
+    slides: bool = False  # bottoms slide when the lateral force exceeds friction, and stay there
+    mu: Positive = 0.40  # friction of bottoms on the table and on each other [U]
 
 
 class TactileSettings(Settings):
     """The two finger cameras."""
 
+    # Image scale of left and right sensor; public values 0.058 to 0.071.
     mm_per_px: tuple[Positive, Positive] = (0.058, 0.058)
-    """Image scale of left and right sensor; public values 0.058 to 0.071."""
-    pitch_mm: Positive = 1.9
-    """Marker pitch of the 7x9 large-dot gel."""
+    pitch_mm: Positive = 1.9  # marker pitch of the 7x9 large-dot gel
+    # Distance along x and z at which the strain rolls off outside the gripped patch [U].
     roll_off_mm: tuple[Positive, Positive] = (7.0, 6.0)
-    """Where the strain rolls off outside the gripped patch, along x and z [U]."""
-    dilation: NonNegative = 0.01
-    """Growth of the field with the pad force [U]."""
+    dilation: NonNegative = 0.01  # growth of the field with the pad force [U]
     rate_hz: Positive = 25.0
-    jitter_s: NonNegative = 0.005
-    """Frame times are uniform within this of the regular grid."""
+    jitter_s: NonNegative = 0.005  # frame times are uniform within this of the regular grid
     drop_share: Share = 0.005
-    white_px: NonNegative = 0.05
-    """White noise per frame, marker and axis, tracker included (batch)."""
-    bias_px: NonNegative = 0.15
-    """Reference error per probe, finger and axis; standard deviation."""
-    drift_px_sqrt_s: NonNegative = 0.02
-    """Random walk of the whole field per finger and axis."""
-    lost_share: Share = 0.001
-    """Share of lost marker-frames."""
-    lost_frames: Annotated[int, Field(ge=1)] = 10
-    """Losses last 1 to this many frames, uniformly."""
+    white_px: NonNegative = 0.05  # white noise per frame, marker and axis, tracker included (batch)
+    bias_px: NonNegative = 0.15  # reference error per probe, finger and axis; standard deviation
+    drift_px_sqrt_s: NonNegative = 0.02  # random walk of the whole field per finger and axis
+    lost_share: Share = 0.001  # share of lost marker-frames
+    lost_frames: Annotated[int, Field(ge=1)] = 10  # losses last 1 to this many frames, uniformly
+    # A marker centre nearer to the image border is not seen (batch). The tracker loses a dot of 7.6
+    # px radius about 8 px from the border.
     border_px: NonNegative = 8.0
-    """A marker centre nearer to the image border than this is not seen (batch); measured on the
-    tracker: it loses a dot of 7.6 px radius about 8 px from the border."""
 
 
 class WristSettings(Settings):
     """Force/torque sensor and what hangs below it."""
 
     rate_hz: Positive = 1000.0
-    height_mm: Positive = 120.0
-    """Sensor above the grasp pivot."""
-    yaw_rad: float = 0.0
-    """Sensor turned against the gripper."""
-    payload_kg: NonNegative = 1.5
-    """Gripper and fingers."""
+    height_mm: Positive = 120.0  # sensor above the grasp pivot
+    yaw_rad: float = 0.0  # rotation of the sensor relative to the gripper
+    payload_kg: NonNegative = 1.5  # gripper and fingers
+    # Their centre of mass relative to the grasp pivot [U].
     payload_com_mm: tuple[float, float, float] = (0.0, 0.0, 60.0)
-    """Their centre of mass relative to the grasp pivot [U]."""
     white_n: NonNegative = 0.1
     white_nm: NonNegative = 0.004
-    offset_n: NonNegative = 0.2
-    """Slow offset after tare per probe; standard deviation."""
+    offset_n: NonNegative = 0.2  # slow offset after tare per probe; standard deviation
     offset_nm: NonNegative = 0.008
     drift_n_sqrt_min: NonNegative = 0.01
     drift_nm_sqrt_min: NonNegative = 0.0004
@@ -120,10 +97,8 @@ class SpreadSettings(Settings):
     mu_grip: NonNegative = 0.10
     grip_force_n: NonNegative = 0.3
     grasp_offset_mm: NonNegative = 0.5
-    jig_mm: NonNegative = 0.1
-    """The same where the piece is taken from a jig."""
-    yaw_rad: NonNegative = 0.0175
-    """In-hand rotation about the vertical, 1 degree."""
+    jig_mm: NonNegative = 0.1  # the same if the piece is taken from a jig
+    yaw_rad: NonNegative = 0.0175  # In-hand rotation about the vertical, 1 degree
     gain: NonNegative = 0.05
     mu: NonNegative = 0.15
     label_error_mm: NonNegative = 0.05
@@ -136,12 +111,10 @@ class SimulationSettings(Settings):
 
     preset: Preset = "mixed"
     cycle_us: Annotated[int, Field(gt=0)] = 10_000
-    mu: Positive = 0.40
-    """Mean face friction."""
-    mu_grip: Positive = 0.80
-    """Mean friction of gel on piece [U]."""
+    mu: Positive = 0.40  # mean face friction
+    mu_grip: Positive = 0.80  # mean friction of gel on piece [U]
+    # Shift of the centre of mass by opening fingers (sd); preset realistic: 0.5.
     release_disturbance_mm: NonNegative = 0.0
-    """Shift of the centre of mass by opening fingers (sd); 0.5 is called realistic."""
     grasp: GraspSettings = GraspSettings()
     face: FaceSettings = FaceSettings()
     support: SupportSettings = SupportSettings()

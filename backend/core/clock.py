@@ -46,8 +46,7 @@ class ClockJumpDetector:
     """Notices that the wall clock was set, or that the computer slept: the two clocks part then."""
 
     LEAST_S = 1.0
-    SLEW = 1e-3
-    """Corrections that slow, as a share of the time, are none: every clock is kept right so."""
+    SLEW = 1e-3  # clock corrections slower than this share of the elapsed time are normal
 
     def __init__(
         self,

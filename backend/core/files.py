@@ -13,8 +13,8 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+# Reported by file systems whose folders cannot be synced (FAT).
 UNSYNCABLE_ERRNOS = frozenset({errno.EINVAL, errno.ENOTSUP})
-"""What a file system says of a folder that it keeps in no form that could be synced (FAT)."""
 
 
 def sync_folder(folder: Path) -> None:
@@ -65,8 +65,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     sync_folder(path.parent)
 
 
-_FAR_BYTE = 1 << 20
-"""Windows locks bytes against reading as well: this one is far behind the text."""
+_FAR_BYTE = 1 << 20  # A Windows lock also blocks reading, so a byte far behind the text is locked
 
 
 def lock_file(path: Path) -> int:

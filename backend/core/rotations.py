@@ -14,8 +14,7 @@ from touchdown.backend.core.values import FloatArray, Pose
 
 IDENTITY_ROTATION = np.eye(3)
 IDENTITY_ROTATION.flags.writeable = False
-LEVEL_TOLERANCE_RAD = math.radians(0.2)
-"""A hand turned by less than this counts as unturned."""
+LEVEL_TOLERANCE_RAD = math.radians(0.2)  # A hand rotated by less than this counts as level
 
 
 def rotation_from_vector(vector_rad: FloatArray) -> FloatArray:

@@ -108,10 +108,8 @@ class RepaintHold:
         self._until_s = float("-inf")
 
 
-DISK_TIMEOUT_S = 60.0
-"""A disk, also one of another computer, has written an episode by then or never will."""
-LOCK_TIMEOUT_S = 30.0
-"""Another thread may be copying a whole catalogue, or wait for a disk."""
+DISK_TIMEOUT_S = 60.0  # longest time to write an episode, to a network disk too
+LOCK_TIMEOUT_S = 30.0  # another thread may copy a catalogue or wait for a disk
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +120,7 @@ class BlockingSection:
     until_s: float
 
 
-_SECTIONS: dict[int, BlockingSection] = {}
-"""By the number that the system gave the thread; the outermost, which holds the others."""
+_SECTIONS: dict[int, BlockingSection] = {}  # outermost section by native thread id
 
 
 @contextmanager

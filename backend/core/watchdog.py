@@ -12,13 +12,10 @@ from pathlib import Path
 
 import psutil
 
-STALLED_AFTER_S = 0.3
-"""So long nothing in it may want to run before it is called still."""
-MAX_LOOK_GAP_S = 1.0
-"""Who has not looked for so long stood still as well: with the whole computer, say."""
+STALLED_AFTER_S = 0.3  # A process is stalled when none of its threads was runnable for this long
+MAX_LOOK_GAP_S = 1.0  # after a longer gap between two looks the observer itself was suspended
 RUNNABLE_STATES = frozenset("RDW")
-MAX_LOOK_STEP_S = 0.1
-"""So much of the time between two looks at a thread counts; they are 50 ms apart."""
+MAX_LOOK_STEP_S = 0.1  # longest time that one look adds; looks are 50 ms apart
 
 
 class ProcessStallDetector:
@@ -70,8 +67,7 @@ class ThreadStallDetector:
         self._status = Path("/proc") / str(process) / "task" / str(thread) / "status"
         self._switches: tuple[bytes, ...] = ()
         self._looked_s = 0.0
-        self.passed_s = 0.0
-        """From the look before the last to the last one, as far as it counts."""
+        self.passed_s = 0.0  # from the look before the last to the last one, as far as it counts
         self.rested_s = 0.0
 
     def look(self, now_s: float) -> float:

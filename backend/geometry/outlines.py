@@ -21,11 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchdown.backend.core import FloatArray
 
-EDGE_TOLERANCE_MM = 1e-9
-"""Points this near to the edge count as inside, so that round-off does not decide."""
+EDGE_TOLERANCE_MM = 1e-9  # points this near to the edge count as inside, despite round-off
 
-CIRCLE_SEGMENTS = 128
-"""Corners of the inscribed polygon of a circle: radius error below 0.004 mm at radius 12.5 mm."""
+CIRCLE_SEGMENTS = 128  # corners of the polygon of a circle: 0.004 mm error at radius 12.5 mm
 
 Point = tuple[float, float]
 
@@ -169,14 +167,12 @@ def convex_polygon(vertices_mm: tuple[Point, ...]) -> Outline:
     return outline
 
 
-NO_SUPPORT = float("-inf")
-"""Margin over an overlap that is empty."""
+NO_SUPPORT = float("-inf")  # margin over an empty overlap
 
 
 NUDGE = 1e-9
 
-CLOSING_TOLERANCE_MM = 1e-5
-"""The pieces of a true overlap close at least this well, and are longer together."""
+CLOSING_TOLERANCE_MM = 1e-5  # the edge of a true overlap closes within this and is longer than this
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,6 +348,6 @@ def _circle_overlap_mm2(distance_mm: FloatArray, r: float, s: float) -> FloatArr
     return np.asarray(np.maximum(segments[0] + segments[1], 0.0), dtype=np.float64)
 
 
+# Centres of the four dots in ``O``, counter-clockwise from the lower left.
 BOARD_DOTS_MM: FloatArray = np.array([[-40.0, -40.0], [40.0, -40.0], [40.0, 40.0], [-40.0, 40.0]])
-"""Centres of the four dots in frame ``O``, counter-clockwise from the lower left."""
 BOARD_DOT_RADIUS_MM = 4.0

@@ -17,17 +17,13 @@ from touchdown.backend.geometry.outlines import Outline, overlap_area_mm2
 from touchdown.backend.geometry.pieces import Piece
 from touchdown.backend.geometry.tower import Body, Tower, judge_tower
 
-MIN_OVERLAP_MM2 = 6.0
-"""Smallest overlap of a start or a training probe (the issue and bench-physics, section 10)."""
+MIN_OVERLAP_MM2 = 6.0  # smallest overlap of a start or a training probe (bench-physics, section 10)
 
-START_MARGIN_MM = -0.2
-"""A trial starts clearly unstable: beyond the band that is too close to call."""
+START_MARGIN_MM = -0.2  # A trial starts clearly unstable, outside the band that is not scored
 
-COARSE_SEGMENTS = 48
-"""Corners of a circle while sampling: area error below 0.3 %, on the small side."""
+COARSE_SEGMENTS = 48  # corners of a circle while sampling: the area is at most 0.3 % too small
 
-MAX_ROUNDS = 500
-"""Draws before giving up; a start is found within a few."""
+MAX_ROUNDS = 500  # draws before giving up; a few are usual
 
 
 def draw_offset(
@@ -83,10 +79,8 @@ def draw_start(
     raise InputError("No unstable start was found.", where, "Choose another bottom.")
 
 
-MAX_LEAN_MM = 6.0
-"""An upper bottom stands off the lower one by 0 to this, uniformly, in any direction."""
-PLACEMENT_PITCH_MM = 2.0
-"""Pitch of the places at which a stable position of the piece is looked for."""
+MAX_LEAN_MM = 6.0  # upper bottoms are displaced by 0 to this, uniformly, in any direction
+PLACEMENT_PITCH_MM = 2.0  # pitch of the grid on which a stable position is searched
 
 
 def draw_tower(rng: np.random.Generator, bottoms: Sequence[Piece]) -> Tower:

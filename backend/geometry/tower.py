@@ -16,8 +16,7 @@ from touchdown.backend.core import FloatArray, InputError
 from touchdown.backend.geometry import outlines
 from touchdown.backend.geometry.outlines import Outline, Point, rotated
 
-TOO_CLOSE_MM = 0.2
-"""Below this margin either way the verdict is shown, not scored."""
+TOO_CLOSE_MM = 0.2  # smaller margins are displayed but not scored
 
 FLOOR = "table"
 

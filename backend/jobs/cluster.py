@@ -11,8 +11,7 @@ from typing import Any
 from touchdown.backend.core import InputError
 from touchdown.backend.jobs.job import JobFunctions, JobResult, JobSpec, JobStore, run_job
 
-JOBS_AHEAD = 2
-"""Jobs handed out per worker thread, so that none waits for the next."""
+JOBS_AHEAD = 2  # jobs submitted per worker thread, so that none is idle
 
 
 class DaskCluster:

@@ -22,10 +22,8 @@ from touchdown.backend.core import InputError, ProcessStallDetector, lower_prior
 from touchdown.backend.jobs.job import JobFunctions, JobResult, JobSpec, JobStore, run_job
 
 POLL_S = 0.05
-EXIT_TIMEOUT_S = 1.0
-"""A worker without a job ends at once; one that is stopped never does."""
-JobStart = tuple[int, str]
-"""Number of a process, and the job that it begins ("" before its first)."""
+EXIT_TIMEOUT_S = 1.0  # an idle worker ends at once; a stopped one never does
+JobStart = tuple[int, str]  # process id and id of the job that it starts ("" before its first job)
 
 
 class PoolWorkers:
@@ -95,8 +93,7 @@ class PoolWorkers:
             self._jobs[number] = job, ProcessStallDetector(number)
 
 
-_job_starts: list[SimpleQueue[JobStart]] = []
-"""Of a worker: where it says what it begins."""
+_job_starts: list[SimpleQueue[JobStart]] = []  # in a worker: queue that reports the jobs it starts
 
 
 def _register_worker(begun: SimpleQueue[JobStart]) -> None:
@@ -115,8 +112,7 @@ def run_in_worker(
     return run(spec, kinds, store)
 
 
-MAX_WORKER_DEATHS = 2
-"""A job that was under way when a worker died is tried again this often."""
+MAX_WORKER_DEATHS = 2  # A job is repeated at most this often after its worker died
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 

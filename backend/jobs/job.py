@@ -144,9 +144,9 @@ class JobContext:
     store: JobStore
 
 
+# Runs one kind of job and returns its answer (JSON values). A top-level function, so that other
+# processes find it by name.
 JobFunction = Callable[[JobSpec, JobContext], Mapping[str, Any]]
-"""Does one kind of job and returns its answer (JSON values). A top-level function, so that other
-processes find it by its name."""
 JobFunctions = Mapping[str, JobFunction]
 
 

@@ -27,28 +27,25 @@ from touchdown.backend.core import (
 from touchdown.backend.sensing.detector import HEIGHT_PX, WIDTH_PX
 from touchdown.backend.sensing.tracker import MarkerTracker
 
+# Largest motion of a dot between frames, absolute and relative to its neighbours. The maximum in
+# 2,245 steps of real gels is 6.3 and 2.7 px; a JPEG that lost one block is shifted by 8 px.
 JUMP_PX, TORN_PX = 7.0, 3.5
-"""No dot moves so far in one frame, none leaves its neighbours so far: the most in 2,245 steps of
-real gels is 6.3 and 2.7 px. A JPEG that lost one block is shifted by 8."""
+# A row is shifted if it moved along itself by ALONG_PX and bent by less than STIFF_SHARE of that.
+# Real rows bend by 0.38 of it or more.
 ALONG_PX, STIFF_SHARE = 0.8, 0.2
-"""A row that moved along itself by more than the first, and bent by less than this share of that:
-real rows bend by 0.38 of it and more."""
-TINT_LEVELS = 1.0
-"""White balance and exposure are locked: real pictures change their colour by 0.3 at most."""
+TINT_LEVELS = 1.0  # largest colour change with locked white balance and exposure; real frames: 0.3
+# Change of brightness that starts at one row of blocks and continues below it, since JPEG levels
+# are coded relative to the previous block. With a doubtful marker the first limit applies.
 LINE_LEVELS, SURE_LINE_LEVELS = 3.0, 5.0
-"""A change of brightness that begins at one row of blocks and goes on below it: the levels of a
-JPEG count from block to block. Beside a doubtful marker the first is enough."""
+# A marker is doubtful if it leaves the affine motion of its eight neighbours by the first and its
+# darkness changes by the second.
 DOUBT_PX, DOUBT_LOOKS_SHARE = 0.2, 0.03
-"""A step that leaves the affine step of the eight neighbours, and a dot so much lighter or darker
-than one frame ago: together they make a marker doubtful."""
+# Rms grey levels over 5 x 5 px that motion does not explain. Damage is above the first, or above
+# the second if also LOCAL_RATIO times that of other markers. Real gels in fast slip reach 32 and
+# 8.2 times.
 CHANGED_LEVELS, LOCAL_LEVELS, LOCAL_RATIO = 35.0, 8.5, 8.5
-"""Rms over 5 x 5 px of what motion does not explain, in grey levels: damage above the first, and
-above the second where it is so many times that of the other markers. Real gels in fast slip: 32
-at most, and 8.2 times."""
-STEADY_FRAMES = 3
-"""A marker seen so often in a row does not vanish from one frame to the next."""
-EDGE_PX = 20.0
-"""Nearer to the border it may: its dot is cut there."""
+STEADY_FRAMES = 3  # A marker seen in this many frames in a row does not vanish at once,
+EDGE_PX = 20.0  # except this near to the border, where its dot is cut
 _FAR_PX = np.array([WIDTH_PX, HEIGHT_PX])
 _OTHERS = range(0, MARKERS, 4)
 _PATCH, _WINDOW, _BLOCKS = (25, 25), (5, 5), (WIDTH_PX // 8, HEIGHT_PX // 8)

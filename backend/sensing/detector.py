@@ -28,27 +28,22 @@ _HALF_WINDOW_PX = 10
 _SPAN = np.arange(-_HALF_WINDOW_PX, _HALF_WINDOW_PX + 1, dtype=np.float32)
 _BLUR_SIGMA_PX = 14.4
 _BLUR = cv2.getGaussianKernel(13, _BLUR_SIGMA_PX / 8, cv2.CV_32F)
-_DARKEST = np.uint8(16)
-"""The mean takes darker levels for this one: in the dark, noise must not look like dots."""
-_LIGHT_SHARE = 0.8
-"""What is no brighter than this share of its surroundings has no say in the mean."""
+_DARKEST = np.uint8(16)  # darker levels count as this one, so that noise in the dark is no dot
+_LIGHT_SHARE = 0.8  # pixels below this share of their surroundings have no weight in the local mean
 _BLOB_DEPTH = 0.25
-_RAMP = (0.15, 0.55)
-"""Darkness below the first is background; above the second a dot is as dark as it gets."""
-_MIN_DARKNESS = np.float32(1e-9)
-"""Keeps the centroid of a window without any darkness in its middle."""
+_RAMP = (0.15, 0.55)  # darkness of the background, and darkness at which the weight saturates
+_MIN_DARKNESS = np.float32(1e-9)  # keeps the centroid of an empty window at its centre
 _WEIGHT_SIGMA_PX = 5.0
 _BELL = np.float32(-0.5 / _WEIGHT_SIGMA_PX**2)
 _U, _V = (axis.ravel() for axis in np.meshgrid(_SPAN, _SPAN))
 _SUMS = np.stack([np.ones_like(_U), _U, _V, _U * _U, _U * _V, _V * _V, _U], axis=1)
 _SUMS *= np.exp(_BELL * (_U * _U + _V * _V))[:, None]
+# (441, 7) weights: moments of the bell about the centre of a window, and the plain sum.
 _SUMS[:, 6] = 1.0
-"""(441, 7): weights of the bell's moments about the middle of a window, and of the plain sum."""
-_MIN_PULL = 0.2
-"""Even darkness has no centre, and no stride would be long enough: this bounds it."""
+_MIN_PULL = 0.2  # bounds the stride in an evenly dark window, which has no centre
 _TRIES = 3
+# Longest stride; after a shorter one than the second the window stays.
 _MAX_STRIDE_PX, _CONVERGED_PX = 3.0, 1.5
-"""A stride goes no further than the first; after one below the second the window stays."""
 _LAST_PIXEL = np.array([WIDTH_PX - 1.0, HEIGHT_PX - 1.0])
 _OPENING = np.ones((3, 3), np.uint8)
 

@@ -33,20 +33,16 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.sensing.slip import press_slip_mm
 
-ROUNDING_S = 1e-7
-"""Clock stamps are whole microseconds: closer times are equal."""
+ROUNDING_S = 1e-7  # time stamps are whole microseconds; closer times are equal
 
 
 @dataclass(frozen=True, slots=True)
 class SyncLimits:
     """How near a measurement must be to stand for a tick."""
 
-    nearest_frame_s: float = 0.060
-    """A tick whose nearest frame is farther away lies in a hole and is marked (reliability C5)."""
-    longest_hole_s: float = 0.200
-    """Frames farther apart than this are not interpolated between at all (reliability C5)."""
-    wrench_share: float = 0.8
-    """Least share of the samples expected in the 100 ms before a tick."""
+    nearest_frame_s: float = 0.060  # ticks farther from any frame are marked (reliability C5)
+    longest_hole_s: float = 0.200  # no interpolation between frames farther apart (reliability C5)
+    wrench_share: float = 0.8  # smallest share of the samples expected in the 100 ms before a tick
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,18 +221,14 @@ def _missing_numbers(fields: list[MarkerField], tick_s: FloatArray) -> int:
 class EpisodeLimits:
     """When a probe is an observation. Every limit is a positive comparison: NaN refuses."""
 
+    # Ticks per finger with a frame within 60 ms (reliability C5).
     least_ticks: int = SAMPLES_PER_PROBE - 1
-    """Ticks per finger with a frame within 60 ms (reliability C5)."""
-    longest_hole_s: float = 0.200
-    """Longest time without a frame (reliability C5)."""
-    inferred_share: float = 0.25
-    """Upward shear moves one row of seven out of the image: 14 % inferred is normal."""
+    longest_hole_s: float = 0.200  # longest time without a frame (reliability C5)
+    inferred_share: float = 0.25  # upward shear moves one row of seven out of view: 14 % is normal
+    # The tracker is tested with six covered dots (marker-tracking, occlusion).
     lost_markers: int = 6
-    """Six covered dots are what the tracker is tested to bridge (marker-tracking, occlusion)."""
-    contact_n: float = 1.0
-    """Least press force at the last tick: the contact threshold of the press."""
-    slip_mm: float = 0.3
-    """Largest slip in the grasp, as in the release interlock."""
+    contact_n: float = 1.0  # smallest press force at the last tick: the contact threshold
+    slip_mm: float = 0.3  # largest slip in the grasp, as in the release interlock
     sync: SyncLimits = field(default_factory=SyncLimits)
 
 

@@ -66,10 +66,10 @@ class LiveSensing:
         self._sample_cursor = raw.samples.count
         self._payload = payload
         self._tare = Tare(payload, np.zeros(WRENCH_CHANNELS))
+        # Bench time of the last tare: a verdict reached before it belongs to a former probe.
         self.tare_s = float("-inf")
-        """Bench time of the last tare: a verdict reached before it belongs to a former probe."""
+        # What is known of the wrist sensor's, for any thread; None while that is too little.
         self.drift: WrenchDrift | None = None
-        """What is known of the wrist sensor's, for any thread; None while that is too little."""
 
     @property
     def tare(self) -> Tare:

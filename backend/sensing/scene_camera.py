@@ -23,8 +23,7 @@ from touchdown.backend.core import FloatArray, ImageArray, InputError, read_only
 from touchdown.backend.geometry import BOARD_DOTS_MM
 
 MIN_DOT_AREA_PX = 20
-BRIGHT = 230
-"""Dots are magenta: blue and red above this, green below ``255 - BRIGHT``; nothing else is."""
+BRIGHT = 230  # dots are magenta: blue and red at least this, green at most ``255 - BRIGHT``
 MAX_RESIDUAL_PX = 2.0
 _FIX = "Show all four dots to the camera, evenly lit, and calibrate again."
 
@@ -135,24 +134,20 @@ def _apply_homography(matrix: FloatArray, points: ArrayLike) -> FloatArray:
     return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
-REACH_MM = 4.0
-"""The rim is looked for so far on both sides of where it should be."""
+REACH_MM = 4.0  # the rim is searched this far on both sides of its expected position
 STEP_MM = 0.1
 RIM_POINTS = 96
-INNER_PART = 0.4
-"""The colour of the piece is that of the inner part of its face."""
-MIN_COLOUR_SPREAD = 12.0
-"""Colours nearer than this (of 255) are one colour in any light."""
+INNER_PART = 0.4  # part of the face that gives the colour of the piece
+MIN_COLOUR_SPREAD = 12.0  # colours nearer than this (of 255) are equal
+# The rim is visible where its outward normal points down in the image by this share.
 FRONT_SHARE = 0.35
-"""The rim is seen where its outward direction points down in the picture by at least this share."""
+# An upright piece covers this share of the points this far behind its far rim.
 BEHIND_MM, MIN_BEHIND_SHARE = 1.0, 0.6
-"""Above the far rim the piece is seen so far behind it, at this share of places at least."""
 MIN_EDGE_POINTS = 12
 FIT_ROUNDS = 6
-MAX_EDGE_ERROR_MM = 0.5
-"""Edges that lie farther off the fitted rim belong to something else."""
+MAX_EDGE_ERROR_MM = 0.5  # edges farther from the fitted rim are outliers
+# Smallest uncertainty: edge, image compression, and fit of the board (measured, see tests).
 FLOOR_MM = 0.12
-"""What edge, picture compression and the fit of the board leave at best (measured, see tests)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,12 +82,10 @@ def _complex(points_px: FloatArray) -> NDArray[np.complex128]:
     return np.ascontiguousarray(points_px).view(np.complex128)[:, 0]
 
 
-FIT_RANGE = (0.15, 0.6)
-"""Part of the travel in which the line is fitted: after settling, before a likely slip."""
+FIT_RANGE = (0.15, 0.6)  # part of the travel used for the line: after settling, before likely slip
 MIN_FRAMES = 5
 MIN_TRAVEL_MM = 0.1
-MIN_SLOPE_PX_MM = 1.0
-"""A press that moves the markers less than this per mm shows nothing about slip."""
+MIN_SLOPE_PX_MM = 1.0  # below this marker motion per mm of travel, slip cannot be judged
 
 
 def press_slip_mm(recording: Recording, onset_s: float, end_s: float) -> float:
@@ -144,14 +142,11 @@ def _travel_mm(recording: Recording, onset_s: float, t_s: FloatArray) -> FloatAr
     return np.asarray(onset_mm - height_mm, dtype=np.float64)
 
 
+# A piece rotates if the markers of both gels turn by MIN_TURN_RAD within TURN_WINDOW_S, at most
+# MAX_FINGER_LAG_S apart. In 1,900 simulated presses (pot and mushroom, presets mixed and hard) the
+# gel that turned less turned by at most 0.0026 rad within 0.1 s; a piece that rotated by 1.5
+# degrees turned both by 0.006 rad or more.
 MIN_TURN_RAD, TURN_WINDOW_S, MAX_FINGER_LAG_S = 0.005, 0.1, 0.15
-"""So much the markers of both gels turn within so long, so soon one after the other, where a piece
-turns.
-
-In 1,900 presses of the simulated bench (pot and mushroom, presets mixed and hard) the gel that
-turned less turned by 0.0026 rad within 0.1 s at most; a piece that turned by 1.5 degrees turned
-both by 0.006 rad and more.
-"""
 
 
 class TorsionSlipDetector:
@@ -162,8 +157,8 @@ class TorsionSlipDetector:
         self._cursors = {finger: fields[finger].count for finger in FINGERS}
         self._recent = {finger: deque[tuple[float, float]]() for finger in FINGERS}
         self._jumps = {finger: (float("-inf"), 0.0) for finger in FINGERS}
+        # By how much the markers turned as the piece slipped; 0 while it sticks.
         self.turned_rad = 0.0
-        """By how much the markers turned as the piece slipped; 0 while it sticks."""
 
     def seen(self) -> bool:
         """Take what arrived since the last call; return whether the piece has turned."""
@@ -193,8 +188,7 @@ class TorsionSlipDetector:
             self.turned_rad = max(self.turned_rad, min(one_rad, other_rad))
 
 
-FIT_RANGE_N = (0.5, 4.0)
-"""Range of press force in which the loading line is fitted."""
+FIT_RANGE_N = (0.5, 4.0)  # range of press force used for the loading line
 MIN_SAMPLES = 20
 
 

@@ -45,8 +45,7 @@ from touchdown.backend.sensing.detector import (
 from touchdown.backend.sensing.slip import fit_rigid
 from touchdown.backend.sensing.zeroing import TactileReference
 
-MIN_ORDER_PX = 4.0
-"""Neighbours closer than this along their axis have lost their order."""
+MIN_ORDER_PX = 4.0  # neighbours closer than this along their axis are out of order
 
 
 def nearest_dots(expected_px: FloatArray, dots_px: FloatArray, reach_px: float) -> NDArray[np.intp]:
@@ -154,10 +153,10 @@ class HiddenMarkers:
         self._size = np.linalg.norm(smooth, axis=1)
 
 
+# Allowed ratio of darkness (centre, total) to the usual look of the same marker.
 OWN_RANGE = np.array([[0.7, 0.5], [1.45, 1.45]])
-"""Lowest and highest ratio of darkness in the middle and in all to the marker's own usual look."""
+# Allowed ratio to the look of the others, for markers without a recent look of their own.
 COMMON_RANGE = np.array([[0.5, 0.5], [1.9, 1.9]])
-"""Ratio to the look of the other markers, where a marker has no own yet or was long hidden."""
 APPEARANCE_MEMORY = 0.05
 
 
@@ -166,8 +165,8 @@ class DotAppearance:
 
     def __init__(self) -> None:
         self._usual = np.zeros((MARKERS, 2))
+        # Of the last frame, of markers that looked like themselves.
         self.newest: FloatArray = np.zeros((MARKERS, 2))
-        """Of the last frame, of markers that looked like themselves."""
 
     def recognise_all(self, looks: FloatArray) -> bool:
         """Return whether all 63 look like themselves, and learn from that if they do."""
@@ -207,12 +206,9 @@ class DotAppearance:
 
 LOST_AFTER_S = 2.0
 REACH_PITCH = 0.4
-STRAY_PX = 5.0
-"""A step that differs this much from its neighbours' steps is not believed."""
-SMOOTH_PX = 0.5
-"""Frame-to-frame misfit (rms) up to which a field counts as smooth."""
-_MAX_SHIFT_PX = 5.0
-"""A centre further from where it was looked for belongs to something else."""
+STRAY_PX = 5.0  # A step that differs this much from those of its neighbours is rejected
+SMOOTH_PX = 0.5  # A field with at most this frame-to-frame misfit (rms) has full quality
+_MAX_SHIFT_PX = 5.0  # A centre farther from its start belongs to another dot
 _MIN_SEEN = 32
 _REORDER_EVERY = 5
 _NO_BLOB = -1

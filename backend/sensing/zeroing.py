@@ -36,16 +36,13 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 class TareLimits:
     """When a tare is refused. Forces in N, moments in N·m; set from noise measured in air."""
 
+    # Largest standard deviation (force, moment): 3 sigma of the air noise 0.1 N, 0.004 N·m.
     noise: tuple[float, float] = (0.3, 0.012)
-    """Largest standard deviation (force, moment): 3 sigma of the air noise 0.1 N, 0.004 N·m."""
+    # Largest change between the halves of the window: the arm moves or the load changes.
     motion: tuple[float, float] = (0.15, 0.006)
-    """Largest change between the halves of the window: a moving arm or a changing load."""
-    load_n: float = 3.0
-    """Largest force beyond the payload: more is a contact (reliability S8)."""
-    least_samples: int = 10
-    """Fewer samples are no mean; 200 ms hold 200 samples at 1 kHz."""
-    least_span_s: float = 0.15
-    """The samples must span at least this time."""
+    load_n: float = 3.0  # largest force beyond the payload; more is a contact (reliability S8)
+    least_samples: int = 10  # 200 ms hold 200 samples at 1 kHz
+    least_span_s: float = 0.15  # shortest time that the samples must span
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,14 +131,12 @@ def _largest(channels: FloatArray) -> tuple[float, float]:
     return float(channels[:3].max()), float(channels[3:].max())
 
 
-REST_FRAMES = 10
-"""Frames of a usual reference."""
+REST_FRAMES = 10  # frames of a reference
 MIN_REST_FRAMES = 3
+# Noise of one marker centre on a still gel (measured on real frames, docs/tracking.md).
 NOISE_FLOOR_PX = 0.06
-"""Noise of one marker centre on a still gel (measured on real frames, docs/tracking.md)."""
 MOTION_FACTOR = 3.0
-CONTACT_PX = 0.7
-"""Change of shape (rms, whole-grid motion and affine part removed) that means contact."""
+CONTACT_PX = 0.7  # change of shape (rms, without affine part) that means contact
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,25 +219,18 @@ def _check_frames(fields: Sequence[MarkerField]) -> None:
         )
 
 
-BLOCK_S = 0.5
-"""Samples of so long are one mean."""
-MIN_BLOCK_S = 0.15
-"""Shorter air says nothing."""
-LOAD_STEP_N = 0.15
-"""From one mean to the next; more, or more than the noise explains, is a load."""
-MAX_DRIFT_N_S = 0.1
-"""Between two stays in air it may have drifted by so much more a second; beyond is a load."""
+BLOCK_S = 0.5  # length of the blocks whose means are compared
+MIN_BLOCK_S = 0.15  # shorter blocks are discarded
+LOAD_STEP_N = 0.15  # A larger step between two means, if beyond the noise, is a load
+MAX_DRIFT_N_S = 0.1  # additional step allowed per second between two stays in air
 NOISE_FACTOR = 8.0
-MAX_SAMPLE_GAP_S = 0.2
-"""Samples that are farther apart are not one air."""
-MAX_AIR_GAP_S = 60.0
-"""What happened over a longer time out of the air is not known."""
+MAX_SAMPLE_GAP_S = 0.2  # A longer gap between samples ends a stay in air
+MAX_AIR_GAP_S = 60.0  # after a longer time out of the air, drift is unknown
+# Drift is reported over this time, the largest age of a tare (reliability S8).
 DRIFT_WINDOW_S = 300.0
-"""Drift is told over so long: a tare is as old as that at most (reliability S8)."""
+# Drift at which a warning starts, well below 1 N, and at which it ends.
 WARN_DRIFT_N, CLEAR_DRIFT_N = 0.5, 0.25
-"""So much drift is named, well before it reaches 1 N, until there is as little as this again."""
-MIN_DRIFT_SPAN_S = 5.0
-"""Less time in air gives no figure yet."""
+MIN_DRIFT_SPAN_S = 5.0  # shortest time in air for a result
 
 
 @dataclass(frozen=True, slots=True)

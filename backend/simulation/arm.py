@@ -248,8 +248,7 @@ class ArmDrive:
 
     def __init__(self, command_mm: FloatArray) -> None:
         self._command_mm = command_mm.copy()
-        self.turn: FloatArray = IDENTITY_ROTATION
-        """(3, 3) commanded turn of the hand."""
+        self.turn: FloatArray = IDENTITY_ROTATION  # (3, 3) commanded turn of the hand
         self._program: SimProgram | None = None
         self._lock = threading.Lock()
 
@@ -287,11 +286,11 @@ class ArmDrive:
 
 
 ACCELERATION_RAD_S2 = 2.0
+# Position (3,) of ``G``, mm, and rotation (3, 3) of the hand.
 HandPose = tuple[FloatArray, FloatArray]
-"""Position (3,) of ``G``, mm, and turn (3, 3) of the hand."""
 PoseCheck = Callable[[HandPose], Fault | None]
+# From joints (6,), rad, to the pose of the hand.
 ForwardKinematics = Callable[[FloatArray], HandPose]
-"""From joints (6,), rad, to the place of the hand."""
 
 
 def limit_change(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray:

@@ -51,10 +51,8 @@ from touchdown.backend.simulation.wrist_sensor import wrist_wrench
 
 MAX_ATTEMPTS = 20
 MIN_OVERLAP_MM2 = 6.0
-REGRASP_MM = 1.0
-"""An operator would grasp the piece anew when it has slipped this far."""
-LARGEST_FORCE_RATIO = 1.3
-"""A press force above this times series stiffness times depth is no equilibrium."""
+REGRASP_MM = 1.0  # A piece that slipped farther is gripped again, as an operator would do
+LARGEST_FORCE_RATIO = 1.3  # upper bound of the press force over series stiffness times depth
 
 
 @dataclass(frozen=True, slots=True)
@@ -468,8 +466,8 @@ class BatchedTrials:
         self._mountings = [scene_mounting(scene) for scene in scenes]
         self._carried = GraspHistory.fresh(len(scenes))
         self._number = [0] * len(scenes)
+        # The towers below, as far as they have slid by now.
         self.bottoms = [scene.bottoms for scene in scenes]
-        """The towers below, as far as they have slid by now."""
         self._slid_mm = np.zeros((len(scenes), 2))
         self._stands = [support_stack(tower, first.settings.support) for tower in self.bottoms]
 

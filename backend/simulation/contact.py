@@ -176,8 +176,7 @@ def updated_anchor(cells: ContactCells, now: ContactForces) -> FloatArray:
     return np.stack([now.u_x - back * now.pull_x, now.u_y - back * now.pull_y])
 
 
-TRIALS_PER_CALL = 48
-"""So many trials are worth one call: below that its fixed cost outweighs what it computes."""
+TRIALS_PER_CALL = 48  # trials solved in one call; fewer do not pay its fixed cost
 
 
 class BatchTrial(Protocol):
@@ -223,15 +222,13 @@ def halve_steps(
         done += count
 
 
+# Forces in N; moments divided by 20 mm.
 RESIDUAL_SCALE = np.array([1.0, 1.0, 1.0, 1 / 20.0, 1 / 20.0, 1 / 20.0])
-"""Residual scale: forces in N, moments divided by 20 mm."""
 TOLERANCE = 1e-6
-RESIDUAL_LIMIT = 1e-4
-"""Largest scaled residual of a usable step."""
+RESIDUAL_LIMIT = 1e-4  # largest scaled residual of a usable step
 MAX_ITERATIONS = 60
 HALVINGS = 10
-COMPRESS_BELOW_SHARE = 0.6
-"""Below this share of unfinished probes it pays to pick them out."""
+COMPRESS_BELOW_SHARE = 0.6  # unfinished probes are solved separately below this share
 
 
 def solve_equilibrium(

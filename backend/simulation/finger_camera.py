@@ -82,15 +82,11 @@ def mirror_appearance(look: GelAppearance, width_px: int = 320) -> GelAppearance
 
 
 WIDTH_PX, HEIGHT_PX = 320, 240
-_REACH_PX = 15
-"""Half width of the patch drawn round a dot: the mask has faded to 0.1 % there."""
+_REACH_PX = 15  # half width of the patch around a dot; the mask has faded to 0.1 % there
 _SIZE_PX = 2 * _REACH_PX
-_FAR_PX2 = 1600.0
-"""Squared distances are cut here, where a dot has long faded, so that exp never overflows."""
-_CONTRAST_SPREAD = 0.05
-"""Spread of the dots' darkness (real cores range from 16 to 67 levels)."""
-_FLECKS = 9
-"""Light flecks on every dot; they move with it, as those of the real paint do."""
+_FAR_PX2 = 1600.0  # upper limit of squared distances, so that exp does not overflow
+_CONTRAST_SPREAD = 0.05  # relative spread of the darkness (real cores: 16 to 67 levels)
+_FLECKS = 9  # light flecks per dot, which move with it
 _FLECK_SIGMA_PX = 1.1
 
 Float32 = NDArray[np.float32]
@@ -205,14 +201,13 @@ def _quadratic_form(
 
 
 SMEAR_RADIUS_PX = 13.0
+# Offset (u, v) in px of a dot's shadow in B, G, R: the lights are on three sides.
 _FRINGE = ((0, -4), (-4, 0), (0, 4))
-"""Where the shadow of a dot falls in B, G, R: the lights come from three sides (u, v in px)."""
 _FRINGE_DEPTH = 0.5
 _FRINGE_PX = 4
 _BANK_FACTOR = 2
 
-Smear = tuple[slice, slice, Float32]
-"""Rows and columns of what a smear covers, and how much (0..1)."""
+Smear = tuple[slice, slice, Float32]  # rows and columns that a smear covers, and coverage (0..1)
 
 
 class TactileRenderer:

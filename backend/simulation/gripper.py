@@ -33,12 +33,9 @@ from touchdown.backend.simulation.scene import Scene
 from touchdown.backend.simulation.supports import slide_bottoms, support_stack
 from touchdown.backend.simulation.wrist_sensor import held_piece_load
 
-CLOSING_TIME_S = 0.5
-"""Time to reach the piece from the open position."""
-SQUEEZE_TIME_S = 0.1
-"""Time from touching the piece to full force."""
-LET_GO_MM = 0.1
-"""The pads have lost the piece when the jaws are wider than it by this much."""
+CLOSING_TIME_S = 0.5  # time to reach the piece from the open position
+SQUEEZE_TIME_S = 0.1  # time from touching the piece to full force
+LET_GO_MM = 0.1  # the piece is released when the jaws are wider than it by this much
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +127,7 @@ class SimulatedJaws:
         return JawEvents(let_go=let_go)
 
 
-NEAR_MM = 1.0
-"""Below this height over first touch the contact is solved; above it the piece is in air."""
+NEAR_MM = 1.0  # contact is solved below this height above first touch; above, the piece is in air
 
 
 class HeldPiece:
@@ -164,10 +160,9 @@ class HeldPiece:
             scene.grip_height_mm,
             self.gripping.grasp_offset_mm,
         )
-        self.weight_g = self.weight.wrench_g()
-        """(6,) weight of the piece at ``G``, N and N·mm."""
+        self.weight_g = self.weight.wrench_g()  # (6,) weight of the piece at ``G``, N and N·mm
+        # Whether the sensor errors of the probe apply: from its press until it is lifted off.
         self.sensed = False
-        """Whether the sensor errors of the probe apply: from its press until it is lifted off."""
         self._lowered = False
 
     def begin_probe(self, probe: ProbeSettings) -> None:

@@ -66,13 +66,11 @@ def build_gel(
     return Gel(np.stack(maps), np.stack(rests))
 
 
+# Fills unseen markers: (n, 63, 2) px and seen (n, 63) -> (n, 63, 2).
 FillMarkers = Callable[[FloatArray, NDArray[np.bool_]], FloatArray]
-"""Fills the unseen markers: (n, 63, 2) px and seen (n, 63) -> (n, 63, 2)."""
 
-FRAMES_PER_PRESS = 72
-"""Frames per camera that cover any press at 25 Hz."""
-LEAD_TIME_S = 0.25
-"""The first frames come this much before first touch."""
+FRAMES_PER_PRESS = 72  # frames per camera that cover any press at 25 Hz
+LEAD_TIME_S = 0.25  # the first frame comes this long before first touch
 IMAGE_PX = (320.0, 240.0)
 
 

@@ -328,8 +328,7 @@ def _map_slip(
     return replace(now, d=d, normal_n=normal_n), mapped
 
 
-MAX_SPLITS = 2
-"""A step without balance is gone again in halves, and these again, so many times."""
+MAX_SPLITS = 2  # A step without equilibrium is halved this often
 _STATE_ARRAYS = ("q", "slip", "relaxed", "residual", "depth_mm", "slope", "toppled")
 
 

@@ -34,11 +34,10 @@ from touchdown.backend.simulation.supports import (
     weight_moment_growth,
 )
 
+# Weight of an angle against a position; any positive value has the same solution.
 ROCK_MM_RAD = 1000.0
-"""Weight of an angle beside a place in the law of rocking: any positive one gives the same."""
 SLIDE_N_MM = 10.0
-MOMENT_N_MM = 0.4
-"""A resultant off by 1 mm counts as this residual, as 8 N do in the scale of the piece."""
+MOMENT_N_MM = 0.4  # residual in N of a resultant that is off by 1 mm
 AXES = np.eye(2)
 
 
@@ -162,11 +161,10 @@ def face_motion(cells: ContactCells, q: FloatArray) -> FloatArray:
 
 MAX_ITERATIONS = 40
 HALVINGS = 12
+# The search ends when the residual has not fallen to PROGRESS within PATIENCE iterations.
 PATIENCE, PROGRESS = 8, 0.5
-"""A search whose residual has not fallen to this share in so many iterations is given up."""
 DRAGS_MM_RAD = (1e8, 1e7, 1e6, 1e5, 1e4, 1e3, 1e2, 1e1)
-VISCOUS = 1e-6
-"""Keeps the matrix regular where face and table slide at once; the residual is without it."""
+VISCOUS = 1e-6  # keeps the Jacobian regular where face and table slide; not in the residual
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,12 +65,10 @@ def pack_equilibrium(solved: ProbeEquilibrium) -> FloatArray:
     return np.concatenate([solved.wrench_g, flat, solved.normal_n], axis=1)
 
 
-AIR_MARGIN = 20
-"""Samples in air beyond what the running baseline needs."""
-AIR_MM, AIR_S = 3.0, 1.5
-"""Height and time in air before the descent (where a slipped gel settles)."""
+AIR_MARGIN = 20  # air samples beyond those of the running baseline
+AIR_MM, AIR_S = 3.0, 1.5  # height and time in air before the descent; a slipped gel settles there
+# Cycles of descent before the first contact check, between checks, and at most.
 FIRST_BLOCK, NEXT_BLOCK, MAX_CYCLES = 15, 3, 60
-"""Cycles of descent solved before looking for contact, between looks, and at most."""
 
 
 @dataclass(frozen=True, slots=True)

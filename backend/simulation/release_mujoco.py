@@ -20,8 +20,7 @@ from touchdown.backend.geometry import Body, Outline, Point, Tower, TowerVerdict
 
 SPHERES_PER_FACE = 32
 SPHERE_RADIUS_MM = 0.05
-FALLEN_DEG = 12.0
-"""A body tilted by more has fallen."""
+FALLEN_DEG = 12.0  # A body tilted by more has fallen
 
 PAIR_BAND_MM = 0.2
 TOWER_BAND_MM = 0.25

@@ -60,8 +60,7 @@ class Scene:
         return upper
 
 
-MAX_RELEASE_GAP_MM = 2.0
-"""Let go higher than this above the support the piece is counted as fallen."""
+MAX_RELEASE_GAP_MM = 2.0  # released higher above the support, the piece counts as fallen
 
 
 @dataclass(frozen=True, slots=True)

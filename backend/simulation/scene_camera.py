@@ -19,8 +19,7 @@ BOARD_MM = 60.0
 TABLE, BOARD, DOT = (60, 56, 52), (148, 152, 150), (255, 0, 255)
 BOTTOM, PIECE = (96, 120, 178), (168, 132, 84)
 SHADE = 0.72
-FRACTION_BITS = 4
-"""Corners are drawn to 1/16 px."""
+FRACTION_BITS = 4  # corners are drawn to 1/16 px
 
 
 def camera_matrix() -> FloatArray:

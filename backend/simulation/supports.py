@@ -32,8 +32,7 @@ from touchdown.backend.geometry import (
 
 _UNIT = np.eye(2)
 ON_MM = 1e-7
-CORNER_MM = 0.01
-"""So near to the edges of both faces lies a corner of the overlap: it is clipped from polygons."""
+CORNER_MM = 0.01  # A point this near to the edges of both faces is a corner of the overlap
 
 
 @dataclass(frozen=True, slots=True)

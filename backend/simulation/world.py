@@ -40,16 +40,12 @@ from touchdown.backend.simulation.pressing import TIMELINE_VALUES
 from touchdown.backend.simulation.scene import Scene, SceneTruth
 from touchdown.backend.simulation.wrist_sensor import WristLoad, WristSampler
 
-OPEN_CLEARANCE_MM = 20.0
-"""Open jaws at the start are wider than the piece by this much."""
-DRAG_MM = 1.0
-"""Dragging a pressed piece sideways by more than this knocks a free support over."""
+OPEN_CLEARANCE_MM = 20.0  # at the start the jaws are wider than the piece by this much
+DRAG_MM = 1.0  # dragging a pressed piece farther than this knocks a free support over
 DRAG_N = 0.5
-JIG_MM = 1.0
-"""Let go within this distance of the jig's place the piece is back in the jig."""
+JIG_MM = 1.0  # released within this distance of the jig, the piece is back in the jig
 _TARE_CYCLES = 20
-_AIR_HISTORY_US = 400_000
-"""What is remembered of the air: as much as a contact is measured against, none of it judged."""
+_AIR_HISTORY_US = 400_000  # air samples kept for the baseline of the next press
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,8 +76,7 @@ class WristLoad:
 
     before_g: FloatArray
     after_g: FloatArray
-    offset: FloatArray
-    """(6,) slow error of the present probe, N and N·m."""
+    offset: FloatArray  # (6,) slow error of the present probe, N and N·m
 
 
 class WristSampler:
@@ -93,8 +92,7 @@ class WristSampler:
         self._walk = per_minute * np.sqrt(cycle_us * 1e-6 / 60.0)
         self._drift = np.zeros(6)
         self.payload = Load(settings.payload_kg, settings.payload_com_mm)
-        self.payload_g = self.payload.wrench_g()
-        """(6,) weight of the gripper at ``G``, N and N·mm."""
+        self.payload_g = self.payload.wrench_g()  # (6,) weight of the gripper at ``G``, N and N·mm
         self._share = np.arange(1, self._count + 1)[:, None] / self._count
 
     def samples(

@@ -76,8 +76,8 @@ class SimPressMotion(CommandedMotion):
         return self._press.onset_s
 
 
+# Lowest height of a rotated hand; contact is simulated for a level face only.
 MIN_TURNED_HEIGHT_MM = 10.0
-"""The simulated contact knows an unturned face only: turned, it stays as high as this."""
 
 
 class SimJoints:

@@ -111,8 +111,7 @@ class SimGripper(SimDevice):
         return motion
 
 
-FLICKER = 0.25
-"""Swing of the brightness, by the law of the tracker's known-truth test."""
+FLICKER = 0.25  # amplitude of the brightness, as in the known-truth test of the tracker
 
 
 class SimTactile(SimDevice):
@@ -183,8 +182,7 @@ class SimTactile(SimDevice):
         return self._frozen
 
 
-RATED = (200.0, 200.0, 200.0, 4.0, 4.0, 4.0)
-"""N and N·m, those of the laboratory's sensor."""
+RATED = (200.0, 200.0, 200.0, 4.0, 4.0, 4.0)  # N and N·m, as the sensor of the laboratory
 
 
 class SimForceTorque(SimDevice):

@@ -31,22 +31,19 @@ from touchdown.backend.simulation.release_mujoco import (
 STEP_S = 0.002
 RIM_SPHERES, FOOT_SPHERES = 32, 16
 SPHERE_MM = 0.05
+# Rim stiffness per length over foundation stiffness per area [U]. 64 N/mm² at 20 N/mm³ makes a ring
+# of 7.5 mm as stiff as a flat punch of that size on a half-space of 200 N/mm² (2 E a).
 RIM_SHARE_MM = 3.2
-"""Rim stiffness per length over foundation stiffness per area: 64 N/mm² at 20 N/mm³ makes a ring of
-7.5 mm as stiff as a flat punch of that size on a half-space of 200 N/mm² (2 E a) [U]."""
+# Common to all contacts. The contact stiffness is k IMPEDANCE / ((1 - IMPEDANCE) MOBILITY), where
+# -k is the first number of solref (soft constraints of MuJoCo).
 IMPEDANCE, MOBILITY_1_KG = 0.9, 1.0
-"""Of every contact: with them its stiffness is k IMPEDANCE / ((1 - IMPEDANCE) MOBILITY) for the
-first number -k of its solref (the engine's equation of soft constraints)."""
-TORSION_MM = 0.5
-"""Lever of the friction torque of one sphere [U]."""
+TORSION_MM = 0.5  # lever of the friction torque of one sphere [U]
+# Inertia of the hand and of the piece in the pads; negligible in a slow press.
 HAND_KG, PAD_KG, PAD_KGM2 = 1.5, 0.5, 5e-4
-"""Inertia of hand and of the piece in the pads; a slow press does not feel it."""
-PAD_DELAY_S = 0.06
-"""Viscosity of the pads over their stiffness (Kelvin and Voigt) [U]."""
+PAD_DELAY_S = 0.06  # viscosity of the pads over their stiffness (Kelvin-Voigt) [U]
+# Joints of the hand, then of the piece in it; the first of the model.
 HAND_JOINTS, HELD_JOINTS = slice(0, 3), slice(3, 9)
-"""Joints of the hand, and of the piece in it: the first in the model."""
-SHELL_MM = 4.0
-"""Height of the part of the piece that can be touched."""
+SHELL_MM = 4.0  # height of the part of the piece that collides
 
 HEADER = f"""
 <mujoco>
@@ -202,10 +199,8 @@ def _joints(kind: str, stiffness: FloatArray, damping: FloatArray, armature: flo
     )
 
 
-UPRIGHT_RAD = 1e-3
-"""A body that leans less than this stands flat."""
-FREE_BODY_QPOS = 7
-"""Numbers of a free body's place: metres, quaternion."""
+UPRIGHT_RAD = 1e-3  # A body tilted by less than this stands flat
+FREE_BODY_QPOS = 7  # position values of a free body: metres, quaternion
 
 
 def bottoms_after_press(mounted: MountedPiece, bottoms: Tower) -> tuple[FloatArray, bool]:

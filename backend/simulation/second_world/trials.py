@@ -56,8 +56,7 @@ from touchdown.backend.simulation.second_world.model import (
     pad_stiffness,
 )
 
-PATCH_MM = 5.0
-"""Radius of the gripped patch [U]."""
+PATCH_MM = 5.0  # radius of the gripped patch [U]
 POISSON = 0.5
 
 
@@ -104,13 +103,12 @@ def build_half_space_gel(
     return Gel(np.stack(maps), np.stack(rests))
 
 
-HARDENING_MM = 3.0
-"""Shear at which a pad is twice as stiff as unstrained [U]."""
+HARDENING_MM = 3.0  # shear at which the stiffness of a pad has doubled [U]
+# Largest shear that the markers show, and its time constant [U].
 SATURATION_MM, SEEN_LATE_S = 2.0, 0.12
-"""The markers show at most this much shear, and follow it with this delay [U]."""
+# Creep speed at the friction limit, exponent of the load, and load at which the speed saturates
+# [U].
 CREEP_MM_S, CREEP_POWER, CREEP_CAP = 0.1, 12, 1.3
-"""Speed of the creep at the limit of friction, how steeply it grows with the load, and the load
-beyond which it grows no more [U]."""
 
 
 class CreepingPads:
@@ -129,8 +127,7 @@ class CreepingPads:
         self._limit = float(conditions.mu_grip[0])
         self._radius_mm = float(conditions.limit_radius_mm[0])
         self._slips = bool(conditions.slips[0])
-        self.hardening = 1.0
-        """Stiffness of shear and torsion over that of an unstrained gel."""
+        self.hardening = 1.0  # stiffness of shear and torsion over that of an unstrained gel
         self.normal_n = np.full(2, self._grip_n)
         self.strain = self._strain(self.rest())
         self.seen = _saturated(self.strain)
@@ -176,10 +173,8 @@ def _saturated(strain: FloatArray) -> FloatArray:
     return shown
 
 
-START_CLEARANCE_MM = 0.1
-"""Height of the face over the highest place it may touch, at the start."""
-BALANCE_N, BALANCE_NMM = 0.1, 2.0
-"""Contact and springs may differ by this at the end; otherwise the press has not settled."""
+START_CLEARANCE_MM = 0.1  # height of the face above the highest possible contact, at the start
+BALANCE_N, BALANCE_NMM = 0.1, 2.0  # largest imbalance of contact and springs in a settled press
 HAND_Z = HAND_JOINTS.start + 2
 
 

@@ -12,7 +12,6 @@ from typing import cast
 from PySide6.QtWidgets import QWidget
 
 from touchdown.app.calibrate.sheet import (
-    CalibrateIntents,
     CalibrateSheet,
     CalibrationView,
     PlaceForm,
@@ -137,10 +136,11 @@ class CalibratePresenter:
                 self._theme,
                 [CALIBRATION_KINDS[what].title for what in CALIBRATION_NAMES],
                 PlaceForm(catalogue.tops, catalogue.bottoms, self._usual()),
-                CalibrateIntents(
-                    self._choose, self._measure, self._link.engine.cancel, self._accept
-                ),
             )
+            self.sheet.calibration_chosen.connect(self._choose)
+            self.sheet.measure_requested.connect(self._measure)
+            self.sheet.cancel_requested.connect(lambda: self._link.engine.cancel())
+            self.sheet.accept_requested.connect(self._accept)
         self._read_s = float("-inf")
         self.draw(at_once=True)
         self.sheet.show()

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from PySide6.QtCore import QRectF, QSize, Qt
+from PySide6.QtCore import QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import (
     QButtonGroup,
@@ -219,27 +219,21 @@ class CalibrationView:
     why: str
 
 
-@dataclass(frozen=True, slots=True)
-class CalibrateIntents:
-    """What the operator can ask for."""
-
-    choose: Callable[[int], None]
-    measure: Callable[[], None]
-    cancel: Callable[[], None]
-    accept: Callable[[], None]
-
-
 class CalibrateSheet(QDialog):
     """List on the left; steps, live values, residual and buttons of the chosen one on the right."""
 
+    calibration_chosen = Signal(int)
+    measure_requested = Signal()
+    cancel_requested = Signal()
+    accept_requested = Signal()
+
     def __init__(
-        self, parent: QWidget, theme: Theme, titles: Sequence[str], form: PlaceForm,
-        intents: CalibrateIntents,
-    ) -> None:  # fmt: skip
+        self, parent: QWidget, theme: Theme, titles: Sequence[str], form: PlaceForm
+    ) -> None:
         super().__init__(parent)
         self.setModal(False)
         self.setWindowTitle("Calibrate")
-        self._intents, self.form = intents, form
+        self.form = form
         self._shown: CalibrationView | None = None
         self.choices = [QPushButton(title) for title in titles]
         self.conditions = [label("", "small") for _ in titles]
@@ -396,16 +390,14 @@ class CalibrateSheet(QDialog):
         return foot
 
     def _wire(self) -> None:
-        self.question.no.clicked.connect(self._intents.cancel)
+        self.question.no.clicked.connect(self.cancel_requested)
         self.cancel.setToolTip("End in an orderly way: lift, keep the piece")
         self.accept_it.setToolTip("Keep the result as a file that expires")
         for index, choice in enumerate(self.choices):
-            choice.clicked.connect(partial(self._intents.choose, index))
-        for button, act in (
-            (self.measure, self._intents.measure),
-            (self.cancel, self._intents.cancel),
-            (self.accept_it, self._intents.accept),
-            (self._close, self.close),
-        ):
+            choice.clicked.connect(partial(self.calibration_chosen.emit, index))
+        self.measure.clicked.connect(self.measure_requested)
+        self.cancel.clicked.connect(self.cancel_requested)
+        self.accept_it.clicked.connect(self.accept_requested)
+        self._close.clicked.connect(self.close)
+        for button in (self.measure, self.cancel, self.accept_it, self._close):
             button.setAutoDefault(False)
-            button.clicked.connect(lambda _checked=False, act=act: act())

@@ -113,6 +113,7 @@ class CollectWorkspace(Workspace):
         self.presenter = CollectPresenter(
             self.collect_page, self._desk.cards, self.reader, catalogue
         )
+        self._wire()
         self.collect_page.target.show_catalogue(
             [(name, catalogue.piece(name).title) for name in catalogue.tops],
             [(name, catalogue.piece(name).title) for name in catalogue.bottoms],
@@ -268,27 +269,21 @@ class CollectWorkspace(Workspace):
 
     # -- orders -----------------------------------------------------------------------------------
 
-    def _intents(self) -> CollectIntents:
-        # The presenter is made after its page: each intent looks it up when it is wanted.
-        target = TargetIntents(
-            start=lambda: self.presenter.start(),
-            go_on=lambda: self.presenter.go_on(),
-            pause=lambda: self.presenter.pause_or_resume(),
-            end=lambda: self.presenter.end(),
-            person=self._be,
-            take_origin=lambda: self.presenter.take_origin(),
-            origin_here=lambda: self.presenter.set_origin_here(),
-            lift=lambda: self.presenter.lift(),
-            pair=lambda: self.presenter.choose_pair(),
-        )
-        return CollectIntents(
-            target,
-            decide=self._decide,
-            choose_dot=lambda index: self.presenter.probes.choose_dot(index),
-            choose_row=lambda uuid: self.presenter.probes.choose(uuid),
-            signal=lambda _: self.presenter.probes.restyle(),
-            deleted=lambda _: self.presenter.probes.restyle(),
-        )
+    def _wire(self) -> None:
+        page, presenter = self.collect_page, self.presenter
+        page.target.start_requested.connect(presenter.start)
+        page.target.resume_requested.connect(presenter.go_on)
+        page.target.pause_requested.connect(presenter.pause_or_resume)
+        page.target.end_requested.connect(presenter.end)
+        page.target.person_entered.connect(self._be)
+        page.target.residual_requested.connect(presenter.take_origin)
+        page.target.origin_requested.connect(presenter.set_origin_here)
+        page.target.lift_requested.connect(presenter.lift)
+        page.target.pair_chosen.connect(presenter.choose_pair)
+        page.decided.connect(self._decide)
+        page.dot_chosen.connect(presenter.probes.choose_dot)
+        page.row_chosen.connect(presenter.probes.choose)
+        page.filter_changed.connect(presenter.probes.restyle)
 
     def _decide(self, name: str) -> None:
         decisions: dict[str, EpisodeDecision] = {

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from PySide6.QtCore import QSize, Qt
+from PySide6.QtCore import QSize, Qt, Signal
 from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import (
     QComboBox,
@@ -41,21 +41,14 @@ class DeviceField:
     empty: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceIntents:
-    """What the operator can ask for."""
-
-    look: Callable[[], None]
-    swap: Callable[[], None]
-    save: Callable[[], None]
-
-
 class DevicesSheet(QDialog):
     """Shows and hands back texts; what they mean is the presenter's."""
 
-    def __init__(
-        self, parent: QWidget, fields: Sequence[DeviceField], intents: DeviceIntents
-    ) -> None:
+    look_requested = Signal()
+    swap_requested = Signal()
+    save_requested = Signal()
+
+    def __init__(self, parent: QWidget, fields: Sequence[DeviceField]) -> None:
         super().__init__(parent)
         self.setModal(False)
         self.setWindowTitle("Devices")
@@ -68,9 +61,9 @@ class DevicesSheet(QDialog):
         self.look.setToolTip("Look for serial ports and cameras that are plugged in")
         self.swap.setToolTip("Each camera to the other finger")
         self.save.setToolTip("Write the lab file; nothing is connected or moved")
-        self.look.clicked.connect(intents.look)
-        self.swap.clicked.connect(intents.swap)
-        self.save.clicked.connect(intents.save)
+        self.look.clicked.connect(self.look_requested)
+        self.swap.clicked.connect(self.swap_requested)
+        self.save.clicked.connect(self.save_requested)
         self._close.clicked.connect(self.close)
         self._arrange(parent, fields)
 
@@ -196,8 +189,10 @@ class DevicesPresenter:
     def open(self) -> None:
         """Show what the file says now."""
         if self.sheet is None:
-            intents = DeviceIntents(self._look, self._swap, self._save)
-            self.sheet = DevicesSheet(self._window, FIELDS, intents)
+            self.sheet = DevicesSheet(self._window, FIELDS)
+            self.sheet.look_requested.connect(self._look)
+            self.sheet.swap_requested.connect(self._swap)
+            self.sheet.save_requested.connect(self._save)
             self.sheet.source.setText(f"In {self._path}. What else it says stays as it is.")
         try:
             self._settings = load_lab(self._path).settings

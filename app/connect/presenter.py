@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QWidget
 from touchdown.app.calibrate import CalibratePresenter
 from touchdown.app.connect.devices import DevicesPresenter
 from touchdown.app.connect.limits import LimitsPresenter
-from touchdown.app.connect.sheet import ConnectIntents, ConnectSheet, ConnectView, DeviceRowView
+from touchdown.app.connect.sheet import ConnectSheet, ConnectView, DeviceRowView
 from touchdown.app.shell import BenchLink, is_run_active, refusal_card
 from touchdown.backend.core import RefusedError
 from touchdown.backend.devices import CONNECTION_STEPS
@@ -39,11 +39,14 @@ class ConnectPresenter:
     ) -> None:
         self._link, self._connection, self._cards, self._now_s = link, connection, cards, now_s
         self.devices = DevicesPresenter(link, window)
-        intents = ConnectIntents(
-            self._connect, connection.cancel, self._disconnect, self._row, self._extra,
-            limits.open, self.devices.open,
-        )  # fmt: skip
-        self.sheet = ConnectSheet(window, CONNECTION_STEPS, intents)
+        self.sheet = sheet = ConnectSheet(window, CONNECTION_STEPS)
+        sheet.connect_requested.connect(self._connect)
+        sheet.cancel_requested.connect(connection.cancel)
+        sheet.disconnect_requested.connect(self._disconnect)
+        sheet.row_pressed.connect(self._row)
+        sheet.extra_pressed.connect(self._extra)
+        sheet.limits_requested.connect(limits.open)
+        sheet.devices_requested.connect(self.devices.open)
         self._drawn_s = float("-inf")
 
     def open(self) -> None:

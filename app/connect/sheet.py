@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from PySide6.QtCore import QRect, Qt
+from PySide6.QtCore import QRect, Qt, Signal
 from PySide6.QtWidgets import (
     QDialog,
     QGridLayout,
@@ -59,19 +59,6 @@ class ConnectView:
     can: bool
 
 
-@dataclass(frozen=True, slots=True)
-class ConnectIntents:
-    """What the operator can ask for; rows by index."""
-
-    connect: Callable[[], None]
-    cancel: Callable[[], None]
-    disconnect: Callable[[], None]
-    row: Callable[[int], None]
-    extra: Callable[[int], None]
-    limits: Callable[[], None]
-    devices: Callable[[], None]
-
-
 @dataclass(slots=True)
 class _DeviceRow:
     name: QLabel
@@ -86,10 +73,18 @@ class _DeviceRow:
 class ConnectSheet(QDialog):
     """Not modal: STOP and every page stay at hand."""
 
-    def __init__(self, parent: QWidget, steps: Sequence[str], intents: ConnectIntents) -> None:
+    connect_requested = Signal()
+    cancel_requested = Signal()
+    disconnect_requested = Signal()
+    row_pressed = Signal(int)
+    extra_pressed = Signal(int)
+    limits_requested = Signal()
+    devices_requested = Signal()
+
+    def __init__(self, parent: QWidget, steps: Sequence[str]) -> None:
         super().__init__(parent)
         self.setModal(False)
-        self._steps, self._intents = tuple(steps), intents
+        self._steps = tuple(steps)
         self.head, self.text = label("", "head"), label("", wrap=True)
         self.question = QuestionRow()
         self._grid = QGridLayout()
@@ -152,11 +147,11 @@ class ConnectSheet(QDialog):
         self.cancel.setToolTip("End connecting; what is connected stays so")
         self.disconnect_all.setToolTip("The arm is switched off first; the gripper keeps its grip")
         self.devices.setToolTip("Choose makes, ports and cameras, and save the lab file")
-        self.connect_all.clicked.connect(self._intents.connect)
-        self.cancel.clicked.connect(self._intents.cancel)
-        self.disconnect_all.clicked.connect(self._intents.disconnect)
-        self.limits.clicked.connect(self._intents.limits)
-        self.devices.clicked.connect(self._intents.devices)
+        self.connect_all.clicked.connect(self.connect_requested)
+        self.cancel.clicked.connect(self.cancel_requested)
+        self.disconnect_all.clicked.connect(self.disconnect_requested)
+        self.limits.clicked.connect(self.limits_requested)
+        self.devices.clicked.connect(self.devices_requested)
         self._close.clicked.connect(self.close)
         for button in (*self._foot, self._close):
             button.setAutoDefault(False)
@@ -175,8 +170,8 @@ class ConnectSheet(QDialog):
             )
             row.button.setAutoDefault(False)
             row.extra.setAutoDefault(False)
-            row.button.clicked.connect(partial(self._intents.row, index))
-            row.extra.clicked.connect(partial(self._intents.extra, index))
+            row.button.clicked.connect(partial(self.row_pressed.emit, index))
+            row.extra.clicked.connect(partial(self.extra_pressed.emit, index))
             widgets = (row.name, row.state, *row.marks, row.text, row.extra, row.button)
             for column, widget in enumerate(widgets):
                 self._grid.addWidget(widget, index + 1, column)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QListWidget, QPushButton, QVBoxLayout, QWidget
 
@@ -24,7 +24,7 @@ from touchdown.widgets.forms import ChoiceBar
 from touchdown.widgets.lists import LabelList
 from touchdown.widgets.plots import NAMES, PhasePlot, RecordedTraces
 from touchdown.widgets.shell import StateStrip, UnsavedBanner
-from touchdown.widgets.views import FilmView, OffsetView, Point, SceneShotView
+from touchdown.widgets.views import FilmView, OffsetView, SceneShotView
 
 
 class DatasetHealthPanel(QWidget):
@@ -151,69 +151,72 @@ FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
 PAIRS = [(a, b) for a in range(6) for b in range(a + 1, 6)]
 
 
-@dataclass(frozen=True, slots=True)
-class LabelIntents:
-    """What the page asks for; each returns at once."""
-
-    choose_row: Callable[[int], None]
-    choose_queue: Callable[[str], None]
-    move: Callable[[Point], None]
-    drop: Callable[[], None]
-    seek: Callable[[float], None]
-    restore: Callable[[str], None]
-    typed: Callable[[str], None]
-    key: Callable[[str], None]
-    again: Callable[[], None]
-    discard: Callable[[], None]
-    search: Callable[[str], None]
-    person: Callable[[], None]
-    command: Callable[[str], None]
-    tab: Callable[[int], None]
-    preview: Callable[[], None]
-    apply: Callable[[], None]
-    entered: Callable[[], None]
-    look: Callable[[], None]
-    finding: Callable[[int], None]
-
-
 class LabelPage(QWidget):
     """Queue on the left, the displacement in the middle, the evidence on the right."""
 
-    def __init__(self, theme: Theme, intents: LabelIntents) -> None:
+    row_chosen = Signal(int)
+    queue_chosen = Signal(str)
+    face_dragged = Signal(object)  # (x, y) in mm
+    face_dropped = Signal()
+    version_chosen = Signal(str)
+    displacement_typed = Signal(str)
+    key_typed = Signal(str)
+    retry_requested = Signal()
+    discard_requested = Signal()
+    search_changed = Signal(str)
+    person_requested = Signal()
+    command_requested = Signal(str)
+    tab_chosen = Signal(int)
+    preview_requested = Signal()
+    apply_requested = Signal()
+    value_entered = Signal()
+    health_requested = Signal()
+    finding_chosen = Signal(int)
+
+    def __init__(self, theme: Theme) -> None:
         super().__init__()
         self.setObjectName("frame")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self._intents = intents
         self.queue = QComboBox()
         for name, text in QUEUES:
             self.queue.addItem(text, name)
         self.queue.setAccessibleName("Queue")
-        self.list = LabelList(theme, intents.choose_row)
-        self.bulk = BulkForm(intents.preview, intents.apply, intents.entered, self.setFocus)
-        self.health = DatasetHealthPanel(intents.look, intents.finding)
+        self.list = LabelList(theme, self.row_chosen.emit)
+        self.bulk = BulkForm(
+            self.preview_requested.emit,
+            self.apply_requested.emit,
+            self.value_entered.emit,
+            self.setFocus,
+        )
+        self.health = DatasetHealthPanel(self.health_requested.emit, self.finding_chosen.emit)
         self.side = SideTabs(
-            intents.restore, intents.search, intents.tab, self.setFocus, self.bulk, self.health
+            self.version_chosen.emit,
+            self.search_changed.emit,
+            self.tab_chosen.emit,
+            self.setFocus,
+            self.bulk,
+            self.health,
         )
         self.strip = StateStrip(theme)
-        self.view = OffsetView(theme, intents.move, intents.drop)
-        self.nothing = EmptyStateView(intents.command)
+        self.view = OffsetView(theme, self.face_dragged.emit, self.face_dropped.emit)
+        self.nothing = EmptyStateView(self.command_requested.emit)
         self.verdict, self.basis = ElidedLabel("head"), ElidedLabel("muted")
         self.model_line, self.scene_line = ElidedLabel("muted"), ElidedLabel("muted")
         self.message = ElidedLabel("")
         self.entry = KeyboardLineEdit(
-            "Displacement x,y in mm", "1.5,-2", intents.typed, self.leave_entry
+            "Displacement x,y in mm", "1.5,-2", self.displacement_typed.emit, self.leave_entry
         )
         self.caption = ElidedLabel("muted")
         self.words = KeyboardLineEdit("Words", "", self._take_words, self.leave_entry)
         for line in (self.caption, self.entry, self.words):
             line.hide()
         self._answer: Callable[[str], None] = _nothing
-        self.banner = UnsavedBanner(intents.again, intents.discard)
-        self.film = FilmView(theme, intents.seek)
+        self.banner = UnsavedBanner(self.retry_requested.emit, self.discard_requested.emit)
+        self.film = FilmView(theme, self.show_cursor)
         self.shots = SceneShotView(theme)
         self.pictures = _choice("Pictures", ["Tactile film", "Scene camera"])
-        self.forces = RecordedTraces(theme, FORCES, intents.seek)
-        self.moments = RecordedTraces(theme, MOMENTS, intents.seek)
+        self.forces = RecordedTraces(theme, FORCES, self.show_cursor)
+        self.moments = RecordedTraces(theme, MOMENTS, self.show_cursor)
         self.phase = PhasePlot(theme)
         pairs = [f"{NAMES[a]} with {NAMES[b]}" for a, b in PAIRS]
         self.curves = _choice("Curves on one axis", ["Forces, moments", *pairs])
@@ -224,7 +227,7 @@ class LabelPage(QWidget):
         self.queue.activated.connect(self._queue_chosen)
         self.curves.activated.connect(self._curves_chosen)
         self.pictures.currentIndexChanged.connect(self._pictures_chosen)
-        self.person.clicked.connect(intents.person)
+        self.person.clicked.connect(self.person_requested)
         self._arrange()
 
     def _arrange(self) -> None:
@@ -414,7 +417,7 @@ class LabelPage(QWidget):
         )
         text = event.text()
         if text and text in "0123456789.,-+ " and not firm:
-            self._intents.key(text)
+            self.key_typed.emit(text)
         else:
             super().keyPressEvent(event)
 
@@ -428,7 +431,7 @@ class LabelPage(QWidget):
         self.curves.showPopup()
 
     def _queue_chosen(self, at: int) -> None:
-        self._intents.choose_queue(str(self.queue.itemData(at)))
+        self.queue_chosen.emit(str(self.queue.itemData(at)))
         self.setFocus()
 
     def _pictures_chosen(self, at: int) -> None:

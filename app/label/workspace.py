@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
 from touchdown.app.label.bulk import BulkPresenter, SideTabKeys, SideTabsPresenter
 from touchdown.app.label.dataset import DatasetTasks
 from touchdown.app.label.decisions import LabelDecisions
-from touchdown.app.label.page import LabelIntents, LabelPage
+from touchdown.app.label.page import LabelPage
 from touchdown.app.label.presenter import HealthPresenter, LabelPresenter
 from touchdown.app.label.session import AnnotationSession
 from touchdown.app.label.side import HEALTH
@@ -147,7 +147,8 @@ class LabelWorkspace(Workspace):
     def build_in(self, page: HalvesPage) -> None:
         """Make the half, and put it into the page of both."""
         self.page = page
-        self.label_page = LabelPage(self._desk.theme, self._intents())
+        self.label_page = LabelPage(self._desk.theme)
+        self._wire()
         self.page.add("label", "Label", self.label_page)
         self.post = MainThreadQueue(self.page)
 
@@ -308,28 +309,26 @@ class LabelWorkspace(Workspace):
 
     # -- keys -------------------------------------------------------------------------------------
 
-    def _intents(self) -> LabelIntents:
-        return LabelIntents(
-            choose_row=lambda at: self.on(lambda p: p.go_to(at)),
-            choose_queue=self._choose_queue,
-            move=lambda at_mm: self.on(lambda p: p.editing.place(at_mm)),
-            drop=lambda: self.on(lambda p: p.editing.drop()),
-            seek=lambda t_s: self.label_page.show_cursor(t_s),
-            restore=lambda rev: self.decide(lambda d: d.restore(rev)),
-            typed=lambda text: self.on(lambda p: p.editing.typed(text)),
-            key=self._type,
-            again=lambda: self.decide(LabelDecisions.enter),
-            discard=self.discard,
-            search=lambda text: self._search(text),
-            person=self.ask_person,
-            command=self._run,
-            tab=lambda _: self._search(""),
-            preview=lambda: self.many(BulkPresenter.preview),
-            apply=lambda: self.many(BulkPresenter.apply),
-            entered=lambda: self.many(BulkPresenter.preview_and_ask),
-            look=self.look_through,
-            finding=lambda row: self.healthy(lambda h: h.choose(row)),
-        )
+    def _wire(self) -> None:
+        page = self.label_page
+        page.row_chosen.connect(lambda at: self.on(lambda p: p.go_to(at)))
+        page.queue_chosen.connect(self._choose_queue)
+        page.face_dragged.connect(lambda at_mm: self.on(lambda p: p.editing.place(at_mm)))
+        page.face_dropped.connect(lambda: self.on(lambda p: p.editing.drop()))
+        page.version_chosen.connect(lambda rev: self.decide(lambda d: d.restore(rev)))
+        page.displacement_typed.connect(lambda text: self.on(lambda p: p.editing.typed(text)))
+        page.key_typed.connect(self._type)
+        page.retry_requested.connect(lambda: self.decide(LabelDecisions.enter))
+        page.discard_requested.connect(self.discard)
+        page.search_changed.connect(self._search)
+        page.person_requested.connect(self.ask_person)
+        page.command_requested.connect(self._run)
+        page.tab_chosen.connect(lambda _: self._search(""))
+        page.preview_requested.connect(lambda: self.many(BulkPresenter.preview))
+        page.apply_requested.connect(lambda: self.many(BulkPresenter.apply))
+        page.value_entered.connect(lambda: self.many(BulkPresenter.preview_and_ask))
+        page.health_requested.connect(self.look_through)
+        page.finding_chosen.connect(lambda row: self.healthy(lambda h: h.choose(row)))
 
     def on(self, act: Callable[[LabelPresenter], None]) -> None:
         """Have the presenter do something, once the dataset is open."""

@@ -14,7 +14,6 @@ from touchdown.widgets.base import (
     CaptionedView,
     Columns,
     Panel,
-    Theme,
     compact_combo_box,
     flat_button,
     ui_font,

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
-from PySide6.QtCore import Qt
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent, QPainter, QPaintEvent, QPalette, QResizeEvent
 from PySide6.QtWidgets import (
     QComboBox,
@@ -46,23 +43,6 @@ FILM_SHARE = 0.18
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
 
 
-@dataclass(frozen=True, slots=True)
-class ReviewIntents:
-    """What can be asked for on this page."""
-
-    choose_recording: Callable[[int], None]
-    choose_probe: Callable[[int], None]
-    seek: Callable[[float], None]
-    play: Callable[[], None]
-    filter: Callable[[], None]
-    sort: Callable[[], None]
-    picture: Callable[[], None]
-    table: Callable[[], None]
-    report: Callable[[], None]
-    experiments: Callable[[], None]
-    viewer: Callable[[], None]
-
-
 class KeylessList(QListWidget):
     """A list that leaves letters and Space to its page. ``nothing`` stands in it while empty."""
 
@@ -92,12 +72,23 @@ class KeylessList(QListWidget):
 class ReviewPage(QWidget):
     """Recordings on the left; belief, decision, film and wrench at one cursor beside it."""
 
-    def __init__(self, theme: Theme, intents: ReviewIntents) -> None:
+    recording_chosen = Signal(int)
+    probe_chosen = Signal(int)
+    time_chosen = Signal(float)
+    play_requested = Signal()
+    filter_changed = Signal()
+    picture_requested = Signal()
+    table_requested = Signal()
+    page_requested = Signal()
+    report_requested = Signal()
+    viewer_requested = Signal()
+
+    def __init__(self, theme: Theme) -> None:
         super().__init__()
         self.setObjectName("frame")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self._intents = intents
-        self.runs = RecordingList(theme, "Recorded runs", intents.choose_recording)
+        seek = self.time_chosen.emit
+        self.runs = RecordingList(theme, "Recorded runs", self.recording_chosen.emit)
         self.trials = KeylessList("Trials of the run")
         self.story = KeylessList("What happened", "No steps: a run tells them, a series does not.")
         self.kind, self.order, self.filter = QComboBox(), QComboBox(), QLineEdit()
@@ -107,13 +98,13 @@ class ReviewPage(QWidget):
         self.belief.setMinimumHeight(170)
         self.story.setMinimumHeight(STORY_PX)
         self.decision = DecisionPanel(_nothing, _nothing)
-        self.strip = ProbeStrip(theme, intents.choose_probe)
+        self.strip = ProbeStrip(theme, self.probe_chosen.emit)
         self.score = ScorePanel(theme, "Outcomes")
-        self.film = FilmView(theme, intents.seek)
-        self.forces = RecordedTraces(theme, FORCES, intents.seek)
-        self.moments = RecordedTraces(theme, MOMENTS, intents.seek)
+        self.film = FilmView(theme, seek)
+        self.forces = RecordedTraces(theme, FORCES, seek)
+        self.moments = RecordedTraces(theme, MOMENTS, seek)
         self.estimate = ElidedLabel("muted")
-        self.time_line, self.at = TimeLine(theme, intents.seek), label("", "small")
+        self.time_line, self.at = TimeLine(theme, seek), label("", "small")
         self.play = QToolButton()
         self._name()
         self._arrange()
@@ -129,7 +120,7 @@ class ReviewPage(QWidget):
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Play with Space; while something moves Space never comes here, it stops."""
         if event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
-            self._intents.play()
+            self.play_requested.emit()
         else:
             super().keyPressEvent(event)
 
@@ -167,7 +158,7 @@ class ReviewPage(QWidget):
         self.experiments.setProperty("role", "plain")
         self.experiments.setAccessibleName("Open a report of experiments")
         self.experiments.setToolTip("Open a report of experiments (Ctrl+Shift+O)")
-        self.experiments.clicked.connect(self._intents.experiments)
+        self.experiments.clicked.connect(self.report_requested)
         self.refresh.setText("Refresh")
         self.refresh.setProperty("role", "plain")
         self.refresh.setAccessibleName("Look for new recordings")
@@ -175,10 +166,10 @@ class ReviewPage(QWidget):
         self.play.setText("Play")
         self.play.setToolTip("Play from the cursor, or pause (Space, while nothing moves)")
         self.play.setAccessibleName("Play or pause")
-        self.filter.textChanged.connect(lambda _: self._intents.filter())
-        self.kind.currentIndexChanged.connect(lambda _: self._intents.filter())
-        self.order.currentIndexChanged.connect(lambda _: self._intents.sort())
-        self.play.clicked.connect(self._intents.play)
+        self.filter.textChanged.connect(self.filter_changed)
+        self.kind.currentIndexChanged.connect(self.filter_changed)
+        self.order.currentIndexChanged.connect(self.filter_changed)
+        self.play.clicked.connect(self.play_requested)
         self.film.ran.connect(lambda on: self.play.setText("Pause" if on else "Play"))
 
     def _arrange(self) -> None:
@@ -233,19 +224,19 @@ class ReviewPage(QWidget):
         row.addWidget(self.time_line, 1)
         panel.column.addLayout(row)
         panel.header.addWidget(self.at)
-        for text, tip, act in (
-            ("Picture", "Export what is shown as PNG and SVG (Ctrl+E)", self._intents.picture),
-            ("Table", "Export the probes as CSV (Ctrl+Shift+E)", self._intents.table),
-            ("Page", "Export picture and probes as one HTML page", self._intents.report),
+        for text, tip, requested in (
+            ("Picture", "Export what is shown as PNG and SVG (Ctrl+E)", self.picture_requested),
+            ("Table", "Export the probes as CSV (Ctrl+Shift+E)", self.table_requested),
+            ("Page", "Export picture and probes as one HTML page", self.page_requested),
             ("Open file", "Open the file in the viewer of this computer (Ctrl+O)",
-             self._intents.viewer),
+             self.viewer_requested),
         ):  # fmt: skip
             button = QToolButton()
             button.setText(text)
             button.setProperty("role", "plain")
             button.setToolTip(tip)
             button.setAccessibleName(tip)
-            button.clicked.connect(act)
+            button.clicked.connect(requested)
             panel.header.addWidget(button)
         return panel
 

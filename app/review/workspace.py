@@ -12,7 +12,7 @@ from touchdown.app.review.exports import (
     open_in_viewer,
     view_picture,
 )
-from touchdown.app.review.page import ReviewIntents, ReviewPage
+from touchdown.app.review.page import ReviewPage
 from touchdown.app.review.presenter import ReviewPresenter
 from touchdown.app.review.recordings import ReviewDataset
 from touchdown.app.review.reports import ReportsPresenter, export_report, report_html
@@ -62,7 +62,7 @@ class ReviewWorkspace(Workspace):
 
     def build(self) -> Iterator[None]:
         """Make the page, and the thread that reads for it."""
-        self.page = ReviewPage(self._desk.theme, self._intents())
+        self.page = ReviewPage(self._desk.theme)
         yield
         self.post = MainThreadQueue(self.page)
         self.reader = SaveWorker(self.post, "review-reader")
@@ -71,8 +71,18 @@ class ReviewWorkspace(Workspace):
             self.page, self._desk.runs, self._desk.cards, self.reader, self.library
         )
         self.parts = (self.presenter.draw,)
-
         self.reports = ReportsPresenter(self.page, self._desk, self.reader, self.exports)
+        page = self.page
+        page.recording_chosen.connect(self.presenter.choose)
+        page.probe_chosen.connect(self.presenter.replay.choose_probe)
+        page.time_chosen.connect(self.presenter.replay.seek)
+        page.play_requested.connect(self._play)
+        page.filter_changed.connect(self.presenter.recordings.show)
+        page.picture_requested.connect(self._picture)
+        page.table_requested.connect(self._table)
+        page.page_requested.connect(self._report)
+        page.report_requested.connect(self.reports.ask)
+        page.viewer_requested.connect(self._open_outside)
 
     def enter(self) -> None:
         """Look for recordings that came since."""
@@ -97,22 +107,6 @@ class ReviewWorkspace(Workspace):
         self.post.close()
 
     # -- orders -----------------------------------------------------------------------------------
-
-    def _intents(self) -> ReviewIntents:
-        # The presenter is made after its page: each intent looks it up when it is wanted.
-        return ReviewIntents(
-            choose_recording=lambda at: self.presenter.choose(at),
-            choose_probe=lambda index: self.presenter.replay.choose_probe(index),
-            seek=lambda t_s: self.presenter.replay.seek(t_s),
-            play=self._play,
-            filter=lambda: self.presenter.recordings.show(),
-            sort=lambda: self.presenter.recordings.show(),
-            picture=self._picture,
-            table=self._table,
-            report=self._report,
-            experiments=lambda: self.reports.ask(),
-            viewer=self._open_outside,
-        )
 
     def _play(self) -> None:
         self.page.film.play_or_pause()

@@ -103,7 +103,8 @@ class StackWorkspace(Workspace):
         page.trial.answered.connect(self._answer)
         page.trial.judged.connect(self._judge)
         page.trial.photo_requested.connect(self._photo)
-        self.columns = self.pieces = self.page.columns
+        yield
+        self.columns = self.pieces = page.columns
 
     def attach(self, link: BenchLink) -> None:
         """Show this bench."""

@@ -1,10 +1,8 @@
 from .collect_form import TargetButtons as TargetButtons
 from .collect_form import TargetForm as TargetForm
-from .collect_form import TargetIntents as TargetIntents
 from .collect_form import TargetPanel as TargetPanel
 from .fields import inset_spin_boxes as inset_spin_boxes
 from .jogging import JOINTS as JOINTS
-from .jogging import JogIntents as JogIntents
 from .jogging import JogPad as JogPad
 from .jogging import JogUnit as JogUnit
 from .jogging import PoseView as PoseView
@@ -25,7 +23,6 @@ from .training_form import LABELS as LABELS
 from .training_form import TrainingButtons as TrainingButtons
 from .training_form import TrainingForm as TrainingForm
 from .training_form import TrainingFormPanel as TrainingFormPanel
-from .training_form import TrainingIntents as TrainingIntents
 
 __all__ = [
     "BESIDE",
@@ -34,7 +31,6 @@ __all__ = [
     "STRATEGIES",
     "ChoiceBar",
     "GripperPanel",
-    "JogIntents",
     "JogPad",
     "JogUnit",
     "LastProbePanel",
@@ -49,11 +45,9 @@ __all__ = [
     "ScenePanel",
     "TargetButtons",
     "TargetForm",
-    "TargetIntents",
     "TargetPanel",
     "TrainingButtons",
     "TrainingForm",
     "TrainingFormPanel",
-    "TrainingIntents",
     "inset_spin_boxes",
 ]

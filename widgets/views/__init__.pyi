@@ -7,7 +7,6 @@ from .decision import NOTHING_YET as NOTHING_YET
 from .decision import TRUE as TRUE
 from .decision import DecisionPanel as DecisionPanel
 from .decision import DecisionText as DecisionText
-from .decision import TrialIntents as TrialIntents
 from .decision import TrialPanel as TrialPanel
 from .decision import TrialPrompt as TrialPrompt
 from .decision import decision_text as decision_text
@@ -34,7 +33,6 @@ from .report import FlowWidget as FlowWidget
 from .report import PictureCard as PictureCard
 from .report import ReportCell as ReportCell
 from .report import ReportGrid as ReportGrid
-from .report import ReportIntents as ReportIntents
 from .report import ReportSheet as ReportSheet
 from .scene import UPRIGHT as UPRIGHT
 from .scene import USUAL_SPAN_MM as USUAL_SPAN_MM
@@ -88,7 +86,6 @@ __all__ = [
     "Reel",
     "ReportCell",
     "ReportGrid",
-    "ReportIntents",
     "ReportSheet",
     "SceneShot",
     "SceneShotView",
@@ -102,7 +99,6 @@ __all__ = [
     "TimeLine",
     "TimeMark",
     "TimeScene",
-    "TrialIntents",
     "TrialPanel",
     "TrialPrompt",
     "caption_of",

@@ -1,13 +1,11 @@
 """Whatever the page can do is done by a key: no mouse, and no walk of Tab to a button."""
 
-from dataclasses import fields
-
 import pytest
-from PySide6.QtCore import Qt
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QApplication
 
 from tests.app.label.conftest import CTRL, ITEMS, KEY, SHIFT, WITHOUT_LABEL
-from touchdown.app.label.page import LabelIntents
+from touchdown.app.label.page import LabelPage
 from touchdown.app.shell.actions import portable_key
 from touchdown.backend.annotations.values import Label
 
@@ -15,34 +13,35 @@ LABELLED = ITEMS - WITHOUT_LABEL
 ALT = Qt.KeyboardModifier.AltModifier
 
 BY_KEYS = {
-    "choose_row": ("previous", "next", "first", "last", "number"),
-    "choose_queue": ("queue",),
-    "move": ("nudge-left-10", "nudge-right-100", "nudge-up-1000", "nudge-down-100"),
-    "drop": ("nudge-left-10",),
-    "seek": ("frame-back", "frame-on"),
-    "restore": ("versions",),
-    "typed": ("accept",),
-    "key": ("accept",),
-    "again": ("accept",),
-    "discard": ("discard",),
-    "search": ("log",),
-    "person": ("person",),
-    "command": ("queue", "score", "person", "next"),
-    "tab": ("versions", "agreement", "log", "bulk", "health"),
-    "preview": ("bulk",),
-    "apply": ("bulk",),
-    "entered": ("bulk",),
-    "look": ("health",),
-    "finding": ("findings",),
+    "row_chosen": ("previous", "next", "first", "last", "number"),
+    "queue_chosen": ("queue",),
+    "face_dragged": ("nudge-left-10", "nudge-right-100", "nudge-up-1000", "nudge-down-100"),
+    "face_dropped": ("nudge-left-10",),
+    "version_chosen": ("versions",),
+    "displacement_typed": ("accept",),
+    "key_typed": ("accept",),
+    "retry_requested": ("accept",),
+    "discard_requested": ("discard",),
+    "search_changed": ("log",),
+    "person_requested": ("person",),
+    "command_requested": ("queue", "score", "person", "next"),
+    "tab_chosen": ("versions", "agreement", "log", "bulk", "health"),
+    "preview_requested": ("bulk",),
+    "apply_requested": ("bulk",),
+    "value_entered": ("bulk",),
+    "health_requested": ("health",),
+    "finding_chosen": ("findings",),
 }
 """What a mouse can ask of the page, and the commands that ask for the same."""
 BY_HAND = {"play"}
 """Space: the page takes it, a stop of the bench goes first."""
 
 
-def test_every_intent_of_the_page_and_every_command_has_a_key(desk):
+def test_every_signal_of_the_page_and_every_command_has_a_key(desk):
     commands = {c.name: c for c in desk.workspace.commands}
-    assert set(BY_KEYS) == {f.name for f in fields(LabelIntents)}
+    assert set(BY_KEYS) == {
+        name for name, value in vars(LabelPage).items() if isinstance(value, Signal)
+    }
     assert {name for names in BY_KEYS.values() for name in names} <= set(commands)
     assert {name for name, c in commands.items() if not c.key} == BY_HAND
     assert all(portable_key(c.key) for c in commands.values() if c.key)

@@ -8,7 +8,7 @@ from importlib.metadata import files, packages_distributions
 from importlib.util import find_spec
 from pathlib import Path
 
-OWN = ("app", "backend", "widgets")
+OWN = "touchdown"
 ELSEWHERE = (
     "touchdown.app.operate.workspace",
     "touchdown.app.stack.workspace",
@@ -18,14 +18,28 @@ ONLINE = {"requests", "urllib3", "httpx", "aiohttp", "websockets", "socketserver
 MOST_BYTES = 1_000_000
 
 
+def exported(package: str) -> dict[str, str]:
+    """Return the module that defines each name which a package exports."""
+    stub = Path(*package.split("."), "__init__.pyi")
+    if not stub.is_file():
+        return {}
+    return {
+        name.name: f"{package}.{node.module}"
+        for node in ast.parse(stub.read_text()).body
+        if isinstance(node, ast.ImportFrom) and node.module
+        for name in node.names
+    }
+
+
 def imported(path: Path) -> set[str]:
-    """Return the modules that one file names, its own and others'."""
+    """Return the modules that one file imports from, its own and others'."""
     found: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             found |= {name.name for name in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
-            found |= {node.module} | {f"{node.module}.{name.name}" for name in node.names}
+            defined = exported(node.module)
+            found |= {node.module} | {defined.get(n.name, node.module) for n in node.names}
     return found
 
 
@@ -38,7 +52,7 @@ def needed(*starts: str) -> set[str]:
         if not path.is_file():
             continue
         for other in imported(path):
-            if other.split(".")[0] not in OWN:
+            if other.split(".")[0] != OWN:
                 foreign.add(other.split(".")[0])
             elif other not in seen:
                 seen.add(other)

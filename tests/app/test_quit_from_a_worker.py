@@ -14,7 +14,7 @@ ASKED = """
 import sys, threading
 from PySide6.QtCore import QMetaObject, Qt
 from PySide6.QtWidgets import QApplication, QWidget
-from touchdown.app.shell.cards import end_for_sure
+from touchdown.app.shell.cards import exit_after_timeout
 
 app = QApplication([])
 window = QWidget()
@@ -31,7 +31,7 @@ for worker in workers:
     worker.join()
 # Only now: a thread that hangs must not keep what has ended.
 threading.Thread(target=threading.Event().wait).start()
-end_for_sure(0.1)
+exit_after_timeout(0.1)
 sys.exit(2 + status)
 """
 

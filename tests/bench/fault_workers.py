@@ -27,8 +27,8 @@ TOLD_S, GONE_S, FREE_MS = 0.5, 3.0, 10.0
 LIMIT_S = 180.0
 WINDOW = "tests.bench.fault_window"
 HOLDS = {
-    "robot": "from touchdown.backend.devices.melfa.sockets import Claim; "
-    "it = Claim('10.0.0.1', 10001)",
+    "robot": "from touchdown.backend.devices.melfa.sockets import ControllerLock; "
+    "it = ControllerLock('10.0.0.1', 10001)",
     "dataset": "from touchdown.backend.core.files import lock_file; from pathlib import Path; "
     "it = lock_file(Path('writer.lock'))",
 }

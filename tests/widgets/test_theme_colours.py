@@ -230,7 +230,7 @@ def test_every_colour_that_is_no_token_is_one_of_those_looked_at_here():
     """White and black are marks that lie on each other; the ground of the arrows is always dark."""
     known = {*BIN_COLOURS, *(colour for colour, _ in LOOKS.values())}
     known |= {"#FFFFFF", "#000000", ARROWS_ON}
-    theme, found = ROOT / "widgets" / "theme.py", set()
+    theme, found = ROOT / "widgets" / "base" / "theme.py", set()
     for file in (*(ROOT / "widgets").rglob("*.py"), *(ROOT / "app").rglob("*.py")):
         if file != theme:
             found |= set(re.findall(r"#[0-9A-Fa-f]{6}\b", file.read_text("utf-8")))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import sys
 from importlib.metadata import files, packages_distributions
 from importlib.util import find_spec
 from pathlib import Path
 
-OWN = "touchdown"
+from tests.import_contracts import imports
+
 ELSEWHERE = (
     "touchdown.app.operate.workspace",
     "touchdown.app.stack.workspace",
@@ -18,41 +18,13 @@ ONLINE = {"requests", "urllib3", "httpx", "aiohttp", "websockets", "socketserver
 MOST_BYTES = 1_000_000
 
 
-def exported(package: str) -> dict[str, str]:
-    """Return the module that defines each name which a package exports."""
-    stub = Path(*package.split("."), "__init__.pyi")
-    if not stub.is_file():
-        return {}
-    return {
-        name.name: f"{package}.{node.module}"
-        for node in ast.parse(stub.read_text()).body
-        if isinstance(node, ast.ImportFrom) and node.module
-        for name in node.names
-    }
-
-
-def imported(path: Path) -> set[str]:
-    """Return the modules that one file imports from, its own and others'."""
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            found |= {name.name for name in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            defined = exported(node.module)
-            found |= {node.module} | {defined.get(n.name, node.module) for n in node.names}
-    return found
-
-
 def needed(*starts: str) -> set[str]:
     """Return all foreign top-level packages that these modules reach."""
+    graph = imports()
     waiting, seen, foreign = list(starts), set(starts), set()
     while waiting:
-        name = waiting.pop()
-        path = Path(*name.split(".")).with_suffix(".py")
-        if not path.is_file():
-            continue
-        for other in imported(path):
-            if other.split(".")[0] != OWN:
+        for other in graph.get(waiting.pop(), ()):
+            if other.split(".")[0] != "touchdown":
                 foreign.add(other.split(".")[0])
             elif other not in seen:
                 seen.add(other)
@@ -70,8 +42,7 @@ def size_of(package: str) -> int:
     )
 
 
-def test_the_page_asks_for_less_than_a_megabyte_more_and_for_no_network(monkeypatch):
-    monkeypatch.chdir(Path(__file__).parents[3])
+def test_the_page_asks_for_less_than_a_megabyte_more_and_for_no_network() -> None:
     page = needed("touchdown.app.label.workspace")
     assert {"PySide6", "numpy", "zstandard"} <= page  # the walk found what is known to be there
     extra = page - needed(*ELSEWHERE)

@@ -74,7 +74,7 @@ class Steps:
         )
         for owner, name in ((os, "fsync"), (os, "replace"), (episode_file, "check_counts"),
                             (mcap.McapWriter, "add_chunk"), (mcap.McapWriter, "__init__"),
-                            (episode_index, "enter")):  # fmt: skip
+                            (episode_index, "enter_episode")):  # fmt: skip
             self.around(owner, name)
 
 

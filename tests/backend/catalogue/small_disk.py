@@ -104,7 +104,7 @@ def collect_until_full(folder: Path) -> dict[str, object]:
                 session.engine.resume()
 
         session.dataset = dataset
-        session.hub.subscribe(watch)
+        session.events.subscribe(watch)
         session.run(CollectRequest(count=3, seed=2, person="ann", probes_per_grip=3))
         session.close()
         told = [fact.uuid for fact in facts if isinstance(fact, ProbeCollected)]

@@ -15,8 +15,9 @@ def test_the_same_as_the_whole_episode(tmp_path, monkeypatch):
     path = tmp_path / "e.mcap"
     write_episode(path, episode(), None, {})
     whole, decoded = read_episode(path), []
-    monkeypatch.setattr("touchdown.backend.episodes.episode_file.decode_image", decoded.append)
-    film = read_compressed_episode(path)
+    with monkeypatch.context() as patch:
+        patch.setattr("touchdown.backend.episodes.episode_file.decode_image", decoded.append)
+        film = read_compressed_episode(path)
     assert decoded == []
     assert np.array_equal(film.episode.observation, whole.observation)
     assert film.episode.recording.frames == ()

@@ -80,9 +80,9 @@ def test_an_estimator_needs_no_torch() -> None:
     code = (
         "import sys\n"
         "from touchdown.backend.bench.assembly import shipped_model\n"
-        "from touchdown.backend.geometry.pieces import load_catalogue\n"
+        "from touchdown.backend.geometry.pieces import load_pieces\n"
         "from touchdown.backend.placement.estimator import Estimator\n"
-        "Estimator.load(shipped_model('pot'), load_catalogue().piece('pot'))\n"
+        "Estimator.load(shipped_model('pot'), load_pieces().piece('pot'))\n"
         "sys.exit('torch' in sys.modules)"
     )
     done = subprocess.run(

@@ -50,8 +50,8 @@ sys.stdin.read()
 """
 GRANDCHILD = """
 import sys, time
-from touchdown.backend.rig.messages import Parent
-parent = Parent()
+from touchdown.backend.rig.messages import ParentProcess
+parent = ParentProcess()
 print(parent.gone(), flush=True)
 while not parent.gone():
     time.sleep(0.001)

@@ -17,8 +17,8 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="files stay where the
 HOLDING = """
 import sys, tempfile
 tempfile.tempdir = sys.argv[1]
-from touchdown.backend.devices.melfa.sockets import Claim
-claim = Claim("10.0.0.1", 10001)
+from touchdown.backend.devices.melfa.sockets import ControllerLock
+claim = ControllerLock("10.0.0.1", 10001)
 print("held", flush=True)
 sys.stdin.read()
 """

@@ -123,7 +123,11 @@ DAMAGES: tuple[Callable[[random.Random, bytearray, list[bytes]], None], ...] = (
 
 def wrong(codec: Codec, message: Any, content: bytes) -> str:
     """Say what is silently wrong with a decoded message; empty if nothing is."""
-    if codec.encode is None or "nan" in repr(message) or type(message).__name__ == "Refused":
+    if (
+        codec.encode is None
+        or "nan" in repr(message)
+        or type(message).__name__ in ("WsgRefusal", "ModbusRefusal")
+    ):
         return ""
     try:
         again = codec.encode(message)

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -20,42 +17,33 @@ from touchdown.backend.core import (
     GRID_COLS,
     GRID_ROWS,
     InputError,
-    MarkerField,
     MarkerState,
     RefusedError,
-    TactileFrame,
 )
 from touchdown.backend.sensing import (
     DEFAULT_RATE_HZ,
     MIN_REST_FRAMES,
-    REST_FRAMES,
-    MarkerTracker,
     OverlayVideo,
     TactileReference,
+    TrackedImage,
+    complete_fields,
     count_pictures,
+    mean_reference,
     read_pictures,
     refuse_contact,
     take_reference,
+    track_frames,
 )
 from touchdown.backend.simulation import load_gel_appearance, mirror_appearance
 
 NAME = "track"
 HELP = "follow the markers through an image, a video or a folder"
 _GRID = f"{GRID_ROWS}x{GRID_COLS}"
-_SEARCH_FRAMES = 25
 _REST_FIX = {
     "contact": "Take pictures with nothing on the gel. If nothing touches it here, this sensor's "
     "own shape differs from the shipped one: name its no-contact pictures with --template.",
     "motion": "Take pictures of a gel at rest.",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class TrackedImage:
-    """One frame's markers and the time the tracker took, in ms."""
-
-    field: MarkerField
-    ms: float
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -98,39 +86,19 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             else None
         )
         advance = stack.enter_context(screen.progress("Tracking", count_pictures(args.file)))
-        for frame, item in track_images(args.file, reference):
+        for item in track_images(args.file, reference):
             tracked.append(item)
             if overlay is not None:
-                overlay.add(frame, item.field)
+                overlay.add(item.frame, item.field)
             advance(len(tracked))
     _summarise(args.file, tracked, screen)
     screen.result({"grid": _GRID, "frames": [_as_json(item) for item in tracked]})
     return 0
 
 
-def track_images(
-    path: Path, reference: TactileReference | None = None
-) -> Iterator[tuple[TactileFrame, TrackedImage]]:
-    """Yield the frames of ``path`` with their markers, by the live tracker.
-
-    Without ``reference`` displacements count from the first frame that shows the grid. Raises
-    ``InputError`` if no 7x9 grid is recognised within the first second.
-    """
-    tracker = MarkerTracker("left", reference)
-    located = False
-    for count, frame in enumerate(read_pictures(path), start=1):
-        start = time.perf_counter()
-        field = tracker.track(frame)
-        ms = 1e3 * (time.perf_counter() - start)
-        if not located and field.quality > 0:
-            located = True
-            if reference is None:
-                tracker.set_reference(_as_reference([field]))
-        if not located and count >= _SEARCH_FRAMES:
-            break
-        yield frame, TrackedImage(field, ms)
-    if not located:
-        raise _unrecognised(tracker, path)
+def track_images(path: Path, reference: TactileReference | None = None) -> Iterator[TrackedImage]:
+    """Yield the pictures of ``path`` with their markers; see ``track_frames``."""
+    return track_frames(read_pictures(path), reference, str(path))
 
 
 def rest_reference(path: Path, template: Path | None = None) -> TactileReference:
@@ -139,41 +107,19 @@ def rest_reference(path: Path, template: Path | None = None) -> TactileReference
     ``template``: no-contact pictures of this very sensor, else the shape of the gel that ships.
     Raises ``InputError`` if the gel moves or is in contact.
     """
-    whole = _whole_fields(path)
+    whole = complete_fields(read_pictures(path), str(path))
     if template is None:
         shapes = [load_gel_appearance().rest_px, mirror_appearance(load_gel_appearance()).rest_px]
     else:
-        shapes = [_as_reference(_whole_fields(template)).position_px]
+        shapes = [
+            mean_reference(complete_fields(read_pictures(template), str(template))).position_px
+        ]
     try:
-        rest = _as_reference(whole) if len(whole) < MIN_REST_FRAMES else take_reference(whole)
+        rest = mean_reference(whole) if len(whole) < MIN_REST_FRAMES else take_reference(whole)
         refuse_contact(rest.position_px, shapes)
     except RefusedError as refused:
         raise InputError(refused.detail, str(path), _REST_FIX[refused.reason]) from refused
     return rest
-
-
-def _whole_fields(path: Path) -> list[MarkerField]:
-    """Return the markers of the first ten pictures of ``path`` that show all 63."""
-    tracker = MarkerTracker("left")
-    fields = (tracker.track(frame) for frame in read_pictures(path))
-    whole = list(islice((f for f in fields if (f.state == MarkerState.SEEN).all()), REST_FRAMES))
-    if not whole:
-        raise _unrecognised(tracker, path)
-    return whole
-
-
-def _as_reference(fields: list[MarkerField]) -> TactileReference:
-    places = np.stack([field.position_px for field in fields])
-    noise = places.std(axis=0).mean(axis=1)
-    return TactileReference("left", fields[-1].t_s, places.mean(axis=0), noise, len(fields))
-
-
-def _unrecognised(tracker: MarkerTracker, path: Path) -> InputError:
-    return InputError(
-        f"No {_GRID} marker grid was recognised: {tracker.grid.message}.",
-        str(path),
-        f"Use pictures of a {_GRID} large-dot gel with all dots in view at the start.",
-    )
 
 
 def _as_json(item: TrackedImage) -> dict[str, object]:

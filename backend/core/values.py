@@ -1,12 +1,15 @@
 """Value types of the data flow, in the order in which they arise. Start reading here.
 
-sensor -> episode -> patch -> belief -> stability -> action. Values are frozen; their arrays are
-read-only, so that recorder, event log and display may share one object without copy or lock.
+sensor -> episode -> patch -> belief -> stability -> action. Values are frozen and their arrays are
+read-only, so that recorder, event log and display share one object without copy or lock.
 
 Frames (bench-wide): ``O`` centre of the bottom contact surface, z up; ``F`` centre of the face of
 the grasped piece, axes parallel to ``O``; ``G`` grasp pivot between the finger pads, y along the
 closing axis of the jaws; ``W`` force/torque sensor above ``G``. Wrench sign: environment on the
 tool, so that Fz > 0 while pressing.
+
+"The paper" is Ota et al., Tactile Estimation of Extrinsic Contact Patch for Stable Placement
+(ICRA 2024, arXiv 2309.14552); ``docs/method-choices.md`` lists the choices that it leaves open.
 """
 
 from __future__ import annotations
@@ -31,12 +34,23 @@ CHANNELS = TACTILE_CHANNELS + WRENCH_CHANNELS
 
 
 def read_only(array: NDArray[np.generic]) -> None:
-    """Forbid writing to ``array`` (every frozen value does so with its own arrays)."""
+    """Make ``array`` read-only, as the arrays of every value type are."""
     array.flags.writeable = False
 
 
 class MarkerState(IntEnum):
-    """What is known of one marker in one frame; the numbers are those of the episode file."""
+    """State of one marker in one frame; the numbers are those of the episode file.
+
+    Attributes
+    ----------
+    SEEN
+        Measured in this frame.
+    INFERRED
+        Not seen; interpolated from the other markers.
+    LOST
+        Not seen for more than 2 s; interpolated.
+
+    """
 
     SEEN = 0
     INFERRED = 1
@@ -45,7 +59,21 @@ class MarkerState(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Pose of the grasp pivot ``G``: position in the bench frame (mm) and rotation vector (rad)."""
+    """Pose of the grasp pivot ``G`` in the bench frame.
+
+    Attributes
+    ----------
+    x_mm, y_mm, z_mm : float
+        Position of ``G``, mm.
+    rx_rad, ry_rad, rz_rad : float
+        Rotation vector of the hand, rad; zero when the hand points straight down.
+
+    Examples
+    --------
+    >>> Pose(0.0, 0.0, 40.0).rz_rad
+    0.0
+
+    """
 
     x_mm: float
     y_mm: float
@@ -57,9 +85,27 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class TactileFrame:
-    """One tactile image. ``image``: (240, 320, 3) uint8, BGR; ``t_s`` bench clock at grab.
+    """One image of a finger camera.
 
-    ``from_jpeg``: it came over a wire as JPEG, so that it may be damaged unnoticed.
+    Attributes
+    ----------
+    finger : {"left", "right"}
+        Finger that took the image.
+    sequence : int
+        Number of the exposure. A gap means dropped frames.
+    t_s : float
+        Bench clock at the exposure, s.
+    image : ndarray, shape (240, 320, 3), uint8
+        BGR levels; becomes read-only.
+    from_jpeg : bool
+        True if the image was transferred as JPEG and may contain undetected damage.
+
+    Examples
+    --------
+    >>> frame = TactileFrame("left", 0, 0.0, np.zeros((240, 320, 3), np.uint8))
+    >>> frame.image.flags.writeable
+    False
+
     """
 
     finger: Finger
@@ -76,10 +122,31 @@ class TactileFrame:
 class MarkerField:
     """The 63 markers of one frame, row-major (index = row * 9 + column).
 
-    ``position_px`` and ``displacement_px``: (63, 2) float64, u right and v down; displacement is
-    from the reference (zero until there is one). ``state``: (63,) uint8 of ``MarkerState``.
-    ``quality``: 0 (useless) .. 1 (all markers seen, smooth field). ``residual_px``: rms residual of
-    the displacement field against a rigid 2-D motion.
+    The displacements are the tactile signal of the method (paper, section III).
+
+    Attributes
+    ----------
+    finger, sequence, t_s
+        As in the ``TactileFrame``.
+    position_px : ndarray, shape (63, 2), float64
+        Marker centres in px of the 320 x 240 image, u right and v down.
+    displacement_px : ndarray, shape (63, 2), float64
+        Position minus reference position, px; zero without a reference.
+    state : ndarray, shape (63,), uint8
+        ``MarkerState`` of each marker.
+    quality : float
+        0 (useless) to 1 (all markers seen, smooth field).
+    residual_px : float
+        Rms residual of the displacements against a rigid motion in the image plane, px.
+
+    Examples
+    --------
+    >>> rest = np.zeros((MARKERS, 2))
+    >>> moved = rest + [0.0, -1.5]
+    >>> field = MarkerField("left", 1, 0.04, rest, moved, np.zeros(MARKERS, np.uint8), 1.0)
+    >>> int((field.state == MarkerState.SEEN).sum())
+    63
+
     """
 
     finger: Finger
@@ -98,7 +165,16 @@ class MarkerField:
 
 @dataclass(frozen=True, slots=True)
 class ScenePicture:
-    """What the scene camera saw at ``t_s`` (bench clock). ``image``: (h, w, 3) uint8, BGR."""
+    """One image of the scene camera.
+
+    Attributes
+    ----------
+    t_s : float
+        Bench clock at the exposure, s.
+    image : ndarray, shape (h, w, 3), uint8
+        BGR levels.
+
+    """
 
     t_s: float
     image: ImageArray
@@ -109,13 +185,31 @@ class ScenePicture:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Native-rate signals of one probe, as they were sensed.
+    """Signals of one probe at their native rates.
 
-    ``wrench_t_s`` (n,), ``wrench`` (n, 6) in N and N·m, tared; ``fields`` and ``frames`` of both
-    fingers in order of time; ``pose_t_s`` (m,), ``pose_mm`` (m, 3) of ``G``, measured;
-    ``tare`` (6,) was subtracted. ``scene``: pictures of the scene camera, where there is one: while
-    pressed, then after lifting. ``command_t_s`` (k,), ``command_mm`` (k, 3): where ``G`` was told
-    to be, each from its instant on; empty where the arm does not say.
+    Attributes
+    ----------
+    wrench_t_s : ndarray, shape (n,)
+        Times of the wrench samples, bench clock, s.
+    wrench : ndarray, shape (n, 6)
+        Fx, Fy, Fz in N and Tx, Ty, Tz in N·m at the sensor ``W``, tared; environment on tool.
+    fields : tuple of MarkerField
+        Marker fields of both fingers in order of time.
+    frames : tuple of TactileFrame
+        Images of both fingers in order of time.
+    pose_t_s : ndarray, shape (m,)
+        Times of the measured positions, s.
+    pose_mm : ndarray, shape (m, 3)
+        Measured position of ``G`` in the bench frame, mm.
+    tare : ndarray, shape (6,)
+        Wrench that was subtracted, N and N·m.
+    scene : tuple of ScenePicture
+        Images of the scene camera while pressed, then after lifting; empty without a camera.
+    command_t_s : ndarray, shape (k,)
+        Times of the commanded positions, s; empty if the arm does not report them.
+    command_mm : ndarray, shape (k, 3)
+        Commanded position of ``G`` from each time on, mm.
+
     """
 
     wrench_t_s: FloatArray
@@ -139,10 +233,25 @@ class Recording:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeQuality:
-    """Whether an episode may be used, and why not.
+    """Verdict on the use of an episode as an observation.
 
-    ``reasons`` is empty exactly if ``accepted``. ``skew_ms``: largest distance between a tick and
-    the nearest tactile frame. ``inferred_share``: share of marker samples not seen at the ticks.
+    Attributes
+    ----------
+    accepted : bool
+        True if the episode may be used.
+    reasons : tuple of str
+        Reasons for a refusal; empty exactly if ``accepted``.
+    dropped_frames : int
+        Frames missing by their sequence numbers, both fingers.
+    inferred_share : float
+        Share of marker samples at the ticks that were not seen, 0 to 1.
+    lost_markers : int
+        Markers given up during the probe, both fingers.
+    skew_ms : float
+        Largest distance between a tick and the nearest tactile frame, ms.
+    slip_mm : float
+        Slip of the piece in the grasp, mm; NaN if it cannot be judged.
+
     """
 
     accepted: bool
@@ -156,12 +265,40 @@ class EpisodeQuality:
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """One probe as the method sees it, on the 10 Hz clock that starts at the contact onset.
+    """One probe on the 10 Hz clock that starts at the contact onset: the input of the model.
 
-    ``observation``: (20, 258) float32 = 252 marker displacements in px ([finger][axis][row][col],
-    left first, u then v) and 6 wrench values (Fx Fy Fz in N, Tx Ty Tz in N·m).
-    ``offset_mm``: (2,) commanded position of ``F`` in the bottom frame ``O`` (or in any frame fixed
-    to the bottom; only differences matter to the belief).
+    T = 2 s at 10 Hz, 63 markers of two fingers and a wrench (paper, section III).
+
+    Attributes
+    ----------
+    episode_id : str
+        Digest of the content; equal probes have equal ids.
+    piece : str
+        Name of the grasped piece.
+    observation : ndarray, shape (20, 258), float32
+        Per tick 252 marker displacements in px, ordered [finger][axis][row][column], left first, u
+        then v; then Fx, Fy, Fz in N and Tx, Ty, Tz in N·m. NaN where nothing was measured.
+    offset_mm : ndarray, shape (2,), float64
+        Commanded position of ``F`` in ``O``, mm, or in any frame fixed to the bottom: only
+        differences enter the belief.
+    onset_s : float
+        Back-dated time of first contact, bench clock, s.
+    quality : EpisodeQuality
+        Verdict on its use.
+    recording : Recording or None
+        Signals at their native rates, if kept.
+    metadata : tuple of (str, str)
+        Further facts by name.
+
+    Examples
+    --------
+    >>> quality = EpisodeQuality(True, (), 0, 0.0, 0, 12.0, 0.0)
+    >>> episode = Episode("0", "pot", np.zeros((20, 258), np.float32), np.zeros(2), 1.3, quality)
+    >>> tactile = episode.observation[:, :TACTILE_CHANNELS].reshape(20, 2, 2, 7, 9)
+    >>> wrench = episode.observation[:, TACTILE_CHANNELS:]
+    >>> wrench.shape
+    (20, 6)
+
     """
 
     episode_id: str
@@ -180,9 +317,23 @@ class Episode:
 
 @dataclass(frozen=True, slots=True)
 class ContactPatch:
-    """Contact probability of every point of the grasped face.
+    """Estimated contact probability at each point of the grasped face: the output of the model.
 
-    ``points_mm``: (N, 2) lattice points in ``F``; ``probability``: (N,) in 0..1.
+    The paper estimates the patch as a set of probabilities over the face (section III).
+
+    Attributes
+    ----------
+    points_mm : ndarray, shape (N, 2), float64
+        Lattice points of the face in ``F``, mm.
+    probability : ndarray, shape (N,), float64
+        Contact probability of each point, 0 to 1.
+
+    Examples
+    --------
+    >>> patch = ContactPatch(np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([0.97, 0.2]))
+    >>> patch.points_mm[patch.probability > 0.9].tolist()
+    [[0.0, 0.0]]
+
     """
 
     points_mm: FloatArray
@@ -197,8 +348,30 @@ class ContactPatch:
 class BeliefMap:
     """Log odds of support on a square grid fixed to the bottom.
 
-    ``log_odds``: (ny, nx); cell (i, j) is centred at ``origin_mm + pitch_mm * (j, i)`` in ``O``.
-    ``probes``: number of probes fused so far. ``covered``: (ny, nx) bool, touched by any probe.
+    The log odds of a cell are the sum of those of the fused probes, L = sum log(p / (1 - p)), the
+    product of probabilities of the paper in log form.
+
+    Attributes
+    ----------
+    log_odds : ndarray, shape (ny, nx), float64
+        Cell (i, j) is centred at ``origin_mm + pitch_mm * (j, i)``; 0 means unknown.
+    covered : ndarray, shape (ny, nx), bool
+        True where the face of at least one probe was.
+    origin_mm : tuple of float
+        Centre of cell (0, 0) in ``O``, mm.
+    pitch_mm : float
+        Distance of the cells, mm.
+    probes : int
+        Number of fused probes.
+
+    Examples
+    --------
+    >>> belief = BeliefMap(np.zeros((2, 3)), np.zeros((2, 3), bool), (-1.0, 0.0), 1.0, 0)
+    >>> belief.probability[0, 0].item()
+    0.5
+    >>> belief.cell_centres_mm()[1, 2].tolist()
+    [1.0, 1.0]
+
     """
 
     log_odds: FloatArray
@@ -221,12 +394,11 @@ class BeliefMap:
         ny, nx = self.log_odds.shape
         x = self.origin_mm[0] + self.pitch_mm * np.arange(nx)
         y = self.origin_mm[1] + self.pitch_mm * np.arange(ny)
-        grid = np.meshgrid(x, y)
-        return np.stack(grid, axis=-1)
+        return np.stack(np.meshgrid(x, y), axis=-1)
 
 
 class SupportKind(Enum):
-    """How many confident support cells lie under the piece, as a named outcome."""
+    """Shape of the confident support below the piece."""
 
     NONE = "no confident support"
     POINT = "a single support point"
@@ -237,11 +409,33 @@ class SupportKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """Would the piece stand? ``margin_mm`` is signed: positive inside the hull.
+    """Estimated stability of the piece if it were released here.
 
-    ``hull_mm``: (k, 2) counter-clockwise vertices in ``O`` (k = 0 for none, 1, 2 for degenerate
-    supports). ``centre_mm``: projection of the centre of mass in ``O``. ``margin_mm`` is
-    ``-inf`` without support and NaN without an estimate; NaN is never stable.
+    Stable if the projected centre of mass lies in the convex hull of the points with a contact
+    probability above 0.9 (paper, section III).
+
+    Attributes
+    ----------
+    stable : bool
+        True if the piece would stand.
+    margin_mm : float
+        Signed distance of the centre of mass to the edge of the hull, mm, positive inside; ``-inf``
+        without support, NaN without an estimate. NaN is never stable.
+    support : SupportKind
+        Shape of the support.
+    hull_mm : ndarray, shape (k, 2), float64
+        Counter-clockwise vertices in ``O``, mm; k = 0 without support, 1 or 2 if degenerate.
+    centre_mm : tuple of float
+        Projection of the centre of mass in ``O``, mm.
+    source : {"belief", "patch"}
+        Estimate that was judged.
+
+    Examples
+    --------
+    >>> square = np.array([[-4.0, -4.0], [4.0, -4.0], [4.0, 4.0], [-4.0, 4.0]])
+    >>> Stability(True, 4.0, SupportKind.AREA, square, (0.0, 0.0), "belief").support.value
+    'support over an area'
+
     """
 
     stable: bool
@@ -257,10 +451,27 @@ class Stability:
 
 @dataclass(frozen=True, slots=True)
 class PlaceAction:
-    """What to do next: release here, shift and probe again, or give up; always with the reason.
+    """Next action of the policy: release, shift and probe again, or give up.
 
-    ``step_mm``: the shift really taken (zero unless ``kind`` is "shift"); ``target_mm``: where the
-    policy would like to be in ``O``; ``clipped``: the step was shortened to the longest allowed.
+    Attributes
+    ----------
+    kind : {"release", "shift", "give_up"}
+        Action.
+    step_mm : tuple of float
+        Commanded shift in x and y, mm, at most 3 mm long (paper, section III); zero unless ``kind``
+        is "shift".
+    target_mm : tuple of float or None
+        Position in ``O`` at which the policy aims, mm.
+    clipped : bool
+        True if the step was shortened to the longest allowed.
+    reason : str
+        Reason, as one sentence.
+
+    Examples
+    --------
+    >>> PlaceAction("shift", (3.0, 0.0), (7.5, 0.0), True, "The support is to the right.").clipped
+    True
+
     """
 
     kind: Literal["release", "shift", "give_up"]
@@ -271,7 +482,27 @@ class PlaceAction:
 
 
 class Outcome(Enum):
-    """How one trial ended (`placed` is the only success)."""
+    """End of a trial; ``PLACED`` is the only success.
+
+    Attributes
+    ----------
+    PLACED
+        The piece stands.
+    FELL
+        The piece fell after the release.
+    KNOCKED_OVER
+        A probe or move knocked over the bottoms.
+    GAVE_UP
+        The policy ended the trial without a release.
+    ABORTED
+        Stop, fault or cancel.
+
+    Examples
+    --------
+    >>> Outcome("placed") is Outcome.PLACED
+    True
+
+    """
 
     PLACED = "placed"
     FELL = "fell"
@@ -284,7 +515,15 @@ class Outcome(Enum):
 class Fall:
     """Motion of the bodies after a release, for the animation.
 
-    ``t_s``: (n,); ``pose``: (n, bodies, 7) = position in m and unit quaternion w x y z per body.
+    Attributes
+    ----------
+    t_s : ndarray, shape (n,)
+        Times since the release, s.
+    pose : ndarray, shape (n, bodies, 7)
+        Position in m (x, y, z) and unit quaternion (w, x, y, z) of each body.
+    names : tuple of str
+        Names of the bodies.
+
     """
 
     t_s: FloatArray

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         scene_camera,
         slip,
         tracker,
+        tracking,
         zeroing,
     )
 

@@ -17,6 +17,11 @@ from .slip import slip_since_loading as slip_since_loading
 from .tracker import GelRest as GelRest
 from .tracker import MarkerTracker as MarkerTracker
 from .tracker import measure_rest as measure_rest
+from .tracking import TrackedImage as TrackedImage
+from .tracking import complete_fields as complete_fields
+from .tracking import mean_reference as mean_reference
+from .tracking import track_frames as track_frames
+from .tracking import track_markers as track_markers
 from .zeroing import MIN_REST_FRAMES as MIN_REST_FRAMES
 from .zeroing import MOTION_FACTOR as MOTION_FACTOR
 from .zeroing import NOISE_FLOOR_PX as NOISE_FLOOR_PX
@@ -47,12 +52,15 @@ __all__ = [
     "RawStreams",
     "TactileReference",
     "TorsionSlipDetector",
+    "TrackedImage",
     "WrenchDrift",
     "WrenchDriftEstimator",
     "assemble_episode",
     "calibrate_scene_camera",
+    "complete_fields",
     "count_pictures",
     "gripper_payload",
+    "mean_reference",
     "measure_rest",
     "observe_offset",
     "read_pictures",
@@ -60,4 +68,6 @@ __all__ = [
     "slip_since_loading",
     "synchronise",
     "take_reference",
+    "track_frames",
+    "track_markers",
 ]

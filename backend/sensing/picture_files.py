@@ -39,7 +39,7 @@ def read_pictures(path: Path, finger: Finger = "left") -> Iterator[TactileFrame]
     rate_hz, pictures = _open_pictures(path)
     count = 0
     for picture in pictures:
-        yield TactileFrame(finger, count, count / rate_hz, resize_picture(picture, path))
+        yield TactileFrame(finger, count, count / rate_hz, resize_picture(picture, str(path)))
         count += 1
     if not count:
         raise InputError("No picture could be read.", str(path), _FIX)
@@ -57,7 +57,7 @@ def count_pictures(path: Path) -> int | None:
     return frames if frames > 0 else None
 
 
-def resize_picture(picture: ImageArray, path: Path) -> ImageArray:
+def resize_picture(picture: ImageArray, where: str) -> ImageArray:
     """Return ``picture`` at 320 x 240; raises ``InputError`` if its shape is not 4:3."""
     height, width = picture.shape[:2]
     if (height, width) == (HEIGHT_PX, WIDTH_PX):
@@ -65,7 +65,7 @@ def resize_picture(picture: ImageArray, path: Path) -> ImageArray:
     if min(height, width) < HEIGHT_PX // 2 or abs(width / height - WIDTH_PX / HEIGHT_PX) > 0.02:
         raise InputError(
             f"The picture has {width} x {height} px.",
-            str(path),
+            where,
             f"Crop it to 4:3; the tracker works at {WIDTH_PX} x {HEIGHT_PX} px.",
         )
     method = cv2.INTER_AREA if width > WIDTH_PX else cv2.INTER_CUBIC

@@ -27,7 +27,7 @@ def real_gels() -> list[Figure]:
     whole_at_start, seen = [], []
     cv2.setNumThreads(1)
     for path in sorted({*GELSIGHT.glob("*.avi"), *GELSIGHT.glob("*.png")} - set(SMALL_DOTS)):
-        for index, (_, tracked) in enumerate(track_images(path)):
+        for index, tracked in enumerate(track_images(path)):
             count = int(np.sum(tracked.field.state == MarkerState.SEEN))
             if index == 0:
                 whole_at_start.append(count == MARKERS)

@@ -8,6 +8,6 @@ INSET_PX = 6
 
 
 def inset_spin_boxes(*boxes: QAbstractSpinBox) -> None:
-    """Keep the figures off the frame: the style sheet has no say inside a spin box."""
+    """Inset the figures of spin boxes; style-sheet padding does not reach them."""
     for box in boxes:
         box.lineEdit().setTextMargins(INSET_PX, 0, 0, 0)

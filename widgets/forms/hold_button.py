@@ -1,4 +1,4 @@
-"""Button that acts after it was held."""
+"""Button that acts while it is held."""
 
 from __future__ import annotations
 
@@ -8,13 +8,10 @@ from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, Qt, QTimer
 from PySide6.QtGui import QGuiApplication, QKeyEvent, QMouseEvent, QTouchEvent, QWindow
 from PySide6.QtWidgets import QApplication, QPushButton, QSizePolicy, QWidget
 
-RENEW_MS = 50
-"""Half of what a lease needs: a window that is late for a moment must not make the arm falter."""
-SLACK_PX = 20
-"""The pointer may leave the button by so much."""
+RENEW_MS = 50  # half a lease period: a window late by one beat does not stop the arm
+SLACK_PX = 20  # distance the pointer may leave the button
 LEAST_PX = 44
-MOUSE, TOUCH = -1, -2
-"""Sources of a hold; any other number is the code of a key."""
+MOUSE, TOUCH = -1, -2  # sources of a hold; positive numbers are key codes
 _LOST = frozenset({QEvent.Type.Hide, QEvent.Type.Close, QEvent.Type.UngrabMouse,
                    QEvent.Type.TouchCancel})  # fmt: skip
 _WINDOW_LOST = frozenset({QEvent.Type.WindowDeactivate, QEvent.Type.WindowBlocked,
@@ -22,10 +19,10 @@ _WINDOW_LOST = frozenset({QEvent.Type.WindowDeactivate, QEvent.Type.WindowBlocke
 
 
 class HoldState(QObject):
-    """At most one hold at a time, shared by the buttons and keys of one pad.
+    """Hold shared by the buttons and keys of one pad; at most one at a time.
 
-    ``renew`` is called at once and then every 50 ms with what is held and returns whether it may
-    go on; ``ended`` once with the cause.
+    ``renew`` is called at once and every 50 ms with the held action; False ends the hold. ``ended``
+    is called once with the cause.
     """
 
     def __init__(
@@ -44,11 +41,11 @@ class HoldState(QObject):
 
     @property
     def held(self) -> bool:
-        """Whether something is held."""
+        """True while something is held."""
         return self._widget is not None
 
     def press(self, widget: QWidget, what: str, source: int) -> None:
-        """Begin a hold of ``what`` on ``widget``; a second one ends both."""
+        """Start a hold of ``what`` on ``widget``; a second hold ends both."""
         if self.held:
             self.end("a second one was pressed")
             return
@@ -65,12 +62,12 @@ class HoldState(QObject):
             self._look(down=True)
 
     def release(self, source: int) -> None:
-        """End the hold if ``source`` began it."""
+        """End the hold if it was started by ``source``."""
         if self.held and source == self._source:
             self.end("released")
 
     def end(self, cause: str) -> None:
-        """End, from any cause and any number of times."""
+        """End the hold; may be called repeatedly."""
         if not self.held:
             return
         self._look(down=False)
@@ -82,7 +79,7 @@ class HoldState(QObject):
         self._ended(cause)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Watch for every way in which a button, its window or the program loses the operator."""
+        """End the hold when the button, its window or the program loses the operator."""
         widget, kind = self._widget, event.type()
         if widget is None:
             return False
@@ -98,15 +95,13 @@ class HoldState(QObject):
             self._key(event, at_window=isinstance(watched, QWindow))
         return False
 
-    # -- inside -----------------------------------------------------------------------------------
-
     def _key(self, event: QKeyEvent, *, at_window: bool) -> None:
         if event.isAutoRepeat():
             return
         if event.type() is QEvent.Type.KeyRelease:
             self.release(event.key())
         elif (
-            # A press on its way to the window may mean STOP while this still moves.
+            # A key press addressed to the window can be STOP; let it through.
             event.type() is QEvent.Type.KeyPress and not at_window and event.key() != self._source
         ):
             self.end("another key was pressed")
@@ -139,7 +134,7 @@ class HoldState(QObject):
 
 
 class HoldButton(QPushButton):
-    """Presses and lets go of a hold; takes no focus, so that Space can never press it."""
+    """Button that starts and ends a hold; takes no focus, so that Space cannot press it."""
 
     def __init__(self, text: str, what: str, name: str, hold: HoldState) -> None:
         super().__init__(text)
@@ -154,11 +149,11 @@ class HoldButton(QPushButton):
         self.setToolTip(name)
 
     def begin(self, source: int) -> None:
-        """Begin to hold."""
+        """Start the hold."""
         self._hold.press(self, self._what, source)
 
     def event(self, event: QEvent) -> bool:
-        """Take touches as well as the mouse."""
+        """Handle touches like the mouse."""
         kind = event.type()
         if isinstance(event, QTouchEvent):
             if kind is QEvent.Type.TouchBegin:
@@ -172,21 +167,21 @@ class HoldButton(QPushButton):
         return super().event(event)
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Begin."""
+        """Start the hold."""
         if event.button() is Qt.MouseButton.LeftButton:
             self.begin(MOUSE)
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
-        """End when the pointer has left by more than the slack."""
+        """End the hold when the pointer leaves by more than the slack."""
         self._follow(event.position())
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:
-        """End."""
+        """End the hold."""
         if event.button() is Qt.MouseButton.LeftButton:
             self._hold.release(MOUSE)
 
     def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
-        """Take the second press of two quick ones like any other."""
+        """Handle the second press of a double click like any other."""
         self.mousePressEvent(event)
 
     def _follow(self, at: QPointF) -> None:

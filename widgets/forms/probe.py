@@ -19,12 +19,11 @@ from PySide6.QtWidgets import (
 from touchdown.widgets.base import ElidedLabel, Panel, Theme, label, set_property, ui_font
 from touchdown.widgets.forms.fields import inset_spin_boxes
 
-PADDING = 3
-"""Room round a phase's name, in letters."""
+PADDING = 3  # width added to a phase name, in letters
 
 
 class PhaseStrip(QWidget):
-    """Phases in a row: those done are filled and ticked, the present one is framed and bold."""
+    """Phases in a row: completed ones are filled and ticked, the present one is framed, bold."""
 
     def __init__(self, theme: Theme, phases: Sequence[str]) -> None:
         super().__init__()
@@ -33,7 +32,7 @@ class PhaseStrip(QWidget):
         self.setAccessibleName("Phases of the probe")
 
     def show_phase(self, at: int) -> None:
-        """Show the phase in progress; -1: none yet, beyond the last: all done."""
+        """Show the present phase; -1: none yet, beyond the last: all done."""
         if at != self.at:
             self.at = at
             known = 0 <= at < len(self.phases)
@@ -42,7 +41,7 @@ class PhaseStrip(QWidget):
             self.update()
 
     def sizeHint(self) -> QSize:
-        """Return one line of text with room round it."""
+        """Return one line of text with padding."""
         high = QFontMetrics(ui_font(self._theme.scale, 0.8)).height()
         return QSize(200, high + 12)
 
@@ -70,7 +69,7 @@ class PhaseStrip(QWidget):
 
 
 class ProbePanel(Panel):
-    """Probe once, with its progress and result."""
+    """Starts a single probe and shows its progress and result."""
 
     def __init__(
         self,
@@ -86,9 +85,9 @@ class ProbePanel(Panel):
         self.probe, self.cancel = QPushButton("Probe once"), QPushButton("Cancel")
         self.probe.setProperty("role", "primary")
         self.probe.setAccessibleName("Probe once")
-        self.probe.setToolTip("Press here with these values, feel, and lift (F5)")
+        self.probe.setToolTip("Press here with these values, record, and lift (F5)")
         self.cancel.setAccessibleName("Cancel the probe")
-        self.cancel.setToolTip("End in an orderly way: lift, keep the piece")
+        self.cancel.setToolTip("End the run: lift the arm, keep the grip")
         self.probe.clicked.connect(on_probe)
         self.cancel.clicked.connect(on_cancel)
         row = QHBoxLayout()
@@ -101,17 +100,17 @@ class ProbePanel(Panel):
         self.column.addLayout(row)
 
     def show_model(self, short: str, full: str) -> None:
-        """Say which model reads the probe, with all about it in the tool tip."""
+        """Show the model in use; the tool tip has the details."""
         self.model.setText(short)
         self.model.setToolTip(full)
 
     def show_buttons(self, *, probe: bool, cancel: bool, why: str) -> None:
-        """Enable what is allowed now."""
+        """Enable the buttons; ``why``: reason for a disabled one."""
         if self.probe.isEnabled() != probe:
             self.probe.setEnabled(probe)
         if self.cancel.isEnabled() != cancel:
             self.cancel.setEnabled(cancel)
-        self.probe.setToolTip(why or "Press here with these values, feel, and lift (F5)")
+        self.probe.setToolTip(why or "Press here with these values, record, and lift (F5)")
 
 
 DECISIONS: tuple[tuple[str, str, str], ...] = (
@@ -123,16 +122,16 @@ DECISIONS: tuple[tuple[str, str, str], ...] = (
 )
 TIPS = {
     "keep": "Keep the probe and go on (Enter, F5)",
-    "discard": "Delete it; its place is probed again at the end (Backspace)",
-    "flag": "Keep it with a flag, to be looked at (X)",
+    "discard": "Delete it; probe the same place again at the end (Backspace)",
+    "flag": "Keep it and flag it for review (X)",
     "redo": "Delete it and probe the same place again at once (R)",
-    "skip": "Delete it and leave its place out (S)",
+    "skip": "Delete it and skip its place (S)",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class ProbeText:
-    """A probe in words. ``tone``: good, bad or "". ``asking``: the run waits for the answer."""
+    """Texts of a probe. ``tone``: good, bad or "". ``asking``: the run waits for a decision."""
 
     verdict: str
     tone: str = ""
@@ -143,7 +142,7 @@ class ProbeText:
 
 
 class LastProbePanel(Panel):
-    """Verdict, displacement, and one button per decision."""
+    """Verdict and displacement of the last probe, one button per decision."""
 
     def __init__(self, decide: Callable[[str], None]) -> None:
         super().__init__("Probe")
@@ -169,7 +168,7 @@ class LastProbePanel(Panel):
         self.show_words(ProbeText("No probe yet"))
 
     def show_words(self, words: ProbeText) -> None:
-        """Show what is known of the probe; only ``allowed`` decisions can be taken."""
+        """Show the texts of a probe; enable the ``allowed`` decisions."""
         self.verdict.setText(words.verdict)
         set_property(self.verdict, "tone", words.tone)
         self.where.setText(words.where)
@@ -181,24 +180,24 @@ class LastProbePanel(Panel):
 
 
 class PairHealthPanel(Panel):
-    """What looks wrong in what was collected: a line each, the worst first."""
+    """Problems in the collected data, one per line, worst first."""
 
     MOST = 4
 
     def __init__(self) -> None:
         super().__init__("Health")
-        self.words = label("Nothing to judge yet.", "small", wrap=True)
+        self.words = label("No probe checked yet.", "small", wrap=True)
         self.words.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.column.addWidget(self.words, 1)
 
     def show_findings(self, texts: Sequence[str], *, judged: int) -> None:
-        """Show findings about ``judged`` probes; the tool tip has all of them."""
+        """Show the problems of ``judged`` probes; the tool tip has all of them."""
         probes = "1 probe" if judged == 1 else f"{judged} probes"
         self.detail.setText(f"{len(texts)} in {probes}" if texts else probes)
         if not judged:
-            self.words.setText("Nothing to judge yet.")
+            self.words.setText("No probe checked yet.")
         elif not texts:
-            self.words.setText("\N{CHECK MARK} Nothing looks wrong.")
+            self.words.setText("\N{CHECK MARK} No problem found.")
         else:
             more = len(texts) - self.MOST
             tail = [f"and {more} more"] if more > 0 else []
@@ -210,7 +209,7 @@ USUAL_N, LEAST_N, MOST_N = 10.0, 1.0, 40.0
 
 
 class GripperPanel(Panel):
-    """Shows what the gripper says; asks for grip and open."""
+    """Status of the gripper; buttons to grip and open."""
 
     def __init__(self, on_grip: Callable[[], None], on_open: Callable[[], None]) -> None:
         super().__init__("Gripper")
@@ -242,14 +241,14 @@ class GripperPanel(Panel):
         self.column.addLayout(row)
 
     def show_status(self, width_mm: float, force_n: float, *, holding: bool, moving: bool) -> None:
-        """Show width, force per finger and the state."""
+        """Show width, force per finger and state."""
         word = "moving" if moving else "holding a piece" if holding else "empty"
         text = f"{width_mm:.1f} mm   {force_n:.1f} N   {word}"
         if text != self.figures.text():
             self.figures.setText(text)
 
     def show_ready(self, ready: bool) -> None:
-        """Switch the buttons."""
+        """Enable or disable the buttons."""
         for button in (self.grip, self.open):
             if button.isEnabled() != ready:
                 button.setEnabled(ready)

@@ -20,19 +20,17 @@ from PySide6.QtWidgets import (
 from touchdown.widgets.base import label, scroll_into_view
 
 COLUMNS = 3
-LONG = 18
-"""Answers with more letters than this stand two to a row."""
+LONG = 18  # answers longer than this, in letters, are laid out two to a row
 ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
-BESIDE = "beside"
-"""Property of the actions whose keys act also while a question stands."""
+BESIDE = "beside"  # property of actions whose keys stay active during a question
 
 
 class ChoiceBar(QFrame):
-    """Takes the keyboard until one of its keys, Esc, or the loss of the focus ends it.
+    """Question that takes the keyboard until it is answered, left with Esc, or loses the focus.
 
-    Two kinds: ``ask`` has a key for each answer; ``offer`` has none, so that no letter or digit
-    that was meant for something else is an answer: Tab marks, Enter takes what is marked. Keys of
-    actions that may act beside a question (``BESIDE``) do so: looking closer is no answer.
+    ``ask`` has a key for each answer. ``offer`` has none, so that a letter or digit typed for
+    something else is no answer: Tab selects, Enter accepts. Keys of actions marked ``BESIDE``, such
+    as zoom, stay active.
     """
 
     def __init__(self, parent: QWidget) -> None:
@@ -59,10 +57,10 @@ class ChoiceBar(QFrame):
     def ask(
         self, title: str, choices: Sequence[tuple[str, str]], answer: Callable[[str], None]
     ) -> None:
-        """Ask; ``choices`` are (key, word), ``answer`` gets the word that was chosen."""
+        """Ask; ``choices`` are (key, word), ``answer`` gets the chosen word."""
         self._choices, self._offered = dict(choices), []
         self._answer, self._typed = answer, _nothing
-        self._show(f"{title}  (Esc: leave)", title, [f"{key}   {word}" for key, word in choices],
+        self._show(f"{title}  (Esc: cancel)", title, [f"{key}   {word}" for key, word in choices],
                    [word for _, word in choices])  # fmt: skip
 
     def offer(
@@ -73,25 +71,26 @@ class ChoiceBar(QFrame):
         answer: Callable[[str], None],
         typed: Callable[[str], None],
     ) -> None:
-        """Offer ``words``, one of them marked; ``typed`` gets what begins a number instead.
+        """Offer ``words`` with one of them selected; ``typed`` gets the first character of a
+        number.
 
-        Asked once more while it stands, the question keeps its mark.
+        A repeated call keeps the selection of the open question.
         """
         self._answer, self._typed = answer, typed
         if self.isVisible() and self.accessibleName() == title and self._offered == list(words):
             self.setFocus()
             return
         self._choices, self._offered, self._marked = {}, list(words), marked
-        self._show(f"{title}  (Enter: take, Tab: next, Esc: leave)", title, words, words)
+        self._show(f"{title}  (Enter: accept, Tab: next, Esc: cancel)", title, words, words)
         self._mark(marked)
 
     @property
     def marked(self) -> str:
-        """The word that Enter would take, "" where each answer has its own key."""
+        """The word accepted by Enter, "" if each answer has its own key."""
         return self._offered[self._marked] if self._offered else ""
 
     def event(self, event: QEvent) -> bool:
-        """Claim keys before the shortcuts of the window do, but for those that act beside."""
+        """Claim keys before the shortcuts of the window, except those marked ``BESIDE``."""
         if event.type() is QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
             if event.text().upper() in self._choices or not self._acts_beside(event):
                 event.accept()
@@ -108,7 +107,7 @@ class ChoiceBar(QFrame):
         )
 
     def focusNextPrevChild(self, forward: bool) -> bool:
-        """Let Tab mark the next answer, Shift+Tab the one before."""
+        """Select the next answer with Tab, the previous one with Shift+Tab."""
         if self._offered:
             self._mark((self._marked + (1 if forward else -1)) % len(self._offered))
         return True
@@ -118,33 +117,31 @@ class ChoiceBar(QFrame):
         if event.key() == Qt.Key.Key_Escape:
             self.leave()
         elif event.key() in ENTER and self._offered:
-            # Held down since the last question, Enter has not been meant for this one.
+            # Auto-repeat: the key was pressed for the previous question.
             if not event.isAutoRepeat():
                 self._take(self.marked)
         else:
             self.take(event.text())
 
     def focusOutEvent(self, event: QFocusEvent) -> None:
-        """Whoever turns to something else has answered nothing."""
+        """Close without an answer, except when the window loses the focus."""
         super().focusOutEvent(event)
         if event.reason() is not Qt.FocusReason.ActiveWindowFocusReason:
             self.hide()
 
     def leave(self) -> None:
-        """End without an answer."""
+        """Close without an answer."""
         self.hide()
         self._page.setFocus()
 
     def take(self, text: str) -> None:
-        """Answer with a key, or hand on what begins a number; anything else is no answer."""
+        """Answer by key, or pass on the start of a number; ignore anything else."""
         word = self._choices.get(text.upper())
         if word is not None:
             self._take(word)
         elif self._offered and text and text in "0123456789.,-+":
             self.leave()
             self._typed(text)
-
-    # -- inside -----------------------------------------------------------------------------------
 
     def _take(self, word: str) -> None:
         answer = self._answer
@@ -167,7 +164,7 @@ class ChoiceBar(QFrame):
             item = self._grid.takeAt(0)
             widget = item.widget() if item is not None else None
             if widget is not None:
-                # Gone at once: what is deleted later would still be drawn under the new answers.
+                # Until it is deleted it would be drawn below the new answers.
                 widget.hide()
                 widget.deleteLater()
         columns = COLUMNS if max(map(len, texts), default=0) <= LONG else 2
@@ -181,12 +178,11 @@ class ChoiceBar(QFrame):
         scroll_into_view(self)
 
 
-def _nothing(_word: str) -> None:
-    """Do nothing: nothing was asked."""
+def _nothing(_word: str) -> None: ...
 
 
 class NameDialog(QDialog):
-    """``take`` is given the name and returns "" or why it cannot be had."""
+    """Dialog for a name; ``take`` gets it and returns "" or an error."""
 
     def __init__(self, parent: QWidget, title: str) -> None:
         super().__init__(parent)
@@ -213,7 +209,7 @@ class NameDialog(QDialog):
         column.addLayout(row)
 
     def ask(self, what: str, taken: Sequence[str], take: Callable[[str], str]) -> None:
-        """Ask for ``what``; a name in ``taken`` will be replaced, and that is said."""
+        """Ask for ``what``; warns that a name in ``taken`` will be replaced."""
         self._take, self._taken = take, taken
         self.head.setText(what)
         self.field.setAccessibleName(what)
@@ -226,7 +222,7 @@ class NameDialog(QDialog):
 
     def _say(self, text: str) -> None:
         known = text.strip() in self._taken
-        self.said.setText("This name exists: its layout is replaced." if known else "")
+        self.said.setText("This name exists. Saving replaces its layout." if known else "")
 
     def _try(self) -> None:
         reason = self._take(self.field.text())
@@ -237,10 +233,10 @@ class NameDialog(QDialog):
 
 
 class NameField(QLineEdit):
-    """Claims Enter before the shortcuts of the page do."""
+    """Line edit that claims Enter before the shortcuts of the page."""
 
     def event(self, event: QEvent) -> bool:
-        """Take Enter as the end of the name."""
+        """Handle Enter as the end of the name."""
         is_key = isinstance(event, QKeyEvent) and event.key() in ENTER
         if is_key and event.type() is QEvent.Type.ShortcutOverride:
             event.accept()

@@ -36,9 +36,9 @@ MODES = (
 
 @dataclass(frozen=True, slots=True)
 class RunForm:
-    """What the operator asked for. ``under``: the body below the touched bottom, "" for none.
+    """Settings of a run. ``under``: body below the bottom, "" for none.
 
-    ``origin_x_mm, origin_y_mm``: on devices, where the centre of the bottom is for the arm.
+    ``origin_x_mm``, ``origin_y_mm``: centre of the bottom in arm coordinates, for real devices.
     """
 
     piece: str = "pot"
@@ -54,7 +54,7 @@ class RunForm:
 
 @dataclass(frozen=True, slots=True)
 class RunButtons:
-    """Which buttons may be pressed, whether the run is paused and the form may be filled in."""
+    """Enabled buttons; ``paused``: the run is paused; ``form``: the form is editable."""
 
     start: bool
     pause: bool
@@ -65,7 +65,7 @@ class RunButtons:
 
 
 class RunPanel(Panel):
-    """The form and its buttons; ``chosen`` when the piece or the strategy is another."""
+    """Form and buttons of a run; ``chosen`` is emitted on another piece or strategy."""
 
     chosen = Signal()
 
@@ -108,23 +108,15 @@ class RunPanel(Panel):
 
     def _tips(self) -> None:
         for widget, name, tip in (
-            (self._piece, "Piece", "The piece in the gripper; its geometry is known"),
-            (
-                self._bottom,
-                "Bottom",
-                "What the piece is set on; the method does not know its shape",
-            ),
-            (self._under, "Below it", "A second body under the bottom makes a tower"),
+            (self._piece, "Piece", "Piece in the gripper; its geometry is known"),
+            (self._bottom, "Bottom", "Body to stack on; its shape is unknown to the method"),
+            (self._under, "Below it", "Second body under the bottom, for a tower"),
             (self._seed, "Seed", "Trial k uses seed + k; the same seed gives the same run"),
-            (self._trials, "Trials", "How many times to stack"),
-            (
-                self._strategy,
-                "Strategy",
-                "The paper's method, others, or letting go unprobed",
-            ),
-            (self._mode, "Mode", "Whether each move waits for you"),
-            (self.pause, "Pause", "Pause at the next safe place, arm lifted (P)"),
-            (self.cancel, "Cancel", "End in an orderly way: lift, keep the piece"),
+            (self._trials, "Trials", "Number of trials"),
+            (self._strategy, "Strategy", "The paper's method, a variant, or no probing"),
+            (self._mode, "Mode", "Moves that wait for your approval"),
+            (self.pause, "Pause", "Pause at the next safe point, arm lifted (P)"),
+            (self.cancel, "Cancel", "End the run: lift the arm, keep the grip"),
         ):
             widget.setAccessibleName(name)
             widget.setToolTip(tip)
@@ -170,7 +162,7 @@ class RunPanel(Panel):
     def show_catalogue(
         self, pieces: Sequence[tuple[str, str]], bottoms: Sequence[tuple[str, str]]
     ) -> None:
-        """Offer these (key, title) pieces and bottoms; the choice is kept where possible."""
+        """Set the (key, title) pieces and bottoms; the selection is kept if possible."""
         form = self.form()
         for combo, entries in ((self._piece, pieces), (self._bottom, bottoms),
                                (self._under, (("", NOTHING), *bottoms))):  # fmt: skip
@@ -180,18 +172,18 @@ class RunPanel(Panel):
         self.show_form(form)
 
     def show_model(self, short: str, full: str) -> None:
-        """Say which model reads the probes, with all about it in the tool tip."""
+        """Show the model in use; the tool tip has the details."""
         self._model.setText(short)
         self._model.setToolTip(full)
         self._model.setAccessibleName(f"Model: {short}")
 
     def show_devices(self, devices: bool) -> None:
-        """Show the origin where an arm has to find the bottom."""
+        """Show the origin fields, needed by real devices only."""
         for widget in (*self._origin, *self._origin_words):
             widget.setVisible(devices)
 
     def show_form(self, form: RunForm) -> None:
-        """Fill in a form; unknown entries are left as they are."""
+        """Fill in the form; unknown entries change nothing."""
         for combo, key in ((self._piece, form.piece), (self._bottom, form.bottom),
                            (self._under, form.under), (self._strategy, form.strategy),
                            (self._mode, form.mode)):  # fmt: skip
@@ -204,7 +196,7 @@ class RunPanel(Panel):
         self._origin[1].setValue(form.origin_y_mm)
 
     def form(self) -> RunForm:
-        """Return what is filled in."""
+        """Return the content of the form."""
         default = RunForm()
         return replace(
             default,
@@ -220,9 +212,9 @@ class RunPanel(Panel):
         )
 
     def show_buttons(self, buttons: RunButtons) -> None:
-        """Enable what is allowed now; a disabled Start says why."""
+        """Enable buttons and fields; the tool tip of a disabled Start gives the reason."""
         self.start.setEnabled(buttons.start)
-        self.start.setToolTip(buttons.why_not or "Begin the run (Ctrl+Return)")
+        self.start.setToolTip(buttons.why_not or "Start the run (Ctrl+Return)")
         self.pause.setEnabled(buttons.pause)
         self.pause.setText("Resume" if buttons.paused else "Pause")
         self.cancel.setEnabled(buttons.cancel)
@@ -250,12 +242,11 @@ def _buddy(text: str, field: QWidget) -> QWidget:
     return made
 
 
-Entries = Sequence[tuple[str, str]]
-"""(name, title) of pieces."""
+Entries = Sequence[tuple[str, str]]  # (name, title) of pieces
 
 
 class ScenePanel(Panel):
-    """Two choices and a button; ``on_set`` gets the names."""
+    """Sets piece and bottom of the simulated bench; ``on_set`` gets their names."""
 
     def __init__(self, on_set: Callable[[str, str], None]) -> None:
         super().__init__("Bench")
@@ -264,8 +255,8 @@ class ScenePanel(Panel):
         self.set = QPushButton("Set")
         row = QHBoxLayout()
         for combo, name, tip in (
-            (self.piece, "Piece", "The piece between the jaws"),
-            (self.bottom, "Bottom", "What stands below it"),
+            (self.piece, "Piece", "Piece between the jaws"),
+            (self.bottom, "Bottom", "Body below the piece"),
         ):
             combo.setAccessibleName(name)
             combo.setToolTip(tip)
@@ -275,13 +266,13 @@ class ScenePanel(Panel):
             )
             row.addWidget(combo, 1)
         self.set.setAccessibleName("Set the bench")
-        self.set.setToolTip("Put both back to their places on the simulated bench (Ctrl+N)")
+        self.set.setToolTip("Reset both to their places on the simulated bench (Ctrl+N)")
         self.set.clicked.connect(self.ask)
         row.addWidget(self.set)
         self.column.addLayout(row)
 
     def show_catalogue(self, pieces: Entries, bottoms: Entries, chosen: tuple[str, str]) -> None:
-        """Offer these; ``chosen`` names a piece and a bottom."""
+        """Set the entries and select ``chosen`` (piece, bottom)."""
         for combo, entries, name in (
             (self.piece, pieces, chosen[0]),
             (self.bottom, bottoms, chosen[1]),
@@ -292,13 +283,13 @@ class ScenePanel(Panel):
             combo.setCurrentIndex(max(combo.findData(name), 0))
 
     def show_ready(self, ready: bool) -> None:
-        """Switch the controls."""
+        """Enable or disable the controls."""
         for widget in (self.piece, self.bottom, self.set):
             if widget.isEnabled() != ready:
                 widget.setEnabled(ready)
 
     def ask(self) -> None:
-        """Ask for what is chosen."""
+        """Call ``on_set`` with the selection."""
         piece, bottom = self.piece.currentData(), self.bottom.currentData()
         if piece and bottom:
             self._on_set(str(piece), str(bottom))

@@ -240,19 +240,14 @@ class RecordedTraces(QWidget):
         return ", ".join(_reading(c, values[c]) for c in self.channels)
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Move the cursor to the pressed time."""
-        self._go_to(event)
-
-    def mouseMoveEvent(self, event: QMouseEvent) -> None:
-        """Drag the cursor."""
-        self._go_to(event)
-
-    def _go_to(self, event: QMouseEvent) -> None:
+        """Move the cursor to the pressed or dragged time."""
         if self.trace is None or not event.buttons() & Qt.MouseButton.LeftButton:
             return
         area = self.area("N")
         share = (event.position().x() - area.rect.left()) / area.rect.width()
         self._seek(area.x0 + min(max(share, 0.0), 1.0) * (area.x1 - area.x0))
+
+    mouseMoveEvent = mousePressEvent  # noqa: N815
 
     def units(self) -> tuple[str, ...]:
         """Units of the chosen channels, left axis first."""

@@ -35,7 +35,7 @@ _LOOK: dict[ChipState, tuple[Shape, Colour]] = {
 
 @dataclass(frozen=True, slots=True)
 class ChipValue:
-    """``detail`` is the second line, such as "25.0 Hz, 12 ms"; ``lost`` samples so far."""
+    """State and figures of one device. ``detail``: second line, such as "25.0 Hz, 12 ms"."""
 
     state: ChipState
     detail: str
@@ -44,7 +44,7 @@ class ChipValue:
 
 
 def mark_colours(state: ChipState, tokens: Tokens) -> tuple[QColor, QColor | None]:
-    """Return ink and rim of the mark of a state; the rim where the ink is hardly seen on a chip."""
+    """Return fill and rim of a state mark; a rim only where the fill lacks contrast."""
     colour = _LOOK[state][1]
     named = {"green": "good", "red": "bad", "grey": "muted", "blue": "text"}
     if colour != "yellow":
@@ -53,9 +53,9 @@ def mark_colours(state: ChipState, tokens: Tokens) -> tuple[QColor, QColor | Non
 
 
 class DeviceChip(QWidget):
-    """Two lines: name and figures, beside a state mark. ``short`` leaves out the figures.
+    """Two lines, device name and figures, beside a state mark; ``short`` hides the figures.
 
-    A click, or Return while it has the focus, asks for more with ``clicked``.
+    ``clicked`` is emitted on a click and on Return.
     """
 
     clicked = Signal()
@@ -72,7 +72,7 @@ class DeviceChip(QWidget):
         self.setAttribute(Qt.WidgetAttribute.WA_Hover)
 
     def show_value(self, value: ChipValue) -> None:
-        """Show another value."""
+        """Show new figures."""
         if value == self.value:
             return
         self.value = value
@@ -81,7 +81,7 @@ class DeviceChip(QWidget):
         self.update()
 
     def sizeHint(self) -> QSize:
-        """Return room for the usual figures, or just for the name."""
+        """Return room for typical figures or, if ``short``, for the name."""
         figures = QFontMetrics(ui_font(self._theme.scale, 0.86))
         name = QFontMetrics(ui_font(self._theme.scale, 0.86, 600))
         width = name.horizontalAdvance(self._name)
@@ -91,29 +91,29 @@ class DeviceChip(QWidget):
         return QSize(width + self._left_px() + 10, 2 * figures.height() + 8)
 
     def _left_px(self) -> int:
-        """Return where the words begin: the mark before them grows with the text."""
+        """Return the left edge of the text; the mark before it scales with the font."""
         return round(12 + 10 * max(self._theme.scale, 1.0))
 
     def minimumSizeHint(self) -> QSize:
-        """Return the size hint: the bar, not the chip, decides what to leave out."""
+        """Return the size hint: the bar decides what to leave out."""
         return self.sizeHint()
 
     def show_short(self, short: bool) -> None:
-        """Leave the figures to the tool tip, or show them."""
+        """Hide or show the figures; the tool tip keeps them."""
         if short != self.short:
             self.short = short
             self.updateGeometry()
             self.update()
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:
-        """Ask for more if the button was let go on the chip."""
+        """Emit ``clicked`` if the button is released on the chip."""
         if event.button() is Qt.MouseButton.LeftButton and self.rect().contains(
             event.position().toPoint()
         ):
             self.clicked.emit()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Return asks for more (Space may mean STOP)."""
+        """Emit ``clicked`` on Return; Space can mean STOP."""
         if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and not event.isAutoRepeat():
             self.clicked.emit()
         else:
@@ -164,14 +164,14 @@ Rows = Sequence[tuple[str, str]]
 
 
 class DeviceInspector(QDialog):
-    """A table of (field, value) that follows one device."""
+    """Table of the raw fields of one device."""
 
     def __init__(self, parent: QWidget, on_reconnect: Callable[[], None]) -> None:
         super().__init__(parent)
         self.setModal(False)
         self.key = ""
         self.reconnect = QPushButton("Reconnect")
-        self.reconnect.setToolTip("Close the connection and open it again; nothing is let go")
+        self.reconnect.setToolTip("Close the connection and open it again; the grip is kept")
         self.reconnect.clicked.connect(on_reconnect)
         self._head = label("", "head")
         self._grid = QGridLayout()
@@ -196,7 +196,7 @@ class DeviceInspector(QDialog):
         self.setMinimumWidth(300)
 
     def open_at(self, key: str, title: str, rows: Rows, below: QPoint) -> None:
-        """Show device ``key`` with its upper left corner at ``below`` (global)."""
+        """Show device ``key`` with the upper left corner at ``below`` (global coordinates)."""
         self.key = key
         self.setWindowTitle(f"{title}: raw fields")
         self._head.setText(title)
@@ -208,7 +208,7 @@ class DeviceInspector(QDialog):
         self.raise_()
 
     def show_rows(self, rows: Rows) -> None:
-        """Show new values; the table is built anew only if the fields changed."""
+        """Update the values; rebuild the table only if the fields changed."""
         if [field for field, _ in rows] != list(self._values):
             self._build(rows)
             return
@@ -217,7 +217,7 @@ class DeviceInspector(QDialog):
                 self._values[field].setText(value)
 
     def rows(self) -> dict[str, str]:
-        """Return what is shown, by field."""
+        """Return the shown values by field."""
         return {field: value.text() for field, value in self._values.items()}
 
     def _build(self, rows: Rows) -> None:

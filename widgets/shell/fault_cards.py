@@ -20,18 +20,18 @@ from PySide6.QtWidgets import (
 from touchdown.widgets.base import ElidedLabel, label, scroll_into_view, set_property
 
 MAX_CARDS = 4
-STOPPED = "STOPPED"
-"""Code of the card of a stop: always on top."""
+STOPPED = "STOPPED"  # code of the card of a stop, always on top
 
 
 @dataclass(frozen=True, slots=True)
 class CardText:
-    """One card. ``reset``: it belongs to the stop latch, only Reset removes it.
+    """Texts and behaviour of one card.
 
-    ``passing``: an order was refused; the next one that is carried out removes it. ``notice``: said
-    once; another wording under the same code is another card, and none makes room unread.
-    ``obstacle``: a run waits until it is removed; the card goes when the run goes on. ``offer``:
-    the next step as a button of its own, and what it does.
+    ``reset``: belongs to the stop latch, only Reset removes it. ``passing``: a refused command,
+    removed by the next accepted one. ``notice``: shown once; a different text under the same code
+    is another card. A notice is never removed to make room. ``obstacle``: a run waits for its
+    removal; the card goes when the run resumes. ``offer``: label and action of a button for the
+    next step.
     """
 
     code: str
@@ -48,25 +48,25 @@ class CardText:
 
     @property
     def role(self) -> str:
-        """Return how the card looks: a fault, or a word that stops nothing or only waits."""
+        """Style of the card: "fault", or "notice" if nothing was stopped."""
         return "notice" if self.notice or self.obstacle or self.passing else "fault"
 
     @property
     def key(self) -> str:
-        """Return what makes two cards the same one."""
+        """Identity of the card; equal keys are counted as repetitions."""
         return f"{self.code} {self.what}" if self.notice else self.code
 
 
 @dataclass(frozen=True, slots=True)
 class CardQuestion:
-    """A question asked without blocking anything: text and (label, action) per answer."""
+    """Non-blocking question: text and (label, action) per answer."""
 
     text: str
     answers: tuple[tuple[str, Callable[[], None]], ...]
 
 
 class FaultCard(QFrame):
-    """One card; the same code again only counts."""
+    """One card; repetitions of its code are counted."""
 
     def __init__(
         self, text: CardText, on_button: Callable[[CardText], None], on_fold: Callable[[], None]
@@ -85,16 +85,16 @@ class FaultCard(QFrame):
         self.more = QPushButton()
         self.more.hide()
         self.fold = self._button("Fold", on_fold)
-        self.fold.setToolTip("Make it small, to see the page below")
+        self.fold.setToolTip("Fold the cards into one line, to see the page below")
         self._arrange()
         self._show_count()
 
     def again(self, text: CardText) -> None:
-        """Count a repetition and show the newest wording."""
+        """Count a repetition and show the newest text."""
         before, self.text = self.text, text
         self.count += 1
         if (text.details or text) != (before.details or before):
-            # Laid out anew each time, which takes its time where it comes in every frame.
+            # The layout of a document is slow, and repetitions can come with every frame.
             self._details.setPlainText(text.details or self._plain())
         self._show_count()
 
@@ -130,7 +130,7 @@ class FaultCard(QFrame):
         end = self._button(last, self._act)
         if self.text.reset:
             end.setProperty("role", "reset")
-            end.setToolTip("Clear the latched faults and the stop. Nothing moves by itself.")
+            end.setToolTip("Clear the latched faults and the stop. Nothing starts to move.")
         row.addWidget(end)
         column = QVBoxLayout(self)
         column.setContentsMargins(12, 8, 10, 8)
@@ -160,10 +160,7 @@ class FaultCard(QFrame):
 
 
 class FoldedCards(QFrame):
-    """The cards folded into one line: the first one's words, and how to have them back.
-
-    It stands in the foot of the window, where it covers nothing.
-    """
+    """One line in the foot of the window with the first card and buttons to show or reset all."""
 
     def __init__(
         self, parent: QWidget, on_show: Callable[[], None], on_reset: Callable[[], None]
@@ -197,7 +194,7 @@ class FoldedCards(QFrame):
 
 
 class _AnswerButton(QPushButton):
-    """One answer: withdraws the question, then acts."""
+    """Answer of a question: withdraws the question, then acts."""
 
     def __init__(self, text: str, withdraw: Callable[[], None], action: Callable[[], None]) -> None:
         super().__init__(text)
@@ -210,18 +207,16 @@ class _AnswerButton(QPushButton):
 
 
 class FaultCards(QWidget):
-    """The cards and at most one question; takes no room while there is none."""
+    """Stack of cards with at most one question; takes no room while empty."""
 
     def __init__(self, on_reset: Callable[[], None]) -> None:
         super().__init__()
         self._on_reset = on_reset
         self._cards: dict[str, FaultCard] = {}
         self._question: QFrame | None = None
-        self.asks: CardQuestion | None = None
-        """The question that stands."""
+        self.asks: CardQuestion | None = None  # the present question
         self._unfolded = False
-        self.folded = False
-        """Whether they are one line in the foot of the window: nothing is covered."""
+        self.folded = False  # True while the cards are one line in the foot of the window
         self.strip = FoldedCards(self, self._unfold_line, on_reset)
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(10, 8, 10, 0)
@@ -236,11 +231,11 @@ class FaultCards(QWidget):
 
     @property
     def obstacles(self) -> tuple[str, ...]:
-        """Codes of the cards of what a run waits for."""
+        """Codes of the cards that a run waits for."""
         return tuple(card.text.code for card in self._cards.values() if card.text.obstacle)
 
     def card(self, code: str) -> FaultCard:
-        """Return the newest card of ``code``; raises KeyError."""
+        """Return the newest card of ``code``; raises KeyError if there is none."""
         for card in reversed(self._cards.values()):
             if card.text.code == code:
                 return card
@@ -255,15 +250,14 @@ class FaultCards(QWidget):
             old = [card.text.key for card in self._ranked() if not card.text.notice]
             if len(old) >= MAX_CARDS:
                 self._remove(old[-1])
-            # What is new has to be read.
-            self.folded = False
+            self.folded = False  # a new card must be read
             card = FaultCard(text, self._pressed, self.fold)
             card.more.clicked.connect(self._unfold)
             self._cards[text.key] = card
         self._lay_out()
 
     def ask(self, question: CardQuestion) -> None:
-        """Show a question; the former one is withdrawn, its focus goes to the first answer."""
+        """Show a question in place of the former one; a focus on that moves to the new one."""
         focus = QGuiApplication.focusObject()
         focused = self._question is not None and focus in self._question.children()
         self.withdraw()
@@ -292,16 +286,16 @@ class FaultCards(QWidget):
         self._lay_out()
 
     def fold(self) -> None:
-        """Make all cards one line in the foot of the window."""
+        """Fold all cards into one line in the foot of the window."""
         self.folded = True
         self._lay_out()
 
     def pass_on(self) -> None:
-        """Remove the cards of refused orders: a later one was carried out."""
+        """Remove the cards of refused commands after an accepted one."""
         self.clear([card.text.code for card in self._cards.values() if card.text.passing])
 
     def clear(self, codes: Sequence[str] | None = None) -> None:
-        """Remove the latched cards (or those of ``codes``)."""
+        """Remove the latched cards, or those of ``codes``."""
         for key, card in list(self._cards.items()):
             if card.text.reset if codes is None else card.text.code in codes:
                 self._remove(key)
@@ -321,7 +315,7 @@ class FaultCards(QWidget):
         card.deleteLater()
 
     def _ranked(self) -> list[FaultCard]:
-        """Return the cards as they lie: STOP, then what else waits for Reset, then the newest."""
+        """Return the cards from the top: STOP, others that wait for Reset, then the newest."""
         newest = reversed(self._cards.values())
         return sorted(newest, key=lambda c: (c.text.code != STOPPED, not c.text.reset))
 
@@ -334,7 +328,7 @@ class FaultCards(QWidget):
         self._lay_out()
 
     def _lay_out(self) -> None:
-        """Show the first card, or all in their order while unfolded; or one line."""
+        """Show the first card, all cards if unfolded, or one line if folded."""
         ranked = self._ranked()
         self._unfolded = self._unfolded and len(ranked) > 1
         self.folded = self.folded and bool(ranked)
@@ -356,7 +350,7 @@ class FaultCards(QWidget):
 
 
 class UnsavedBanner(QFrame):
-    """Shown only while something is unsaved."""
+    """Banner shown while a label is unsaved."""
 
     def __init__(self, again: Callable[[], None], discard: Callable[[], None]) -> None:
         super().__init__()
@@ -374,7 +368,7 @@ class UnsavedBanner(QFrame):
         self.hide()
 
     def show_trouble(self, what: str, *, waits: bool = False) -> None:
-        """Say why; "" hides the banner. ``waits``: it is tried again without anybody's doing."""
+        """Show the reason; "" hides the banner. ``waits``: saving is retried automatically."""
         self.text.setText(f"Not saved: {what}" if what else "")
         for button in (self.again, self.discard):
             button.setVisible(not waits)
@@ -388,7 +382,7 @@ _CHANGED = frozenset({QEvent.Type.LayoutRequest, QEvent.Type.Show})
 
 
 class TopOverlay(QObject):
-    """``cover`` is as wide as ``base`` and as high as it needs."""
+    """Keeps ``cover`` at the top of ``base``, as wide as it and as high as needed."""
 
     def __init__(self, cover: QWidget, base: QWidget) -> None:
         super().__init__(base)
@@ -399,7 +393,7 @@ class TopOverlay(QObject):
         cover.setVisible(False)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Follow the base, and the content of the cover."""
+        """Follow size changes of the base and content changes of the cover."""
         kind = event.type()
         if (watched is self._base and kind is QEvent.Type.Resize) or (
             watched is self._cover and kind in _CHANGED

@@ -30,13 +30,12 @@ from touchdown.widgets.base import label, rule
 SHOWN = 200
 NAME, CHOICE = Qt.ItemDataRole.UserRole, Qt.ItemDataRole.UserRole + 1
 INSET_PX, GAP_PX = 10, 12
-FAINT = 0.72
-"""How strongly the workspace of a command is written."""
+FAINT = 0.72  # opacity of the workspace name of a command
 
 
 @dataclass(frozen=True, slots=True)
 class PaletteEntry:
-    """One entry. ``where`` is the workspace, ``key`` its key or ""."""
+    """One command. ``where``: its workspace. ``key``: its shortcut or ""."""
 
     name: str
     where: str
@@ -45,15 +44,15 @@ class PaletteEntry:
 
 
 def match_score(query: str, text: str) -> float | None:
-    """Return how well ``query`` fits (lower is better), None if its letters do not occur in order.
+    """Return the fuzzy match of ``query`` (lower is better), None if its letters are not in order.
 
-    Letters at the beginning of words and letters that follow each other count most.
+    Letters at the start of words and consecutive letters score best.
     """
     wanted, given = query.casefold().replace(" ", ""), text.casefold()
     at, gaps, last = 0, 0.0, -1
     for letter in wanted:
         found = given.find(letter, at)
-        # The beginning of a word is a better place for a letter than the middle of one.
+        # Prefer a letter at the start of a word.
         word = given.find(f" {letter}", max(at - 1, 0))
         if word >= 0 and found >= 0 and word + 1 != found and found != last + 1:
             found = word + 1
@@ -66,7 +65,7 @@ def match_score(query: str, text: str) -> float | None:
 
 
 def best_matches(query: str, choices: Sequence[PaletteEntry]) -> list[PaletteEntry]:
-    """Return the choices that fit, best first; all in their order for an empty query."""
+    """Return the matching commands, best first; all in their order for an empty query."""
     scored = []
     for order, choice in enumerate(choices):
         fits = match_score(query, f"{choice.text} {choice.where}")
@@ -76,7 +75,7 @@ def best_matches(query: str, choices: Sequence[PaletteEntry]) -> list[PaletteEnt
 
 
 class _PaletteDelegate(QStyledItemDelegate):
-    """Writes what is done at the left, where it acts beside it, and the key at the right."""
+    """Row with the command, its workspace, and its shortcut at the right."""
 
     def paint(
         self,
@@ -108,12 +107,11 @@ class _PaletteDelegate(QStyledItemDelegate):
             painter.drawText(box.adjusted(used, 0, 0, 0), int(middle), where)
 
 
-ACCEPT_KEYS = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
-"""Keys that take the entry, whatever they mean on the page."""
+ACCEPT_KEYS = (Qt.Key.Key_Return, Qt.Key.Key_Enter)  # run the command, on every page
 
 
 class CommandPalette(QDialog):
-    """A text field over a list. Return takes the chosen one, Esc goes away; not modal."""
+    """Text field over a list. Return runs the selected command, Esc closes; not modal."""
 
     def __init__(self, parent: QWidget, on_choice: Callable[[str], None]) -> None:
         super().__init__(parent)
@@ -124,7 +122,7 @@ class CommandPalette(QDialog):
         self.field, self.list = QLineEdit(), QListWidget()
         self.field.setPlaceholderText("What do you want to do?")
         self.field.setAccessibleName("Find a command")
-        self.list.setAccessibleName("Commands that fit")
+        self.list.setAccessibleName("Matching commands")
         self.list.setItemDelegate(_PaletteDelegate(self.list))
         self.list.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
@@ -156,9 +154,8 @@ class CommandPalette(QDialog):
         return [str(item.data(NAME)) for item in rows]
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Let the arrows walk in the list and Return take the entry while the text is edited."""
+        """Let arrows and Return act on the list while the field has the focus."""
         if isinstance(event, QKeyEvent) and event.type() is QEvent.Type.ShortcutOverride:
-            # Return has a meaning on some pages: here it takes the entry.
             if event.key() in ACCEPT_KEYS:
                 event.accept()
             return False
@@ -177,8 +174,6 @@ class CommandPalette(QDialog):
             return True
         return False
 
-    # -- inside -----------------------------------------------------------------------------------
-
     def _filter(self, query: str) -> None:
         self.list.clear()
         for choice in best_matches(query, self._choices):
@@ -191,8 +186,8 @@ class CommandPalette(QDialog):
         self._describe()
 
     def _describe(self) -> None:
-        """Tell a screen reader, which follows the field, what Return would do."""
-        text = self.list.currentItem().text() if self.list.count() else "Nothing fits"
+        """Describe the selected command at the field, which screen readers follow."""
+        text = self.list.currentItem().text() if self.list.count() else "No match"
         self.field.setAccessibleDescription(text)
 
     def _clicked(self, item: QListWidgetItem) -> None:
@@ -204,16 +199,14 @@ class CommandPalette(QDialog):
             self._on_choice(str(item.data(NAME)))
 
 
-Row = tuple[str, str, str]
-"""Where the key acts, the key, what it does."""
+Row = tuple[str, str, str]  # (workspace, shortcut, command)
 Groups = list[tuple[str, list[Row]]]
 COLUMN_EM = 34
-TOP_EM = 8
-"""Left free above and below, all together: the bar with STOP stays in sight."""
+TOP_EM = 8  # height left free above and below in total, so that the STOP button stays visible
 
 
 class KeySheet(QDialog):
-    """Keys, grouped by where they act, in two columns where they fit; scrolls if it must."""
+    """Shortcuts by workspace, in two columns where they fit."""
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
@@ -223,7 +216,7 @@ class KeySheet(QDialog):
         self._scroll = QScrollArea()
         self._scroll.setWidgetResizable(True)
         self._scroll.setFrameShape(QFrame.Shape.NoFrame)
-        self._scroll.setAccessibleName("Keys and what they do")
+        self._scroll.setAccessibleName("Keyboard shortcuts")
         close = QPushButton("Close")
         close.clicked.connect(self.close)
         column = QVBoxLayout(self)
@@ -234,7 +227,7 @@ class KeySheet(QDialog):
         column.addWidget(close, 0, Qt.AlignmentFlag.AlignRight)
 
     def show_rows(self, rows: Sequence[Row]) -> None:
-        """Show the keys as they are now; a command without a key is left to the palette."""
+        """Show the present shortcuts; commands without one are left out."""
         groups = [(title, [row for row in group if row[1]])
                   for title, group in groupby(rows, key=lambda row: row[0])]  # fmt: skip
         em = self.fontMetrics().height()
@@ -253,7 +246,7 @@ class KeySheet(QDialog):
 
 
 def _shared_out(groups: Groups, columns: int) -> list[Groups]:
-    """Share whole groups out to columns of about the same height."""
+    """Distribute whole groups over columns of about equal height."""
     lengths = [1 + len(rows) for _, rows in groups]
     parts: list[Groups] = [[] for _ in range(columns)]
     before = 0
@@ -287,7 +280,7 @@ _ALONE = frozenset({Qt.Key.Key_Control, Qt.Key.Key_Shift, Qt.Key.Key_Alt, Qt.Key
 
 
 class KeyDialog(QDialog):
-    """``change`` tries a key ("" for none) and returns "" or why it cannot be had."""
+    """Dialog for a shortcut; ``change`` sets it ("" for none) and returns "" or an error."""
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
@@ -296,7 +289,7 @@ class KeyDialog(QDialog):
         self.setModal(False)
         self.head, self.said = label("", "head", wrap=True), label("", wrap=True)
         none, close = QPushButton("No key"), QPushButton("Close")
-        none.setToolTip("The command stays in the palette")
+        none.setToolTip("The command stays available in the palette")
         for button in (none, close):
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         none.clicked.connect(self._take_none)
@@ -314,24 +307,24 @@ class KeyDialog(QDialog):
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
 
     def ask(self, text: str, key: str, change: Callable[[str], str]) -> None:
-        """Ask for a key for the command ``text``, which has ``key`` now."""
+        """Ask for a shortcut of the command ``text``; ``key`` is the present one."""
         self._change = change
         self.head.setText(text)
-        self.said.setText(f"Its key is {key}. Press another." if key else "Press a key for it.")
+        self.said.setText(f"Present key: {key}. Press another one." if key else "Press a key.")
         self.setMinimumWidth(26 * self.fontMetrics().height())
         self.show()
         self.activateWindow()
         self.setFocus()
 
     def event(self, event: QEvent) -> bool:
-        """Have every key for itself, also those that are shortcuts of the window."""
+        """Claim every key, shortcuts of the window too."""
         if event.type() is QEvent.Type.ShortcutOverride:
             event.accept()
             return True
         return super().event(event)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Try the key that was pressed."""
+        """Try the pressed key."""
         key = Qt.Key(event.key())
         if key in _ALONE or event.isAutoRepeat():
             return
@@ -350,4 +343,4 @@ class KeyDialog(QDialog):
         if reason:
             self.said.setText(reason)
         else:
-            self.said.setText(f"The key is {key} now." if key else "It has no key now.")
+            self.said.setText(f"Key set to {key}." if key else "Key removed.")

@@ -29,10 +29,7 @@ DARK_TEXT: frozenset[Colour] = frozenset({"green", "yellow"})
 
 @dataclass(frozen=True, slots=True)
 class PillState:
-    """What the pill shows; every state has its own word and icon shape.
-
-    ``note`` is a small second line.
-    """
+    """Content of the pill; ``note`` is a small second line. Each state has its own shape."""
 
     word: str
     shape: Shape
@@ -51,7 +48,7 @@ class StatePill(QWidget):
         self.setAccessibleName("State: NO DEVICES")
 
     def show_state(self, state: PillState) -> None:
-        """Show another state and announce it to screen readers."""
+        """Show a state and announce it to screen readers."""
         if state == self.state:
             return
         told, self.state = self.state.word, state
@@ -63,7 +60,7 @@ class StatePill(QWidget):
         self.update()
 
     def sizeHint(self) -> QSize:
-        """Return room for the longest usual word, so that the bar does not jump."""
+        """Return room for the longest common word, so that the bar does not jump."""
         word = QFontMetrics(ui_font(self._theme.scale, 1.0, 600))
         note = QFontMetrics(ui_font(self._theme.scale, 0.78))
         width = max(word.horizontalAdvance(w) for w in (self.state.word, "CANCELLING"))
@@ -71,7 +68,7 @@ class StatePill(QWidget):
         return QSize(width + self._left_px() + 16, 2 * note.height() + 8)
 
     def _left_px(self) -> int:
-        """Return where the words begin: the mark before them grows with the text."""
+        """Return the left edge of the text; the mark before it scales with the font."""
         return round(24 + 12 * max(self._theme.scale, 1.0))
 
     def paintEvent(self, _event: QPaintEvent) -> None:
@@ -106,7 +103,7 @@ def draw_shape(
     size: float = 6,
     rim: QColor | None = None,
 ) -> None:
-    """Draw one state icon of half size ``size`` centred ``at``; ``rim``: of another colour."""
+    """Draw a state icon of half size ``size`` centred at ``at``; ``rim``: colour of its outline."""
     painter.setPen(QPen(rim or ink, 1.3 if rim else 2))
     painter.setBrush(ink)
     x, y, s = at.x(), at.y(), size
@@ -133,7 +130,7 @@ def draw_shape(
 
 
 class StateStrip(QWidget):
-    """Chips on the left, what was saved on the right."""
+    """Chips at the left, time of saving at the right."""
 
     def __init__(self, theme: Theme) -> None:
         super().__init__()
@@ -143,13 +140,13 @@ class StateStrip(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
     def sizeHint(self) -> QSize:
-        """Return one line."""
+        """Return one line of text."""
         return QSize(200, round(1.6 * self.fontMetrics().height()))
 
     def show_label(
         self, state: str, badges: Sequence[str], saved: str, *, warns: bool = False
     ) -> None:
-        """Show another label; ``warns``: the first badge is a warning."""
+        """Show a label; ``warns``: its first badge is a warning."""
         self.state, self.badges, self.saved, self.warns = state, tuple(badges), saved, warns
         self.setAccessibleName(", ".join(filter(None, (state, *badges, saved))))
         self.update()

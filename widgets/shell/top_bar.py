@@ -22,16 +22,16 @@ from touchdown.widgets.shell.state import StatePill
 
 
 class BenchBanner(QWidget):
-    """Diagonal stripes with the word on a plain ground; without stripes for real devices."""
+    """Name of the bench; striped while no hardware moves."""
 
     def __init__(self, theme: Theme, word: str = "SIMULATED BENCH") -> None:
         super().__init__()
         self._theme, self._word, self._striped = theme, word, True
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
-        self.show_bench(word, "No hardware is connected. Everything you see is computed.", True)
+        self.show_bench(word, "No hardware is connected. All data are simulated.", True)
 
     def show_bench(self, word: str, tip: str, striped: bool) -> None:
-        """Call the bench ``word``; ``striped``: no hardware moves."""
+        """Set name, tool tip and stripes."""
         self._word, self._striped = word, striped
         self.setAccessibleName(f"{word}: {tip}")
         self.setToolTip(tip)
@@ -39,13 +39,13 @@ class BenchBanner(QWidget):
         self.update()
 
     def sizeHint(self) -> QSize:
-        """Return room for the word and some stripes on either side."""
+        """Return room for the name and stripes on both sides."""
         self.setFont(ui_font(self._theme.scale, 0.86, 600))
         metrics = self.fontMetrics()
         return QSize(metrics.horizontalAdvance(self._word) + 84, metrics.height() + 6)
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw stripes and word."""
+        """Draw stripes and name."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         t = self._theme.tokens
@@ -71,12 +71,12 @@ class BenchBanner(QWidget):
 
 
 HELD_MS = 1000
-ON_TIP = "The motors are on. A press switches them off: whatever moves ends."
-OFF_TIP = "The motors are off. Hold for 1 s to switch them on."
+ON_TIP = "Motors on. Press to switch them off; any motion stops."
+OFF_TIP = "Motors off. Hold for 1 s to switch them on."
 
 
 class ServoButton(QPushButton):
-    """``ordered`` is called with what is wanted."""
+    """Button that switches the motors; ``ordered`` gets the requested state."""
 
     def __init__(self) -> None:
         super().__init__("\N{EN DASH}")
@@ -93,7 +93,7 @@ class ServoButton(QPushButton):
         self.setAccessibleName("Servo: unknown")
 
     def show_state(self, on: bool | None, *, busy: bool = False) -> None:
-        """Show on, off, or that nobody knows."""
+        """Show on, off, or None for unknown."""
         word = "\N{EN DASH}" if on is None else "..." if busy else "on" if on else "off"
         self._on = on
         if self.text() != word or self.isEnabled() == (on is None or busy):
@@ -114,15 +114,12 @@ class ServoButton(QPushButton):
             self.ordered(True)
 
 
-def _nothing(_on: bool) -> None:
-    """Nobody listens yet."""
+def _nothing(_on: bool) -> None: ...
 
 
 MARGIN, GAP, CHIP_GAP = 8, 8, 4
-OVERRIDE_PAD_PX = 20
-"""Frame and padding of the override beside its figures."""
-OVERRIDE = (10, 100)
-"""Percent, least and most."""
+OVERRIDE_PAD_PX = 20  # frame and padding beside the figures of the override
+OVERRIDE = (10, 100)  # range, %
 USUAL_MODE = "Robot: Program"
 CHIPS = (
     ("arm", "Arm"),
@@ -134,7 +131,7 @@ CHIPS = (
 
 
 class TopBar(QFrame):
-    """One row, or two where there is little room; ``on_stop`` is called on the press."""
+    """Bar of one row, or two if narrow; ``on_stop`` is called when STOP is pressed down."""
 
     def __init__(self, theme: Theme, on_stop: Callable[[], None]) -> None:
         super().__init__()
@@ -151,8 +148,8 @@ class TopBar(QFrame):
         self.override.setKeyboardTracking(False)
         self.override.setAccessibleName("Speed override")
         self.override.setToolTip(
-            "OVRD: share of the speed of every move in air, by hand and in runs. "
-            "A press keeps its own speed."
+            "Speed override (OVRD) of all moves in air, by hand and in runs. "
+            "The speed of presses is not changed."
         )
         self.override.setProperty("role", "compact")
         self._override_title = label("OVRD", "small")
@@ -169,8 +166,8 @@ class TopBar(QFrame):
         self.stop.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Preferred)
         self.stop.setAccessibleName("STOP motion, software stop")
         self.stop.setToolTip(
-            "Stops arm and gripper at once and ends the run; the grip is kept. F12 anywhere, "
-            "Space while something moves. This is not the robot's emergency stop."
+            "Stops arm and gripper at once and ends the run; the grip is kept. Keys: F12, or "
+            "Space during motion. This is not the robot's emergency stop."
         )
         self.stop.pressed.connect(on_stop)
         self._least_px = 0
@@ -204,19 +201,19 @@ class TopBar(QFrame):
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
     def minimumSizeHint(self) -> QSize:
-        """Return the width without the chips: those go to a second row where there is no room."""
+        """Return the width without the chips, which move to a second row if needed."""
         return QSize(self._least_px, super().minimumSizeHint().height())
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Show as much of the chips as there is room for."""
+        """Fit the chips to the width."""
         super().resizeEvent(event)
         self.fit()
 
     def fit(self) -> None:
-        """Whole chips, else names only, else whole chips on a row of their own."""
+        """Show the chips in full, else their names only, else in full on a second row."""
         chips, room = tuple(self.chips.values()), self.width()
         fit_icon(self.stop)
-        # Room for the usual words, so that the chips do not jump when the arm starts.
+        # Constant width for common modes, so that the chips do not jump when the arm starts.
         self._robot.setMinimumWidth(self._robot.fontMetrics().horizontalAdvance(USUAL_MODE))
         figures = self.override.fontMetrics().horizontalAdvance("100 %")
         self.override.setFixedWidth(figures + OVERRIDE_PAD_PX)
@@ -251,7 +248,7 @@ class TopBar(QFrame):
         return fixed + sum(c.sizeHint().width() + CHIP_GAP for c in chips) + 5 * GAP + 2 * MARGIN
 
     def show_modes(self, robot: str, safety: str) -> None:
-        """Show both status words of the arm."""
+        """Show robot mode and safety mode of the arm."""
         texts = (f"Robot: {robot}", f"Safety: {safety}")
         if texts != (self._robot.text(), self._safety.text()):
             self._robot.setText(texts[0])
@@ -259,7 +256,7 @@ class TopBar(QFrame):
             self.fit()
 
     def show_hardware_stop(self, text: str) -> None:
-        """Show what the controller says of the hardware emergency stop; unknown is unknown."""
+        """Show the hardware emergency stop as reported by the controller, or "unknown"."""
         if text == self._estop.text():
             return
         self._estop.setText(text)

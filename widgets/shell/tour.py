@@ -18,9 +18,9 @@ ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 
 @dataclass(frozen=True, slots=True)
 class TourStop:
-    """``workspace`` is brought to the front ("": any); ``place`` returns what stands out there.
+    """One stop. ``workspace`` is shown first ("": any); ``place`` returns the highlighted widget.
 
-    It is asked once the workspace is in front: before, its page may not have been made.
+    ``place`` is called after the workspace is shown, because its page may not exist before.
     """
 
     workspace: str
@@ -30,7 +30,7 @@ class TourStop:
 
 
 class Spotlight(QWidget):
-    """Dims the window but for one rectangle and its cards; the mouse goes through it."""
+    """Dims the window except for one rectangle and the cards; mouse events pass through."""
 
     def __init__(self, theme: Theme, window: QWidget) -> None:
         super().__init__(window)
@@ -41,7 +41,7 @@ class Spotlight(QWidget):
         self.hide()
 
     def show_hole(self, hole: QRect, cards: QRect) -> None:
-        """Light ``hole`` with a ring; ``cards`` stay bright as well, an empty one is none."""
+        """Highlight ``hole`` with a ring; ``cards`` stay bright too unless empty."""
         self.hole, self._cards = hole, cards
         self.setGeometry(self._window.rect())
         self.show()
@@ -63,7 +63,7 @@ class Spotlight(QWidget):
 
 
 class TourCard(QFrame):
-    """What the place is for, with Back, Next and End."""
+    """Text of a stop with Back, Next and End."""
 
     def __init__(
         self, window: QWidget, turn: Callable[[int], None], end: Callable[[], None]
@@ -79,7 +79,7 @@ class TourCard(QFrame):
         self.back.clicked.connect(lambda: turn(-1))
         self.next.clicked.connect(lambda: turn(1))
         self.end.clicked.connect(end)
-        self.end.setToolTip("It comes back from the palette: Ctrl+K, tour (Esc)")
+        self.end.setToolTip("Start it again from the palette: Ctrl+K, tour (Esc)")
         row = QHBoxLayout()
         row.addWidget(self.count)
         row.addStretch(1)
@@ -94,7 +94,7 @@ class TourCard(QFrame):
         self.hide()
 
     def show_stop(self, stop: TourStop, at: int, count: int) -> None:
-        """Show the words of stop ``at`` of ``count``."""
+        """Show the texts of stop ``at`` of ``count``."""
         self.title.setText(stop.title)
         self.text.setText(stop.text)
         self.count.setText(f"{at + 1} of {count}")
@@ -106,7 +106,7 @@ class TourCard(QFrame):
         self.next.setFocus()
 
     def fit(self, hole: QRect, top: int = 0) -> None:
-        """Stand beside the lit rectangle, inside of the window and below ``top`` of it."""
+        """Place the card beside the highlight, inside the window and below ``top``."""
         em = self.fontMetrics().height()
         width = min(24 * em, self._window.width() - 2 * MARGIN_PX)
         self.setFixedWidth(width)
@@ -117,7 +117,7 @@ class TourCard(QFrame):
         self.move(corner.x(), min(max(corner.y(), top + MARGIN_PX if top else 0), lowest))
 
     def event(self, event: QEvent) -> bool:
-        """Keep Enter and Esc from the shortcuts of the page below: here they are its own."""
+        """Claim Enter and Esc before the shortcuts of the page."""
         mine = (*ENTER, Qt.Key.Key_Escape)
         if (
             event.type() is QEvent.Type.ShortcutOverride
@@ -129,7 +129,7 @@ class TourCard(QFrame):
         return super().event(event)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """End with Esc; Enter presses the button that has the focus."""
+        """End with Esc; press the focused button with Enter."""
         focus = self.focusWidget()
         if event.key() == Qt.Key.Key_Escape:
             self._end()
@@ -140,7 +140,7 @@ class TourCard(QFrame):
 
 
 def card_position(hole: QRect, card: QSize, window: QRect) -> QPoint:
-    """Return where a card stands next to ``hole``: right, left, below or above; else inside it."""
+    """Return the card position right, left, below or above ``hole``, else inside it."""
     gap = MARGIN_PX
     y = min(max(hole.top(), gap), window.height() - card.height() - gap)
     x = min(max(hole.left(), gap), window.width() - card.width() - gap)

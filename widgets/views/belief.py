@@ -36,7 +36,7 @@ TRUTH = ("dashes", "true overlap")
 
 
 class BeliefLegend(QWidget):
-    """A wrapping row of mark and word."""
+    """Legend of marks that wraps to the width."""
 
     def __init__(self, theme: Theme) -> None:
         super().__init__()
@@ -46,18 +46,18 @@ class BeliefLegend(QWidget):
         self.setAccessibleName("Legend of the belief map")
 
     def show_truth(self, shown: bool) -> None:
-        """Add or leave out the true overlap."""
+        """Show or hide the entry of the true overlap."""
         if shown != self._truth:
             self._truth = shown
             self.updateGeometry()
             self.update()
 
     def resizeEvent(self, _event: QResizeEvent) -> None:
-        """Ask for another row where the entries do not fit."""
+        """Adapt the number of rows to the width."""
         self.updateGeometry()
 
     def sizeHint(self) -> QSize:
-        """Return the rows that the present width needs."""
+        """Return the rows needed at the present width."""
         rows = 1 + max((row for _, _, _, row in self._places()), default=0)
         return QSize(300, rows * self._line())
 
@@ -69,7 +69,7 @@ class BeliefLegend(QWidget):
         return self.fontMetrics().height() + 2
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the entries, row by row."""
+        """Draw the entries row by row."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setFont(ui_font(self._theme.scale, 0.88))
@@ -83,7 +83,7 @@ class BeliefLegend(QWidget):
             painter.drawText(box, int(Qt.AlignmentFlag.AlignVCenter), text)
 
     def _places(self) -> list[tuple[str, str, float, int]]:
-        """Return (mark, text, x, row) of every entry."""
+        """Return (mark, text, x, row) per entry."""
         metrics = QFontMetrics(ui_font(self._theme.scale, 0.88))
         x, row, places = 0.0, 0, []
         for kind, text in (*ENTRIES, TRUTH) if self._truth else ENTRIES:
@@ -115,16 +115,16 @@ def _mark(painter: QPainter, kind: str, at: QPointF) -> None:
 
 
 LEAST_HALF_MM = 10.0
-NO_PROBE = "No probe in this trial yet", "The map fills in with the first press."
+NO_PROBE = "No probe in this trial yet", "The first press fills the map."
 
 
 @dataclass(frozen=True, slots=True)
 class BeliefScene:
-    """One look at the belief map, in the frame ``O``, mm.
+    """Content of a belief map in the frame ``O``, mm.
 
-    ``path``: face centres of the probes so far, oldest first. ``face``: (k, 2) outline of the
-    piece around its face centre. ``truth``: (k, 2) outline of the true overlap, set only after
-    the trial on a simulated bench. ``empty``: what stands in place of a map, and why.
+    ``path``: face centres of the probes so far, oldest first. ``face``: (k, 2) outline of the piece
+    around its face centre. ``truth``: (k, 2) outline of the true overlap, set only after the trial
+    on a simulated bench. ``empty``: title and detail shown without a map.
     """
 
     belief: BeliefMap | None = None
@@ -139,7 +139,7 @@ class BeliefScene:
     empty: tuple[str, str] = NO_PROBE
 
     def frame_mm(self) -> tuple[float, float, float]:
-        """Centre x, y and half width of the square worth showing: covered cells and the path."""
+        """Return centre x, y and half width of the square around the path and the covered cells."""
         points = [np.array(self.path).reshape(-1, 2)]
         if self.belief is not None:
             points.append(self.belief.cell_centres_mm()[self.belief.covered])
@@ -159,7 +159,7 @@ Draw = Callable[[], None]
 def draw_marks(
     painter: QPainter, area: PlotArea, scene: BeliefScene, theme: Theme, *, small: bool
 ) -> None:
-    """Draw every mark of the scene; ``small`` leaves out what a thumbnail cannot carry."""
+    """Draw all marks; ``small`` omits those too fine for a thumbnail."""
     painter.setBrush(Qt.BrushStyle.NoBrush)
     if scene.face is not None and scene.path and not small:
         _outline(painter, area, scene.face, scene.path[-1], Qt.PenStyle.DotLine, 1.0)
@@ -190,7 +190,7 @@ def stroke_on_black(painter: QPainter, width: float, style: Qt.PenStyle, draw: D
 
 
 def draw_plus(painter: QPainter, at: QPointF, size: float) -> None:
-    """Draw the centre of mass: a plus."""
+    """Draw a plus, the mark of the centre of mass."""
 
     def stroke() -> None:
         painter.drawLine(at - QPointF(size, 0), at + QPointF(size, 0))
@@ -219,7 +219,7 @@ def _path(painter: QPainter, area: PlotArea, scene: BeliefScene, theme: Theme) -
         painter, 1.0, Qt.PenStyle.SolidLine, lambda: painter.drawPolyline(QPolygonF(points))
     )
     painter.setFont(ui_font(theme.scale, 0.8, 600))
-    # The newest probe carries the plus of the centre of mass instead of a number.
+    # The newest probe is marked by the plus of the centre of mass, not by a number.
     for number, point in enumerate(points[:-1], start=1):
         ring = QRectF(point.x() - 8, point.y() - 8, 16, 16)
         painter.setPen(QPen(WHITE, 1.5))
@@ -260,7 +260,7 @@ def _step(
 
 
 class BeliefView(QWidget):
-    """Draws a ``BeliefScene``; redrawn only when the scene, size or theme changes."""
+    """View of a ``BeliefScene``; rendered again only if the scene, size or theme changes."""
 
     def __init__(self, theme: Theme, *, thumbnail: bool = False) -> None:
         super().__init__()
@@ -292,7 +292,7 @@ class BeliefView(QWidget):
         self.update()
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Blit the drawing; draw it anew if something changed."""
+        """Draw the cached picture, rendered again if needed."""
         self.paints += 1
         key = (self.size().toTuple(), self._theme.tokens.name, self._theme.scale, self.map_name)
         if self._drawn is None or key != self._key:
@@ -306,26 +306,26 @@ class BeliefView(QWidget):
             try:
                 self._draw(inner)
             finally:
-                # Qt aborts the process if a picture dies while it is painted.
+                # Qt aborts the process if a pixmap is destroyed while it is painted on.
                 inner.end()
             self.renders += 1
         painter = QPainter(self)
         painter.drawPixmap(0, 0, self._drawn)
 
     def side_px(self, size: QSize) -> float:
-        """Return the side of the square that is drawn in a view of this size."""
+        """Return the side of the drawn square in a view of this size."""
         left, top, right, bottom = self._margins()
         return max(min(size.width() - left - right, size.height() - top - bottom), 10.0)
 
     def _margins(self) -> tuple[float, float, float, float]:
-        """Return the room of axes and colour bar: left, top, right, bottom."""
+        """Return the margins for axes and colour bar: left, top, right, bottom."""
         if self._thumbnail:
             return 1.0, 1.0, 1.0, 1.0
         em = self.fontMetrics().height()
         return 2.2 * em, 0.4 * em, 3.4 * em, 1.5 * em
 
     def area(self) -> PlotArea:
-        """Return the square in which the map is drawn."""
+        """Return the drawn square."""
         left, top, right, bottom = self._margins()
         side = self.side_px(self.size())
         x = left + (self.width() - left - right - side) / 2

@@ -26,15 +26,20 @@ OUTCOMES: tuple[tuple[Outcome, str, str], ...] = (
     (Outcome.PLACED, "Stands  1", "The piece stands by itself"),
     (Outcome.FELL, "Fell  2", "The piece fell or leans"),
     (Outcome.KNOCKED_OVER, "Disturbed  3", "The bottom was moved or knocked over"),
-    (Outcome.ABORTED, "Void\N{HORIZONTAL ELLIPSIS}  4", "It says nothing: write why, then press"),
+    (
+        Outcome.ABORTED,
+        "Void\N{HORIZONTAL ELLIPSIS}  4",
+        "The trial does not count; give the reason first",
+    ),
 )
 
 
 @dataclass(frozen=True, slots=True)
 class TrialPrompt:
-    """One question. ``scene``: where the face starts over the bottom, None for no picture.
+    """Question to the operator. ``scene``: start of the face over the bottom, None for no picture.
 
-    ``yes``: text of its button, "" where an outcome is asked for; ``proposed`` stands out.
+    ``yes``: label of the confirm button, "" where an outcome is asked for. ``proposed``: the
+    outcome to highlight.
     """
 
     title: str
@@ -45,7 +50,7 @@ class TrialPrompt:
 
 
 class _Reason(QLineEdit):
-    """A line whose Enter is its own, whatever Enter does on the page."""
+    """Line edit that claims Enter before the shortcuts of the page."""
 
     def event(self, event: QEvent) -> bool:
         """Claim Enter before a shortcut does."""
@@ -55,7 +60,7 @@ class _Reason(QLineEdit):
 
 
 class TrialPanel(Panel):
-    """Hidden while nothing is asked."""
+    """Question to the operator during a trial; hidden if there is none."""
 
     answered = Signal(bool)
     judged = Signal(object, str)  # outcome, written reason
@@ -71,18 +76,18 @@ class TrialPanel(Panel):
         self.yes.setProperty("role", "primary")
         self.outcomes = {outcome: QPushButton(text) for outcome, text, _ in OUTCOMES}
         self.reason = _Reason()
-        self.reason.setPlaceholderText("Why (a void trial needs it)")
-        self.reason.setAccessibleName("Why")
+        self.reason.setPlaceholderText("Reason (required for a void trial)")
+        self.reason.setAccessibleName("Reason")
         self.reason.setMaxLength(200)
         self.photo = QPushButton("Photo\N{HORIZONTAL ELLIPSIS}")
-        self.photo.setToolTip("Keep a picture of the bench with this trial")
+        self.photo.setToolTip("Store a photo of the bench with this trial")
         self._ready, self._judging = QWidget(), QWidget()
         self._arrange()
         self._wire()
         self.show_look(None)
 
     def show_look(self, look: TrialPrompt | None) -> None:
-        """Show a question; None: nothing is asked."""
+        """Show a question, or None to hide the panel."""
         self.setVisible(look is not None)
         if look is None:
             self.reason.clear()
@@ -100,14 +105,12 @@ class TrialPanel(Panel):
             set_property(button, "role", "primary" if outcome is look.proposed else "")
 
     def judge(self, outcome: Outcome) -> None:
-        """Give this outcome; a void trial without a reason asks for one."""
+        """Report this outcome; a void trial needs a reason first."""
         reason = self.reason.text().strip()
         if outcome is Outcome.ABORTED and not reason:
             self.reason.setFocus()
         else:
             self.judged.emit(outcome, reason)
-
-    # -- inside -----------------------------------------------------------------------------------
 
     def _arrange(self) -> None:
         ready = QHBoxLayout(self._ready)
@@ -133,7 +136,7 @@ class TrialPanel(Panel):
         self.no.clicked.connect(lambda: self.answered.emit(False))
         self.photo.clicked.connect(self.photo_requested)
         self.no.setToolTip("End the run; nothing has moved")
-        self.yes.setToolTip("Go on (Y)")
+        self.yes.setToolTip("Continue (Y)")
         self.reason.returnPressed.connect(lambda: self.judge(Outcome.ABORTED))
         for outcome, button in self.outcomes.items():
             button.clicked.connect(_judged(self, outcome))
@@ -157,9 +160,9 @@ ESTIMATED, TRUE = "estimated margin", "true margin"
 
 @dataclass(frozen=True, slots=True)
 class DecisionText:
-    """What the panel says. ``tone``: "good", "bad" or "" (no verdict).
+    """Texts of a decision. ``tone``: "good", "bad" or "" (no verdict).
 
-    ``caption`` says what the margin is: estimated during a trial, true after a simulated one.
+    ``caption``: kind of margin, estimated during a trial, true after a simulated one.
     """
 
     verdict: str
@@ -169,11 +172,11 @@ class DecisionText:
     caption: str = ESTIMATED
 
 
-NOTHING_YET = DecisionText("No verdict yet", "", "", "Press Start stacking to let the piece probe.")
+NOTHING_YET = DecisionText("No verdict yet", "", "", "Press Start stacking to begin.")
 
 
 def signed_mm(value: float) -> str:
-    """Write a signed length with a true minus; infinite and NaN in words."""
+    """Format a signed length with a true minus sign; infinite and NaN as words."""
     if math.isnan(value):
         return "no estimate"
     if math.isinf(value):
@@ -182,7 +185,7 @@ def signed_mm(value: float) -> str:
 
 
 def decision_text(stability: Stability | None, action: PlaceAction | None) -> DecisionText:
-    """Put verdict and margin into words; the reason with its numbers is the backend's."""
+    """Return verdict and margin as text; the reason comes from the policy."""
     if stability is None:
         return NOTHING_YET
     if stability.support is SupportKind.NO_ESTIMATE or math.isnan(stability.margin_mm):
@@ -196,7 +199,7 @@ def decision_text(stability: Stability | None, action: PlaceAction | None) -> De
 
 
 class DecisionPanel(QFrame):
-    """Verdict and margin on one line, the reason below, and the question if there is one."""
+    """Verdict and margin on one line, the reason below, then the question if there is one."""
 
     def __init__(self, on_approve: Callable[[], None], on_decline: Callable[[], None]) -> None:
         super().__init__()
@@ -210,10 +213,10 @@ class DecisionPanel(QFrame):
         self._text.setMinimumHeight(2 * self.fontMetrics().lineSpacing() + 4)
         self.approve = QPushButton("Approve  A")
         self.approve.setProperty("role", "primary")
-        self.approve.setToolTip("Carry out this move (A; N in step mode)")
+        self.approve.setToolTip("Make this move (A; N in step mode)")
         self.approve.clicked.connect(on_approve)
         self.decline = QPushButton("Decline")
-        self.decline.setToolTip("Do not carry it out: the trial ends, the piece stays held")
+        self.decline.setToolTip("Do not move: the trial ends, the grip is kept")
         self.decline.clicked.connect(on_decline)
         self._asking = QWidget()
         self._arrange()
@@ -253,14 +256,14 @@ class DecisionPanel(QFrame):
         self.setAccessibleDescription(f"{text.verdict}. {margin}{text.text}")
 
     def keep_room(self, asks: bool) -> None:
-        """Keep the place of the question where one will come: the views below stay put."""
+        """Reserve room for a question in runs that ask, so that the views below do not move."""
         policy = self._asking.sizePolicy()
         if policy.retainSizeWhenHidden() != asks:
             policy.setRetainSizeWhenHidden(asks)
             self._asking.setSizePolicy(policy)
 
     def show_question(self, text: str, button: str = "Approve  A") -> None:
-        """Ask for approval; the empty text withdraws the question."""
+        """Ask for approval; an empty text withdraws the question."""
         self._ask_text.setText(text)
         self.approve.setText(button)
         self._asking.setVisible(bool(text))

@@ -24,15 +24,14 @@ from touchdown.widgets.views.tactile import IMAGE_H, IMAGE_W, TactileView
 
 TICK_MS = 33
 UNSEEN = "No picture recorded"
-GROUND = 40
-"""Grey of a frame whose picture was not kept."""
+GROUND = 40  # grey of a frame without a picture
 
 
 @dataclass(frozen=True, slots=True)
 class FilmTrack:
-    """One finger: ``picture_t_s`` (n,) and how to get picture i; ``fields`` in order of time.
+    """Recording of one finger: ``picture_t_s`` (n,), access to picture i, ``fields`` in time order.
 
-    All times are after the contact onset. Without pictures the arrows stand on a plain ground.
+    All times are relative to the contact onset. Without pictures the arrows are drawn on grey.
     """
 
     picture_t_s: FloatArray
@@ -45,14 +44,14 @@ Reel = Mapping[Finger, FilmTrack]
 
 
 def latest(t_s: FloatArray, cursor_s: float) -> int:
-    """Return the index of the newest sample not later than the cursor, -1 before the first."""
+    """Return the index of the newest sample at or before the cursor, -1 before the first."""
     return int(np.searchsorted(t_s, cursor_s + 1e-9, side="right")) - 1
 
 
 class FilmView(QWidget):
-    """Shows a reel; ``seek`` is told where playing or stepping moves the cursor.
+    """Player of a reel; ``seek`` gets the time when playing or stepping moves the cursor.
 
-    ``ran`` tells that it plays (True) or stands still.
+    ``ran`` is emitted with True when playing starts and False when it stops.
     """
 
     ran = Signal(bool)
@@ -82,16 +81,16 @@ class FilmView(QWidget):
 
     @property
     def playing(self) -> bool:
-        """Whether the film runs."""
+        """True while the film plays."""
         return self._timer.isActive()
 
     def show_reel(self, reel: Reel, span_s: tuple[float, float], cursor_s: float) -> None:
-        """Show another probe, which lasts from ``span_s[0]`` to ``span_s[1]``."""
+        """Show another probe that covers ``span_s``."""
         self.take_reel(reel, span_s)
         self.show_cursor(cursor_s)
 
     def show_none(self) -> None:
-        """Show that there is no probe: neither that it has no pictures."""
+        """Show an empty view: no probe is selected."""
         self.take_reel({}, (0.0, 2.0))
         for finger, view in self.views.items():
             self.notes[finger].setText("")
@@ -99,25 +98,25 @@ class FilmView(QWidget):
             view.show_age(Age.GONE, 0.0, "")
 
     def limit_height(self, limit_px: int) -> None:
-        """Let no picture grow taller than ``limit_px``: what stands below needs its room."""
+        """Limit the height of the pictures, to leave room for the views below."""
         for view in self.views.values():
             view.limit_height(limit_px)
 
     def take_reel(self, reel: Reel, span_s: tuple[float, float]) -> None:
-        """Take another probe; the next cursor shows it."""
+        """Set another probe; the next ``show_cursor`` draws it."""
         self.stop()
         self._reel, self._span_s = reel, span_s
         for view in self.views.values():
             view.never = view.gone = UNSEEN
 
     def show_cursor(self, t_s: float) -> None:
-        """Show what each finger saw last at this time."""
+        """Show the newest frame of each finger at this time."""
         self.cursor_s = t_s
         for finger in FINGERS:
             self._show_finger(finger, self._reel.get(finger))
 
     def play_or_pause(self) -> None:
-        """Play from the cursor, from the start if it is at the end; or pause."""
+        """Play from the cursor, or from the start if it is at the end; or pause."""
         if self._timer.isActive():
             self.stop()
             return
@@ -128,12 +127,12 @@ class FilmView(QWidget):
         self.ran.emit(True)
 
     def stop(self) -> None:
-        """Stand still."""
+        """Stop playing."""
         self._timer.stop()
         self.ran.emit(False)
 
     def step(self, by: int) -> None:
-        """Move the cursor to the next (1) or former (-1) frame of any finger."""
+        """Move the cursor to the next (1) or previous (-1) frame of any finger."""
         self.stop()
         stamps = np.unique([t_s for track in self._reel.values() for t_s in _stamps(track)])
         later, earlier = (
@@ -179,7 +178,7 @@ def _stamps(track: FilmTrack) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class TimeMark:
-    """Something that happened; ``strong`` ones are a full line with their word."""
+    """Event on the time line; ``strong`` ones are drawn at full height with their word."""
 
     t_s: float
     word: str
@@ -188,7 +187,7 @@ class TimeMark:
 
 @dataclass(frozen=True, slots=True)
 class TimeScene:
-    """Span of the line, where signals were recorded, and what happened, in order of time."""
+    """Time span, recorded intervals and events in time order."""
 
     span_s: tuple[float, float] = (0.0, 0.0)
     recorded_s: tuple[tuple[float, float], ...] = ()
@@ -196,7 +195,7 @@ class TimeScene:
 
 
 class TimeLine(QWidget):
-    """Draws a ``TimeScene``; ``seek`` is told the time that was pressed or dragged to."""
+    """Time line of a ``TimeScene``; ``seek`` gets the pressed or dragged time."""
 
     def __init__(self, theme: Theme, seek: Callable[[float], None]) -> None:
         super().__init__()
@@ -222,30 +221,23 @@ class TimeLine(QWidget):
         self.update()
 
     def area(self) -> PlotArea:
-        """Where times are drawn; a span without length gets one second."""
+        """Return the area of the line; an empty span is drawn as one second."""
         em = self.fontMetrics().height()
         low, high = self.scene.span_s
         rect = QRectF(10, 1.3 * em, max(self.width() - 20.0, 10.0), self.height() - 2.6 * em)
         return PlotArea(rect, low, max(high, low + 1.0), 0.0, 1.0)
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Move the cursor to where the line was pressed."""
-        self._go_to(event)
-
-    def mouseMoveEvent(self, event: QMouseEvent) -> None:
-        """Move the cursor along."""
-        self._go_to(event)
-
-    def _go_to(self, event: QMouseEvent) -> None:
+        """Move the cursor to the pressed or dragged time."""
         if event.buttons() & Qt.MouseButton.LeftButton:
             area, (low, high) = self.area(), self.scene.span_s
             share = (event.position().x() - area.rect.left()) / area.rect.width()
             self._seek(min(max(area.x0 + share * (area.x1 - area.x0), low), high))
 
-    # -- drawing ----------------------------------------------------------------------------------
+    mouseMoveEvent = mousePressEvent  # noqa: N815
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw recorded spans, marks with the words that fit, times, and the cursor."""
+        """Draw recorded intervals, events with the words that fit, times, and the cursor."""
         painter, t, area = QPainter(self), self._theme.tokens, self.area()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.fillRect(self.rect(), t.colour("panel"))
@@ -288,7 +280,7 @@ class TimeLine(QWidget):
         for value in ticks(area.x0, area.x1, 8):
             text = f"{tick_text(value, step)} s"
             width = painter.fontMetrics().horizontalAdvance(text) + 2.0
-            # The outermost times stay whole inside the widget.
+            # Keeps the outermost labels inside the widget.
             left = min(max(area.x(value) - width / 2, 0.0), self.width() - width)
             box = QRectF(left, top, width, height)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), text)

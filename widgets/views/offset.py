@@ -20,13 +20,13 @@ from touchdown.widgets.views.belief import draw_plus
 
 GhostKind = Literal["commanded", "measured", "scene", "model"]
 Point = tuple[float, float]
+# margin; step in which the square grows, so that it does not follow each nudge
 EDGE_MM, REACH_STEP_MM = 2.0, 6.0
-"""Room round what is drawn; the square grows in such steps, not with every nudge."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ghost:
-    """Where another source puts the face; ``sigma_mm`` is its standard uncertainty, 0: not told."""
+    """Face position by another source; ``sigma_mm``: its standard uncertainty, 0 if unknown."""
 
     kind: GhostKind
     offset_mm: Point
@@ -35,12 +35,12 @@ class Ghost:
 
 @dataclass(frozen=True, slots=True)
 class OffsetScene:
-    """The grasped face over the bottom face, in the frame ``O``, mm.
+    """Grasped face over the bottom face in the frame ``O``, mm.
 
-    ``bottom`` and ``face``: (k, 2) outlines, each round its own centre. ``offset_mm`` is None while
-    nobody has said where the face is. ``points_mm`` (N, 2), ``touching`` (N,), ``hull_mm`` (k, 2),
-    ``centre_mm``, ``margin_mm`` and ``support`` follow from it. ``sigma_mm``: of the label.
-    ``names``: of bottom and face, written into them; none while there is more to see.
+    ``bottom`` and ``face``: (k, 2) outlines about their own centres. ``offset_mm`` is None while
+    there is no label; ``points_mm`` (N, 2), ``touching`` (N,), ``hull_mm`` (k, 2), ``centre_mm``,
+    ``margin_mm`` and ``support`` follow from it. ``sigma_mm``: of the label. ``names``: of bottom
+    and face, drawn into them; None in detailed views.
     """
 
     bottom: FloatArray
@@ -60,9 +60,9 @@ class OffsetScene:
 
     @property
     def reach_mm(self) -> float:
-        """Half width of the square that holds all that is drawn.
+        """Half width of the square that holds everything drawn.
 
-        The same for every label whose centre lies over the bottom, so that episodes compare.
+        Equal for all labels with the centre over the bottom, so that episodes can be compared.
         """
         face = float(np.hypot(*self.face.T).max() if self.yaw_rad else np.abs(self.face).max())
         usual = float(np.abs(self.bottom).max()) + face + EDGE_MM
@@ -75,7 +75,7 @@ class OffsetScene:
 
 
 def verdict_text(scene: OffsetScene) -> str:
-    """Return whether the piece would stand, and by how much."""
+    """Return the predicted verdict with its margin."""
     if scene.offset_mm is None:
         return "No displacement yet"
     if scene.support is not SupportKind.AREA:
@@ -90,7 +90,7 @@ def verdict_text(scene: OffsetScene) -> str:
 
 
 def offset_text(offset_mm: Point | None, sigma_mm: float = 0.0) -> str:
-    """Write a displacement as "x +1.50, y +0.25 mm", with its uncertainty."""
+    """Format a displacement as "x +1.50, y +0.25 mm" with its uncertainty."""
     if offset_mm is None:
         return "no displacement"
     x, y = (f"{v:+.2f}".replace("-", "\N{MINUS SIGN}") for v in offset_mm)
@@ -104,8 +104,8 @@ LINES: dict[GhostKind, Qt.PenStyle] = {
     "scene": Qt.PenStyle.DashDotDotLine,
     "model": Qt.PenStyle.DashDotLine,
 }
+# Angle on the outline at which a source is labelled, rad.
 AT: dict[GhostKind, float] = {"commanded": 2.1, "measured": 3.9, "scene": 1.0, "model": -0.6}
-"""Where on its outline a source is named (rad)."""
 SCALE_BAR_MM = 5.0
 THICKEN_PX = 0.3
 
@@ -135,12 +135,12 @@ def draw_bottom(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
 
 
 def is_legend_left(scene: OffsetScene) -> bool:
-    """Whether sources are named at the upper left: where the face is not."""
+    """Return True if the legend of sources belongs to the upper left, away from the face."""
     return scene.offset_mm is not None and scene.offset_mm[0] > 0
 
 
 def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
-    """Draw where other sources put the face: outline, uncertainty, and the name of the source."""
+    """Draw the face positions of other sources: outline, uncertainty, name."""
     painter.setBrush(Qt.BrushStyle.NoBrush)
     painter.setFont(ui_font(theme.scale, 0.85, 500))
     height = painter.fontMetrics().height()
@@ -149,7 +149,7 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
         pen.setStyle(LINES[ghost.kind])
         painter.setPen(pen)
         outline = _placed(area, scene.face, ghost.offset_mm, scene.yaw_rad)
-        # Twice a thin line: one that is wider than 1 px takes ten times as long to be dashed.
+        # Two thin lines: Qt takes ten times as long for a dashed line wider than 1 px.
         painter.drawPolygon(outline)
         painter.drawPolygon(outline.translated(THICKEN_PX, THICKEN_PX))
         _sigma_circle(painter, area, ghost.offset_mm, ghost.sigma_mm)
@@ -158,7 +158,7 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
 
 
 def _letters(painter: QPainter, area: PlotArea, scene: OffsetScene, ghost: Ghost) -> None:
-    """Write the source beside its outline, each source at another side of it."""
+    """Write the source beside its outline, each source on another side."""
     turn = AT[ghost.kind]
     radius = float(np.hypot(*scene.face.T).max())
     x = area.x(ghost.offset_mm[0] + radius * math.cos(turn))
@@ -171,7 +171,7 @@ def _letters(painter: QPainter, area: PlotArea, scene: OffsetScene, ghost: Ghost
 def _legend_line(
     painter: QPainter, area: PlotArea, ghost: Ghost, row: int, height: float, *, left: bool
 ) -> None:
-    """Name line and letters in an upper corner; at the left below the name of the axis."""
+    """Draw a legend entry in an upper corner; at the left below the axis name."""
     text = f"{ghost.kind[:2].capitalize()}  {ghost.kind}"
     width = painter.fontMetrics().horizontalAdvance(text)
     y = area.rect.top() + 4 + (row + (1.5 if left else 0.5)) * (height + 2)
@@ -182,7 +182,7 @@ def _legend_line(
 
 
 def draw_face(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
-    """Draw the face where the label puts it, with all that follows."""
+    """Draw the face at its label, with contact points, hull and centre of mass."""
     if scene.offset_mm is None:
         return
     t = theme.tokens
@@ -200,7 +200,7 @@ def draw_face(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Them
 
 
 def draw_names(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
-    """Write what bottom and face are, each where the other is not, and the way between them."""
+    """Label bottom and face away from each other and draw the line between the centres."""
     if scene.names is None or scene.offset_mm is None:
         return
     away = np.array(scene.offset_mm)
@@ -223,7 +223,7 @@ def draw_names(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: The
 def _points(
     painter: QPainter, area: PlotArea, points: FloatArray, colour: QColor, size: float
 ) -> None:
-    """Draw squares: round points take seven times as long."""
+    """Draw points as squares; round ones take seven times as long."""
     pen = QPen(colour, size)
     pen.setCapStyle(Qt.PenCapStyle.SquareCap)
     painter.setPen(pen)
@@ -248,7 +248,7 @@ Moved = Callable[[Point], None]
 
 
 class OffsetView(QWidget):
-    """Draws an ``OffsetScene``; what a nudge does not change is drawn once."""
+    """View of an ``OffsetScene`` with a draggable face; the background is cached."""
 
     def __init__(self, theme: Theme, moved: Moved, dropped: Callable[[], None]) -> None:
         super().__init__()
@@ -256,14 +256,13 @@ class OffsetView(QWidget):
         self.scene: OffsetScene | None = None
         self.editable = True
         self._held_mm: Point | None = None
-        self._grasped: PlotArea | None = None
-        """The scale at which the face was taken: one that grows meanwhile moves no face."""
+        self._grasped: PlotArea | None = None  # at the start of a drag; the scale can change
         self._reach_mm = 1.0
         self._ground: QPixmap | None = None
         self._behind: QPixmap | None = None
         self._ground_key: tuple[object, ...] = ()
+        # Keeps the outlines alive, whose ids are part of the key.
         self._pair: tuple[object, object] | None = None
-        """Kept, so that no other outline gets the identity by which the ground is known."""
         self._behind_key: tuple[object, ...] = ()
         self.paints = 0
         self.setAccessibleName("Displacement of the grasped face")
@@ -276,7 +275,7 @@ class OffsetView(QWidget):
         return QSize(460, 460)
 
     def show_scene(self, scene: OffsetScene | None) -> None:
-        """Show another displacement or another episode."""
+        """Show another displacement or episode."""
         self.scene = scene
         if scene is None:
             self._held_mm = self._grasped = None
@@ -288,7 +287,7 @@ class OffsetView(QWidget):
         self.update()
 
     def area(self) -> PlotArea:
-        """Return the square that is drawn; needs a scene."""
+        """Return the drawn square; needs a scene."""
         em = self.fontMetrics().height()
         left, bottom, edge = 2.4 * em, 1.5 * em, 0.4 * em
         side = max(min(self.width() - left - edge, self.height() - bottom - edge), 60.0)
@@ -297,10 +296,8 @@ class OffsetView(QWidget):
         reach = self._reach_mm
         return PlotArea(QRectF(x, y, side, side), -reach, reach, -reach, reach)
 
-    # -- dragging ---------------------------------------------------------------------------------
-
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Take hold of the face, or call it to the place that was pressed."""
+        """Start to drag the face; without a label, put it at the pressed place."""
         scene = self.scene
         if scene is None or not self.editable or event.button() is not Qt.MouseButton.LeftButton:
             return
@@ -312,13 +309,13 @@ class OffsetView(QWidget):
             self._moved(at)
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
-        """Report where the face was dragged to."""
+        """Report the dragged position."""
         if self._held_mm is not None and event.buttons() & Qt.MouseButton.LeftButton:
             at = self._at_mm(event.position())
             self._moved((at[0] - self._held_mm[0], at[1] - self._held_mm[1]))
 
     def mouseReleaseEvent(self, _event: QMouseEvent) -> None:
-        """One drag is one step."""
+        """End the drag, which is one undo step."""
         if self._held_mm is not None:
             self._held_mm = self._grasped = None
             self._dropped()
@@ -329,10 +326,8 @@ class OffsetView(QWidget):
         y = area.y1 - (at.y() - area.rect.top()) / area.rect.height() * (area.y1 - area.y0)
         return x, y
 
-    # -- drawing ----------------------------------------------------------------------------------
-
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Copy the ground, then draw the face, its points, the hull and the centre of mass."""
+        """Draw the cached background, then face, points, hull and centre of mass."""
         self.paints += 1
         painter = QPainter(self)
         if self.scene is None:
@@ -347,7 +342,7 @@ class OffsetView(QWidget):
         draw_names(painter, area, self.scene, self._theme)
 
     def _background(self, scene: OffsetScene, area: PlotArea) -> QPixmap:
-        """Return the ground with the ghosts: drawn once per episode."""
+        """Return the background with the ghosts; rendered once per episode."""
         side = is_legend_left(scene)
         key = (self._fitting_ground(scene, area), scene.yaw_rad, scene.ghosts, side)
         if self._behind is None or key != self._behind_key:
@@ -363,7 +358,7 @@ class OffsetView(QWidget):
         return self._behind
 
     def _fitting_ground(self, scene: OffsetScene, area: PlotArea) -> tuple[object, ...]:
-        """Have grid and bottom drawn, once per pair of faces; return what they depend on."""
+        """Render grid and bottom once per pair of faces; return the cache key."""
         key = (self.size().toTuple(), self._theme.tokens.name, self._theme.scale,
                id(scene.bottom), id(scene.face), self._reach_mm)  # fmt: skip
         if self._ground is None or key != self._ground_key:

@@ -16,11 +16,11 @@ from touchdown.widgets.views.belief import BeliefLegend, BeliefScene, BeliefView
 from touchdown.widgets.views.decision import signed_mm
 
 SIDE_PX = 62
-NO_PROBES = ("No probes yet", "Each press adds a small map; click one to look back.")
+NO_PROBES = ("No probes yet", "Each press adds a map; click one to view it again.")
 
 
 class Thumbnail(QWidget):
-    """One probe: map and one line of text."""
+    """Map and caption of one probe."""
 
     def __init__(self, theme: Theme, index: int, on_click: Callable[[int], None]) -> None:
         super().__init__()
@@ -45,15 +45,15 @@ class Thumbnail(QWidget):
         self.caption.setText(caption)
         self.setAccessibleName(f"Probe {self.index + 1}: {describe_scene(scene)}")
         said = caption.replace("\n", ", ")
-        self.setToolTip(f"Probe {said} (estimated margin). Click to look back.")
+        self.setToolTip(f"Probe {said} (estimated margin). Click to view it again.")
 
     def show_chosen(self, chosen: bool) -> None:
-        """Mark this as the one shown large."""
+        """Highlight the probe shown large."""
         self.chosen = chosen
         self.update()
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the frame of the chosen or focused one."""
+        """Draw the frame of a selected or focused probe."""
         if self.chosen or self.hasFocus():
             painter = QPainter(self)
             token = "focus" if self.hasFocus() else "text"
@@ -61,11 +61,11 @@ class Thumbnail(QWidget):
             painter.drawRoundedRect(QRectF(self.rect()).adjusted(1, 1, -1, -1), 4, 4)
 
     def mousePressEvent(self, _event: QMouseEvent) -> None:
-        """Choose this probe."""
+        """Select this probe."""
         self._on_click(self.index)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Choose this probe by Return."""
+        """Select this probe with Return."""
         if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
             self._on_click(self.index)
         else:
@@ -73,7 +73,7 @@ class Thumbnail(QWidget):
 
 
 class ProbeStrip(QWidget):
-    """A row of thumbnails, or a column while upright, scrolled to the newest."""
+    """Row of thumbnails, or column if upright; scrolls to the newest."""
 
     def __init__(self, theme: Theme, on_choose: Callable[[int], None]) -> None:
         super().__init__()
@@ -100,23 +100,23 @@ class ProbeStrip(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
     def row_px(self) -> int:
-        """Return the height of a row and its scroll bar."""
+        """Return the height of a row with its scroll bar."""
         return SIDE_PX + self._lines * self.fontMetrics().height() + 20
 
     def column_px(self) -> int:
-        """Return the width of a column and its scroll bar: the longest usual caption."""
+        """Return the width of a column with its scroll bar."""
         return self.fontMetrics().horizontalAdvance("10: est. +10.0 mm") + 16
 
     def sizeHint(self) -> QSize:
-        """Return room for one row or column and its scroll bar."""
+        """Return the size of one row or column."""
         return QSize(self.column_px(), 300) if self.upright else QSize(300, self.row_px())
 
     def minimumSizeHint(self) -> QSize:
-        """Return little along the thumbnails: the strip scrolls."""
+        """Return a short length; the strip scrolls."""
         return QSize(self.column_px(), 120) if self.upright else QSize(120, self.row_px())
 
     def show_upright(self, upright: bool) -> None:
-        """Stand the thumbnails below each other, or in a row."""
+        """Arrange the thumbnails as a column or a row."""
         self.upright = upright
         direction, policy = QBoxLayout.Direction, QSizePolicy.Policy
         self._row.setDirection(direction.TopToBottom if upright else direction.LeftToRight)
@@ -128,7 +128,7 @@ class ProbeStrip(QWidget):
         self.updateGeometry()
 
     def show_map(self, name: MapName) -> None:
-        """Choose the colour map of all thumbnails."""
+        """Set the colour map of all thumbnails."""
         self._map = name
         for thumbnail in self.thumbnails:
             thumbnail.view.show_map(name)
@@ -139,7 +139,7 @@ class ProbeStrip(QWidget):
         chosen: int,
         empty: tuple[str, str] = NO_PROBES,
     ) -> None:
-        """Show these probes and mark one; without any, say ``empty``: what is so, and why."""
+        """Show these probes with one selected; ``empty``: title and detail if there are none."""
         self._empty = empty
         while len(self.thumbnails) > len(probes):
             gone = self.thumbnails.pop()
@@ -166,30 +166,29 @@ class ProbeStrip(QWidget):
             bar.setValue(bar.maximum())
 
     def mark(self, chosen: int) -> None:
-        """Mark another probe."""
+        """Select another probe."""
         for thumbnail in self.thumbnails:
             thumbnail.show_chosen(thumbnail.index == chosen)
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Say that there is no probe yet."""
+        """Draw the text of an empty strip."""
         if not self.thumbnails:
             draw_message(QPainter(self), self.rect(), self._theme, *self._empty)
 
 
 def caption_of(probe: int, stability: Stability | None) -> str:
-    """Return the line below a thumbnail; it says that its margin is the estimate, not the truth."""
+    """Return the caption of a thumbnail, with the margin marked as an estimate."""
     if stability is None:
         return f"{probe}"
     mark = "est. " if math.isfinite(stability.margin_mm) else ""
     return f"{probe}: {mark}{signed_mm(stability.margin_mm)}"
 
 
-GAIN = 1.15
-"""The small maps go beside the map where it grows at least so many times by it."""
+GAIN = 1.15  # growth of the map by which a column of thumbnails is preferred to a row
 
 
 class MapAndStrip(QWidget):
-    """The legend stays below the map."""
+    """Belief map with its legend and the strip of probes below or beside it."""
 
     def __init__(self, view: BeliefView, legend: BeliefLegend, strip: ProbeStrip) -> None:
         super().__init__()
@@ -207,17 +206,17 @@ class MapAndStrip(QWidget):
 
     @property
     def beside(self) -> bool:
-        """Whether the small maps stand beside the map now."""
+        """True while the strip is beside the map."""
         return self._box.direction() is QBoxLayout.Direction.LeftToRight
 
     def minimumSizeHint(self) -> QSize:
-        """Return room for the arrangement below: what is asked for does not follow the room."""
+        """Return the minimum of the arrangement with the strip below."""
         legend = self._legend.minimumSizeHint().height()
         high = self._view.minimumHeight() + legend + self._strip.row_px() + 20
         return QSize(self._strip.column_px() + 120, high)
 
     def resizeEvent(self, _event: QResizeEvent) -> None:
-        """Stand the small maps where they leave the map more room."""
+        """Move the strip to the side that leaves the larger map."""
         width, high = self.width(), self.height() - self._legend.sizeHint().height() - 6
         below = self._view.side_px(QSize(width, high - self._strip.row_px() - 14))
         aside = self._view.side_px(QSize(width - self._strip.column_px() - 6, high))
@@ -233,7 +232,7 @@ class MapAndStrip(QWidget):
 
 
 class BeliefPanel(Panel):
-    """``strip``: the probes as small maps, which follow the choice of the colour map."""
+    """Belief map with a choice of colour map, which the ``strip`` of small maps follows."""
 
     def __init__(self, theme: Theme, title: str, strip: ProbeStrip | None = None) -> None:
         super().__init__(title)

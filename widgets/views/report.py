@@ -34,7 +34,7 @@ PARTS_PX = 220
 
 
 class PictureCard(QWidget):
-    """A picture of known size, which may come later, between its title and its note."""
+    """Picture of known size between title and note; it may be set later."""
 
     def __init__(self, title: str, note: str, name: str, size: QSize) -> None:
         super().__init__()
@@ -54,12 +54,12 @@ class PictureCard(QWidget):
         column.addStretch(1)
 
     def show_picture(self, image: QImage) -> None:
-        """Show it, drawn at the size that was said."""
+        """Show the picture, which has the declared size."""
         self.picture.setPixmap(QPixmap.fromImage(image))
 
 
 class FlowWidget(QWidget):
-    """Cards side by side, as many to a line as there is room for."""
+    """Cards in rows that wrap to the width."""
 
     def __init__(self, cards: Sequence[PictureCard]) -> None:
         super().__init__()
@@ -68,17 +68,17 @@ class FlowWidget(QWidget):
             card.setParent(self)
 
     def resizeEvent(self, _event: object) -> None:
-        """Stand anew in lines."""
+        """Lay out the cards at the new width."""
         self.setFixedHeight(self._stand(self.width()))
 
     def event(self, event: QEvent) -> bool:
-        """Stand anew where a card got another size."""
+        """Lay out the cards when one changes its size."""
         if event.type() == QEvent.Type.LayoutRequest:
             self.setFixedHeight(self._stand(self.width()))
         return super().event(event)
 
     def _stand(self, width: int) -> int:
-        """Place the cards; return how high they are together."""
+        """Lay out the cards; return the total height."""
         x = y = line = 0
         for card in self.cards:
             size = card.sizeHint()
@@ -90,7 +90,7 @@ class FlowWidget(QWidget):
 
 
 class ReportSheet(QDialog):
-    """Not modal: the bench goes on, and STOP is where it was."""
+    """Non-modal window of a report: list of parts at the left, one part at the right."""
 
     part_chosen = Signal(int)
     folder_requested = Signal()
@@ -115,9 +115,9 @@ class ReportSheet(QDialog):
         self.room.setFrameShape(QFrame.Shape.NoFrame)
         self.room.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.trace = ElidedLabel("small")
-        self.folder = _button("Open run folder", "The folder that this cell was made from")
-        self.browser = _button("Open in browser", "The same report as a page")
-        self.other = _button("Open another", "Choose another report")
+        self.folder = _button("Open run folder", "Folder of the run behind this cell")
+        self.browser = _button("Open in browser", "Show this report as a web page")
+        self.other = _button("Open another", "Open another report")
         for button, requested in (
             (self.folder, self.folder_requested),
             (self.browser, self.browser_requested),
@@ -148,7 +148,7 @@ class ReportSheet(QDialog):
         column.addLayout(foot)
 
     def open_large(self) -> None:
-        """Show it over most of its window."""
+        """Show the sheet over most of its window."""
         room = self._window.size()
         self.resize(min(1400, room.width() - 60), min(900, room.height() - 60))
         self.show()
@@ -156,7 +156,7 @@ class ReportSheet(QDialog):
         self.activateWindow()
 
     def show_head(self, title: str, banner: str, file: str, parts: Sequence[str]) -> None:
-        """Show what the report is, and the names of its parts; the first is chosen."""
+        """Show title, banner, file and the names of the parts; select the first."""
         self.head.setText(title)
         self.banner.setText(banner)
         self.file.setText(file)
@@ -167,7 +167,7 @@ class ReportSheet(QDialog):
         self.parts.setCurrentRow(0)
 
     def show_part(self, widgets: Sequence[QWidget]) -> None:
-        """Show one part, from its top."""
+        """Show one part from its top."""
         body = QWidget()
         body.setObjectName("frame")
         column = QVBoxLayout(body)
@@ -180,8 +180,8 @@ class ReportSheet(QDialog):
         self.room.verticalScrollBar().setValue(0)
 
     def show_trace(self, words: str, *, can_open: bool) -> None:
-        """Say where the chosen cell comes from, and whether its folder is here."""
-        self.trace.setText(words or "Choose a cell to see where it comes from.")
+        """Show the source of the selected cell; ``can_open``: its folder exists here."""
+        self.trace.setText(words or "Select a cell to see its source.")
         self.folder.setEnabled(can_open)
 
 
@@ -198,7 +198,7 @@ PAD_X, PAD_Y = 9, 6
 
 @dataclass(frozen=True, slots=True)
 class ReportCell:
-    """``value``, then ``lines`` below it; ``trace`` says where it comes from."""
+    """``value`` with ``lines`` below it; ``trace`` names its source."""
 
     value: str
     lines: tuple[str, ...] = ()
@@ -206,7 +206,7 @@ class ReportCell:
 
 
 class ReportGrid(QTableWidget):
-    """As high as its rows; wider than its room it scrolls. ``chosen`` is told row and column."""
+    """Table as high as its rows; scrolls sideways. ``chosen`` gets row and column."""
 
     def __init__(
         self,
@@ -224,7 +224,7 @@ class ReportGrid(QTableWidget):
         self.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setTabKeyNavigation(False)
         self.setWordWrap(False)
-        # Kept here: a view does not own what draws its cells.
+        # Kept alive here: Qt does not own the delegate.
         self._painter = _CellPainter(theme, self)
         self.setItemDelegate(self._painter)
         self.setHorizontalHeaderLabels(list(columns))
@@ -240,19 +240,19 @@ class ReportGrid(QTableWidget):
             header.setSectionsClickable(False)
         corner = self.findChild(QAbstractButton)
         if corner is not None:
-            # It selects all, which is no use here, and has a look of its own.
+            # A select-all button, unstyled and of no use here.
             corner.hide()
         self.fit_to_theme()
         self.currentCellChanged.connect(lambda row, column, *_: chosen(row, column))
 
     def fit_to_theme(self) -> None:
-        """Take the sizes of another font scale."""
+        """Adapt the sizes to the font scale."""
         self.resizeColumnsToContents()
         self.resizeRowsToContents()
         self._be_high()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Leave room for the bar below where the columns are wider than the room."""
+        """Leave room for the scroll bar if the columns are wider than the view."""
         super().resizeEvent(event)
         self._be_high()
 

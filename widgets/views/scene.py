@@ -24,10 +24,10 @@ _ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 
 @dataclass(frozen=True, slots=True)
 class SideBody:
-    """A body seen along y. ``x_mm, z_mm``: centre of its lower face.
+    """Body seen along y. ``x_mm``, ``z_mm``: centre of its lower face.
 
-    ``face_mm``: half width of the lower face, ``top_mm``: half width above it; ``turn``: how it is
-    turned about that centre, as a quaternion w x y z.
+    ``face_mm``: half width of the lower face, ``top_mm``: half width above it. ``turn``: rotation
+    about that centre, as a quaternion w x y z.
     """
 
     name: str
@@ -39,7 +39,7 @@ class SideBody:
     turn: Quaternion = UPRIGHT
 
     def outlines_mm(self) -> tuple[FloatArray, ...]:
-        """Return what is seen of the part above and of the foot, as convex (k, 2) outlines."""
+        """Return the outlines of upper part and foot, convex (k, 2)."""
         if self.top_mm == self.face_mm:
             return (self._seen(self.face_mm, 0.0, self.height_mm),)
         foot = min(0.2 * self.height_mm, 6.0)
@@ -52,7 +52,9 @@ class SideBody:
 
 @lru_cache(maxsize=64)
 def _hull(radius_mm: float, low_mm: float, high_mm: float, turn: Quaternion) -> FloatArray:
-    """Return the outline of a turned cylinder about the origin; while it only moves it is known."""
+    """Return the outline of a rotated cylinder about the origin; cached, as most motion is
+    translation.
+    """
     ring = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1) * radius_mm
     points = np.concatenate(
         [np.column_stack([ring, np.full(len(ring), z)]) for z in (low_mm, high_mm)]
@@ -62,7 +64,7 @@ def _hull(radius_mm: float, low_mm: float, high_mm: float, turn: Quaternion) -> 
 
 
 def rotation(turn: Quaternion) -> FloatArray:
-    """Return the (3, 3) rotation of a unit quaternion w x y z."""
+    """Return the (3, 3) rotation matrix of a unit quaternion w x y z."""
     w, x, y, z = turn
     return np.array(
         [
@@ -75,10 +77,10 @@ def rotation(turn: Quaternion) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class SideScene:
-    """Bottoms from the table up, the piece, the hand, and how far to look to either side.
+    """Bottoms from the table up, piece, hand, and the shown span in x.
 
-    ``hand_mm``: grasp pivot (x, z), with ``jaws_mm`` the half opening, turned about it by
-    ``hand_turn``; ``table_mm``: height of the table.
+    ``hand_mm``: grasp pivot (x, z). ``jaws_mm``: half opening. ``hand_turn``: rotation about the
+    pivot. ``table_mm``: height of the table.
     """
 
     bottoms: tuple[SideBody, ...] = ()
@@ -91,7 +93,7 @@ class SideScene:
     hand_turn: Quaternion = UPRIGHT
 
     def fingers_mm(self) -> tuple[FloatArray, ...]:
-        """Return what is seen of both fingers, as (4, 2) outlines; none without a hand."""
+        """Return the (4, 2) outlines of both fingers; none without a hand."""
         if self.hand_mm is None:
             return ()
         seen = rotation(self.hand_turn)[[0, 2]]
@@ -105,7 +107,7 @@ class SideScene:
 
 
 class SideView(QWidget):
-    """Draws a ``SideScene``; the same scene again costs nothing."""
+    """View of a ``SideScene``; an equal scene is not drawn again."""
 
     def __init__(self, theme: Theme) -> None:
         super().__init__()

@@ -16,22 +16,21 @@ from touchdown.widgets.base import Theme, ui_font
 from touchdown.widgets.plots import draw_message, polygon_of
 
 OutlineKind = Literal["bottom", "label", "scene"]
+# Line colours and styles on photographs, in every theme.
 LOOKS: dict[OutlineKind, tuple[str, Qt.PenStyle]] = {
     "bottom": ("#FFFFFF", Qt.PenStyle.SolidLine),
     "label": ("#F0E442", Qt.PenStyle.SolidLine),
     "scene": ("#7CF2FF", Qt.PenStyle.DotLine),
 }
-"""Colours for a photograph, in every theme; each outline also differs by its line."""
-UNSEEN, RESTS_ON = "No scene picture", "The label rests on the arm, the grasp and whoever set it."
+UNSEEN, RESTS_ON = "No scene picture", "The label relies on arm, grasp and annotator alone."
 GAP = 4
-ROOM = 1.8
-"""The part of the picture that is shown is so many times as large as the outlines."""
+ROOM = 1.8  # size of the shown part in sizes of the outlines
 SHADOW = QColor(0, 0, 0, 150)
 
 
 @dataclass(frozen=True, slots=True)
 class PictureOutline:
-    """``points_px`` (n, 2) in the picture."""
+    """Outline in a picture; ``points_px`` (n, 2)."""
 
     kind: OutlineKind
     points_px: FloatArray
@@ -39,14 +38,14 @@ class PictureOutline:
 
 @dataclass(frozen=True, slots=True)
 class SceneShot:
-    """``image`` (h, w, 3) BGR and what is drawn over it."""
+    """Picture (h, w, 3) BGR with the outlines to draw on it."""
 
     image: ImageArray
     outlines: tuple[PictureOutline, ...]
 
 
 class SceneShotView(QWidget):
-    """Shows pictures side by side: the same part of each, round the outlines of the first."""
+    """Pictures side by side, cut to the same part around the outlines of the first."""
 
     def __init__(self, theme: Theme) -> None:
         super().__init__()
@@ -59,11 +58,11 @@ class SceneShotView(QWidget):
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
 
     def sizeHint(self) -> QSize:
-        """Return the room of two pictures."""
+        """Return room for two pictures."""
         return QSize(480, 180)
 
     def show_shots(self, shots: Sequence[SceneShot], why: str = UNSEEN) -> None:
-        """Show another episode, or another label of it, or ``why`` there is nothing."""
+        """Show pictures of an episode; ``why``: reason if there are none."""
         self.shots, self._why_empty = tuple(shots), why
         kinds = ", ".join(o.kind for shot in self.shots[:1] for o in shot.outlines)
         self.setAccessibleDescription(f"{len(self.shots)} pictures, outlines: {kinds or 'none'}")
@@ -112,7 +111,7 @@ class SceneShotView(QWidget):
 
 
 def picture_part(shot: SceneShot, aspect: float) -> QRectF:
-    """Return the part of the picture to show, width over height ``aspect``, inside the picture."""
+    """Return the part to show, of width over height ``aspect``, inside the picture."""
     height, width = shot.image.shape[:2]
     corners = np.array([[0.0, 0.0], [width, height]])
     points = np.concatenate([o.points_px for o in shot.outlines] or [corners])

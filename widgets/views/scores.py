@@ -35,10 +35,10 @@ WORDS: dict[Outcome, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Outcomes so far, trials planned, and the Wilson interval of the success rate (0..1).
+    """Outcomes so far, planned trials, and the Wilson interval of the success rate (0..1).
 
-    ``excused``: so many of the aborted ones are not counted in the rate; ``last`` says why.
-    ``void``: a line for each trial that came to nothing.
+    ``excused``: number of aborted trials left out of the rate; ``last`` gives the reason. ``void``:
+    one line per void trial.
     """
 
     outcomes: tuple[Outcome, ...]
@@ -50,12 +50,12 @@ class Score:
 
     @property
     def counted(self) -> int:
-        """How many trials the rate is of."""
+        """Number of trials in the rate."""
         return len(self.outcomes) - self.excused
 
 
 class OutcomeMarks(QWidget):
-    """One mark per trial: tick, cross, dash or a hollow place still to come."""
+    """One mark per trial: tick, cross, dash, or a hollow box for trials to come."""
 
     def __init__(self, theme: Theme) -> None:
         super().__init__()
@@ -65,7 +65,7 @@ class OutcomeMarks(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
     def show_outcomes(self, outcomes: Sequence[Outcome], trials: int) -> None:
-        """Show the outcomes so far and the places left."""
+        """Show the outcomes and the trials to come."""
         self._outcomes, self._trials = outcomes, max(trials, len(outcomes))
         self.setAccessibleName(
             ", ".join(WORDS[o] for o in outcomes) if outcomes else "No trial finished"
@@ -77,7 +77,7 @@ class OutcomeMarks(QWidget):
         return QSize(200, 24)
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the marks, the newest ones if there is not room for all."""
+        """Draw the marks that fit, the newest last."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         room = max(int(self.width() // 22), 1)
@@ -111,7 +111,7 @@ def _mark(painter: QPainter, theme: Theme, at: QPointF, outcome: Outcome | None)
 
 
 class ScorePanel(Panel):
-    """Placed k of n, the rate with its 95 % interval, and the marks."""
+    """Count of placed pieces, success rate with its 95 % interval, and marks."""
 
     def __init__(self, theme: Theme, title: str = "Trials") -> None:
         super().__init__(title)
@@ -136,7 +136,7 @@ class ScorePanel(Panel):
         self._count.setText(count)
         done = f"{len(score.outcomes)} of {score.trials}" if score.trials else ""
         aborted = sum(o is Outcome.ABORTED for o in score.outcomes)
-        # Beside a button of the header there is room for few words.
+        # Short: it shares the header with a button.
         last = f"{done}, {aborted} aborted" if aborted else f"{done} done"
         self.detail.setText(last if done else "")
         rate = success_rate_text(score)
@@ -144,20 +144,20 @@ class ScorePanel(Panel):
         self._rate.setVisible(bool(rate))
         self._marks.show()
         self._marks.show_outcomes(score.outcomes, score.trials)
-        self._last.setText(score.last or "Every trial ends with one mark.")
-        # The newest lines: a run of a hundred would fill the page.
+        self._last.setText(score.last or "One mark per finished trial.")
+        # The newest only: a long run would fill the page.
         self._void.setText("\n".join(score.void[-MOST_VOID:]))
         self._void.setToolTip("\n".join(score.void))
         self._void.setVisible(bool(score.void))
 
     @property
     def words(self) -> str:
-        """What is shown, line by line."""
+        """Shown texts, line by line."""
         shown = (self._count, self._rate, self._last, self._void)
         return "\n".join(one.text() for one in shown if one.text() and not one.isHidden())
 
     def show_facts(self, headline: str, text: str) -> None:
-        """Show what a recording without trials is: one line large, the others small."""
+        """Describe a recording without trials: a headline and a small text."""
         self._count.setText(headline)
         self.detail.setText("")
         self._marks.hide()
@@ -167,7 +167,7 @@ class ScorePanel(Panel):
 
 
 def success_rate_text(score: Score) -> str:
-    """Return the success rate with its interval, "" before the first trial that counts."""
+    """Return the success rate with its interval, "" before the first counted trial."""
     if score.interval is None:
         return ""
     low, high = (100 * bound for bound in score.interval)
@@ -177,8 +177,8 @@ def success_rate_text(score: Score) -> str:
 
 @dataclass(frozen=True, slots=True)
 class StrategyResult:
-    """One strategy. ``count``: placed of tried; ``rate``: success with its interval, in words;
-    ``trial``: how the chosen trial went.
+    """Result of one strategy. ``count``: placed of tried; ``rate``: success with its interval;
+    ``trial``: outcome of the selected trial, as texts.
     """
 
     title: str
@@ -192,7 +192,7 @@ class StrategyResult:
 
 
 class StrategyPanel(Panel):
-    """One column of the comparison."""
+    """Column of one strategy in the comparison."""
 
     def __init__(self, theme: Theme) -> None:
         super().__init__("")
@@ -205,7 +205,7 @@ class StrategyPanel(Panel):
         self.column.addWidget(self.belief, 1)
 
     def show_look(self, look: StrategyResult) -> None:
-        """Show how a strategy did."""
+        """Show the result of a strategy."""
         self.rename(look.title)
         self.count.setText(look.count)
         self.rate.setText(look.rate)
@@ -218,8 +218,10 @@ class StrategyPanel(Panel):
 
 
 class ComparisonSheet(QDialog):
-    """``run`` asks for what is missing; ``choose`` is told the trial (from 1), ``against`` the
-    strategy on the right. Not modal.
+    """Non-modal comparison of two strategies on the same seeds.
+
+    ``run`` starts the missing run; ``choose`` gets the selected trial (from 1); ``against`` gets
+    the strategy of the right side.
     """
 
     def __init__(
@@ -240,11 +242,11 @@ class ComparisonSheet(QDialog):
         self.trial.setRange(1, 1)
         inset_spin_boxes(self.trial)
         self.trial.setAccessibleName("Trial")
-        self.trial.setToolTip("The trial that is shown on both sides")
+        self.trial.setToolTip("Trial shown on both sides")
         self.trial.valueChanged.connect(choose)
         self.against = QComboBox()
         self.against.setAccessibleName("Strategy to compare with")
-        self.against.setToolTip("The strategy on the right")
+        self.against.setToolTip("Strategy on the right")
         self.against.activated.connect(lambda at: against(self.against.itemData(at)))
         self.run = QPushButton("Run both")
         self.run.setProperty("role", "primary")
@@ -280,14 +282,14 @@ class ComparisonSheet(QDialog):
         column.addLayout(foot)
 
     def offer(self, rivals: Sequence[tuple[str, str]], chosen: str) -> None:
-        """Offer these strategies (key, title) for the right side."""
+        """Set the (key, title) strategies for the right side and select one."""
         self.against.clear()
         for key, title in rivals:
             self.against.addItem(title, key)
         self.against.setCurrentIndex(self.against.findData(chosen))
 
     def open_large(self) -> None:
-        """Show it over most of its window."""
+        """Show the sheet over most of its window."""
         room = self._window.size()
         self.resize(min(1040, room.width() - 120), min(640, room.height() - 120))
         self.show()
@@ -295,7 +297,7 @@ class ComparisonSheet(QDialog):
         self.activateWindow()
 
     def show_run(self, text: str, why_not: str) -> None:
-        """Offer to run what is missing, or say why not; "" for ``text``: nothing is missing."""
+        """Set label and availability of the run button; "" as ``text`` hides it."""
         self.run.setVisible(bool(text))
         self.run.setText(text)
         self.run.setEnabled(not why_not)

@@ -34,7 +34,7 @@ from touchdown.widgets.plots import LineBuffer, draw_message, draw_stale_overlay
 
 
 class DimmedPicture:
-    """Draws one picture after the other."""
+    """Draws images with reused buffers."""
 
     def __init__(self) -> None:
         self._dimmed: ImageArray = np.empty((0, 0, 3), np.uint8)
@@ -46,8 +46,8 @@ class DimmedPicture:
     ) -> None:
         """Draw ``image`` (BGR) over ``target``; ``ratio``: device pixels per pixel.
 
-        Dimmed while it is small, and enlarged with the fourth channel that Qt wants: a quarter of
-        the time of the other order.
+        Dimming and adding the fourth channel before enlarging takes a quarter of the time of the
+        other order.
         """
         width = max(round(target.width() * ratio), 1)
         height = max(round(target.height() * ratio), 1)
@@ -64,24 +64,21 @@ class DimmedPicture:
         painter.drawImage(target.topLeft(), drawn)
 
 
-MM_PER_PX = 18.6 / 320.0
-"""The sensor sees 18.6 mm over 320 px (its maker's data)."""
-GAIN = 3.0
-"""Arrows are drawn this many times longer than the displacement, in all views."""
-BIN_EDGES_PX = np.array([0.5, 1.5, 3.0, 5.0, 8.0])
-"""Displacement at which the next of the six colours begins."""
+MM_PER_PX = 18.6 / 320.0  # field of view of the sensor 18.6 mm over 320 px (data sheet)
+GAIN = 3.0  # magnification of the arrows, in all views
+BIN_EDGES_PX = np.array([0.5, 1.5, 3.0, 5.0, 8.0])  # displacements at which the colour changes
+# Colour map plasma from 0.60 to 1.00: contrast of at least 3.1 : 1 on the dark gel.
 BIN_COLOURS = ("#E76E5A", "#F1834B", "#F99A3D", "#FDB32F", "#FCCD25", "#F5EA26")
-"""plasma 0.60 to 1.00: contrast at least 3.1 : 1 on the dark gel; length repeats the meaning."""
 HEAD_SHARE, HEAD_MIN_PX, HEAD_MAX_PX = 0.35, 2.0, 7.0
 
 
 def colour_bins(displacement_px: FloatArray) -> NDArray[np.intp]:
-    """(n,) colour bin 0..5 of (n, 2) displacements."""
+    """Return the (n,) colour bins 0..5 of (n, 2) displacements."""
     return np.asarray(np.digitize(np.hypot(*displacement_px.T), BIN_EDGES_PX))
 
 
 def arrow_segments(rest_px: FloatArray, displacement_px: FloatArray) -> FloatArray:
-    """(n, 3, 4) shaft and two head strokes (x1 y1 x2 y2) of n arrows from their rest positions."""
+    """Return (n, 3, 4) shafts and head strokes (x1 y1 x2 y2) of n arrows."""
     vector = displacement_px * GAIN
     tip = rest_px + vector
     length = np.hypot(vector[:, 0], vector[:, 1])[:, None]
@@ -96,16 +93,15 @@ def arrow_segments(rest_px: FloatArray, displacement_px: FloatArray) -> FloatArr
 
 
 ROWS, COLUMNS = 7, 9
-FULL_PX = 12.0
-"""A displacement of this size (0.7 mm) has the last colour of the map."""
+FULL_PX = 12.0  # displacement at the end of the colour map (0.7 mm)
 IMAGE_W, IMAGE_H = 320, 240
 SCALE_PX = 64
 
 
 def magnitude_px(field: MarkerField) -> FloatArray:
-    """Return (7, 9) displacement sizes; a lost marker takes the mean of the others.
+    """Return the (7, 9) displacement sizes.
 
-    So no false peak is drawn where nothing is known.
+    A lost marker takes the mean of the others, so that no false peak appears.
     """
     size = np.hypot(*field.displacement_px.T)
     unknown = ~np.isfinite(size) | (field.state == MarkerState.LOST)
@@ -115,7 +111,7 @@ def magnitude_px(field: MarkerField) -> FloatArray:
 
 
 def magnitude_picture(field: MarkerField, map_name: MapName) -> ImageArray:
-    """Return (240, 320, 3) BGR, bilinear between rest positions, level beyond the outer ones."""
+    """Return (240, 320, 3) BGR, bilinear between rest positions, constant beyond the outer ones."""
     rest = (field.position_px - field.displacement_px).reshape(ROWS, COLUMNS, 2)
     across, down = np.nanmean(rest[:, :, 0], axis=0), np.nanmean(rest[:, :, 1], axis=1)
     u = np.interp(np.arange(IMAGE_W), across, np.arange(COLUMNS)).astype(np.float32)
@@ -127,7 +123,7 @@ def magnitude_picture(field: MarkerField, map_name: MapName) -> ImageArray:
 
 
 def magnitude_scale(font: QFont, ratio: float, map_name: MapName = "cividis") -> QPixmap:
-    """Return a bar of the colours with its ends in mm; ``ratio``: device pixels per pixel."""
+    """Return a colour bar labelled in mm; ``ratio``: device pixels per pixel."""
     metrics = QFontMetrics(font)
     low, high = "0", f"{FULL_PX * MM_PER_PX:.1f} mm"
     left, tall = metrics.horizontalAdvance(low) + 12, max(metrics.height() + 6, 22)
@@ -152,8 +148,7 @@ def magnitude_scale(font: QFont, ratio: float, map_name: MapName = "cividis") ->
 
 
 LEAST = QSize(160, 120)
-BRIGHTNESS = 0.7
-"""Dark marker blobs under the arrow tails would hide small motion on an undimmed picture."""
+BRIGHTNESS = 0.7  # dims the image, so that dark markers do not hide short arrows
 PENS = tuple(QPen(QColor(colour), 2) for colour in BIN_COLOURS)
 
 
@@ -167,7 +162,7 @@ LOOKS: tuple[tuple[Look, str], ...] = (
 
 
 class TactileView(QWidget):
-    """Shows the newest frame of one finger and its marker field."""
+    """Newest image and marker field of one finger."""
 
     def __init__(self, theme: Theme, finger: Finger) -> None:
         super().__init__()
@@ -184,21 +179,20 @@ class TactileView(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self.setMinimumSize(LEAST)
         self._limit_px = self.maximumHeight()
-        self.never, self.gone = "No camera yet", "No live picture"
-        """What is said where there is nothing to show."""
+        self.never, self.gone = "No camera yet", "No live picture"  # titles of the empty view
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
 
     def sizeHint(self) -> QSize:
-        """Return the image's own size."""
+        """Return the size of the image."""
         return QSize(IMAGE_W, IMAGE_H)
 
     def limit_height(self, limit_px: int) -> None:
-        """Grow no taller than ``limit_px``: a very wide window must leave room below."""
+        """Limit the height, so that a wide window leaves room below."""
         self._limit_px = limit_px
         self._fit_height()
 
     def resizeEvent(self, _event: QResizeEvent) -> None:
-        """Follow every change of width, also those that no resize of the window caused."""
+        """Follow changes of the width."""
         self._fit_height()
 
     def _fit_height(self) -> None:
@@ -207,18 +201,18 @@ class TactileView(QWidget):
             self.setFixedHeight(height)
 
     def show_frame(self, frame: TactileFrame, field: MarkerField | None) -> None:
-        """Show this frame and, if there is one, the newest marker field."""
+        """Show this frame with the newest marker field, if any."""
         self._frame = frame
         self._field = field
         self.update()
 
     def show_look(self, look: Look) -> None:
-        """Choose what is drawn."""
+        """Choose the layers to draw."""
         self.look = look
         self.update()
 
     def show_age(self, age: Age, age_s: float, reason: str) -> None:
-        """Say how old the picture is; beyond 2 s the picture is removed and ``reason`` shown."""
+        """Set the age of the image; beyond 2 s it is replaced by ``reason``."""
         if age is Age.FRESH and self._age is Age.FRESH:
             return
         tenth = f"{age_s:.1f}" != f"{self._age_s:.1f}"
@@ -227,7 +221,7 @@ class TactileView(QWidget):
             self.update()
 
     def seen(self) -> tuple[int, int]:
-        """Return (markers seen, markers)."""
+        """Return (visible markers, markers)."""
         if self._field is None:
             return 0, 0
         return int((self._field.state == MarkerState.SEEN).sum()), len(self._field.state)
@@ -256,10 +250,10 @@ class TactileView(QWidget):
             draw_stale_overlay(painter, target, self._theme, self._age_s)
 
     def _draw_picture(self, painter: QPainter, target: QRectF, frame: TactileFrame) -> None:
-        """Draw what is under the arrows: the gel, dimmed under arrows; nothing; or sizes."""
+        """Draw the layer below the arrows: the image, a plain ground or the magnitudes."""
         ratio = self.devicePixelRatioF()
         if self.look == "arrows":
-            # The arrows' colours are made for the dark gel, in every theme.
+            # Dark in every theme, as the colours of the arrows require.
             painter.fillRect(target, QColor("#14181C"))
         elif self.look == "magnitude" and self._field is not None:
             sizes = magnitude_picture(self._field, "cividis")
@@ -307,7 +301,7 @@ def _draw_markers(painter: QPainter, field: MarkerField, scale: float, strokes: 
 def _draw_uncertain(
     painter: QPainter, field: MarkerField, rest: FloatArray, finite: NDArray[np.bool_]
 ) -> None:
-    """Inferred markers: a hollow ring on the rest position; lost ones: a cross."""
+    """Draw inferred markers as rings and lost ones as crosses, at their rest position."""
     painter.setPen(QPen(QColor("#FFFFFF"), 1))
     painter.setBrush(Qt.BrushStyle.NoBrush)
     for x, y in rest[finite & (field.state == MarkerState.INFERRED)].tolist():
@@ -318,7 +312,7 @@ def _draw_uncertain(
 
 
 def _legend(width_px: float, font: QFont, ratio: float) -> QPixmap:
-    """Draw the arrow of 1 mm and its name for an image of this width."""
+    """Return an arrow of 1 mm with its label, for an image of this width."""
     scale = width_px / IMAGE_W
     length = GAIN / MM_PER_PX * scale
     metrics = QFontMetrics(font)

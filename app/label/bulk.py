@@ -67,13 +67,13 @@ class BulkPresenter:
 
     def preview(self) -> None:
         """Work out what would change in the queue that is shown."""
-        self._begin(self._show)
+        self._begin(ask=False)
 
     def preview_and_ask(self) -> None:
         """Do so, and ask whether to do it: for whoever has no mouse."""
-        self._begin(self._show_and_ask)
+        self._begin(ask=True)
 
-    def _begin(self, done: Callable[[BulkPreview], None]) -> None:
+    def _begin(self, *, ask: bool) -> None:
         self._preview = None
         self._form.apply.setEnabled(False)
         kind, text = str(self._form.kind.currentData()), self._form.value.text().strip()
@@ -83,9 +83,17 @@ class BulkPresenter:
             self._form.found.setText(str(error))
             return
         book, person, order = self._on.book, self._on.sitting.person, self._mine()
-        self._on.flushed(
-            lambda: self._on.saving.save(lambda: book.preview(person, order, change), done)
-        )
+
+        async def preview() -> None:
+            found = await self._on.saving.save(lambda: book.preview(person, order, change))
+            self._preview = found
+            self._form.found.setText(preview_text(found))
+            self._form.apply.setEnabled(bool(found.rows))
+            if ask and found.rows:
+                text = f"{_labels(len(found.rows))} will change."
+                self._choice.ask(text, YES, lambda _: self.apply())
+
+        self._on.flushed(preview)
 
     def _mine(self) -> list[str]:
         """Return the queue without the gold in it, which no bulk change may touch."""
@@ -97,25 +105,14 @@ class BulkPresenter:
         if wanted is not None:
             self._form.apply.setEnabled(False)
             book, person = self._on.book, self._on.sitting.person
-            self._on.flushed(
-                lambda: self._on.saving.save(lambda: book.bulk(person, wanted), self._applied)
-            )
 
-    def _show(self, found: BulkPreview) -> None:
-        self._preview = found
-        self._form.found.setText(preview_text(found))
-        self._form.apply.setEnabled(bool(found.rows))
+            async def apply() -> None:
+                count = await self._on.saving.save(lambda: book.bulk(person, wanted))
+                self._preview = None
+                self._form.found.setText(f"{_labels(count)} changed. U takes it back in one step.")
+                await self._on.read_queue()
 
-    def _show_and_ask(self, found: BulkPreview) -> None:
-        self._show(found)
-        if found.rows:
-            count = _labels(len(found.rows))
-            self._choice.ask(f"{count} will change.", YES, lambda _: self.apply())
-
-    def _applied(self, count: int) -> None:
-        self._preview = None
-        self._form.found.setText(f"{_labels(count)} changed. U takes it back in one step.")
-        self._on.read_queue()
+            self._on.flushed(apply)
 
     def _change(self, kind: str, text: str) -> BulkChange:
         if kind == "shift":

@@ -22,20 +22,22 @@ class LabelDecisions:
 
     def enter(self) -> None:
         """Accept (approve, while reviewing) and go on; save again what could not be saved."""
-        if self._on.saving.trouble is not None:
+        if self._on.saving.failure:
             self._on.saving.try_again()
         else:
             self._on.do(self._accept)
 
-    def _accept(self) -> None:
+    async def _accept(self) -> None:
         now, sitting = self._on.present, self._on.sitting
         if now is None:
             return
         if sitting.opines:
-            self._opine()
+            await self._answer_blind()
             return
         if sitting.queue in REVIEWING and now.edit.base.state != "draft" and not now.edit.changed:
-            self._approve()
+            labels, uuid, looked = self._on.book, now.item.entry.uuid, self._on.looked()
+            await self._on.saving.save(lambda: labels.approve(sitting.person, uuid, looked=looked))
+            self._on.go_on()
             return
         model = now.item.model
         if not now.edit.label.is_set and model is not None and not sitting.hides:
@@ -44,47 +46,32 @@ class LabelDecisions:
         if not now.edit.label.is_set:
             self._on.refuse("There is no displacement yet: type one as x,y, or nudge.")
             return
-        self._on.editing.trusted(self._submit)
-
-    def _submit(self) -> None:
-        now, book, person = self._on.present, self._on.shown, self._on.sitting.person
+        await self._on.editing.add_sigma()
+        now, book, person = self._on.present, self._on.shown, sitting.person
         if now is None:
             return
         uuid, edit, looked = now.item.entry.uuid, now.edit, self._on.looked()
         source = edit.source if edit.changed else None
-        self._on.saving.save(
-            lambda: book.of(uuid).accept(person, uuid, edit.label, source=source, looked=looked),
-            self._then_next,
+        await self._on.saving.save(
+            lambda: book.of(uuid).accept(person, uuid, edit.label, source=source, looked=looked)
         )
+        self._on.go_on()
 
-    def _opine(self) -> None:
+    async def _answer_blind(self) -> None:
         now = self._on.present
         if now is None or not now.edit.label.is_set:
             self._on.refuse("Set the displacement as you see it: x,y or the arrows.")
-        else:
-            self._on.editing.trusted(self._keep_opinion)
-
-    def _keep_opinion(self) -> None:
+            return
+        await self._on.editing.add_sigma()
         now, book, person = self._on.present, self._on.book, self._on.sitting.person
-        if now is not None:
-            uuid, label, looked = now.item.entry.uuid, now.edit.label, self._on.looked()
-            verdict = now.verdict
-
-            def answered(_: object) -> None:
-                self._on.walk.answered.add(uuid)
-                self._on.go_on()
-
-            self._on.saving.save(
-                lambda: book.opinion(person, uuid, label, verdict=verdict, looked=looked), answered
-            )
-
-    def _approve(self) -> None:
-        now, book, person = self._on.present, self._on.book, self._on.sitting.person
-        if now is not None:
-            uuid, looked = now.item.entry.uuid, self._on.looked()
-            self._on.saving.save(lambda: book.approve(person, uuid, looked=looked), self._then_next)
-
-    def _then_next(self, _: object) -> None:
+        if now is None:
+            return
+        uuid, label, verdict = now.item.entry.uuid, now.edit.label, now.verdict
+        looked = self._on.looked()
+        await self._on.saving.save(
+            lambda: book.opinion(person, uuid, label, verdict=verdict, looked=looked)
+        )
+        self._on.walk.answered.add(uuid)
         self._on.go_on()
 
     def reject(self) -> None:
@@ -103,7 +90,7 @@ class LabelDecisions:
             lambda person, uuid: self._on.shown.of(uuid).reject(
                 person, uuid, reason, looked=self._on.looked()
             ),
-            self._then_next,
+            go_on=True,
         )
 
     def flag(self) -> None:
@@ -147,8 +134,7 @@ class LabelDecisions:
 
     def _delete(self, reason: str) -> None:
         self._with_present(
-            lambda person, uuid: self._on.shown.of(uuid).delete(person, uuid, reason),
-            self._then_next,
+            lambda person, uuid: self._on.shown.of(uuid).delete(person, uuid, reason), go_on=True
         )
 
     def resolve(self) -> None:
@@ -180,13 +166,14 @@ class LabelDecisions:
         self._reversed(lambda: book.redo(person), "Done again")
 
     def _reversed(self, work: Callable[[], Operation | None], word: str) -> None:
-        def done(found: Operation | None) -> None:
+        async def reverse() -> None:
+            found = await self._on.saving.save(work)
             if found is None:
                 self._page.say("There is nothing to take back.")
             else:
                 self._show(found.episodes, word)
 
-        self._on.flushed(lambda: self._on.saving.save(work, done))
+        self._on.flushed(reverse)
 
     def _show(self, touched: list[str], word: str) -> None:
         for uuid in touched:
@@ -201,25 +188,21 @@ class LabelDecisions:
         else:
             self._on.show_at(places[0], said)
 
-    def _with_present(
-        self,
-        work: Callable[[str, str], Any],
-        done: Callable[[Any], None] | None = None,
-    ) -> None:
-        """Save what ``work`` (person, episode) does, after the edit was saved."""
-        finish = done or (lambda _: self._on.reload())
+    def _with_present(self, work: Callable[[str, str], Any], *, go_on: bool = False) -> None:
+        """Save the edit, then run ``work`` with the person and the episode."""
 
-        def begin() -> None:
+        async def save() -> None:
             now, person = self._on.present, self._on.sitting.person
             if now is not None:
                 uuid = now.item.entry.uuid
-                self._on.saving.save(lambda: work(person, uuid), finish)
+                await self._on.saving.save(lambda: work(person, uuid))
+                self._on.go_on() if go_on else self._on.reload()
 
-        self._on.flushed(begin)
+        self._on.flushed(save)
 
     def _ask(
         self, title: str, choices: list[tuple[str, str]] | tuple[tuple[str, str], ...],
         answer: Callable[[str], None],
     ) -> None:  # fmt: skip
-        if self._on.saving.trouble is None:
+        if not self._on.saving.failure:
             self._on.saving.after(lambda: self._page.choice.ask(title, choices, answer))

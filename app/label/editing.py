@@ -10,8 +10,8 @@ from PySide6.QtCore import QTimer
 
 from touchdown.app.label.page import LabelPage
 from touchdown.app.label.session import AnnotationSession, PresentEpisode
-from touchdown.app.shell import LabelDraft, SaveAction, SaveQueue, parse_displacement
-from touchdown.backend.annotations import ControlItemLabels, Revision
+from touchdown.app.shell import LabelDraft, Question, SaveAction, SaveQueue, parse_displacement
+from touchdown.backend.annotations import ControlItemLabels
 from touchdown.widgets.views import Point
 
 OFFERED_MM = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
@@ -48,8 +48,8 @@ class EpisodeView(Protocol):
 
     present: PresentEpisode | None
 
-    def do(self, intent: SaveAction) -> None:
-        """Do something after the saves that are under way."""
+    def do(self, action: SaveAction) -> None:
+        """Run an action after the saves in progress."""
         ...
 
     def show_edit(self) -> None:
@@ -160,58 +160,43 @@ class LabelEditing:
 
     # -- saves ------------------------------------------------------------------------------------
 
-    def save(self, then: SaveAction | None = None) -> None:
-        """Save the edit, if there is anything to save, then go on."""
+    async def save(self) -> None:
+        """Save the edit in front, if it was changed."""
         self._nudging.stop()
-        now, go_on = self._front.present, then or _nothing
-        if now is None or not now.edit.changed or self._sitting.opines:
-            go_on()
-            return
-        self.trusted(lambda: self._set(go_on))
-
-    def _set(self, then: SaveAction) -> None:
-        now, person = self._front.present, self._sitting.person
-        if now is None:
-            return
-        uuid, edit = now.item.entry.uuid, now.edit
-
-        def saved(_: Revision) -> None:
-            self._front.reload()
-            then()
-
-        self._saving.save(
-            lambda: self._book.of(uuid).set(person, uuid, edit.label, source=edit.source), saved
-        )
-
-    # -- how sure ---------------------------------------------------------------------------------
-
-    def trusted(self, then: SaveAction) -> None:
-        """Go on once the person has said how sure they are of what they set."""
         now = self._front.present
-        if now is None or not now.edit.changed or now.edit.label.sigma_um is not None:
-            then()
-        elif self._sitting.sigma_mm is not None:
-            now.edit = now.edit.trusted(self._sitting.sigma_mm)
-            then()
-        else:
-            self._ask_sigma(lambda: self.trusted(then))
+        if now is None or not now.edit.changed or self._sitting.opines:
+            return
+        await self.add_sigma()
+        now, person = self._front.present, self._sitting.person
+        if now is not None:
+            uuid, edit = now.item.entry.uuid, now.edit
+            await self._saving.save(
+                lambda: self._book.of(uuid).set(person, uuid, edit.label, source=edit.source)
+            )
+            self._front.reload()
 
-    def say_sigma(self) -> None:
-        """Ask how sure the person is because they want to say so; save what is nudged meanwhile."""
-        self._ask_sigma(lambda: self._front.do(self.save))
+    async def add_sigma(self) -> None:
+        """Give a changed edit the uncertainty of the person, who is asked once per session."""
+        if self._lacks_sigma() and self._sitting.sigma_mm is None:
+            self._sitting.sigma_mm = await Question[float](
+                lambda answer: ask_uncertainty(self._page, None, answer)
+            )
+        now, sigma_mm = self._front.present, self._sitting.sigma_mm
+        if now is not None and sigma_mm is not None and self._lacks_sigma():
+            now.edit = now.edit.trusted(sigma_mm)
 
-    def _ask_sigma(self, then: SaveAction) -> None:
-        """Ask how sure the person is; asked once a sitting, changed by a key."""
+    def _lacks_sigma(self) -> bool:
+        now = self._front.present
+        return now is not None and now.edit.changed and now.edit.label.sigma_um is None
+
+    def ask_sigma(self) -> None:
+        """Ask for the uncertainty of the person; save afterwards, with it, an edit made meanwhile."""
 
         def take(sigma_mm: float) -> None:
             self._sitting.sigma_mm = sigma_mm
-            then()
+            self._front.do(self.save)
 
         ask_uncertainty(self._page, self._sitting.sigma_mm, take)
-
-
-def _nothing() -> None:
-    """Do nothing more."""
 
 
 PAUSE_S = 60.0

@@ -23,7 +23,7 @@ from touchdown.app.label.page import (
     EmptyState,
     LabelPage,
 )
-from touchdown.app.label.queue import Prefetcher, QueueContent, QueueCursor, read_queue
+from touchdown.app.label.queue import Prefetcher, QueueCursor, read_queue
 from touchdown.app.label.session import AnnotationSession, FindingQueue, PresentEpisode
 from touchdown.app.label.text import (
     FINDING,
@@ -139,17 +139,23 @@ class LabelPresenter:
     def close(self) -> None:
         """End the reading ahead; an edit that waits is saved first."""
         if self.editing.waits:
-            self.editing.save()
+            self.saving.start(self.editing.save())
         self._prefetch.close()
 
     # -- the queue --------------------------------------------------------------------------------
 
-    def read_queue(self, *, stay: bool = True) -> None:
-        """Read the chosen queue anew; ``stay``: the present episode stays in front if it can."""
+    async def read_queue(self, *, stay: bool = True) -> None:
+        """Read the chosen queue again. With ``stay`` the present episode stays if it can."""
         sitting, here = replace(self.sitting), (self.walk.uuid or "") if stay else ""
-        self.saving.save(
-            lambda: read_queue(self.dataset, sitting), lambda queue: self._take_queue(queue, here)
-        )
+        order, entries, gold = await self.saving.save(lambda: read_queue(self.dataset, sitting))
+        self._cover_rows()
+        self.shown.begin(self.sitting.person, gold)
+        self.walk.begin(order, entries | {u: self.shown.entry(entries[u]) for u in gold}, here)
+        self._show_present()
+
+    def refresh(self) -> None:
+        """Read the queue again, without saving the present edit."""
+        self.saving.start(self.read_queue())
 
     def read_with_news(self, text: str) -> None:
         """Read the queue anew because of ``text``, which is said beside it."""
@@ -159,10 +165,10 @@ class LabelPresenter:
     def read_anew(self, text: str) -> None:
         """Read the episodes themselves anew: other models judge them."""
 
-        def again() -> None:
-            self.present = None
+        async def again() -> None:
+            self.present, self._news = None, text
             self._prefetch.forget()
-            self.read_with_news(text)
+            await self.read_queue()
 
         self.flushed(again)
 
@@ -177,13 +183,6 @@ class LabelPresenter:
         self._page.show_queue(FINDING, chosen.title)
         self.choose_queue(FINDING)
 
-    def _take_queue(self, queue: QueueContent, stay: str) -> None:
-        order, entries, gold = queue
-        self._cover_rows()
-        self.shown.begin(self.sitting.person, gold)
-        self.walk.begin(order, entries | {u: self.shown.entry(entries[u]) for u in gold}, stay)
-        self._show_present()
-
     def go_to(self, at: int) -> None:
         """Bring another episode of the queue to the front."""
         self.flushed(lambda: self._go(at))
@@ -197,19 +196,16 @@ class LabelPresenter:
 
     def move(self, by: int) -> None:
         """Go on (1) or back (-1) without a decision; going on over an undecided one skips it."""
-        if by > 0 and self.present is not None and self._undecided():
-            uuid, person = self.present.item.entry.uuid, self.sitting.person
-            self.flushed(
-                lambda: self.saving.save(
-                    lambda: self.shown.of(uuid).skip(person, uuid),
-                    lambda _: self._go(self.walk.at + by),
-                )
-            )
-        else:
-            self.flushed(lambda: self._go(self.walk.at + by))
+        now, person = self.present, self.sitting.person
+        undecided = now is not None and now.edit.base.state in ("unlabelled", "draft")
 
-    def _undecided(self) -> bool:
-        return self.present is not None and self.present.edit.base.state in ("unlabelled", "draft")
+        async def move() -> None:
+            if by > 0 and now is not None and undecided:
+                uuid = now.item.entry.uuid
+                await self.saving.save(lambda: self.shown.of(uuid).skip(person, uuid))
+            self._go(self.walk.at + by)
+
+        self.flushed(move)
 
     def go_on(self) -> None:
         """Go to the next episode after a decision; until it is there the decided one stays."""
@@ -239,7 +235,7 @@ class LabelPresenter:
             self.present is None or self.present.item.entry.uuid != uuid
         ):
             self._show_present()
-            self.saving.go_on()
+            self.saving.drain()
 
     def _show_present(self) -> None:
         """Show the present episode; while it is being read the former picture stays."""
@@ -314,12 +310,12 @@ class LabelPresenter:
         return () if self.sitting.hides else evidence_badges(now.edit, now.item)
 
     def _show_saving(self) -> None:
-        page, now, trouble = self._page, self.present, self.saving.trouble
+        page, now, failure = self._page, self.present, self.saving.failure
         if waiting := self.saving.waiting:
             page.banner.show_trouble(_waiting_words(waiting), waits=True)
         else:
-            page.banner.show_trouble(trouble.what if trouble is not None else "")
-        page.view.editable = now is not None and trouble is None
+            page.banner.show_trouble(failure)
+        page.view.editable = now is not None and not failure
         if now is None:
             page.strip.show_label("", (), "")
             return
@@ -327,9 +323,9 @@ class LabelPresenter:
             said = (f"says {now.verdict}",) if now.verdict else ()
             answered = now.item.entry.uuid in self.walk.answered
             saved = "answered blind" if answered else "blind, not answered yet"
-            page.strip.show_label("unlabelled", said, "unsaved" if trouble is not None else saved)
+            page.strip.show_label("unlabelled", said, "unsaved" if failure else saved)
             return
-        if waiting or trouble is not None or now.edit.changed:
+        if waiting or failure or now.edit.changed:
             saved = "unsaved"
         else:
             saved = f"saved {local_time_text(now.edit.base.at_ns)}, rev {len(now.history)}"
@@ -351,17 +347,24 @@ class LabelPresenter:
 
     # -- edits ------------------------------------------------------------------------------------
 
-    def do(self, intent: SaveAction) -> None:
-        """Do something after the saves that are under way; nothing while one has failed."""
+    def do(self, action: SaveAction) -> None:
+        """Run an action after the saves in progress. Refused while a save has failed."""
         self.clock.alive()
-        if self.saving.trouble is not None:
+        if self.saving.failure:
             self._page.say("Save or discard first.", bad=True)
         else:
-            self.saving.after(intent)
+            self.saving.after(action)
 
-    def flushed(self, intent: SaveAction) -> None:
-        """Do something after the present edit was saved."""
-        self.do(lambda: self.editing.save(intent))
+    def flushed(self, action: SaveAction) -> None:
+        """Save the present edit, then run an action."""
+
+        async def save_and_run() -> None:
+            await self.editing.save()
+            follow = action()
+            if follow is not None:
+                await follow
+
+        self.do(save_and_run)
 
     def reload(self) -> None:
         """Show what the dataset says of the present episode now."""

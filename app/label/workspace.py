@@ -162,14 +162,14 @@ class LabelWorkspace(Workspace):
         elif self.presenter is None:
             self.open()
         else:
-            self.presenter.read_queue()
+            self.presenter.refresh()
 
     def leave(self) -> None:
         """Stop the film; what was moved and not saved yet is saved."""
         self.label_page.film.stop()
         self.label_page.choice.hide()
         if self.presenter is not None:
-            self.presenter.flushed(_nothing)
+            self.presenter.do(self.presenter.editing.save)
 
     def close(self) -> None:
         """Save what waits, end the threads, let others write."""
@@ -254,7 +254,7 @@ class LabelWorkspace(Workspace):
                 self._desk.cards.show_card(
                     CardText("DATASET", notice, "", "", reset=False, notice=True)
                 )
-        self.presenter.read_queue()
+        self.presenter.refresh()
         self.opened(opened)
 
     def _failed(self, error: Exception) -> None:
@@ -287,10 +287,10 @@ class LabelWorkspace(Workspace):
         else:
             self.presenter.flushed(lambda: self._switch(person))
 
-    def _switch(self, person: str) -> None:
+    async def _switch(self, person: str) -> None:
         self._be(person)
         if self.presenter is not None:
-            self.presenter.read_queue(stay=False)
+            await self.presenter.read_queue(stay=False)
 
     def _be(self, person: str) -> None:
         if person != self.sitting.person:
@@ -385,7 +385,7 @@ class LabelWorkspace(Workspace):
 
     def discard(self) -> None:
         """Give up what could not be saved."""
-        if self.presenter is not None and self.presenter.saving.trouble is not None:
+        if self.presenter is not None and self.presenter.saving.failure:
             self.presenter.saving.discard()
             self.presenter.reload()
 
@@ -445,10 +445,6 @@ def _nobody(_what: object) -> None:
     """Do nothing: nobody waits for this."""
 
 
-def _nothing() -> None:
-    """Do nothing more."""
-
-
 STEPS_UM = (("", 100), ("Shift+", 1000), ("Alt+", 10))
 ARROWS = (("Left", -1, 0), ("Right", 1, 0), ("Up", 0, 1), ("Down", 0, -1))
 
@@ -482,7 +478,7 @@ def _decisions(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
         WindowCommand("model", "Take the model's displacement", "M",
                 lambda: w.on(lambda p: p.editing.take_model())),
         WindowCommand("sigma", "Say how sure you are of what you set", "S",
-                lambda: w.on(lambda p: p.editing.say_sigma())),
+                lambda: w.on(lambda p: p.editing.ask_sigma())),
         WindowCommand("verdict", "Your verdict, then S, U or ?", "V",
                 lambda: decide(LabelDecisions.verdict)),
         WindowCommand("take-over", "Take over another's draft", "T",

@@ -5,9 +5,10 @@ from __future__ import annotations
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Coroutine, Generator
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any, Generic, TypeVar
 
 from PySide6.QtCore import QObject, Qt, Signal
 
@@ -15,55 +16,59 @@ from touchdown.backend.core import FaultError, RefusedError, TouchdownError
 
 
 class MainThreadQueue(QObject):
-    """Runs on the window's thread what other threads put in, in that order."""
+    """Calls functions on the thread of the window, in the order in which they were put in."""
 
     _arrived = Signal()
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self._letters: deque[Callable[[], None]] = deque()
-        self._arrived.connect(self._open, Qt.ConnectionType.QueuedConnection)
+        self._calls: deque[Callable[[], None]] = deque()
+        self._arrived.connect(self._call_next, Qt.ConnectionType.QueuedConnection)
 
-    def put(self, letter: Callable[[], None]) -> None:
-        """Have ``letter`` called soon on the window's thread; callable from any thread."""
-        self._letters.append(letter)
+    def put(self, call: Callable[[], None]) -> None:
+        """Call ``call`` from the event loop of the window. Any thread may use this method."""
+        self._calls.append(call)
         self._arrived.emit()
 
     def close(self) -> None:
-        """Throw away what is still on its way: whoever it was for has ended."""
-        self._letters.clear()
+        """Drop the calls that were not made yet."""
+        self._calls.clear()
 
-    def _open(self) -> None:
-        # One letter per call: each has its own turn of the event loop.
-        if self._letters:
-            self._letters.popleft()()
+    def _call_next(self) -> None:
+        # One call per event, so that the window stays responsive between them.
+        if self._calls:
+            self._calls.popleft()()
 
 
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
-class _SaveJob:
+class _Job:
     work: Callable[[], Any]
     done: Callable[[Any], None]
     failed: Callable[[Exception], None]
 
 
-class SaveWorker:
-    """Runs jobs one after the other; exactly one of ``done`` and ``failed`` follows each."""
+class SaveWorker(QObject):
+    """Runs jobs on one thread, in order. Exactly one of ``done`` and ``failed`` follows each job.
+
+    ``finished`` is emitted on the thread of the window after each job.
+    """
+
+    finished = Signal()
 
     def __init__(self, post: MainThreadQueue, name: str = "label-commits") -> None:
+        super().__init__()
         self._post = post
-        self._jobs: queue.SimpleQueue[_SaveJob | None] = queue.SimpleQueue()
+        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._waiting = 0
-        self.told: Callable[[], None] = _ignore_end
-        """Called after each end was told, whoever had submitted the job."""
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     @property
     def busy(self) -> bool:
-        """Whether a job has been submitted whose end was not yet told."""
+        """True while a submitted job has not finished."""
         return self._waiting > 0
 
     def submit(
@@ -72,133 +77,174 @@ class SaveWorker:
         done: Callable[[Result], None],
         failed: Callable[[Exception], None],
     ) -> None:
-        """Have ``work`` run on the thread; its end is told on the window's thread."""
+        """Run ``work`` on the thread; call ``done`` or ``failed`` on the thread of the window."""
         self._waiting += 1
-        self._jobs.put(_SaveJob(work, done, failed))
+        self._jobs.put(_Job(work, done, failed))
 
     def close(self) -> None:
-        """Finish what was submitted, then end the thread."""
+        """Finish the submitted jobs, then end the thread."""
         self._jobs.put(None)
         self._thread.join()
 
     def _run(self) -> None:
         while (job := self._jobs.get()) is not None:
-            self._do(job)
+            try:
+                finish = partial(self._finish, job.done, job.work())
+            except Exception as error:  # noqa: BLE001 - an unreported end would block the page
+                finish = partial(self._finish, job.failed, error)
+            self._post.put(finish)
 
-    def _do(self, job: _SaveJob) -> None:
-        try:
-            result = job.work()
-        except Exception as error:  # noqa: BLE001 - a save whose end nobody tells blocks the page
-            failure = error
-            self._post.put(lambda: self._tell(job.failed, failure))
-        else:
-            self._post.put(lambda: self._tell(job.done, result))
-
-    def _tell(self, tell: Callable[[Any], None], what: object) -> None:
+    def _finish(self, report: Callable[[Any], None], result: object) -> None:
         self._waiting -= 1
-        tell(what)
-        self.told()
+        report(result)
+        self.finished.emit()
 
 
-def _ignore_end() -> None:
-    """Do nothing: nobody waits."""
+LOCKED = "CATALOGUE-BUSY"  # code of the fault that another program writes to the dataset
+SaveAction = Callable[[], Coroutine[Any, Any, None] | None]
 
 
-LOCKED = "CATALOGUE-BUSY"
-"""Code of the fault that another program writes to the dataset."""
-SaveAction = Callable[[], None]
+@dataclass(slots=True)
+class _Save(Generic[Result]):
+    """Awaits the result of ``work``, which runs on the thread of the saves."""
+
+    work: Callable[[], Result]
+
+    def __await__(self) -> Generator[_Save[Result], Result, Result]:
+        return (yield self)
 
 
-@dataclass(frozen=True, slots=True)
-class SaveFailure:
-    """A save that failed: ``what`` happened in words, and how to try again."""
+@dataclass(slots=True)
+class Question(Generic[Result]):
+    """Awaits an answer of the person. ``show`` shows the question and gets the answer's receiver.
 
-    what: str
-    again: SaveAction
+    The saves go on meanwhile. A question that is replaced by another one is never answered.
+    """
+
+    show: Callable[[Callable[[Result], None]], None]
+
+    def __await__(self) -> Generator[Question[Result], Result, Result]:
+        return (yield self)
 
 
 class SaveQueue:
-    """Orders saves and intents. ``refused`` gets the reason where a change is not allowed."""
+    """Runs user actions in order; each may be a coroutine that awaits saves and questions.
+
+    An action waits for the saves of the actions before it. A save that another program locks out
+    is repeated; one that is refused ends its action; one that fails stays as ``failure`` until
+    ``try_again`` or ``discard``. Refusal and failure also drop the actions that wait.
+
+    Parameters
+    ----------
+    worker
+        Thread of the saves.
+    refused
+        Receives the reason where a change is not allowed.
+    changed
+        Called when the state of the saves has changed.
+
+    """
 
     def __init__(
-        self, commits: SaveWorker, refused: Callable[[str], None], changed: Callable[[], None]
+        self, worker: SaveWorker, refused: Callable[[str], None], changed: Callable[[], None]
     ) -> None:
-        self._commits, self._refused, self._changed = commits, refused, changed
-        self._intents: deque[SaveAction] = deque()
+        self._worker, self._refused, self._changed = worker, refused, changed
+        self._actions: deque[SaveAction] = deque()
         self._draining = self._held = self._locked = False
-        self.trouble: SaveFailure | None = None
-        commits.told = self._drain
+        self._failed: tuple[Coroutine[Any, Any, None], Callable[[], Any]] | None = None
+        self.failure = ""  # text of the save that failed
+        worker.finished.connect(self.drain)
 
     @property
     def busy(self) -> bool:
-        """Whether a save is under way, or the present episode is not there yet."""
-        return self._held or self._commits.busy
+        """True while a save is in progress or the present episode is being read."""
+        return self._held or self._worker.busy
 
     @property
     def waiting(self) -> int:
-        """How many actions wait until another program lets go of the dataset."""
-        return 1 + len(self._intents) if self._locked else 0
+        """Number of actions that wait until another program unlocks the dataset."""
+        return 1 + len(self._actions) if self._locked else 0
 
     def hold(self, held: bool) -> None:
-        """Let intents wait while the next episode is still being read."""
+        """Keep actions waiting while the next episode is being read."""
         self._held = held
 
-    def go_on(self) -> None:
-        """Do what waited, if nothing is in the way any more."""
-        self._drain()
-
-    def after(self, intent: SaveAction) -> None:
-        """Do ``intent`` now, or after the saves that are under way."""
-        self._intents.append(intent)
-        self._drain()
+    def after(self, action: SaveAction) -> None:
+        """Run ``action`` now, or after the saves in progress."""
+        self._actions.append(action)
+        self.drain()
         if self._locked:
             self._changed()
 
-    def save(self, work: Callable[[], Result], done: Callable[[Result], None]) -> None:
-        """Have ``work`` done on the thread of the saves; ``done`` follows if it succeeded."""
+    def start(self, coroutine: Coroutine[Any, Any, None]) -> None:
+        """Run a coroutine now, up to its first save."""
+        self._resume(coroutine, None)
 
-        def succeeded(result: Result) -> None:
-            self.trouble, self._locked = None, False
-            done(result)
-            self._changed()
-
-        def failed(error: Exception) -> None:
-            self._locked = isinstance(error, FaultError) and error.fault.code == LOCKED
-            if self._locked:
-                # The next try waits for the lock as long as this one did: no wait of our own.
-                self._commits.submit(work, succeeded, failed)
-                self._changed()
-                return
-            self._intents.clear()
-            if isinstance(error, RefusedError):
-                self._refused(error.detail)
-            else:
-                self.trouble = SaveFailure(_error_text(error), lambda: self.save(work, done))
-            self._changed()
-
-        self._commits.submit(work, succeeded, failed)
-        self._changed()
+    def save(self, work: Callable[[], Result]) -> Awaitable[Result]:
+        """Run ``work`` on the thread of the saves; await its result."""
+        return _Save(work)
 
     def try_again(self) -> None:
-        """Save once more what could not be saved."""
-        trouble, self.trouble = self.trouble, None
-        if trouble is not None:
-            trouble.again()
+        """Repeat the save that failed."""
+        if self._failed is not None:
+            (coroutine, work), self._failed, self.failure = self._failed, None, ""
+            self._submit(coroutine, work)
 
     def discard(self) -> None:
-        """Give up what could not be saved."""
-        self.trouble = None
+        """Drop the save that failed and the rest of its action."""
+        self._failed, self.failure = None, ""
         self._changed()
 
-    def _drain(self) -> None:
+    def drain(self) -> None:
+        """Run the actions that wait, until one of them saves."""
         if self._draining:
             return
         self._draining = True
         try:
-            while self._intents and not self.busy:
-                self._intents.popleft()()
+            while self._actions and not self.busy:
+                coroutine = self._actions.popleft()()
+                if isinstance(coroutine, Coroutine):
+                    self.start(coroutine)
         finally:
             self._draining = False
+
+    def _resume(self, coroutine: Coroutine[Any, Any, None], result: object) -> None:
+        """Run a coroutine up to its next save or question."""
+        try:
+            step = coroutine.send(result)
+        except StopIteration:
+            return
+        if isinstance(step, Question):
+            step.show(partial(self._resume, coroutine))
+        else:
+            self._submit(coroutine, step.work)
+
+    def _submit(self, coroutine: Coroutine[Any, Any, None], work: Callable[[], Any]) -> None:
+        self._worker.submit(
+            work, partial(self._succeed, coroutine), partial(self._fail, coroutine, work)
+        )
+        self._changed()
+
+    def _succeed(self, coroutine: Coroutine[Any, Any, None], result: object) -> None:
+        self._failed, self.failure, self._locked = None, "", False
+        self._resume(coroutine, result)
+        self._changed()
+
+    def _fail(
+        self, coroutine: Coroutine[Any, Any, None], work: Callable[[], Any], error: Exception
+    ) -> None:
+        self._locked = isinstance(error, FaultError) and error.fault.code == LOCKED
+        if self._locked:
+            # Each try waits for the lock by itself: no delay is needed here.
+            self._submit(coroutine, work)
+            return
+        self._actions.clear()
+        if isinstance(error, RefusedError):
+            coroutine.close()
+            self._refused(error.detail)
+        else:
+            self._failed, self.failure = (coroutine, work), _error_text(error)
+        self._changed()
 
 
 def _error_text(error: Exception) -> str:

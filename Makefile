@@ -38,13 +38,14 @@ test: setup ## all tests: offscreen, no hardware, no network; one by real keys (
 	@export QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1; \
 	if [ -w /dev/shm ] && [ "$$(df -Pm /dev/shm | awk 'END { print $$4 }')" -ge $(MEMORY_MB) ]; then \
 	    export PYTEST_DEBUG_TEMPROOT=/dev/shm; fi; \
-	$(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal || { \
+	$(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal --cov=touchdown --cov-report= || { \
 	    code=$$?; [ $$code = 1 ] || exit $$code; \
 	    echo "test: what failed is run again, one by one:"; \
 	    if $(BIN)/pytest $(TESTS) -q --last-failed --last-failed-no-failures none --maxfail 9; \
 	    then echo "test: FAILED. Alone they pass: they depend on speed, or on what ran beside or before."; \
 	    else echo "test: FAILED, alone as well."; fi; \
-	    exit $$code; }
+	    exit $$code; }; \
+	echo "test: $$($(BIN)/coverage report --format=total) % of the product's lines are covered"
 
 check: lint types contracts test ## what continuous integration runs
 

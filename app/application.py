@@ -183,7 +183,7 @@ class TouchdownApp(QObject):
     def attach(self, link: BenchLink) -> None:
         """Take a bench that is ready and show it."""
         self.link = link
-        link.hub.subscribe(self._mailbox)
+        link.events.subscribe(self._mailbox)
         self._chips = DeviceChipsPresenter(link, self.bar)
         self.inspect = DeviceInspectorPresenter(link, self.bar, self.window)
         self.workspaces.attach(link)

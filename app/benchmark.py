@@ -43,7 +43,7 @@ class Measurement(QObject):
             self._give_up_if_failed()
             return
         if self._warm_s == 0.0:
-            self._main.link.hub.subscribe(self._take)
+            self._main.link.events.subscribe(self._take)
             self._main.link.start(StackRequest(trials=TRIALS, seed=FIRST_SEED))
             self._warm_s = time.perf_counter() + 2.0
         if time.perf_counter() < self._warm_s:

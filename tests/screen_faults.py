@@ -65,4 +65,4 @@ def of_faults(stage: Stage) -> Iterator[str]:
 
 def _raise(stage: Stage, fault: Fault) -> None:
     stage.bench.interlock.raise_fault(fault)
-    stage.bench.hub.publish(FaultRaised(stage.bench.clock_s(), fault))
+    stage.bench.events.publish(FaultRaised(stage.bench.clock_s(), fault))

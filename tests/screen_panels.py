@@ -186,25 +186,25 @@ def attended(stage: Stage) -> Iterator[str]:
     page.run.show_devices(True)
     bench.tell_start()
     bench.set_state(RunState.RUNNING, trial=1, trials=3, probe=0, phase="", asks="set the scene")
-    bench.hub.publish(SetUpAwaited(0.0, "pot", "short", (6.2, -3.4), holds=False))
+    bench.events.publish(SetUpAwaited(0.0, "pot", "short", (6.2, -3.4), holds=False))
     stage.live(0.0)
     yield "stack-set-the-scene"
     bench.set_state(RunState.RUNNING, asks="a hand at the jaws")
-    bench.hub.publish(HandOverAwaited(0.0, "pot", gives=True))
+    bench.events.publish(HandOverAwaited(0.0, "pot", gives=True))
     stage.live(0.0)
     yield "stack-hand-over"
     bench.tell_probe(1, (4.6, 2.0), -0.4)
     bench.tell_probe(2, (2.1, 0.9), 1.6)
     pot = bench.catalogue.piece("pot")
     bench.set_state(RunState.RUNNING, asks="say the outcome")
-    bench.hub.publish(
+    bench.events.publish(
         OutcomeAwaited(9.0, *outcome_from_signals(pot, side_n=0.3, left_n=0.1, holding=False))
     )
     stage.live(0.0)
     yield "stack-say-the-outcome"
     yield from _photo(stage)
     why = "Void: the bottom was put in the wrong place."
-    bench.hub.publish(TrialFinished(9.0, 1, 8, Outcome.ABORTED, why, 2, None, None))
+    bench.events.publish(TrialFinished(9.0, 1, 8, Outcome.ABORTED, why, 2, None, None))
     bench.tell_finish()
     bench.set_state(RunState.IDLE, trial=0, probe=0, phase="", asks="")
     stage.live(0.0)
@@ -341,7 +341,7 @@ def pauses(stage: Stage) -> Iterator[str]:
     main, bench = stage.main, stage.bench
     main.go("collect")
     bench.set_state(RunState.PAUSED, text=FULL.what)
-    bench.hub.publish(Paused(0.0, FULL))
+    bench.events.publish(Paused(0.0, FULL))
     stage.live(0.0)
     yield "collect-disk-full"
     main.cards.clear(main.cards.codes)

@@ -40,13 +40,13 @@ def of_the_pill(stage: Stage) -> Iterator[str]:
     yield "state-jog"
     hand.jog.active = hand.active = False
     hand.jog.state = SimpleNamespace(order=None, speed=0.0, slow="")
-    bench.hub.publish(RunStarted(bench.clock_s(), "probe", "pot", "short", "probe", 0, 1, True,
+    bench.events.publish(RunStarted(bench.clock_s(), "probe", "pot", "short", "probe", 0, 1, True,
                                  "{}", activity="probe"))  # fmt: skip
     bench.set_state(RunState.RUNNING, probe=1, phase="press")
-    bench.hub.publish(PhaseEntered(bench.clock_s(), "press", 1))
+    bench.events.publish(PhaseEntered(bench.clock_s(), "press", 1))
     stage.live(1.0)
     yield "state-probing"
-    bench.hub.publish(RunFinished(bench.clock_s(), "probe", "finished", ""))
+    bench.events.publish(RunFinished(bench.clock_s(), "probe", "finished", ""))
     bench.set_state(RunState.IDLE, probe=0, phase="")
     hand.pressing_n = 6.0
     stage.live(0.8)
@@ -73,7 +73,7 @@ def _of_the_wrist(stage: Stage) -> Iterator[str]:
     yield "state-degraded"
     wrist.rate_hz, bench.degraded = usual_hz, ()
     bench.drift = drift = WrenchDrift(0.52, 11.0, named=True)
-    bench.hub.publish(Noticed(bench.clock_s(), drift_notice(drift)))
+    bench.events.publish(Noticed(bench.clock_s(), drift_notice(drift)))
     _look_at_once(stage)
     yield "state-drift"
     bench.drift = None
@@ -91,7 +91,7 @@ def of_a_run(stage: Stage) -> Iterator[str]:
     """Preparing, pausing, paused, cancelling: the real engine by the buttons of Stack."""
     bench, main = stage.bench, stage.main
     stand_in = bench.engine, bench.status
-    engine = Engine(bench.hub, bench.interlock, bench.clock_s)
+    engine = Engine(bench.events, bench.interlock, bench.clock_s)
     bench.engine, bench.status = engine, engine.status
     main.go("stack")
     lifted = [False]

@@ -104,7 +104,7 @@ class DeviceInspectorPresenter:
             ).start()
 
     def _reconnect(self, device: Device) -> None:
-        now_s, publish = self._link.clock_s(), self._link.hub.publish
+        now_s, publish = self._link.clock_s(), self._link.events.publish
         try:
             reconnect(device, RECONNECT_S, threading.Event())
         except FaultError as error:

@@ -53,7 +53,7 @@ class BenchLink(Protocol):
     """What is on the bench as far as nobody says otherwise: of a lab what its file says."""
     connection: BenchConnection | None
     """How the devices are connected, where that is done by hand."""
-    hub: EventBus
+    events: EventBus
     interlock: Interlock
     hush: RepaintHold
     """While it is on nothing is drawn: a decision is due."""

@@ -107,7 +107,7 @@ class OperatorPromptsPresenter:
             if run is None:
                 raise InputError("This run is not kept.", str(source), "Name a folder for runs.")
             path = keep_photo(run, trial, source)
-            self._link.hub.publish(PhotoKept(self._link.clock_s(), trial, path.name))
+            self._link.events.publish(PhotoKept(self._link.clock_s(), trial, path.name))
             return path.name
 
         self._files.submit(work, self._page.trial.detail.setText, self._refused)

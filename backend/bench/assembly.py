@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from touchdown.backend.bench.session import Session
+from touchdown.backend.calibration import CalibrationStore
 from touchdown.backend.config import (
     PRESETS,
     BenchDescription,
@@ -41,6 +42,8 @@ from touchdown.backend.runs import (
     SceneChoice,
     SceneDevices,
     SceneView,
+    calibrations_folder,
+    models_folder,
 )
 from touchdown.backend.sensing import RawStreams, calibrate_scene_camera, gripper_payload
 from touchdown.backend.simulation import Scene, SceneTruth, start_command_mm, true_margin_mm
@@ -284,8 +287,8 @@ def simulated_session(
 ) -> Session:
     """Return a session on the simulated bench.
 
-    >>> session = simulated_session(keep=Keep(None))
-    >>> session.hub.subscribe(print)                                     # doctest: +SKIP
+    >>> session = simulated_session()                                       # doctest: +SKIP
+    >>> session.events.subscribe(print)                                     # doctest: +SKIP
     >>> session.run(StackRequest(piece="pot", bottoms=("short",), seed=7))  # doctest: +SKIP
 
     ``animate`` asks MuJoCo, where it is installed, after every release: for the motion of a fall
@@ -334,6 +337,69 @@ def simulated_session(
     return Session(
         make_stage, check, catalogue, settings=method, keep=keep or RecordingOptions(), facts=facts
     )
+
+
+def simulated_bench(
+    *,
+    preset: str | None = None,
+    settings: SimulationSettings | Path | None = None,
+    disturbances: Sequence[str] = (),
+    method: StackSettings | None = None,
+    pieces: Path | None = None,
+    runs: Path | None = None,
+) -> Session:
+    """Return a simulated bench, as ``touchdown stack`` uses it.
+
+    Parameters
+    ----------
+    preset : {"mixed", "quiet", "hard", "off", "realistic"}, optional
+        Named noise settings; "mixed" without preset and settings.
+    settings : SimulationSettings or Path, optional
+        Settings of the simulation, or a TOML file with them, instead of a preset.
+    disturbances : sequence of str, optional
+        Scripted disturbances such as ``"tactile_left:stop@3.0"``: device, effect, time in s.
+    method : StackSettings, optional
+        Settings of the method; defaults otherwise.
+    pieces : Path, optional
+        Folder with further piece files.
+    runs : Path, optional
+        Folder for the event logs and episodes of runs. Nothing is kept without it.
+
+    Returns
+    -------
+    Session
+        A context manager; ``run`` takes a request. Models and calibrations in use are those of
+        the operator's data folder; without a model in use the one that ships is loaded.
+
+    Raises
+    ------
+    InputError
+        If a preset, a disturbance or a file is invalid.
+
+    Examples
+    --------
+    >>> from touchdown.backend.bench import simulated_bench
+    >>> from touchdown.backend.runs import StackRequest
+    >>> with simulated_bench(preset="quiet") as bench:  # doctest: +SKIP
+    ...     result = bench.run(StackRequest(piece="pot", bottoms=("short",), seed=7))
+    >>> print(result.trials[0].outcome, result.trials[0].probes)  # doctest: +SKIP
+
+    """
+    choice = SimulatedBenchChoice(
+        file=settings if isinstance(settings, Path) else None,
+        preset=preset,
+        disturbances=tuple(disturbances),
+        pieces=pieces,
+        given=None if isinstance(settings, Path) else settings,
+    )
+    session = simulated_session(
+        choice,
+        keep=RecordingOptions(runs),
+        method=method,
+        registry=ModelRegistry(models_folder()),
+    )
+    session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
+    return session
 
 
 def _told(

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -23,6 +23,7 @@ from touchdown.backend.bench.assembly import (
 from touchdown.backend.bench.emulated_child import EmulatedProcess
 from touchdown.backend.bench.emulated_scene import BENCH_FILE, DriverObservations, TruthClient
 from touchdown.backend.bench.session import Session
+from touchdown.backend.calibration import CalibrationStore
 from touchdown.backend.config import (
     HardwareSettings,
     StackSettings,
@@ -34,7 +35,14 @@ from touchdown.backend.emulation import FaultPlan
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.learning import ModelRegistry
 from touchdown.backend.rig import LATE_S, BenchDevices, FlightRecorder
-from touchdown.backend.runs import NoEstimator, RecordingOptions, SceneChoice, SceneDevices
+from touchdown.backend.runs import (
+    NoEstimator,
+    RecordingOptions,
+    SceneChoice,
+    SceneDevices,
+    calibrations_folder,
+    models_folder,
+)
 from touchdown.backend.sensing import RawStreams, gripper_payload
 from touchdown.backend.simulation import Scene, start_command_mm
 
@@ -78,7 +86,7 @@ class EmulatedBench:
             lambda: None if self._wired is None else self._wired.link.memory,
             lambda: self.session.run_folder,
         )
-        self.session.hub.subscribe(recorder.note)
+        self.session.events.subscribe(recorder.note)
 
     def close(self) -> None:
         """End the run, disconnect the drivers, then take the emulated devices away."""
@@ -157,6 +165,50 @@ class EmulatedBench:
             and {"piece": loaded.card.piece, "weights_sha256": loaded.card.weights_sha256},
             "program": version("touchdown"),
         }
+
+
+@contextmanager
+def emulated_bench(
+    *,
+    preset: str | None = None,
+    faults: FaultPlan | None = None,
+    method: StackSettings | None = None,
+    pieces: Path | None = None,
+    runs: Path | None = None,
+) -> Iterator[Session]:
+    """Open an emulated bench: real drivers on real wires, simulated physics, in real time.
+
+    Parameters
+    ----------
+    preset : {"mixed", "quiet", "hard", "off", "realistic"}, optional
+        Named noise settings, "mixed" by default.
+    faults : FaultPlan, optional
+        Faults of the devices by the time since a scene was set; none by default.
+    method, pieces, runs
+        As of ``simulated_bench``.
+
+    Yields
+    ------
+    Session
+        The session; drivers and emulated devices are taken down at the end of the block.
+
+    Raises
+    ------
+    InputError
+        If the preset or a file is invalid.
+
+    """
+    with EmulatedBench(
+        SimulatedBenchChoice(preset=preset, pieces=pieces),
+        keep=RecordingOptions(runs),
+        method=method,
+        registry=ModelRegistry(models_folder()),
+        plan=faults,
+    ) as bench:
+        bench.session.calibrations = CalibrationStore(
+            calibrations_folder(), "emulated", "--emulated"
+        )
+        yield bench.session
 
 
 def _jig(scene: Scene) -> Pose | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -21,7 +22,7 @@ from touchdown.backend.calibration import (
     camera_conflicts,
 )
 from touchdown.backend.config import Lab, StackSettings, load_lab
-from touchdown.backend.core import BenchClock, InputError
+from touchdown.backend.core import BenchClock, InputError, raised_priority
 from touchdown.backend.devices import Limits
 from touchdown.backend.geometry import Piece, PieceLibrary, load_pieces
 from touchdown.backend.learning import ModelRegistry
@@ -33,6 +34,7 @@ from touchdown.backend.runs import (
     RecordingOptions,
     SceneChoice,
     SceneDevices,
+    models_folder,
 )
 from touchdown.backend.sensing import RawStreams, gripper_payload
 
@@ -75,6 +77,66 @@ def lab_session(
         settings=method, keep=keep or RecordingOptions(), facts=lab.facts,
     )  # fmt: skip
     bench.wire(session, any_gels=choice.any_gels).notices = otherwise_named(written)
+    return session
+
+
+START_SPEED = 0.1  # share of every speed in air, until the operator changes it
+
+
+def open_lab(
+    path: Path | str,
+    *,
+    method: StackSettings | None = None,
+    pieces: Path | None = None,
+    runs: Path | None = None,
+    speed: float = START_SPEED,
+) -> Session:
+    """Return the bench of a lab file; nothing is connected before ``Session.connect``.
+
+    The priority of the calling thread is raised until the session is closed, where the system
+    permits it: sensors and arm are served in real time.
+
+    Parameters
+    ----------
+    path : Path or str
+        Lab file (TOML).
+    method : StackSettings, optional
+        Settings of the method; defaults otherwise.
+    pieces : Path, optional
+        Folder with further piece files.
+    runs : Path, optional
+        Folder for the event logs and episodes of runs. Nothing is kept without it.
+    speed : float, default: 0.1
+        Share of every speed in air, 0.1 to 1.
+
+    Returns
+    -------
+    Session
+        A context manager. Runs on devices ask their operator: subscribe to ``events`` and reply
+        with ``answer``.
+
+    Raises
+    ------
+    InputError
+        If the lab file is invalid or names an unknown piece.
+
+    Examples
+    --------
+    >>> with open_lab("lab.toml") as bench:  # doctest: +SKIP
+    ...     bench.connect(home=True)
+    ...     result = bench.run(ProbeRequest())
+
+    """
+    with ExitStack() as stack:
+        stack.enter_context(raised_priority())  # inherited by all threads of the session
+        session = lab_session(
+            LabChoice(Path(path), pieces),
+            keep=RecordingOptions(runs),
+            method=method,
+            registry=ModelRegistry(models_folder()),
+        )
+        session.resources.push(stack.pop_all())
+    session.interlock.override_speed(speed)
     return session
 
 
@@ -135,7 +197,7 @@ class _LabBench:
             settings, self._clock.now_s, raw.frames, raw.samples, raw.poses, session.interlock
         )
         recorder = FlightRecorder(lambda: wired.link.memory, lambda: session.run_folder)
-        session.hub.subscribe(recorder.note)
+        session.events.subscribe(recorder.note)
         serials = settings.serials.model_dump()
         connection = BenchConnection(wired.devices, serials)
 

@@ -11,9 +11,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Self
 
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.calibration import CalibrationStore, calibrated_positions
@@ -21,16 +23,21 @@ from touchdown.backend.config import BenchDescription, StackSettings
 from touchdown.backend.core import (
     FINGERS,
     EpisodeDecision,
+    Event,
     EventBus,
+    Fault,
+    FaultRaised,
     FaultsReset,
     Finger,
     MarkerField,
     RefusedError,
     RepaintHold,
+    RunFinished,
     Said,
     SampleStream,
     Stream,
     TactileFrame,
+    TrialFinished,
     blocking_section,
 )
 from touchdown.backend.devices import (
@@ -63,7 +70,7 @@ from touchdown.backend.runs import (
     Plan,
     RecordingOptions,
     Request,
-    RunContext,
+    RunEnding,
     RunRecorder,
     RunStatus,
     SceneCheck,
@@ -74,6 +81,7 @@ from touchdown.backend.runs import (
     Used,
     calibration_metadata,
     calibrations_for,
+    check_connected,
     check_devices,
     check_no_contact,
     contact_height_mm,
@@ -94,15 +102,30 @@ FRAME_CAPACITY, SAMPLE_CAPACITY = 192, 60_000
 
 
 @dataclass(frozen=True, slots=True)
-class _Scene:
-    """A stage with its sensing and its guarded devices."""
+class RunResult:
+    """Result of a run that ended without an error.
 
-    stage: SceneDevices
-    sensing: LiveSensing
-    arm: GuardedArm
-    gripper: GuardedGripper
-    hand: ManualControl
-    drift: DriftMonitor
+    Attributes
+    ----------
+    trials : tuple of TrialFinished
+        One event per finished trial, in order. Each has ``outcome``, ``probes``, ``reason``,
+        ``margin_mm`` (mm; None where unknown) and ``seed``. Empty for requests without trials.
+    ending : {"finished", "cancelled", "stopped", "failed"}
+        How the run ended.
+    reason : str
+        One sentence on the ending.
+    faults : tuple of Fault
+        Faults raised during the run, in order.
+    run_folder : Path or None
+        Folder with the event log and the episodes, None if the run was not kept.
+
+    """
+
+    trials: tuple[TrialFinished, ...] = ()
+    ending: RunEnding = "finished"
+    reason: str = ""
+    faults: tuple[Fault, ...] = ()
+    run_folder: Path | None = None
 
 
 class Session:
@@ -119,12 +142,14 @@ class Session:
         facts: BenchDescription,
     ) -> None:
         self._make_stage, self._check, self.catalogue = make_stage, check, catalogue
-        self._settings, self.facts = settings, facts
+        self.method, self.facts = settings, facts
         self.simulated, self.name = facts.mode == "simulated", ""
+        self.run_id, self.mode = "", ""  # of the last run
         self.limits_source, self.usual = "the program itself", SceneChoice()
+        self.resources = ExitStack()  # closed after everything else
         self.connection: BenchConnection | None = None
         """Devices that outlive every scene (None: each scene has its own)."""
-        self.hub, self.interlock, self.gate = EventBus(), Interlock(), OperatorPrompt()
+        self.events, self.interlock, self.gate = EventBus(), Interlock(), OperatorPrompt()
         self.hush = RepaintHold()
         """Whoever shares this interpreter draws nothing while it is on."""
         self.decisions = PendingDecision()
@@ -145,11 +170,14 @@ class Session:
         commands = SampleStream("arm_command", 3, SAMPLE_CAPACITY)
         self.raw = RawStreams(self.frames, samples, poses, commands)
         self._supervision = Supervision(self.interlock, self.wrench, self.frames)
-        self.engine = Engine(self.hub, self.interlock, self.clock_s, self._supervision.unwell)
+        self.engine = Engine(self.events, self.interlock, self.clock_s, self._supervision.unwell)
         mode = LIVE_MODES.get(facts.mode, "lab")
-        self._keep, self._recorder = keep, RunRecorder(keep, self.hub, self.interlock, mode)
-        self._teller = FaultNotifier(self.hub, self.interlock, self.clock_s)
-        self._scene: _Scene | None = None
+        self._keep, self._recorder = keep, RunRecorder(keep, self.events, self.interlock, mode)
+        self._teller = FaultNotifier(self.events, self.interlock, self.clock_s)
+        self._scene: Bench | None = None  # assigned after the three below
+        self._stage: SceneDevices
+        self._hand: ManualControl
+        self._drift: DriftMonitor
         ended, still = self.engine.abandon, self._teller.tell_now
         self._live = LiveThread(self._live_step, 1e-6 * STEP_US, ended, still)
 
@@ -159,7 +187,7 @@ class Session:
     def devices(self) -> Mapping[str, Device]:
         """The five devices by name; of a simulated bench those of the scene, once there is one."""
         if self._scene is not None:
-            return self._scene.stage.devices
+            return self._stage.devices
         return {} if self.connection is None else self.connection.devices
 
     @property
@@ -180,12 +208,12 @@ class Session:
     @property
     def hand(self) -> ManualControl | None:
         """What the operator does by hand on the present scene (None before the first)."""
-        return None if self._scene is None else self._scene.hand
+        return None if self._scene is None else self._hand
 
     @property
     def model(self) -> ModelCard | None:
         """What reads the probes of the present scene (None where no model does)."""
-        estimator = None if self._scene is None else self._scene.stage.estimator
+        estimator = None if self._scene is None else self._scene.estimator
         return estimator.card if isinstance(estimator, Estimator) else None
 
     @property
@@ -200,7 +228,7 @@ class Session:
 
     def clock_s(self) -> float:
         """Return the bench clock of the present scene."""
-        return 0.0 if self._scene is None else self._scene.stage.clock.now_s()
+        return 0.0 if self._scene is None else self._scene.now_s()
 
     def status(self) -> RunStatus:
         """Return a snapshot of the engine."""
@@ -220,15 +248,52 @@ class Session:
                 raise RefusedError("SERVO-OFF", "The servo of the arm is off: switch it on first.")
         self.engine.begin(self._plan(request))
 
-    def run(self, request: Request) -> None:
-        """Run to the end on this thread, as fast as it computes. Raises what ended it early."""
+    def run(self, request: Request) -> RunResult:
+        """Run ``request`` to its end on the calling thread, as fast as the bench allows.
+
+        A simulated bench is stepped as fast as it computes; devices take their own time.
+
+        Parameters
+        ----------
+        request : StackRequest, CollectRequest, CalibrateRequest, ProbeRequest or SetRequest
+            The run. The same request with the same seed gives the same events on a simulated
+            bench.
+
+        Returns
+        -------
+        RunResult
+            Finished trials, ending, faults and folder of the run. A run that was cancelled, or
+            that a failed trial ended early, returns as well; see ``RunResult.ending``.
+
+        Raises
+        ------
+        InputError
+            If a piece, a bottom or a model is unknown, or the folder for runs cannot be written.
+        RefusedError
+            If another run is in progress, after a stop, or if a device is not connected or a
+            calibration is missing.
+        FaultError
+            If a fault ended the run outside a trial.
+
+        """
         if self.hand is not None and not self.simulated:
             self.hand.refuse_turned()
         plan = self._plan(request)
+        events: list[Event] = []
+        leave = self.events.subscribe(events.append)
         try:
             self.engine.run(plan, self.advance)
         finally:
+            leave()
             self._recorder.close()
+        finished = next((e for e in reversed(events) if isinstance(e, RunFinished)), None)
+        return RunResult(
+            trials=tuple(e for e in events if isinstance(e, TrialFinished)),
+            ending="finished" if finished is None else finished.ending,
+            reason="" if finished is None else finished.reason,
+            faults=tuple(e.fault for e in events if isinstance(e, FaultRaised)),
+            run_folder=self.run_folder,
+        )
 
     def stop(self) -> None:
         """STOP: latch, halt arm and gripper, end the run. Legal always; returns at once."""
@@ -237,7 +302,7 @@ class Session:
     def reset(self) -> None:
         """Clear latch and faults after the operator looked; nothing moves."""
         self.interlock.reset()
-        self.hub.publish(FaultsReset(self.clock_s()))
+        self.events.publish(FaultsReset(self.clock_s()))
 
     def answer(self, yes: bool) -> None:
         """Approve or decline the action that waits."""
@@ -250,6 +315,33 @@ class Session:
     def prepare(self, choice: SceneChoice) -> None:
         """Set a scene without starting a run, so that a live view has something to show."""
         self._set_scene(choice)
+
+    def connect(self, *, home: bool = False) -> None:
+        """Connect all devices of a laboratory and wait until they are ready.
+
+        Does nothing on a simulated or an emulated bench, whose devices come with each scene.
+
+        Parameters
+        ----------
+        home : bool, default: False
+            Home the gripper as well. The jaws move and must be empty.
+
+        Raises
+        ------
+        FaultError
+            If a device cannot be connected or has a fault.
+        RefusedError
+            If a run is in progress, after a stop, or if the gripper has to be homed first.
+
+        """
+        if self.connection is None:
+            return
+        self.connection.begin()
+        self.connection.wait()
+        if home:
+            self.home_gripper()
+            self.connection.wait()
+        check_connected(self.connection)
 
     def join(self, connection: BenchConnection, name: str, limits: Limits, source: str) -> None:
         """Take the devices of lab ``name``, which outlive every scene; STOP reaches them now."""
@@ -279,7 +371,7 @@ class Session:
         if self._keep.runs is not None:
             log_limit_change(self._keep.runs, self.name, person, self.interlock.limits, limits)
         self.interlock.change_limits(limits, self.clock_s())
-        self.hub.publish(Said(self.clock_s(), f"Limits changed by {person}."))
+        self.events.publish(Said(self.clock_s(), f"Limits changed by {person}."))
 
     # -- time -------------------------------------------------------------------------------------
 
@@ -287,10 +379,10 @@ class Session:
         """Move the bench by one step and process what the sensors delivered."""
         latch_device_faults(self.devices.values(), self.interlock)
         if (scene := self._scene) is not None:
-            scene.hand.tick()
-            scene.stage.advance(STEP_US)
+            self._hand.tick()
+            self._stage.advance(STEP_US)
             scene.sensing.update()
-            scene.drift.update()
+            self._drift.update()
             self._supervision.check(self.clock_s())
         if not self.engine.busy:
             self._teller.tell()
@@ -307,6 +399,13 @@ class Session:
         self._recorder.close()
         if self.connection is not None:
             self.connection.close()
+        self.resources.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
 
     def _live_step(self) -> None:
         self.engine.tick()
@@ -325,74 +424,50 @@ class Session:
     def _plan(self, request: Request) -> Plan[None]:
         check_devices(self.connection, request)
         self._used = calibrations_for(request, self.facts.mode, self.calibrations, self.devices)
-        run_id = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
-        host = RunContext(
-            run_id=run_id,
-            simulated=self.simulated,
-            mode=self._mode(),
-            facts=self.facts,
-            dataset=self.dataset,
-            decisions=self.decisions,
-            piece=self.catalogue.piece,
-            method=self._settings,
-            check=lambda c: {**self._check(c), "limits": asdict(self.interlock.limits)},
-            open=lambda: self._recorder.open(run_id),
-            set_scene=lambda choice, method: self._bench(
-                self._set_scene(choice, self._used), method
-            ),
-            present=self._present,
-        )
-        return plan_of(request, host)
-
-    def _mode(self) -> str:
+        self.run_id = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
         stepped = self.simulated and not self._live.running
-        return "stepped" if stepped else LIVE_MODES.get(self.facts.mode, "lab")
+        self.mode = "stepped" if stepped else LIVE_MODES.get(self.facts.mode, "lab")
+        return plan_of(request, self)
 
     def _wall_s(self) -> float:
         """Return the clock of whoever holds a button: the wall's while live, else the bench's."""
         return time.monotonic() if self._live.running else self.clock_s()
 
-    def _present(self, method: StackSettings) -> Bench:
+    # -- for plans --------------------------------------------------------------------------------
+
+    def check_scene(self, choice: SceneChoice) -> Mapping[str, object]:
+        """Return the settings a run on ``choice`` depends on, JSON-ready; raises ``InputError``."""
+        return {**self._check(choice), "limits": asdict(self.interlock.limits)}
+
+    def open_record(self) -> None:
+        """Open event log and episode store of the run; raises ``InputError``."""
+        self._recorder.open(self.run_id)
+
+    def set_scene(self, choice: SceneChoice, method: StackSettings) -> Bench:
+        """Build a new scene and return its bench for the run in progress."""
+        return self._for_run(self._set_scene(choice, self._used), method)
+
+    def present_scene(self, method: StackSettings) -> Bench:
+        """Return the bench of the present scene; raises ``RefusedError`` if there is none."""
         if self._scene is None:
             raise RefusedError("NO-SCENE", "Nothing is set up on the bench yet.")
-        return self._bench(self._scene, method)
+        return self._for_run(self._scene, method)
 
-    def _bench(self, scene: _Scene, method: StackSettings) -> Bench:
-        """Return the bench of a plan on ``scene``."""
-        stage, now_s = scene.stage, scene.stage.clock.now_s
-        bottoms = [self.catalogue.bottom(name) for name in stage.bottom.split("+")]
+    def _for_run(self, scene: Bench, method: StackSettings) -> Bench:
+        bottoms = [self.catalogue.bottom(name) for name in scene.bottom.split("+")]
         self.interlock.untested_release = self.simulated and method.strategy == "pick-and-place"
-        self.interlock.renew_lease(now_s())
-        return Bench(
-            now_s=now_s,
-            arm=scene.arm,
-            gripper=scene.gripper,
-            interlock=self.interlock,
-            sensing=scene.sensing,
-            estimator=stage.estimator,
-            piece=stage.piece,
-            bottom=stage.bottom,
-            store=self._recorder.store,
-            gate=self.gate,
+        self.interlock.renew_lease(scene.now_s())
+        return replace(
+            scene,
             settings=method,
-            scoring=stage.scoring,
-            wall_s=time.perf_counter,
-            probe_count=lambda: self.engine.status().probe,
-            felt_count=lambda: self.engine.status().felt,
-            hush=self.hush,
-            outline=stage.outline,
-            jig=stage.jig,
-            scene_view=stage.scene_view,
-            wrench_late_s=stage.wrench_late_s,
+            store=self._recorder.store,
             calibrations=calibration_metadata(self._used),
-            sensor_height_mm=self.facts.sensor_height_mm,
-            below=SupportTower.entered(stage.piece, bottoms, method.tower),
+            below=SupportTower.entered(scene.piece, bottoms, method.tower),
             placed=calibrated_positions(self._used),
-            real_time=stage.real_time,
         )
 
     @blocking_section("sets the scene", SET_S)
-    def _set_scene(self, choice: SceneChoice, used: Used | None = None) -> _Scene:
+    def _set_scene(self, choice: SceneChoice, used: Used | None = None) -> Bench:
         """Build the scene and let its sensors start; ``used``: what a run was checked with."""
         self.interlock.forget_stoppers()
         wire_stop(self.connection, self.interlock)
@@ -421,9 +496,34 @@ class Session:
         gripper = GuardedGripper(stage.gripper, self.interlock, now_s)
         around = JogSurroundings(now_s, self._wall_s, press_n, surface_mm, lambda: self.engine.busy)
         hand = ManualControl(
-            ManualDevices(arm, gripper, sensing), self.interlock, around, self.hub.publish
+            ManualDevices(arm, gripper, sensing), self.interlock, around, self.events.publish
         )
-        drift = DriftMonitor(DriftScene(now_s, arm, gripper, surface_mm), sensing, self.hub.publish)
-        self._scene = scene = _Scene(stage, sensing, arm, gripper, hand, drift)
+        self._stage, self._hand = stage, hand
+        self._drift = DriftMonitor(
+            DriftScene(now_s, arm, gripper, surface_mm), sensing, self.events.publish
+        )
+        self._scene = scene = Bench(
+            now_s=now_s,
+            arm=arm,
+            gripper=gripper,
+            interlock=self.interlock,
+            sensing=sensing,
+            estimator=stage.estimator,
+            piece=stage.piece,
+            bottom=stage.bottom,
+            store=self._recorder.store,
+            gate=self.gate,
+            settings=self.method,
+            scoring=stage.scoring,
+            wall_s=time.perf_counter,
+            status=self.status,
+            hush=self.hush,
+            outline=stage.outline,
+            jig=stage.jig,
+            scene_view=stage.scene_view,
+            wrench_late_s=stage.wrench_late_s,
+            sensor_height_mm=self.facts.sensor_height_mm,
+            real_time=stage.real_time,
+        )
         self._supervision.begin(now_s(), gripper, stage.devices["force_torque"])
         return scene

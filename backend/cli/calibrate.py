@@ -117,7 +117,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     )  # fmt: skip
     with _session(args, screen) as session, ExitStack() as bars:
         told = _CalibrationProgress(screen, bars, session)
-        session.hub.subscribe(told.take)
+        session.events.subscribe(told.take)
         with ctrl_c_cancels(session.engine.cancel):
             session.run(request)
         return _report(args, session, told, screen)

@@ -133,7 +133,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             # The bar begins with the campaign: bad words are refused before anything is said.
             with ExitStack() as bars, ctrl_c_cancels(session.engine.cancel):
                 told = _CollectionProgress(screen, bars, session)
-                session.hub.subscribe(told.take)
+                session.events.subscribe(told.take)
                 session.run(_request(args, dataset, person))
         return _report(dataset, session, told, screen)
 

@@ -17,17 +17,16 @@ from touchdown.backend.config import is_lab_file, load_lab
 from touchdown.backend.core import (
     Event,
     Fault,
-    FaultError,
     HandOverAwaited,
     InputError,
     Outcome,
     OutcomeAwaited,
     Paused,
-    RefusedError,
     SetUpAwaited,
     raised_priority,
 )
 from touchdown.backend.runs import (
+    check_connected,
     hand_over_message,
     models_folder,
     outcome_question,
@@ -140,7 +139,7 @@ def open_lab_bench(
             screen.say("  gripper: homing, the jaws move")
             session.home_gripper()
             report_devices(connection, screen.say, ("gripper",))
-        require_usable(connection)
+        check_connected(connection)
         yield session
 
 
@@ -173,26 +172,6 @@ def line_text(line: DeviceStatus) -> str:
     needs = f", needs: {line.needs}" if line.needs else ""
     notice = f". {line.notice}" if line.notice else ""
     return f"{line.name}: {line.state}{named}{needs}{notice}"
-
-
-def require_usable(connection: BenchConnection) -> None:
-    """Raise the first fault of a device, or what the operator has to do first."""
-    for line in connection.lines():
-        if line.fault is not None:
-            raise FaultError(line.fault)
-        if line.needs == "home":
-            raise RefusedError(
-                "NOT-HOMED",
-                "The gripper does not know where its jaws are: empty them, then add --home.",
-            )
-        if line.needs == "acknowledge":
-            raise RefusedError(
-                "FAST-STOP", "The gripper waits for an acknowledgement: see the Connect panel."
-            )
-    if connection.trouble is not None:
-        raise connection.trouble
-    if connection.missing():
-        raise RefusedError("NOT-CONNECTED", f"Not connected: {', '.join(connection.missing())}.")
 
 
 def ask_yes_no_in_thread(answer: Callable[[bool], None]) -> None:

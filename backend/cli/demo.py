@@ -34,8 +34,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     session = simulated_session(
         SimulatedBenchChoice(), keep=RecordingOptions(out / "runs"), animate=True
     )
-    session.hub.subscribe(lambda fact: runs[-1].append(_with_signals(fact, session.run_folder)))
-    session.hub.subscribe(lambda fact: narrate(fact, screen))
+    session.events.subscribe(lambda fact: runs[-1].append(_with_signals(fact, session.run_folder)))
+    session.events.subscribe(lambda fact: narrate(fact, screen))
     try:
         for piece, bottom in SHOWN:
             runs.append([])

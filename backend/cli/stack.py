@@ -46,7 +46,7 @@ from touchdown.backend.runs import (
 )
 
 if TYPE_CHECKING:
-    from touchdown.backend.bench import LabChoice, Session, SimulatedBenchChoice
+    from touchdown.backend.bench import LabChoice, RunResult, Session, SimulatedBenchChoice
     from touchdown.backend.config import StackSettings
     from touchdown.backend.runs import RecordingOptions
 
@@ -145,22 +145,19 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     )
     keep = RecordingOptions(runs, episodes=not args.no_episodes)
     method = _method(args, request)
-    trials: list[TrialFinished] = []
-    faults: list[FaultRaised] = []
     with _session(choice, keep, method, args, screen) as session:
         bench = f"{session.name}" if lab else "simulated bench"
-        session.hub.subscribe(lambda fact: _follow(fact, trials, faults))
-        session.hub.subscribe(lambda fact: narrate(fact, screen, bench))
-        session.hub.subscribe(lambda fact: _ask(fact, session, screen))
-        session.hub.subscribe(lambda fact: answer_prompt(fact, session, screen))
+        session.events.subscribe(lambda fact: narrate(fact, screen, bench))
+        session.events.subscribe(lambda fact: _ask(fact, session, screen))
+        session.events.subscribe(lambda fact: answer_prompt(fact, session, screen))
         with ctrl_c_cancels(session.engine.cancel):
-            session.run(request)
-    screen.show(trial_table(trials, bench="simulated" if session.simulated else bench))
-    if session.run_folder is not None:
-        screen.say(f"Kept in {session.run_folder}")
-    screen.result(_result(args, trials, faults, session))
-    placed = [t for t in trials if t.outcome is Outcome.PLACED]
-    return 0 if len(placed) == request.trials and not faults else 1
+            result = session.run(request)
+    screen.show(trial_table(result.trials, bench="simulated" if session.simulated else bench))
+    if result.run_folder is not None:
+        screen.say(f"Kept in {result.run_folder}")
+    screen.result(_result(args, result, session))
+    placed = [t for t in result.trials if t.outcome is Outcome.PLACED]
+    return 0 if len(placed) == request.trials and not result.faults else 1
 
 
 def _request(args: argparse.Namespace, mode: DecisionMode) -> StackRequest:
@@ -230,13 +227,6 @@ def _session(
         session.close()
 
 
-def _follow(fact: Event, trials: list[TrialFinished], faults: list[FaultRaised]) -> None:
-    if isinstance(fact, TrialFinished):
-        trials.append(fact)
-    elif isinstance(fact, FaultRaised):
-        faults.append(fact)
-
-
 def _ask(fact: Event, session: Session, screen: VerbOutput) -> None:
     if isinstance(fact, ApprovalAwaited):
         step = ", ".join(f"{value:+.1f} mm" for value in fact.action.step_mm)
@@ -264,7 +254,7 @@ def narrate(fact: Event, screen: VerbOutput, bench: str = "simulated bench") -> 
 
 
 def trial_table(
-    trials: list[TrialFinished], pieces: Sequence[str] = (), bench: str = "simulated"
+    trials: Sequence[TrialFinished], pieces: Sequence[str] = (), bench: str = "simulated"
 ) -> Table:
     """Return the closing table of a run; ``pieces``: a first column, one per trial."""
     placed = sum(t.outcome is Outcome.PLACED for t in trials)
@@ -279,20 +269,15 @@ def trial_table(
     return table
 
 
-def _result(
-    args: argparse.Namespace,
-    trials: list[TrialFinished],
-    faults: list[FaultRaised],
-    session: Session,
-) -> dict[str, object]:
+def _result(args: argparse.Namespace, result: RunResult, session: Session) -> dict[str, object]:
     return {
         "version": JSON_VERSION,
         "piece": args.piece,
         "bottom": args.bottom,
         "strategy": args.strategy,
         "simulated": session.simulated,
-        "run": None if session.run_folder is None else str(session.run_folder),
-        "faults": [f.fault.code for f in faults],
+        "run": None if result.run_folder is None else str(result.run_folder),
+        "faults": [fault.code for fault in result.faults],
         "trials": [
             {
                 "seed": t.seed,
@@ -303,7 +288,7 @@ def _result(
                 "margin_mm": _finite(t.margin_mm),
                 "contradicted": t.contradicted,
             }
-            for t in trials
+            for t in result.trials
         ],
     }
 

@@ -16,9 +16,9 @@ Subscriber = Callable[[Event], None]
 
 
 class EventBus:
-    """Delivers each fact to every subscriber, synchronously and in order of publication.
+    """Delivers each event to every subscriber, synchronously and in order of publication.
 
-    A subscriber that must not block the publisher (a window) subscribes a ``Mailbox``.
+    A subscriber that must not block the publisher (a window) subscribes an ``EventQueue``.
     """
 
     def __init__(self) -> None:
@@ -26,42 +26,42 @@ class EventBus:
         self._lock = SharedLock()
 
     def subscribe(self, subscriber: Subscriber) -> Callable[[], None]:
-        """Add ``subscriber``; call the returned function to leave."""
+        """Add ``subscriber``; the returned function removes it."""
         with self._lock:
             self._subscribers.append(subscriber)
 
-        def leave() -> None:
+        def unsubscribe() -> None:
             with self._lock:
                 if subscriber in self._subscribers:
                     self._subscribers.remove(subscriber)
 
-        return leave
+        return unsubscribe
 
-    def publish(self, fact: Event) -> None:
-        """Deliver ``fact`` now, on this thread."""
+    def publish(self, event: Event) -> None:
+        """Deliver ``event`` on this thread."""
         with self._lock:
             for subscriber in tuple(self._subscribers):
-                subscriber(fact)
+                subscriber(event)
 
 
 class EventQueue:
-    """A bounded box of facts for a slow reader; what does not fit is dropped and counted."""
+    """A bounded queue of events for a slow reader; the oldest are dropped and counted."""
 
     def __init__(self, capacity: int = 4096) -> None:
-        self._facts: deque[Event] = deque()
+        self._events: deque[Event] = deque()
         self._capacity = capacity
         self._lock = threading.Lock()
         self.dropped = 0
 
-    def __call__(self, fact: Event) -> None:
-        """Put ``fact`` (this makes a mailbox a subscriber)."""
+    def __call__(self, event: Event) -> None:
+        """Put ``event``; makes the queue a subscriber."""
         with self._lock:
-            if len(self._facts) >= self._capacity:
-                self._facts.popleft()
+            if len(self._events) >= self._capacity:
+                self._events.popleft()
                 self.dropped += 1
-            self._facts.append(fact)
+            self._events.append(event)
 
     def take(self) -> Event | None:
-        """Take the oldest fact, or None."""
+        """Remove and return the oldest event, or None."""
         with self._lock:
-            return self._facts.popleft() if self._facts else None
+            return self._events.popleft() if self._events else None

@@ -246,7 +246,7 @@ def run_on_devices(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         session = simulated_session(
             SimulatedBenchChoice(given=_bench(p)), keep=RecordingOptions(None)
         )
-        session.hub.subscribe(note)
+        session.events.subscribe(note)
         try:
             session.run(replace(request, seed=scene.seed, trials=1))
         finally:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         event_log,
         manual_control,
         messages,
+        motions,
         outcome,
         plan,
         plans,

@@ -5,7 +5,6 @@ from .bench import OperatorPrompt as OperatorPrompt
 from .bench import PatchEstimator as PatchEstimator
 from .bench import PendingDecision as PendingDecision
 from .bench import ReleaseVerdict as ReleaseVerdict
-from .bench import RunContext as RunContext
 from .bench import SceneCheck as SceneCheck
 from .bench import SceneDevices as SceneDevices
 from .bench import SceneFactory as SceneFactory
@@ -42,6 +41,7 @@ from .event_log import read_events as read_events
 from .manual_control import FaultNotifier as FaultNotifier
 from .manual_control import ManualControl as ManualControl
 from .manual_control import ManualDevices as ManualDevices
+from .manual_control import check_connected as check_connected
 from .manual_control import check_devices as check_devices
 from .manual_control import check_no_contact as check_no_contact
 from .manual_control import latch_device_faults as latch_device_faults
@@ -51,6 +51,7 @@ from .messages import hand_over_message as hand_over_message
 from .messages import mounting_question as mounting_question
 from .messages import outcome_question as outcome_question
 from .messages import scene_to_set_message as scene_to_set_message
+from .motions import RunEnding as RunEnding
 from .outcome import excusing_fault as excusing_fault
 from .plan import Plan as Plan
 from .plans import plan_of as plan_of
@@ -102,7 +103,7 @@ __all__ = [
     "RecordingOptions",
     "ReleaseVerdict",
     "Request",
-    "RunContext",
+    "RunEnding",
     "RunRecorder",
     "RunState",
     "RunStatus",
@@ -121,6 +122,7 @@ __all__ = [
     "calibrations_folder",
     "calibrations_for",
     "changed_limits",
+    "check_connected",
     "check_devices",
     "check_no_contact",
     "contact_height_mm",

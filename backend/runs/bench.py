@@ -31,9 +31,9 @@ from touchdown.backend.core import (
     Stability,
 )
 from touchdown.backend.devices import Arm, Device, Gripper, GuardedArm, GuardedGripper, Interlock
-from touchdown.backend.geometry import Outline, Piece
+from touchdown.backend.geometry import Outline, Piece, PieceLibrary
 from touchdown.backend.placement import SupportTower
-from touchdown.backend.runs.requests import SceneChoice
+from touchdown.backend.runs.requests import RunStatus, SceneChoice
 from touchdown.backend.sensing import Homography, LiveSensing, RawStreams
 
 
@@ -216,8 +216,8 @@ class GroundTruth(Protocol):
 class Bench:
     """One trial's bench. ``now_s`` is its clock; ``scoring`` is None where truth is unknown.
 
-    ``wall_s`` measures decision latency only; ``probe_count`` says how far the trial has come,
-    ``felt_count`` how many of its probes gave an estimate; ``hush`` keeps decisions undisturbed;
+    ``wall_s`` measures decision latency only; ``status`` returns the progress of the run; ``hush``
+    keeps decisions undisturbed;
     ``outline`` of the surface that is touched; ``jig``: pose of ``G`` with the piece in its jig, or
     where the piece is ``handed`` over by the operator. ``wrench_late_s``: age of a wrench sample
     when it comes. ``calibrations``: pairs that every episode keeps. ``sensor_height_mm``: wrist
@@ -238,8 +238,7 @@ class Bench:
     settings: StackSettings
     scoring: GroundTruth | None
     wall_s: Callable[[], float]
-    probe_count: Callable[[], int]
-    felt_count: Callable[[], int]
+    status: Callable[[], RunStatus]
     hush: RepaintHold
     outline: Outline
     jig: Pose | None
@@ -296,27 +295,49 @@ class SceneFactory(Protocol):
         """Return the stage; raises ``InputError`` for an unknown piece, bottom or model."""
 
 
-@dataclass(frozen=True, slots=True)
-class RunContext:
-    """A bench to be set and used. All calls come from the plan, on the bench's own time.
+class RunContext(Protocol):
+    """Part of a session that a plan uses. All calls come from the plan, on the bench's own time."""
 
-    ``check`` raises ``InputError`` for a scene that cannot be set, else returns what a run on it
-    depends on beside request and method, JSON-ready. ``open`` begins journal and episode store.
-    ``set_scene`` builds the scene anew, its clock starts at zero; ``present`` takes it as it is
-    (``RefusedError`` if there is none yet). Episode files keep ``mode`` and ``facts``;
-    ``dataset`` takes what is collected, ``decisions`` says which of it to keep; ``piece`` knows
-    pieces by name.
-    """
+    @property
+    def run_id(self) -> str:
+        """Identifier of the run: UTC start time, also the name of its folder."""
 
-    run_id: str
-    simulated: bool
-    mode: str
-    facts: BenchDescription
-    dataset: Dataset | None
-    decisions: PendingDecision
-    piece: Callable[[str], Piece]
-    method: StackSettings
-    check: Callable[[SceneChoice], Mapping[str, object]]
-    open: Callable[[], None]
-    set_scene: Callable[[SceneChoice, StackSettings], Bench]
-    present: Callable[[StackSettings], Bench]
+    @property
+    def simulated(self) -> bool:
+        """Whether the bench is simulated."""
+
+    @property
+    def mode(self) -> str:
+        """Kind of bench that episodes record: stepped, live simulation, emulated or lab."""
+
+    @property
+    def facts(self) -> BenchDescription:
+        """Description of the bench that episodes record."""
+
+    @property
+    def dataset(self) -> Dataset | None:
+        """Dataset that takes collected episodes, None if none is open."""
+
+    @property
+    def decisions(self) -> PendingDecision:
+        """Decision of the operator on the newest collected episode."""
+
+    @property
+    def catalogue(self) -> PieceLibrary:
+        """Pieces and bottoms by name."""
+
+    @property
+    def method(self) -> StackSettings:
+        """Settings of the method before those of the request."""
+
+    def check_scene(self, choice: SceneChoice) -> Mapping[str, object]:
+        """Return the settings a run on ``choice`` depends on, JSON-ready; raises ``InputError``."""
+
+    def open_record(self) -> None:
+        """Open event log and episode store of the run; raises ``InputError``."""
+
+    def set_scene(self, choice: SceneChoice, method: StackSettings) -> Bench:
+        """Build a new scene, whose clock starts at zero, and return its bench."""
+
+    def present_scene(self, method: StackSettings) -> Bench:
+        """Return the bench of the present scene; raises ``RefusedError`` if there is none."""

@@ -440,8 +440,8 @@ FIRST_POSES_S = 0.1
 def calibrate_run(host: RunContext, request: CalibrateRequest) -> Plan[None]:
     """Measure what was asked for; a person accepts the result afterwards, or does not."""
     choice = request.scene()
-    settings = request_record(request, host.method, host.check(choice))
-    host.open()
+    settings = request_record(request, host.method, host.check_scene(choice))
+    host.open_record()
     yield RunStarted(
         0.0, host.run_id, request.piece, request.bottom, request.what, request.seed, 1,
         host.simulated, settings, activity="calibrate",

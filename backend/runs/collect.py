@@ -97,11 +97,11 @@ def collect_run(host: RunContext, request: CollectRequest) -> Plan[None]:
         pattern=campaign.pattern, seed=campaign.seed, within_mm=campaign.within_mm,
         campaign=campaign.uuid,
     )  # fmt: skip
-    host = replace(host, method=request.method(host.method))
-    settings = request_record(request, host.method, host.check(request.scene()))
+    method = request.method(host.method)
+    settings = request_record(request, method, host.check_scene(request.scene()))
     entries = dataset.episodes(EpisodeFilter(campaign=campaign.uuid))
     free_space_for(dataset.folder, len(campaign.todo(entries)))
-    host.open()
+    host.open_record()
     yield RunStarted(
         0.0, host.run_id, request.piece, request.bottom, request.pattern, request.seed, 1,
         host.simulated, settings, activity="collect",
@@ -120,14 +120,15 @@ def _mountings(
     entries: list[EpisodeEntry],
     recorder: EpisodeRecorder,
 ) -> Plan[None]:
-    bench = host.set_scene(request.scene(campaign.mountings), host.method)
+    method = request.method(host.method)
+    bench = host.set_scene(request.scene(campaign.mountings), method)
     target = ProbeTarget(bench.piece.face, bench.outline, request.within_mm)
     collector = _collector(host, request, campaign, entries, recorder, target)
     begun = yield from run_to_end(bench, _mounting(bench, request, recorder.dataset, campaign))
     ended: PlanEnd[bool] = PlanEnd(None, begun.run_ending, begun.reason)
     mounting = begun.value
     if mounting is not None and mounting.goes_on:
-        bench = host.set_scene(request.scene(campaign.mountings - 1), host.method)
+        bench = host.set_scene(request.scene(campaign.mountings - 1), method)
     while mounting is not None:
         ended = yield from _one(host, request, bench, target, collector, mounting)
         if ended.value is None or not collector.todo:
@@ -138,7 +139,7 @@ def _mountings(
             if ended.value is None:
                 break
         mounting = NEW_MOUNTING
-        bench = host.set_scene(request.scene(collector.campaign.mountings), host.method)
+        bench = host.set_scene(request.scene(collector.campaign.mountings), method)
     ending = ended.run_ending or ("finished" if ended.value else "failed")
     reason = ended.reason or _summary(collector)
     yield RunFinished(bench.now_s(), host.run_id, ending, reason)
@@ -276,7 +277,7 @@ def _context(
     dataset: Dataset,
 ) -> EpisodeContext:
     """Return what holds for all episodes of one mounting: a series of its own."""
-    bottom = host.piece(request.bottom)
+    bottom = host.catalogue.piece(request.bottom)
     calibration = {"origin_mm": [origin.x_mm, origin.y_mm], "origin_sigma_mm": origin.sigma_mm}
     return EpisodeContext(
         series=uuid7(),

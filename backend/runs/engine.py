@@ -285,19 +285,25 @@ class Engine:
         self._idle.set()
 
     def _fail(self, error: Exception) -> None:
-        """End after an escaped error; a failed clean-up cannot prevent ``RunFinished``."""
+        """End the run after an escaped error; publishes ``RunFinished`` in every case.
+
+        A cancel between two trials escapes the plan as well: nothing moves then, it is no fault.
+        """
         now_s = self._now_s()
-        fault = error.fault if isinstance(error, FaultError) else _fault_of(error)
-        stopped = isinstance(error, StoppedError)
+        ending: Literal["cancelled", "stopped", "failed"] = "failed"
+        if isinstance(error, CancelledError):
+            ending = "cancelled"
+        elif isinstance(error, StoppedError):
+            ending = "stopped"
         run_id, was_busy = self._status.run_id, self.busy
         self._finish(None)
-        self._error = error
-        if not stopped:
+        self._error = None if ending == "cancelled" else error
+        if ending == "failed":
+            fault = error.fault if isinstance(error, FaultError) else _fault_of(error)
             if not isinstance(error, InputError):
                 self._interlock.raise_fault(fault)
             self._hub.publish(FaultRaised(now_s, fault))
         if was_busy:
-            ending: Literal["stopped", "failed"] = "stopped" if stopped else "failed"
             self._hub.publish(RunFinished(now_s, run_id, ending, str(error)))
 
     def _why_stopped(self) -> TouchdownError:

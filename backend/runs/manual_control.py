@@ -241,6 +241,26 @@ def check_devices(connection: BenchConnection | None, request: Request) -> None:
         raise RefusedError("NOT-CONNECTED", f"Not connected: {names}. Connect first (Ctrl+L).")
 
 
+def check_connected(connection: BenchConnection) -> None:
+    """Raise the first fault of a device, or the first step that its operator has to do."""
+    for line in connection.lines():
+        if line.fault is not None:
+            raise FaultError(line.fault)
+        if line.needs == "home":
+            raise RefusedError(
+                "NOT-HOMED",
+                "The gripper does not know where its jaws are: empty them, then home it (--home).",
+            )
+        if line.needs == "acknowledge":
+            raise RefusedError(
+                "FAST-STOP", "The gripper waits for an acknowledgement: see the Connect panel."
+            )
+    if connection.trouble is not None:
+        raise connection.trouble
+    if connection.missing():
+        raise RefusedError("NOT-CONNECTED", f"Not connected: {', '.join(connection.missing())}.")
+
+
 def check_no_contact(hand: ManualControl | None) -> None:
     """Refuse to move off sideways, or to tare and reference, while the piece presses."""
     pressing_n = 0.0 if hand is None else hand.pressing_n

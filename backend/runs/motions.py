@@ -391,4 +391,4 @@ def _stop_reason(bench: Bench) -> str:
 def _retreat(bench: Bench) -> Plan[None]:
     """Lift straight off if the bench may still move; the piece stays in the gripper."""
     if bench.gripper.status().holding and not bench.interlock.latched:
-        yield from lift(bench, bench.probe_count())
+        yield from lift(bench, bench.status().probe)

@@ -81,13 +81,13 @@ def trial_start_mm(host: RunContext, request: StackRequest, trial: int) -> tuple
 
     Raises ``InputError`` where the two faces have no such place.
     """
-    first, *others = (host.piece(name) for name in request.bottoms)
+    first, *others = (host.catalogue.piece(name) for name in request.bottoms)
     tower = Tower((first.body(),))
     for piece in others:
         tower = tower.with_top(piece.body())
     seeds = np.random.SeedSequence([request.seed + trial, STARTS])
     rng = np.random.Generator(np.random.PCG64(seeds))
-    return draw_start(rng, host.piece(request.piece).body(), tower)
+    return draw_start(rng, host.catalogue.piece(request.piece).body(), tower)
 
 
 def set_up_scene(bench: Bench, request: StackRequest, at_mm: tuple[float, float]) -> Plan[None]:

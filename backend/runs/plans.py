@@ -26,15 +26,15 @@ from touchdown.backend.runs.stack import stack_run
 
 def set_scene_run(host: RunContext, request: SetRequest) -> Plan[None]:
     """Set the scene and say so; nothing moves."""
-    host.check(request.choice)
+    host.check_scene(request.choice)
     bench = host.set_scene(request.choice, host.method)
     yield Said(bench.now_s(), f"The bench is set: {bench.piece.name} above {bench.bottom}.")
 
 
 def probe_run(host: RunContext, request: ProbeRequest) -> Plan[None]:
     """Probe once where the arm is, tell what was felt, and lift."""
-    bench = host.present(host.method)
-    host.open()
+    bench = host.present_scene(host.method)
+    host.open_record()
     yield RunStarted(
         bench.now_s(),
         host.run_id,

@@ -49,7 +49,7 @@ from touchdown.backend.runs.motions import (
     zero_sensors,
 )
 from touchdown.backend.runs.outcome import TrialResult, judge_release, trial_finished
-from touchdown.backend.runs.plan import CancelledError, PausePoint, Plan, Wait, motion_done
+from touchdown.backend.runs.plan import PausePoint, Plan, Wait, motion_done
 from touchdown.backend.runs.probe import press_command, probe_until_accepted
 from touchdown.backend.runs.recorder import wait_for_space, wait_until_durable
 from touchdown.backend.runs.requests import StackRequest, request_record
@@ -223,8 +223,8 @@ def _recorded(bench: Bench, felt: PressedProbe) -> Plan[None]:
 def stack_run(host: RunContext, request: StackRequest) -> Plan[None]:
     """Run all trials; ends early when cancelled, stopped or on a fault."""
     method = request.method(host.method)
-    settings = request_record(request, method, host.check(request.scene()))
-    host.open()
+    settings = request_record(request, method, host.check_scene(request.scene()))
+    host.open_record()
     yield RunStarted(
         0.0,
         host.run_id,
@@ -248,11 +248,7 @@ def stack_run(host: RunContext, request: StackRequest) -> Plan[None]:
             reason = ending.reason if ending.fault is None else ending.fault.what
             yield RunFinished(bench.now_s(), host.run_id, run_ending, reason)
             return
-    try:
-        yield from wait_for_space(bench.store.obstacle)
-    except CancelledError as cause:
-        yield RunFinished(bench.now_s(), host.run_id, "cancelled", str(cause))
-        return
+    yield from wait_for_space(bench.store.obstacle)
     yield RunFinished(bench.now_s(), host.run_id, "finished", "All trials are done.")
 
 
@@ -266,7 +262,7 @@ def _one_trial(
     ended = yield from run_to_end(bench, _placing(bench, request, at_mm))
     if ended.value is not None:
         return ended.value, None if ended.value.fault is None else "failed"
-    return TrialResult(Outcome.ABORTED, ended.reason, bench.felt_count()), ended.run_ending
+    return TrialResult(Outcome.ABORTED, ended.reason, bench.status().felt), ended.run_ending
 
 
 def _placing(

@@ -117,7 +117,7 @@ class StandInBench:
     drift = None
 
     def __init__(self):
-        self.hub, self.interlock, self.catalogue = EventBus(), Interlock(), load_pieces()
+        self.events, self.interlock, self.catalogue = EventBus(), Interlock(), load_pieces()
         self.hush, self.gate, self.run_folder = RepaintHold(), OperatorPrompt(), None
         self.frames = {f: Stream(f"tactile_{f}", 8) for f in FINGERS}
         self.fields = {f: Stream(f"markers_{f}", 8) for f in FINGERS}
@@ -164,7 +164,7 @@ class StandInBench:
     def reset(self):
         self.resets += 1
         self.interlock.reset()
-        self.hub.publish(FaultsReset(self.clock_s()))
+        self.events.publish(FaultsReset(self.clock_s()))
 
     def answer(self, yes):
         self.answers.append(yes)
@@ -215,17 +215,17 @@ class StandInBench:
     def tell_start(self, piece="pot", bottom="short", trials=3):
         """Announce a run and its first trial."""
         t = self.clock_s()
-        self.hub.publish(RunStarted(t, "run", piece, bottom, "paper", 7, trials, True, "{}"))
+        self.events.publish(RunStarted(t, "run", piece, bottom, "paper", 7, trials, True, "{}"))
         self.tell_trial(1)
 
     def tell_trial(self, trial):
         """Announce a trial."""
         self._trial = trial
-        self.hub.publish(TrialStarted(self.clock_s(), trial, 7 + trial, (7.2, 3.1)))
+        self.events.publish(TrialStarted(self.clock_s(), trial, 7 + trial, (7.2, 3.1)))
 
     def tell_probe(self, probe, offset, margin):
         """Announce all that is known after a probe at ``offset``."""
-        t, publish = self.clock_s(), self.hub.publish
+        t, publish = self.clock_s(), self.events.publish
         publish(PhaseEntered(t, "press", probe))
         points = np.mgrid[-12:13, -12:13].reshape(2, -1).T.astype(float)
         publish(PatchEstimated(t, ContactPatch(points, np.full(len(points), 0.4)), offset, probe))
@@ -238,22 +238,22 @@ class StandInBench:
     def tell_end(self, outcome=Outcome.PLACED, margin=1.6):
         """Announce release and the end of the trial."""
         t = self.clock_s()
-        self.hub.publish(Released(t, 3, outcome is Outcome.PLACED, margin, None))
+        self.events.publish(Released(t, 3, outcome is Outcome.PLACED, margin, None))
         stands = outcome is Outcome.PLACED
         reason = f"The piece {'stands' if stands else 'tips'}, {abs(margin):.1f} mm "
         reason += f"{'inside' if margin > 0 else 'outside'} its support."
-        self.hub.publish(TrialFinished(t, self._trial, 7, outcome, reason, 3, 0, margin))
+        self.events.publish(TrialFinished(t, self._trial, 7, outcome, reason, 3, 0, margin))
 
     def tell_finish(self):
         """Announce the end of the run."""
-        self.hub.publish(RunFinished(self.clock_s(), "run", "finished", ""))
+        self.events.publish(RunFinished(self.clock_s(), "run", "finished", ""))
 
     def tell_fault(self, code="FT-TRIP"):
         """Latch and announce a fault."""
         fault = Fault(code, "Force trip: 41.3 N over 40 N.", "Arm retracted 2 mm.",
                       "Reset, then check the piece.", "force_torque")  # fmt: skip
         self.interlock.raise_fault(fault)
-        self.hub.publish(FaultRaised(self.clock_s(), fault))
+        self.events.publish(FaultRaised(self.clock_s(), fault))
 
 
 def belief(probes, offset):

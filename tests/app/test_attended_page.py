@@ -36,7 +36,7 @@ def press(main, key):
 def test_the_scene_is_pictured_and_a_key_says_that_it_is_set(live, bench, stack):
     trial = stack.page.trial
     assert not trial.isVisible()
-    bench.hub.publish(SetUpAwaited(0.0, "pot", "short", (6.2, -3.4), holds=False))
+    bench.events.publish(SetUpAwaited(0.0, "pot", "short", (6.2, -3.4), holds=False))
     settle(live)
     assert trial.isVisible()
     assert trial.picture.scene.offset_mm == (6.2, -3.4)
@@ -48,7 +48,7 @@ def test_the_scene_is_pictured_and_a_key_says_that_it_is_set(live, bench, stack)
     assert stack.page.belief_panel.isVisible()
     press(live, Qt.Key.Key_Y)
     assert bench.answers == [True], "nothing is asked any more"
-    bench.hub.publish(HandOverAwaited(1.0, "pot", gives=True))
+    bench.events.publish(HandOverAwaited(1.0, "pot", gives=True))
     settle(live)
     trial.no.click()
     assert bench.answers == [True, False]
@@ -56,7 +56,7 @@ def test_the_scene_is_pictured_and_a_key_says_that_it_is_set(live, bench, stack)
 
 def ask(live, bench):
     bench.gate.ask()
-    bench.hub.publish(ASKED)
+    bench.events.publish(ASKED)
     settle(live)
 
 
@@ -89,7 +89,7 @@ def test_a_void_trial_needs_its_reason_and_is_listed(live, bench, stack):
     QTest.keyClick(trial.reason, Qt.Key.Key_Return)
     assert bench.gate.seen == (Outcome.ABORTED, "2 hands were in the way")
     why = "Void: 2 hands were in the way."
-    bench.hub.publish(TrialFinished(4.0, 1, 7, Outcome.ABORTED, why, 3, None, None))
+    bench.events.publish(TrialFinished(4.0, 1, 7, Outcome.ABORTED, why, 3, None, None))
     settle(live)
     assert "0 of 1 placed" in stack.page.score.words
     assert f"Trial 1: {why}" in stack.page.score.words
@@ -99,7 +99,7 @@ def test_a_picture_goes_beside_the_journal(live, bench, stack, tmp_path, qtbot):
     bench.run_folder = tmp_path / "run"
     ask(live, bench)
     told = []
-    bench.hub.subscribe(lambda fact: told.append(fact) if isinstance(fact, PhotoKept) else None)
+    bench.events.subscribe(lambda fact: told.append(fact) if isinstance(fact, PhotoKept) else None)
     for name, content in (("a.png", PNG), ("b.png", PNG), ("c.png", b"text")):
         (tmp_path / name).write_bytes(content)
         stack.attended.add_photo(tmp_path / name)
@@ -111,7 +111,7 @@ def test_a_picture_goes_beside_the_journal(live, bench, stack, tmp_path, qtbot):
 
 def test_what_is_asked_goes_when_the_run_goes_on(live, bench, stack):
     ask(live, bench)
-    bench.hub.publish(PhaseEntered(5.0, "lift", 1))
+    bench.events.publish(PhaseEntered(5.0, "lift", 1))
     settle(live)
     assert not stack.page.trial.isVisible()
     press(live, Qt.Key.Key_1)

@@ -47,15 +47,17 @@ def told(live, bench, fact, ending="finished", reason=""):
     """Announce a whole calibration run."""
     what = fact.what if fact is not None else "payload"
     bench.set_state(RunState.RUNNING)
-    bench.hub.publish(RunStarted(0.0, "r", "pot", "square15", what, 0, 1, True, "{}", "calibrate"))
-    bench.hub.publish(Progress(0.0, 2, 6, "pose 3 of 6"))
+    bench.events.publish(
+        RunStarted(0.0, "r", "pot", "square15", what, 0, 1, True, "{}", "calibrate")
+    )
+    bench.events.publish(Progress(0.0, 2, 6, "pose 3 of 6"))
     middle = shown(live)
     assert (middle.progress.value(), middle.progress.format()) == (2, "pose 3 of 6")
     assert middle.cancel.isEnabled()
     assert not middle.measure.isEnabled()
     if fact is not None:
-        bench.hub.publish(fact)
-    bench.hub.publish(RunFinished(0.0, "r", ending, reason))
+        bench.events.publish(fact)
+    bench.events.publish(RunFinished(0.0, "r", ending, reason))
     bench.set_state(RunState.IDLE)
     return shown(live)
 
@@ -134,15 +136,15 @@ def test_it_cannot_measure_after_a_stop(wizard, bench) -> None:
 
 def test_the_hand_over_is_confirmed_in_the_wizard(wizard, bench) -> None:
     bench.set_state(RunState.RUNNING)
-    bench.hub.publish(
+    bench.events.publish(
         RunStarted(0.0, "r", "pot", "square15", "board", 0, 1, True, "{}", "calibrate")
     )
-    bench.hub.publish(HandOverAwaited(0.0, "pot", True))
+    bench.events.publish(HandOverAwaited(0.0, "pot", True))
     sheet = shown(wizard)
     assert sheet.question.isVisible()
     sheet.question.yes.click()
     assert bench.answers == [True]
-    bench.hub.publish(HandOverAwaited(0.0, "pot", False))
+    bench.events.publish(HandOverAwaited(0.0, "pot", False))
     assert shown(wizard).question.isVisible()
     sheet.question.no.click()
     assert bench.engine.orders == ["cancel"]
@@ -189,6 +191,6 @@ def test_only_the_cameras_ask_for_the_pitch_of_the_dots(wizard) -> None:
 
 def test_other_runs_leave_the_wizard_alone(wizard, bench) -> None:
     bench.tell_start()
-    bench.hub.publish(Progress(0.0, 1, 2, "half"))
+    bench.events.publish(Progress(0.0, 1, 2, "half"))
     assert shown(wizard).progress.value() == 0
     bench.tell_finish()

@@ -24,7 +24,7 @@ def test_a_little_drift_is_a_figure_and_much_is_yellow_and_named(live, bench):
     assert chip.value.state == "ready"
     assert chip.value.tip.endswith("drift 0.12 N in 4 min, in still air")
     bench.drift = much = WrenchDrift(0.52, 11.0, named=True)
-    bench.hub.publish(Noticed(bench.clock_s(), drift_notice(much)))
+    bench.events.publish(Noticed(bench.clock_s(), drift_notice(much)))
     look(live, bench)
     assert (chip.value.state, chip.value.detail) == ("degraded", "drift 0.52 N")
     assert live.cards.codes == ("FT-DRIFT",)

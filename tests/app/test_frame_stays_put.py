@@ -151,12 +151,12 @@ def test_every_page_is_drawn_on_a_screen_twice_as_fine(tmp_path):
 def test_a_run_that_paused_by_itself_says_why_until_it_goes_on(live, bench):
     full = Fault("DISK-FULL", "The disk is full.", "The campaign is paused.", "Make room.")
     for times in (1, 2):
-        bench.hub.publish(Paused(1.0, full))
+        bench.events.publish(Paused(1.0, full))
         settle(live)
         card = live.cards.card("DISK-FULL")
         assert (card.text.reset, card.count) == (False, times)
     assert not bench.interlock.latched
-    bench.hub.publish(PhaseEntered(2.0, "press", 3))
+    bench.events.publish(PhaseEntered(2.0, "press", 3))
     settle(live)
     assert live.cards.codes == ()
 

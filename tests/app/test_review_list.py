@@ -22,7 +22,7 @@ TIME = "2026-11-21  04:15:11 UTC"
 def record(folder, outcomes, ending="finished", piece="pot", probes=1):
     """Write a run with the journal that writes real ones."""
     bench, journal = StandInBench(), EventLog(folder)
-    bench.hub.subscribe(journal)
+    bench.events.subscribe(journal)
     bench.tell_start(piece=piece, trials=max(len(outcomes), 1))
     for number, outcome in enumerate(outcomes, start=1):
         if number > 1:
@@ -31,7 +31,7 @@ def record(folder, outcomes, ending="finished", piece="pot", probes=1):
             bench.tell_probe(probe, (7.2, 3.1), -3.4)
         bench.tell_end(outcome)
     if ending is not None:
-        bench.hub.publish(RunFinished(0.0, "run", ending, ""))
+        bench.events.publish(RunFinished(0.0, "run", ending, ""))
     journal.close()
     return folder
 
@@ -231,7 +231,7 @@ def test_only_a_device_fault_before_the_release_keeps_a_trial_out_of_the_rate(
     """Of five trials one counts as placed, one is left out: 1 of 4, by Wilson 4.6 to 69.9 %."""
     run = tmp_path / "runs" / "20261121-041511-703"
     bench, journal = StandInBench(), EventLog(run)
-    bench.hub.subscribe(journal)
+    bench.events.subscribe(journal)
     bench.tell_start(trials=5)
     bench.tell_end(Outcome.PLACED)
     for number, (phase, reason) in enumerate(
@@ -244,8 +244,8 @@ def test_only_a_device_fault_before_the_release_keeps_a_trial_out_of_the_rate(
         start=2,
     ):
         bench.tell_trial(number)
-        bench.hub.publish(PhaseEntered(0.0, phase, 1))
-        bench.hub.publish(TrialFinished(0.0, number, 7, Outcome.ABORTED, reason, 1, None, None))
+        bench.events.publish(PhaseEntered(0.0, phase, 1))
+        bench.events.publish(TrialFinished(0.0, number, 7, Outcome.ABORTED, reason, 1, None, None))
     bench.tell_finish()
     journal.close()
     main.go("review")

@@ -57,7 +57,7 @@ def make_run(folder):
     """Write a run of one trial: a probe and its decision every four seconds, then the end."""
     bench, journal = StandInBench(), EventLog(folder)
     (folder / "episodes").mkdir()
-    bench.hub.subscribe(journal)
+    bench.events.subscribe(journal)
     bench.tell_start(trials=1)
     episodes, decided_s = [], []
     for probe in range(1, PROBES + 1):
@@ -67,13 +67,13 @@ def make_run(folder):
         name = f"{probe}.mcap"
         write_episode(folder / "episodes" / name, episode, None, {})
         bare = replace(episode, recording=None)
-        bench.hub.publish(EpisodeRecorded(now_s, bare, probe, name))
+        bench.events.publish(EpisodeRecorded(now_s, bare, probe, name))
         bench.tell_probe(probe, (7.2 - 2.0 * probe, 3.1 - probe), 0.5 if probe == PROBES else -2.0)
         episodes.append(episode)
         decided_s.append(now_s)
     bench.turn(2.0)
     bench.tell_end(Outcome.PLACED)
-    bench.hub.publish(RunFinished(bench.clock_s(), "run", "finished", ""))
+    bench.events.publish(RunFinished(bench.clock_s(), "run", "finished", ""))
     journal.close()
     return episodes, decided_s
 
@@ -223,7 +223,7 @@ def test_the_list_is_filtered_by_words_and_kind(start, tmp_path):
     for number, piece in ((701, "pot"), (702, "barrel")):
         folder, bench = tmp_path / "runs" / f"20261121-041511-{number}", StandInBench()
         journal = EventLog(folder)
-        bench.hub.subscribe(journal)
+        bench.events.subscribe(journal)
         bench.tell_start(piece=piece)
         journal.close()
     review = start()

@@ -164,17 +164,17 @@ def test_a_margin_stands_beside_an_outcome_only_after_a_release(live, bench, out
 def test_a_trial_stopped_in_its_first_press_tells_one_story(live, bench):
     page = live.workspaces["stack"].page
     bench.tell_start()
-    bench.hub.publish(PhaseEntered(bench.clock_s(), "approach", 1))
+    bench.events.publish(PhaseEntered(bench.clock_s(), "approach", 1))
     settle(live)
     assert page.decision._text.text() == "A press follows."
-    bench.hub.publish(PhaseEntered(bench.clock_s(), "press", 1))
+    bench.events.publish(PhaseEntered(bench.clock_s(), "press", 1))
     settle(live)
     assert page.decision._text.text() == "The estimate follows the press."
     assert page.belief.scene.empty == NO_PROBE
     done = TrialFinished(
         bench.clock_s(), 1, 7, Outcome.ABORTED, "stopped by operator", 0, None, None
     )
-    bench.hub.publish(done)
+    bench.events.publish(done)
     settle(live)
     assert page.belief.scene.empty[0] == "No probe in this trial"
     assert page.score._last.text() == "Seed 7: aborted after 0 probes."

@@ -12,14 +12,14 @@ PAPER, BLIND = "paper", "pick-and-place"
 
 
 def begin(bench, strategy, seed=7):
-    bench.hub.publish(
+    bench.events.publish(
         RunStarted(bench.clock_s(), strategy, "pot", "short", strategy, seed, 3, True, "{}")
     )
     bench.set_state(RunState.RUNNING)
 
 
 def end(bench, ending="finished"):
-    bench.hub.publish(RunFinished(bench.clock_s(), "run", ending, ""))
+    bench.events.publish(RunFinished(bench.clock_s(), "run", ending, ""))
     bench.set_state(RunState.IDLE)
 
 

@@ -141,7 +141,7 @@ def outcome(session: Session, seed: int) -> str:
         if isinstance(fact, TrialFinished):
             ends.append(fact.outcome.value)
 
-    leave = session.hub.subscribe(hear)
+    leave = session.events.subscribe(hear)
     session.run(StackRequest("pot", ("short",), seed))
     leave()
     return ends[0]

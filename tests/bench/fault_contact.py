@@ -48,7 +48,7 @@ def descents_into_nothing(misses: int = MISSES) -> list[Figure]:
         assert scene is not None
         return float(scene.stage.arm.pose(1.0).z_mm)
 
-    bench.session.hub.subscribe(hear)
+    bench.session.events.subscribe(hear)
     off_mm, presses, seeds = list[float](), 0, itertools.count()
     try:
         while len(off_mm) < misses:

@@ -34,7 +34,7 @@ class Flood:
     """``kind`` names which error comes in every frame; "" for none."""
 
     def __init__(self, window: Sliced) -> None:
-        self.kind, self._hub, self._clock_s = "", window.session.hub, window.session.clock_s
+        self.kind, self._hub, self._clock_s = "", window.session.events, window.session.clock_s
         self.canvas = Canvas(window.main.window)
         self.canvas.resize(40, 40)
         self.canvas.show()

@@ -41,7 +41,7 @@ class _AnyTime(Failing):
             rate_hz = SLOW_HZ[what.device] if what.kind == "slow" else None
             fault = Disturbance(what.device, what.kind, begins_s, what.length_s, rate_hz)
             script = DisturbanceScript((fault,))
-            bench = self.session._scene.stage.advance.__self__
+            bench = self.session._stage.advance.__self__
             for part in (bench, bench._world, *bench.tactile.values()):
                 part._script = script
             self._when = None
@@ -79,7 +79,7 @@ def _run(failing: _AnyTime, dataset: Dataset) -> list[str]:
             break
         latched = latched and len(failing.session.interlock.faults) > 0
         for _ in range(40):  # until the fault is over
-            failing.session._scene.stage.advance(100_000)
+            failing.session._stage.advance(100_000)
         failing.session.reset()
         found = newest_campaign(dataset.folder)
         asked = {"campaign": found} if found is not None else {"count": COUNT}

@@ -159,7 +159,7 @@ class Campaign:
 
     def __init__(self, folder: Path) -> None:
         self.bench = EmulatedBench(SimulatedBenchChoice(), keep=RecordingOptions(folder))
-        self.bench.session.hub.subscribe(self._hear)
+        self.bench.session.events.subscribe(self._hear)
         self._heard = Heard()
 
     def _hear(self, fact: Event) -> None:

@@ -61,7 +61,7 @@ class Day:
         self.folder, self.bench, self.session, self.dataset = folder, bench, bench.session, dataset
         self.facts: list[Event] = []
         self.again = self.presses = 0
-        self.session.hub.subscribe(self.facts.append)
+        self.session.events.subscribe(self.facts.append)
 
     def parts(self) -> tuple[Callable[[], bool], ...]:
         return (
@@ -205,7 +205,7 @@ def plugs_pulled_while_collecting() -> list[Figure]:
             if isinstance(fact, FaultsReset):
                 bench.plan = plans.pop(0) if plans else FaultPlan()
 
-        bench.session.hub.subscribe(next_plug)
+        bench.session.events.subscribe(next_plug)
         day = Day(Path(name), bench, dataset)
         held = day.collect()
         told = {fact.uuid for fact in day.facts if isinstance(fact, ProbeCollected)}

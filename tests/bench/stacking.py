@@ -22,7 +22,7 @@ def _sixty(preset: str | None, strategy: StrategyChoice) -> tuple[list[TrialFini
     """Return how each trial ended, and the decision latencies in ms."""
     facts: list[Event] = []
     session = simulated_session(SimulatedBenchChoice(preset=preset))
-    session.hub.subscribe(facts.append)
+    session.events.subscribe(facts.append)
     try:
         for cell, (piece, bottom) in enumerate(product(PIECES, BOTTOMS)):
             seed = FIRST_SEED + TRIALS * cell

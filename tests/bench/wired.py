@@ -58,7 +58,7 @@ class Run:
 
 def stack(session: Session, seed: int) -> Run:
     run = Run()
-    leave = session.hub.subscribe(run.hear)
+    leave = session.events.subscribe(run.hear)
     try:
         session.run(StackRequest("pot", (BOTTOMS[seed % 2],), seed))
     finally:

@@ -35,7 +35,7 @@ def desk(qapp, qtbot, tmp_path):
         brisk_bench(), keep=RecordingOptions(tmp_path / "runs", episodes=False)
     )
     session.prepare(SceneChoice())
-    motion = session._scene.stage.arm.move_to(Pose(0.0, 0.0, 80.0), 50.0)
+    motion = session._stage.arm.move_to(Pose(0.0, 0.0, 80.0), 50.0)
     while not motion.done:
         session.advance()
     main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
@@ -67,7 +67,7 @@ def turn(main, session, seconds, held=False):
 
 
 def place(session):
-    return session._scene.stage.arm._world.drive.command_mm
+    return session._stage.arm._world.drive.command_mm
 
 
 def window_key(main, kind, key, repeat=False):

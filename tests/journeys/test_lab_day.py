@@ -141,7 +141,7 @@ def height_mm(link):
 def probe_once(main, link):
     """Return how a probe ended; it begins on a bench that is ready."""
     ends = []
-    leave = link.hub.subscribe(lambda f: ends.append(f) if isinstance(f, RunFinished) else None)
+    leave = link.events.subscribe(lambda f: ends.append(f) if isinstance(f, RunFinished) else None)
     ready(main, link)
     main.go("operate")
     main.actions.action("operate.probe").trigger()

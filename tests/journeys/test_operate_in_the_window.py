@@ -181,7 +181,7 @@ def test_grip_probe_once_and_open_with_a_question(desk):
     turn(main, session, 1.5)
     assert "holding a piece" in page.gripper.figures.text()
     down = Pose(0.0, 0.0, 33.0)
-    motion = session._scene.stage.arm.move_to(down, 50.0)
+    motion = session._stage.arm.move_to(down, 50.0)
     while not motion.done:
         turn(main, session, 0.1)
     main.actions.action("operate.probe").trigger()
@@ -208,7 +208,7 @@ def test_grip_probe_once_and_open_with_a_question(desk):
 def test_a_refused_step_names_axis_and_way_left(desk):
     main, session = desk
     jog = session.hand.jog
-    motion = session._scene.stage.arm.move_to(Pose(0.0, 0.0, 397.0), 50.0)
+    motion = session._stage.arm.move_to(Pose(0.0, 0.0, 397.0), 50.0)
     while not motion.done:
         session.advance()
     page = main.workspaces["operate"].page
@@ -229,7 +229,7 @@ def test_the_bench_is_set_anew_with_another_piece(desk):
     page.scene.bottom.setCurrentIndex(page.scene.bottom.findData("circle25"))
     main.actions.action("operate.scene").trigger()
     turn(main, session, 0.3)
-    assert session._scene.stage.piece.name == "barrel"
+    assert session._stage.piece.name == "barrel"
     assert not session.devices["gripper"].status().holding
     assert "barrel above circle25" in main.window._message.text()
     QTest.mousePress(page.jog.pads["+z"], Qt.MouseButton.LeftButton)

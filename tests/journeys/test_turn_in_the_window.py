@@ -14,7 +14,7 @@ __all__ = ["desk"]
 
 
 def turned(session):
-    return rotation_vector(session._scene.stage.arm._world.drive.turn)
+    return rotation_vector(session._stage.arm._world.drive.turn)
 
 
 def test_whatever_ends_a_move_ends_a_turn(desk):
@@ -76,7 +76,7 @@ def test_keys_turn_and_drive_joints_and_level_brings_the_hand_back(desk):
     page.jog.frame.setCurrentIndex(2)
     page.jog.keys.click()
     page.jog.keys.click()
-    before = session._scene.stage.arm.joints_rad(1.0)
+    before = session._stage.arm.joints_rad(1.0)
     press(main, Qt.Key.Key_6)
     release(main, Qt.Key.Key_6)
     assert page.jog.pads["+j6"].property("chosen") == "yes"
@@ -84,7 +84,7 @@ def test_keys_turn_and_drive_joints_and_level_brings_the_hand_back(desk):
     press(main, Qt.Key.Key_Down)
     release(main, Qt.Key.Key_Down)
     turn(main, session, 1.5)
-    after = session._scene.stage.arm.joints_rad(1.0)
+    after = session._stage.arm.joints_rad(1.0)
     assert np.degrees(np.subtract(after, before)) == pytest.approx([0, 0, 0, 0, 0, -5.0], abs=1e-4)
     main.actions.action("operate.probe").trigger()
     assert "level it first" in main.cards.card("TURNED").text.what

@@ -61,7 +61,7 @@ class Page:
 
     def tell(self, *facts):
         for fact in facts:
-            self.bench.hub.publish(fact)
+            self.bench.events.publish(fact)
         settle(self.main)
         self.settle()
 

@@ -13,7 +13,7 @@ def run_on_devices(settings: SimulationSettings, request: StackRequest) -> list[
     """Return the facts of the run on the bench ``settings``."""
     facts: list[Event] = []
     session = simulated_session(SimulatedBenchChoice(given=settings), keep=RecordingOptions(None))
-    session.hub.subscribe(facts.append)
+    session.events.subscribe(facts.append)
     try:
         session.run(request)
     finally:

@@ -29,7 +29,7 @@ from touchdown.backend.runs.bench import Bench, NoEstimator, OperatorPrompt
 from touchdown.backend.runs.engine import Engine
 from touchdown.backend.runs.plan import Plan
 from touchdown.backend.runs.recorder import RunStore
-from touchdown.backend.runs.requests import SceneChoice
+from touchdown.backend.runs.requests import RunState, RunStatus, SceneChoice
 from touchdown.backend.sensing.live import LiveSensing, RawStreams
 from touchdown.backend.sensing.zeroing import gripper_payload
 from touchdown.backend.simulation.conditions import true_offset_mm
@@ -92,8 +92,7 @@ class BlindBench:
             settings=BRISK,
             scoring=None,
             wall_s=time.perf_counter,
-            probe_count=lambda: 0,
-            felt_count=lambda: 0,
+            status=lambda: RunStatus(RunState.IDLE),
             hush=RepaintHold(),
             outline=scene.surface,
             jig=Pose(*start_command_mm(scene).tolist()),

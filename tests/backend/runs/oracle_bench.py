@@ -60,7 +60,7 @@ class OracleSession:
             method=method or brisk_method(),
             estimate=self._oracle,
         )
-        self.session.hub.subscribe(self.facts.append)
+        self.session.events.subscribe(self.facts.append)
 
     def _oracle(self, bench: SimulatedBench) -> Oracle:
         self.benches.append(bench)

@@ -49,7 +49,7 @@ class Attended:
 
         self.session._make_stage = blind
         self.seen, self.ready, self.facts, self.asks = seen, True, list[Event](), []
-        self.session.hub.subscribe(self._answer)
+        self.session.events.subscribe(self._answer)
 
     def _answer(self, fact: Event) -> None:
         self.facts.append(fact)

@@ -150,7 +150,9 @@ def test_who_waits_for_a_lock_that_others_hold_over_a_disk_says_so():
 def test_a_deadlock_of_the_thread_of_the_bench_is_a_fault_and_told_again_after_a_reset():
     session, facts, over = simulated_session(brisk_bench("quiet")), [], threading.Event()
     session.prepare(SceneChoice())
-    session.hub.subscribe(lambda fact: facts.append(fact) if isinstance(fact, FaultRaised) else 0)
+    session.events.subscribe(
+        lambda fact: facts.append(fact) if isinstance(fact, FaultRaised) else 0
+    )
     session.advance = over.wait
     session.open()
     until(lambda: facts)

@@ -284,7 +284,9 @@ def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch) -> None:
     )
     session.interlock.limits = Limits(contact_speed_mm_s=4.0)
     told = []
-    session.hub.subscribe(lambda f: told.append(f) if isinstance(f, CalibrationMeasured) else None)
+    session.events.subscribe(
+        lambda f: told.append(f) if isinstance(f, CalibrationMeasured) else None
+    )
     session.run(CalibrateRequest("camera", seed=2))
     session.close()
     (found,) = told

@@ -172,7 +172,9 @@ def test_everything_else_begins_without_them(tmp_path) -> None:
 def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(tmp_path) -> None:
     session = simulated_session(SimulatedBenchChoice(preset="off"), keep=RecordingOptions(None))
     recorded = []
-    session.hub.subscribe(lambda f: recorded.append(f) if isinstance(f, EpisodeRecorded) else None)
+    session.events.subscribe(
+        lambda f: recorded.append(f) if isinstance(f, EpisodeRecorded) else None
+    )
     session.prepare(SceneChoice(estimates=False))
     store = session.calibrations = filled(tmp_path, session.devices, "simulated")
     session.prepare(SceneChoice(estimates=False))

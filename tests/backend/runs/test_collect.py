@@ -48,7 +48,7 @@ class Collected:
         self._per_grip = limits.get("probes_per_grip", 50)
         self._per_mounting = limits.get("grips_per_mounting", 10)
         self.facts, self.truth = [], {}
-        self.session.hub.subscribe(self._take)
+        self.session.events.subscribe(self._take)
 
     def _take(self, fact):
         self.facts.append(fact)
@@ -174,7 +174,7 @@ def test_the_scene_camera_shows_contact_and_outcome(whole) -> None:
 
 def test_a_restarted_campaign_collects_only_what_is_missing(tmp_path) -> None:
     with collecting(tmp_path / "ds") as first:
-        heard = first.session.hub.subscribe(
+        heard = first.session.events.subscribe(
             lambda fact: first.session.engine.cancel() if isinstance(fact, ProbeCollected) else None
         )
         first.run(count=2)
@@ -203,7 +203,7 @@ def test_decisions_are_carried_out_one_key_each(tmp_path) -> None:
             if isinstance(fact, DecisionAwaited):
                 session.decide(wanted.pop(0))
 
-        session.hub.subscribe(answer)
+        session.events.subscribe(answer)
         collected.run(count=3, ask=True)
         assert wanted == []
         decided = [(f.item, f.decision) for f in collected.of(EpisodeDecided)]
@@ -220,7 +220,7 @@ def test_decisions_are_carried_out_one_key_each(tmp_path) -> None:
 def test_stop_works_while_a_decision_is_awaited(tmp_path) -> None:
     with collecting(tmp_path / "ds") as collected:
         session = collected.session
-        session.hub.subscribe(
+        session.events.subscribe(
             lambda fact: session.stop() if isinstance(fact, DecisionAwaited) else None
         )
         collected.run(count=2, ask=True)
@@ -250,7 +250,7 @@ def test_a_disk_that_refuses_an_episode_pauses_the_campaign_and_loses_nothing(
                 states.append((session.status().state, session.status().text))
                 session.engine.resume()
 
-        session.hub.subscribe(resume)
+        session.events.subscribe(resume)
         collected.run(count=3)
         assert states == [(RunState.PAUSED, "The disk is full.")] * 2
         assert "in memory" in collected.of(Paused)[0].fault.consequence
@@ -284,7 +284,7 @@ def test_a_campaign_pauses_before_the_next_probe_while_the_disk_has_no_room(
                     free[0] = 10**12
                 session.engine.resume()
 
-        session.hub.subscribe(watch)
+        session.events.subscribe(watch)
         collected.run(count=2)
         # Resumed without room it pauses again at once; nothing moved in between.
         assert len(pressed) == 2
@@ -314,7 +314,7 @@ def test_a_campaign_cancelled_on_a_full_disk_goes_on_later(tmp_path, monkeypatch
             return record(*args, **named)
 
         monkeypatch.setattr(collected.dataset, "record", recorded)
-        session.hub.subscribe(
+        session.events.subscribe(
             lambda fact: session.engine.cancel() if isinstance(fact, Paused) else None
         )
         collected.run(count=2)

@@ -35,7 +35,7 @@ class Failing:
             brisk_bench("quiet"), keep=RecordingOptions(None), method=brisk_method()
         )
         self.session.dataset = dataset
-        self.session.hub.subscribe(self._take)
+        self.session.events.subscribe(self._take)
         self._fails: tuple[int, str, str, float | None] | None = None
         self.fails_s = float("inf")
 
@@ -54,7 +54,7 @@ class Failing:
             _, device, kind, much = self._fails
             self.fails_s = fact.t_s + 0.3
             script = DisturbanceScript((Disturbance(device, kind, self.fails_s, much=much),))
-            bench = self.session._scene.stage.advance.__self__
+            bench = self.session._stage.advance.__self__
             for part in (bench, bench._world, *bench.tactile.values()):
                 part._script = script
             self._fails = None
@@ -122,11 +122,11 @@ def test_a_piece_that_is_lost_within_a_probe_is_no_probe(phase: str, failing: Fa
 
     def lose(fact: Event) -> None:
         if isinstance(fact, PhaseEntered) and fact.phase == phase and not lost_s:
-            jaws = failing.session._scene.stage.gripper._world.jaws
+            jaws = failing.session._stage.gripper._world.jaws
             jaws.piece_present = jaws.holding = False
             lost_s.append(fact.t_s)
 
-    failing.session.hub.subscribe(lose)
+    failing.session.events.subscribe(lose)
     failing.run(count=1)
     failing.one_fault("PIECE-LOST", "gripper")
     failing.only_what_was_told(0)

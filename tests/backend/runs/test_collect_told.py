@@ -60,7 +60,7 @@ def collect(tmp_path, monkeypatch):
 
         with Dataset.open(tmp_path / "ds", person="ann") as dataset:
             session.dataset = dataset
-            session.hub.subscribe(take)
+            session.events.subscribe(take)
             try:
                 session.run(CollectRequest(count=1, person="ann"))
             except ValueError as raised:

@@ -98,8 +98,10 @@ def test_the_simulated_sensor_drifts_on_demand_and_its_probe_keeps_how_far() -> 
         brisk_bench("quiet", faults=("force_torque:drift=0.09@0.5",)), method=brisk_method()
     )
     told, episodes = list[Noticed](), list[EpisodeRecorded]()
-    session.hub.subscribe(lambda f: told.append(f) if isinstance(f, Noticed) else None)
-    session.hub.subscribe(lambda f: episodes.append(f) if isinstance(f, EpisodeRecorded) else None)
+    session.events.subscribe(lambda f: told.append(f) if isinstance(f, Noticed) else None)
+    session.events.subscribe(
+        lambda f: episodes.append(f) if isinstance(f, EpisodeRecorded) else None
+    )
     session.prepare(SceneChoice("pot", ("short",)))
     while session.clock_s() < 9.0 and not told:
         session.advance()

@@ -35,7 +35,7 @@ def test_nobody_draws_beside_a_decision(monkeypatch: pytest.MonkeyPatch) -> None
         if isinstance(fact, ActionChosen):
             after.append(session.hush.on)
 
-    session.hub.subscribe(choose)
+    session.events.subscribe(choose)
     asked: list[bool] = []
     answer = Oracle.estimate
 

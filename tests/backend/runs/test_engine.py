@@ -27,10 +27,10 @@ class Rig:
     """An engine on a hand-wound clock, and everything it published."""
 
     def __init__(self) -> None:
-        self.clock, self.hub, self.interlock = ManualClock(), EventBus(), Interlock()
-        self.engine = Engine(self.hub, self.interlock, self.clock.now_s)
+        self.clock, self.events, self.interlock = ManualClock(), EventBus(), Interlock()
+        self.engine = Engine(self.events, self.interlock, self.clock.now_s)
         self.facts: list[Event] = []
-        self.hub.subscribe(self.facts.append)
+        self.events.subscribe(self.facts.append)
 
     def advance(self) -> None:
         self.clock.wind(20_000)
@@ -210,7 +210,7 @@ class Unwell(Rig):
     def __init__(self) -> None:
         super().__init__()
         self.fault: Fault | None = SLOW
-        self.engine = Engine(self.hub, self.interlock, self.clock.now_s, lambda: self.fault)
+        self.engine = Engine(self.events, self.interlock, self.clock.now_s, lambda: self.fault)
 
     def paused(self) -> list[Fault]:
         return [fact.fault for fact in self.facts if isinstance(fact, Paused)]

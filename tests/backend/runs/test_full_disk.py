@@ -46,7 +46,7 @@ def fill(fact):
         resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
         bench.session.engine.resume()
 
-bench.session.hub.subscribe(fill)
+bench.session.events.subscribe(fill)
 bench.session.run(request(seed=int(sys.argv[2]), trials=1))
 bench.session.close()
 codes = [fault.code for fault in bench.session.interlock.faults]
@@ -127,7 +127,7 @@ def test_a_run_is_refused_below_1_gb_and_pauses_before_the_next_probe_below_half
         elif isinstance(fact, Paused):
             states.append((bench.session.status().state, fact.fault.what))
 
-    bench.session.hub.subscribe(watch)
+    bench.session.events.subscribe(watch)
     bench.session.run(request())
     bench.session.close()
     # Nobody resumed it: a run without a window ends, lifted, and says why.
@@ -162,7 +162,7 @@ def test_a_journal_without_room_is_held_in_memory_and_written_in_order(
             bench.session.engine.resume()
 
     monkeypatch.setattr(EventLog, "_append", torn)
-    bench.session.hub.subscribe(watch)
+    bench.session.events.subscribe(watch)
     bench.session.run(request())
     folder = bench.session.run_folder
     bench.session.close()

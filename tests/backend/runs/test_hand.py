@@ -31,7 +31,7 @@ def session():
 @pytest.fixture
 def high(session):
     """The hand far above the slow zone near the surface."""
-    stage = session._scene.stage
+    stage = session._stage
     motion = stage.arm.move_to(Pose(0.0, 0.0, 100.0), 50.0)
     while not motion.done:
         session.advance()
@@ -39,7 +39,7 @@ def high(session):
 
 
 def position(session):
-    return session._scene.stage.arm._world.drive.command_mm
+    return session._stage.arm._world.drive.command_mm
 
 
 def order(session, sequence=1, hold=1, axis="z", speed=20.0, frame="XYZ", sent_s=None):
@@ -60,7 +60,7 @@ def hold(session, seconds, first=1, **what):
 
 def told(session):
     facts = []
-    session.hub.subscribe(facts.append)
+    session.events.subscribe(facts.append)
     return facts
 
 
@@ -105,7 +105,7 @@ def test_a_frozen_window_stops_the_arm_within_the_lease(high):
 @pytest.mark.parametrize("speed", [5.0, 50.0])
 def test_no_order_of_a_jog_outlasts_its_lease(high, monkeypatch, speed):
     """Braking at 500 mm/s2 included: a bench that hangs as well cannot end what was ordered."""
-    ends_s, arm = [], high._scene.stage.arm
+    ends_s, arm = [], high._stage.arm
     jog = arm.jog
 
     def noted(velocity_mm_s, for_s, *turning):
@@ -151,7 +151,7 @@ def test_after_expiry_only_a_new_press_moves(high):
 
 def test_the_arm_stops_by_itself_when_nobody_ticks_the_lease(high):
     hold(high, 0.2)
-    stage = high._scene.stage
+    stage = high._stage
     last_s, moved_s = high.clock_s(), high.clock_s()
     for _ in range(50):
         before = position(high)
@@ -270,7 +270,7 @@ def test_a_step_under_way_refuses_the_next(session):
 
 
 def test_a_step_beyond_a_soft_limit_names_axis_and_way_left(session):
-    left = 400.0 - session._scene.stage.arm.pose(1.0).z_mm
+    left = 400.0 - session._stage.arm.pose(1.0).z_mm
     with pytest.raises(RefusedError) as caught:
         session.hand.jog.step("z", "XYZ", left + 1.0, 20.0)
     assert caught.value.reason == "LIMIT"

@@ -30,7 +30,7 @@ def collected(dataset: Dataset, answer: Callable[[Event], bool], **asked):
     )
     session.dataset = dataset
     facts: list[Event] = []
-    session.hub.subscribe(facts.append)
+    session.events.subscribe(facts.append)
     asked_of: list[tuple[str, bool]] = []
 
     def hold(fact: Event) -> None:
@@ -42,7 +42,7 @@ def collected(dataset: Dataset, answer: Callable[[Event], bool], **asked):
             asked_of.append((what, session.hand.holding))
             session.answer(answer(fact))
 
-    session.hub.subscribe(hold)
+    session.events.subscribe(hold)
     session.run(CollectRequest(seed=2, person="ann", hand_over=True, **asked))
     session.close()
     return session, facts, asked_of

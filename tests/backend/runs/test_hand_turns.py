@@ -42,7 +42,7 @@ def session():
 @pytest.fixture
 def high(session):
     """The hand far above the surface."""
-    motion = session._scene.stage.arm.move_to(Pose(0.0, 0.0, 120.0), 50.0)
+    motion = session._stage.arm.move_to(Pose(0.0, 0.0, 120.0), 50.0)
     while not motion.done:
         session.advance()
     session.advance()
@@ -50,7 +50,7 @@ def high(session):
 
 
 def pose(session):
-    return session._scene.stage.arm.pose(1.0)
+    return session._stage.arm.pose(1.0)
 
 
 def vector(session):
@@ -76,7 +76,7 @@ def rest(session, seconds=0.3):
 
 def told(session):
     facts = []
-    session.hub.subscribe(facts.append)
+    session.events.subscribe(facts.append)
     return facts
 
 
@@ -110,7 +110,7 @@ def test_a_held_turn_turns_about_its_axis_and_a_release_ends_it(high):
 
 
 def test_a_held_joint_turns_alone_and_silence_ends_it(high):
-    facts, arm = told(high), high._scene.stage.arm
+    facts, arm = told(high), high._stage.arm
     for number, axis in enumerate(JOINTS, 1):
         before = np.array(arm.joints_rad(1.0))
         hold(high, 0.2, axis, frame="JOINT", number=number)
@@ -140,7 +140,7 @@ def test_tool_axes_turn_with_the_hand(high):
 
 
 def test_a_step_turns_exactly_so_far(high):
-    arm = high._scene.stage.arm
+    arm = high._stage.arm
     for degrees in (0.5, 1.0, 5.0, -5.0):
         leant = vector(high)[1]
         steps(high, "ry", math.radians(degrees))
@@ -163,7 +163,7 @@ def test_low_over_the_surface_nothing_turns_and_the_way_up_is_told(session):
 def test_a_turned_hand_stays_high_until_it_is_level_and_nothing_starts_before(high):
     steps(high, "ry", math.radians(5.0))
     rooms = high.hand.jog.rooms("XYZ")
-    surface = high._scene.stage.piece.grip_height_mm
+    surface = high._stage.piece.grip_height_mm
     assert rooms["-z"].left == pytest.approx(120.0 - surface - Limits().turn_clear_mm, abs=0.01)
     with pytest.raises(RefusedError, match="level it first"):
         high.start(ProbeRequest())
@@ -214,11 +214,11 @@ def test_a_joint_is_slowed_to_the_speed_of_the_hand(high):
 def test_the_room_of_a_joint_is_where_its_jog_ends(high):
     room = high.hand.jog.rooms("JOINT")["+j5"]
     assert 0.0 < room.left <= Limits().tilt_rad + 1e-6
-    before = high._scene.stage.arm.joints_rad(1.0)[4]
+    before = high._stage.arm.joints_rad(1.0)[4]
     with pytest.raises(RefusedError):
         hold(high, 3.0, "j5", math.radians(15.0), frame="JOINT")
     rest(high)
-    gone = high._scene.stage.arm.joints_rad(1.0)[4] - before
+    gone = high._stage.arm.joints_rad(1.0)[4] - before
     assert gone == pytest.approx(room.left, abs=math.radians(1.0))
 
 

@@ -15,7 +15,7 @@ def test_the_centre_of_mass_comes_from_the_piece() -> None:
     session = simulated_session(SimulatedBenchChoice())
     try:
         scene = session._set_scene(SceneChoice(piece="mug", bottoms=("short",), estimates=False))
-        held = grasped_piece(session._bench(scene, StackSettings()))
+        held = grasped_piece(session._for_run(scene, StackSettings()))
         assert (held.com_xy_mm, held.grip_height_mm) == ((1.7, -0.9), 32.0)
     finally:
         session.close()
@@ -26,7 +26,7 @@ def test_the_height_of_the_sensor_and_the_tower_come_from_bench_and_entry() -> N
     try:
         tower = session._set_scene(SceneChoice(bottoms=("short", "long"), estimates=False))
         entry = TowerSettings(offset_mm=((2.0, -1.0),), sigma_mm=0.5)
-        held = grasped_piece(session._bench(tower, StackSettings(tower=entry)))
+        held = grasped_piece(session._for_run(tower, StackSettings(tower=entry)))
         assert held.lever_mm() == held.grip_height_mm + 120.0
         assert held.below is not None
         # What was entered, not where the simulated bench has it.
@@ -34,8 +34,8 @@ def test_the_height_of_the_sensor_and_the_tower_come_from_bench_and_entry() -> N
         assert [body.name for body in held.below.bodies] == ["short", "long"]
         wrong = TowerSettings(offset_mm=((1.0, 0.0), (1.0, 0.0)))
         with pytest.raises(InputError, match="were entered"):
-            session._bench(tower, StackSettings(tower=wrong))
+            session._for_run(tower, StackSettings(tower=wrong))
         single = session._set_scene(SceneChoice(bottoms=("short",), estimates=False))
-        assert grasped_piece(session._bench(single, StackSettings())).below is None
+        assert grasped_piece(session._for_run(single, StackSettings())).below is None
     finally:
         session.close()

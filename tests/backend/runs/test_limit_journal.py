@@ -44,7 +44,7 @@ def test_each_change_is_one_line_with_before_and_after(tmp_path):
 
 def test_a_change_holds_from_now_on_and_is_said(session, tmp_path):
     said = []
-    session.hub.subscribe(lambda fact: said.append(fact) if isinstance(fact, Said) else None)
+    session.events.subscribe(lambda fact: said.append(fact) if isinstance(fact, Said) else None)
     session.change_limits(LOWER, "anna")
     assert session.interlock.limits == LOWER
     assert "anna" in said[0].text

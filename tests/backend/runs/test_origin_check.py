@@ -45,10 +45,10 @@ def test_the_felt_centre_is_where_the_bottom_is(tmp_path) -> None:
         def look(fact):
             if isinstance(fact, OriginChecked):
                 # The true displacement at the command (0, 0): what the origin should cancel.
-                holding = collected.session._scene.stage.scoring.bench._world.holding
+                holding = collected.session._stage.scoring.bench._world.holding
                 truth.append(-true_offset_mm(np.zeros((1, 2)), holding.conditions)[0])
 
-        collected.session.hub.subscribe(look)
+        collected.session.events.subscribe(look)
         collected.run(count=1, check_origin=True, origin_mm=OFF_MM)
         (fact,) = collected.of(OriginChecked)
         assert collected.of(RunFinished)[-1].ending == "finished"

@@ -15,7 +15,7 @@ def test_after_the_piece_was_let_go_a_probe_says_that_and_what_to_do() -> None:
     )
     session.prepare(SceneChoice(estimates=False))
     facts: list[Event] = []
-    session.hub.subscribe(facts.append)
+    session.events.subscribe(facts.append)
     assert session.hand is not None
     for order in (lambda hand: hand.grip(8.0), lambda hand: hand.open(confirmed=True)):
         order(session.hand)

@@ -24,7 +24,7 @@ def spoil(bench: OracleSession, bursts: int) -> list[float]:
             found = (Disturbance("force_torque", "nan", t_s, BURST_S) for t_s in at)
             bench.benches[-1]._script = DisturbanceScript(tuple(found))
 
-    bench.session.hub.subscribe(hear)
+    bench.session.events.subscribe(hear)
     return began
 
 
@@ -42,7 +42,7 @@ def test_a_spoilt_tare_is_taken_again() -> None:
         if isinstance(fact, PhaseEntered) and fact.phase == "approach":
             bench.session.stop()
 
-    bench.session.hub.subscribe(enough)
+    bench.session.events.subscribe(enough)
     bench.session.run(request(trials=1))
     assert bench.session.interlock.faults == ()
     # Not before the bursts had left the window.

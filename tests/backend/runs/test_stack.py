@@ -104,7 +104,7 @@ def test_equal_seeds_give_equal_bits_live_and_stepped() -> None:
     stepped.session.run(request(trials=1))
     live = OracleSession()
     ended = threading.Event()
-    live.session.hub.subscribe(lambda f: ended.set() if isinstance(f, RunFinished) else None)
+    live.session.events.subscribe(lambda f: ended.set() if isinstance(f, RunFinished) else None)
     live.session.prepare(request(seed=99).scene())
     live.session.open(speed=100.0)
     live.session.start(request(trials=1))
@@ -169,7 +169,7 @@ def after(bench: OracleSession, kind: type[Event], phase: str, act: object) -> N
             done.set()
             act()  # type: ignore[operator]
 
-    bench.session.hub.subscribe(listen)
+    bench.session.events.subscribe(listen)
 
 
 @pytest.mark.parametrize("phase", ["grip", "reference", "approach", "press", "hold", "lift"])
@@ -261,7 +261,7 @@ def test_approve_mode_moves_only_after_a_yes_and_judges_again() -> None:
             assert abs(force) < 1.0
             bench.session.answer(True)
 
-    bench.session.hub.subscribe(answer)
+    bench.session.events.subscribe(answer)
     bench.session.run(request(mode="approve"))
     assert last_trial(bench).outcome is Outcome.PLACED
     assert asked[-1] == "release"
@@ -272,7 +272,7 @@ def test_approve_mode_moves_only_after_a_yes_and_judges_again() -> None:
 
 def test_a_no_keeps_the_piece() -> None:
     bench = OracleSession()
-    bench.session.hub.subscribe(
+    bench.session.events.subscribe(
         lambda f: bench.session.answer(False) if isinstance(f, ApprovalAwaited) else None
     )
     bench.session.run(request(mode="approve"))
@@ -328,7 +328,7 @@ def test_a_verdict_that_comes_too_late_is_not_acted_on(monkeypatch: pytest.Monke
 def test_a_dying_bench_thread_latches_a_fault_and_ends_the_run() -> None:
     bench = OracleSession()
     ended = threading.Event()
-    bench.session.hub.subscribe(lambda f: ended.set() if isinstance(f, RunFinished) else None)
+    bench.session.events.subscribe(lambda f: ended.set() if isinstance(f, RunFinished) else None)
 
     def break_down() -> None:
         raise OSError("the disk is gone")
@@ -387,7 +387,7 @@ def test_a_void_press_is_made_again_but_not_for_ever(
         if isinstance(fact, PhaseEntered) and fact.phase == "press" and len(pressing) <= voids:
             pressing[-1].end(VOID)
 
-    bench.session.hub.subscribe(lose)
+    bench.session.events.subscribe(lose)
     bench.session.run(request(trials=1))
     end = last_trial(bench)
     assert end.outcome is outcome, end.reason

@@ -22,9 +22,9 @@ class Failing:
 def test_a_fault_of_a_device_is_latched_with_the_next_step():
     session = simulated_session(SimulatedBenchChoice(), keep=RecordingOptions(None))
     session.prepare(SceneChoice("pot", ("short",), 1))
-    scene, gripper = session._scene, Failing()
-    devices = {**scene.stage.devices, "gripper": gripper}
-    session._scene = replace(scene, stage=replace(scene.stage, devices=devices))
+    gripper = Failing()
+    devices = {**session.devices, "gripper": gripper}
+    session._stage = replace(session._stage, devices=devices)
     session.advance()
     assert not session.interlock.latched
     gripper.state, gripper.fault = DeviceState.FAULT, POWER

@@ -30,7 +30,7 @@ def recorded(folder: Path, monkeypatch: pytest.MonkeyPatch, back_ns: int) -> tup
             monkeypatch.setattr(time, "time", lambda: clock() - 1e-9 * back_ns)
             monkeypatch.setattr(time, "time_ns", lambda: clock_ns() - back_ns)
 
-    session.hub.subscribe(set_back)
+    session.events.subscribe(set_back)
     with Dataset.open(folder / "dataset", person="ann") as dataset:
         session.dataset = dataset
         session.run(CollectRequest(seed=2, person="ann", count=1))

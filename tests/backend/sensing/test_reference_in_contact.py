@@ -79,7 +79,7 @@ def test_both_simulated_fingers_are_accepted_in_air_and_refused_in_the_press(
                 assert newest is not None
                 cv2.imwrite(str(tmp_path / f"{fact.phase}-{finger}.png"), newest.image)
 
-    session.hub.subscribe(grab)
+    session.events.subscribe(grab)
     session.run(StackRequest("pot", ("short",), seed=7))
     session.close()
     for finger in FINGERS:

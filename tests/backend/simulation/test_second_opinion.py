@@ -63,7 +63,7 @@ def ended(margin_mm: float, fallen: bool, monkeypatch: pytest.MonkeyPatch) -> Tr
     monkeypatch.setattr(scoring, "judge_tower", lambda *_: TowerVerdict((margin_mm,), ("pot",)))
     session = simulated_session(brisk_bench(), method=brisk_method(), animate=True)
     ends: list[Event] = []
-    session.hub.subscribe(ends.append)
+    session.events.subscribe(ends.append)
     session.run(StackRequest(strategy="pick-and-place"))
     session.close()
     (end,) = [fact for fact in ends if isinstance(fact, TrialFinished)]

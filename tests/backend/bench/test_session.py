@@ -1,0 +1,104 @@
+"""Sessions as a script uses them: open a bench, run a request, read the result."""
+
+import shutil
+import threading
+from importlib.resources import files
+
+import pytest
+
+from tests.backend.brisk import brisk_method, brisk_settings
+from tests.backend.rig.scripted import scripted
+from touchdown.backend.bench import RunResult, open_lab, simulated_bench
+from touchdown.backend.core import FaultError, InputError, Outcome, RefusedError, TrialFinished
+from touchdown.backend.runs import ProbeRequest, SceneChoice, SetRequest, StackRequest, read_events
+
+REQUEST = StackRequest(piece="pot", bottoms=("short",), strategy="fused", seed=7)
+
+
+@pytest.fixture(autouse=True)
+def _own_data_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("TOUCHDOWN_DATA", str(tmp_path / "data"))
+
+
+def brisk():
+    return simulated_bench(settings=brisk_settings(), method=brisk_method())
+
+
+def test_a_script_runs_a_request_and_reads_its_trials():
+    with simulated_bench() as bench:
+        result = bench.run(REQUEST)
+    (trial,) = result.trials
+    assert (trial.outcome, trial.seed, result.ending) == (Outcome.PLACED, 7, "finished")
+    assert trial.probes >= 1
+    assert trial.margin_mm > 0.0
+    assert result.faults == ()
+    assert result.run_folder is None
+
+
+def test_the_result_holds_the_published_trials_and_the_folder(tmp_path):
+    published = []
+    with simulated_bench(
+        settings=brisk_settings(), method=brisk_method(), runs=tmp_path / "runs"
+    ) as bench:
+        leave = bench.events.subscribe(published.append)
+        result = bench.run(StackRequest(strategy="pick-and-place", seed=7, trials=2))
+        leave()
+        bench.run(SetRequest(SceneChoice(estimates=False)))
+    trials = tuple(event for event in published if isinstance(event, TrialFinished))
+    assert result.trials == trials
+    assert [trial.seed for trial in trials] == [7, 8]
+    assert result.run_folder.parent == tmp_path / "runs"
+    assert [e for e in read_events(result.run_folder) if isinstance(e, TrialFinished)] == [*trials]
+
+
+def test_requests_without_trials_have_an_empty_result():
+    with brisk() as bench:
+        assert bench.run(SetRequest(SceneChoice(estimates=False))) == RunResult()
+        probe = bench.run(ProbeRequest())
+    assert (probe.trials, probe.ending, probe.reason) == ((), "finished", "The probe is done.")
+
+
+def test_a_cancelled_run_returns_what_it_has():
+    with brisk() as bench:
+        cancel = bench.engine.cancel
+        bench.events.subscribe(lambda e: cancel() if isinstance(e, TrialFinished) else None)
+        result = bench.run(StackRequest(strategy="pick-and-place", trials=3))
+        assert not bench.interlock.latched
+    assert (len(result.trials), result.ending, result.faults) == (1, "cancelled", ())
+
+
+def test_bad_requests_and_settings_are_refused():
+    with brisk() as bench, pytest.raises(InputError, match="teapot"):
+        bench.run(StackRequest(piece="teapot"))
+    with pytest.raises(InputError, match="preset"):
+        simulated_bench(preset="loud")
+
+
+def test_leaving_the_block_stops_the_live_thread():
+    with brisk() as bench:
+        bench.open()
+        assert any(thread.name == "bench" for thread in threading.enumerate())
+    assert not any(thread.name == "bench" for thread in threading.enumerate())
+
+
+def test_a_lab_is_opened_without_connecting_and_connects_when_asked(tmp_path):
+    path = tmp_path / "lab.toml"
+    template = files("touchdown.resources") / "benches" / "lab.toml"
+    shutil.copy(str(template), path)
+    with open_lab(path) as bench:
+        assert not bench.simulated
+        assert len(bench.connection.missing()) == 5
+        assert bench.hand is None
+        with pytest.raises(RefusedError, match="NOT-CONNECTED"):
+            bench.run(REQUEST)
+        devices, log = scripted()
+        bench.connection.devices.update(devices)
+        bench.connection.prove = lambda name, cancel: None
+        bench.connection.when_ready = lambda: None
+        bench.connect()
+        assert bench.connection.missing() == ()
+        assert log.count("connect arm") == 1
+        devices["arm"].close()
+        devices["arm"].fails_at = "identify"
+        with pytest.raises(FaultError, match="arm: identify"):
+            bench.connect()

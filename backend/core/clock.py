@@ -9,14 +9,14 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Seconds that never go back."""
+    """A clock whose time never decreases."""
 
     def now_s(self) -> float:
         """Return the present time in s."""
 
 
 class MonotonicClock:
-    """The computer's own monotonic clock."""
+    """Clock of ``time.monotonic``."""
 
     def now_s(self) -> float:
         """Return seconds of ``time.monotonic``."""
@@ -24,7 +24,7 @@ class MonotonicClock:
 
 
 class BenchClock:
-    """The wall's time since the bench was made, and waiting on it without drifting away."""
+    """Time since construction, with periodic waits that do not accumulate drift."""
 
     def __init__(self) -> None:
         self._never = threading.Event()
@@ -36,14 +36,14 @@ class BenchClock:
         return time.monotonic() - self._begun_s
 
     def wait(self, step_us: int) -> None:
-        """Wait until a step after the last one; what came too late is not made up."""
+        """Wait until one step after the last deadline; a missed deadline is not made up."""
         now_s = self.now_s()
         self._due_s = max(self._due_s + 1e-6 * step_us, now_s)
         self._never.wait(self._due_s - now_s)
 
 
 class ClockJumpDetector:
-    """Notices that the wall clock was set, or that the computer slept: the two clocks part then."""
+    """Detects a changed wall clock, or a suspended computer, against a monotonic clock."""
 
     LEAST_S = 1.0
     SLEW = 1e-3  # clock corrections slower than this share of the elapsed time are normal
@@ -53,13 +53,13 @@ class ClockJumpDetector:
         wall_s: Callable[[], float] | None = None,
         steady_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        # Asked for by name each time, so that a test may set this computer's clock.
+        # Looked up at each call, so that a test can replace time.time.
         self._wall_s = wall_s or (lambda: time.time())
         self._steady_s = steady_s
         self._seen = self._wall_s(), self._steady_s()
 
     def jump_s(self) -> float:
-        """Return by how much the wall has run ahead since the last look; 0.0 for what is usual."""
+        """Return the jump of the wall clock since the last call, s; 0.0 within normal slew."""
         wall_s, steady_s = self._wall_s(), self._steady_s()
         gone_s = steady_s - self._seen[1]
         ahead_s = wall_s - self._seen[0] - gone_s
@@ -68,7 +68,7 @@ class ClockJumpDetector:
 
 
 class ManualClock:
-    """A clock that moves only when it is wound, in whole microseconds (exactly repeatable)."""
+    """A clock advanced by hand in whole microseconds (exactly repeatable)."""
 
     def __init__(self) -> None:
         self._now_us = 0
@@ -83,7 +83,7 @@ class ManualClock:
         return self._now_us * 1e-6
 
     def wind(self, step_us: int) -> None:
-        """Move forward by ``step_us`` microseconds; raises ValueError if negative."""
+        """Advance by ``step_us`` microseconds; raises ValueError if negative."""
         if step_us < 0:
-            raise ValueError("a clock is never wound back")
+            raise ValueError("a clock cannot go back")
         self._now_us += step_us

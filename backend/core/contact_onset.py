@@ -18,7 +18,7 @@ from touchdown.backend.core.values import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class OnsetRule:
-    """How contact is recognised; times in s, forces in N."""
+    """Parameters of contact detection; times in s, forces in N."""
 
     threshold_n: float = 1.0
     samples: int = 3
@@ -30,7 +30,7 @@ class OnsetRule:
 
     @property
     def lead(self) -> int:
-        """Number of samples that must precede the first one that can be judged."""
+        """Number of samples before the first that can be judged."""
         return round((self.window_s + self.gap_s) * self.rate_hz)
 
 
@@ -96,7 +96,7 @@ def _zero_of_line(t: FloatArray, force: FloatArray, weight: FloatArray) -> Float
 
 
 class OnsetDetector:
-    """The same rule on a stream: feed samples as they come, ask when contact was declared."""
+    """The same detection on a stream of samples."""
 
     def __init__(self, rule: OnsetRule = DEFAULT_RULE) -> None:
         self.rule = rule
@@ -106,7 +106,7 @@ class OnsetDetector:
         self._force_n = np.empty(0)
 
     def feed(self, t_s: FloatArray, force_n: FloatArray) -> bool:
-        """Take (n,) samples in order of time; return whether contact is declared by now."""
+        """Add (n,) samples in order of time; return True once contact is declared."""
         if self.detected_s is not None:
             return True
         self._t_s = np.concatenate([self._t_s, t_s])

@@ -23,7 +23,7 @@ from touchdown.backend.core.values import (
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Base of every fact; ``t_s`` is the bench clock."""
+    """Base of all events; ``t_s`` is the bench clock."""
 
     t_s: float
 
@@ -32,7 +32,7 @@ class Event:
 class RunStarted(Event):
     """A run began; ``settings`` is a JSON text of everything it depends on.
 
-    ``activity`` is what was asked for: stack (with a ``strategy``), or another plan of the bench.
+    ``activity``: "stack" (with a ``strategy``), or the name of another plan.
     """
 
     run_id: str
@@ -48,9 +48,9 @@ class RunStarted(Event):
 
 @dataclass(frozen=True, slots=True)
 class TrialStarted(Event):
-    """One trial of a run began. The bench clock starts again at zero with each trial.
+    """One trial of a run began. The bench clock restarts at zero with each trial.
 
-    ``start_mm`` is the true start offset on a simulated bench (kept out of the method's sight).
+    ``start_mm``: true start offset on a simulated bench, not available to the method.
     """
 
     trial: int
@@ -73,9 +73,9 @@ class PhaseEntered(Event):
 
 @dataclass(frozen=True, slots=True)
 class EpisodeRecorded(Event):
-    """A probe became an episode; ``path``: name of its file ("" if it is not kept).
+    """A probe was assembled into an episode; ``path``: name of its file ("" if not kept).
 
-    The episode comes without its recording: the native-rate signals are in the file.
+    The episode has no recording here; the native-rate signals are in the file.
     """
 
     episode: Episode
@@ -102,7 +102,7 @@ class BeliefUpdated(Event):
 
 @dataclass(frozen=True, slots=True)
 class StabilityJudged(Event):
-    """The estimate whether the piece would stand here."""
+    """Estimated stability of the piece at this position."""
 
     stability: Stability
     probe: int
@@ -119,7 +119,7 @@ class ActionChosen(Event):
 
 @dataclass(frozen=True, slots=True)
 class ApprovalAwaited(Event):
-    """The run waits for the operator's yes to this action; the arm is lifted."""
+    """The run waits for approval of this action; the arm is lifted."""
 
     action: PlaceAction
     probe: int
@@ -127,10 +127,10 @@ class ApprovalAwaited(Event):
 
 @dataclass(frozen=True, slots=True)
 class SetUpAwaited(Event):
-    """A trial waits until the operator has put ``bottom`` in its place; nothing moves before.
+    """A trial waits until the operator has placed ``bottom``; nothing moves before.
 
-    ``start_mm``: where the face of ``piece`` will be over it, drawn from the offsets at which it
-    would fall. ``holds``: the gripper has the piece already, else it is handed over next.
+    ``start_mm``: start offset of the face of ``piece``, drawn from those at which it would fall.
+    ``holds``: True if the gripper already holds the piece; else it is handed over next.
     """
 
     piece: str
@@ -141,9 +141,9 @@ class SetUpAwaited(Event):
 
 @dataclass(frozen=True, slots=True)
 class OutcomeAwaited(Event):
-    """The piece was let go where the truth is not known: the operator says what became of it.
+    """The piece was released on a bench without ground truth; the operator enters the outcome.
 
-    ``proposed`` is what wrist and gripper speak for, and ``why``.
+    ``proposed``: outcome suggested by wrist sensor and gripper; ``why``: the reason.
     """
 
     proposed: Outcome
@@ -152,7 +152,7 @@ class OutcomeAwaited(Event):
 
 @dataclass(frozen=True, slots=True)
 class PhotoKept(Event):
-    """A picture of trial ``trial`` was put beside the journal; ``path``: name of its file."""
+    """An image of trial ``trial`` was saved beside the event log; ``path``: name of its file."""
 
     trial: int
     path: str
@@ -160,7 +160,7 @@ class PhotoKept(Event):
 
 @dataclass(frozen=True, slots=True)
 class Released(Event):
-    """The gripper opened; ``fall`` is there if the piece fell on a bench that can animate it."""
+    """The gripper opened; ``fall``: motion of a fallen piece if the bench can animate it."""
 
     probe: int
     stands: bool
@@ -170,10 +170,10 @@ class Released(Event):
 
 @dataclass(frozen=True, slots=True)
 class TrialFinished(Event):
-    """How the trial ended. ``margin_mm``: true margin on a simulated bench, else the estimate.
+    """End of a trial. ``margin_mm``: true margin on a simulated bench, else the estimate.
 
-    ``excess_probes``: probes beyond the least number that 3 mm steps need (None if unknown).
-    ``contradicted``: a second judge of the release says otherwise (None if none was asked).
+    ``excess_probes``: probes beyond the minimum for steps of 3 mm (None if unknown).
+    ``contradicted``: True if a second simulation disagrees (None if there was none).
     """
 
     trial: int
@@ -197,10 +197,10 @@ class RunFinished(Event):
 
 @dataclass(frozen=True, slots=True)
 class CampaignBegan(Event):
-    """A campaign goes on to collect; ``done`` of ``total`` probes are there already.
+    """A campaign starts or resumes; ``done`` of ``total`` probes exist already.
 
-    ``dataset``: its folder. ``series``: what is recorded until the run ends or the bottom is fitted
-    anew.
+    ``dataset``: its folder. ``series``: recordings until the run ends or the bottom is mounted
+    again.
     """
 
     campaign: str
@@ -212,7 +212,7 @@ class CampaignBegan(Event):
 
 @dataclass(frozen=True, slots=True)
 class Gripped(Event):
-    """The piece was taken: gripping ``grip`` (1, 2, ...) of mounting ``mounting``, and its mass."""
+    """The piece was gripped: ``grip`` (1, 2, ...) of mounting ``mounting``, and its mass."""
 
     grip: int
     mounting: int
@@ -221,9 +221,9 @@ class Gripped(Event):
 
 @dataclass(frozen=True, slots=True)
 class OriginChecked(Event):
-    """The edges of the bottom were felt: its centre minus the origin, in mm.
+    """The edges of the bottom were measured; ``residual_mm``: its centre minus the origin.
 
-    ``sigma_mm``: standard uncertainty per axis; ``agrees``: the residual is within three of them.
+    ``sigma_mm``: standard uncertainty per axis; ``agrees``: the residual is within three sigma.
     """
 
     residual_mm: tuple[float, float]
@@ -233,13 +233,13 @@ class OriginChecked(Event):
 
 @dataclass(frozen=True, slots=True)
 class CalibrationMeasured(Event):
-    """A calibration was measured; it holds once a person accepts it.
+    """A calibration was measured; it becomes valid when a person accepts it.
 
     ``values`` by ``names``, each with its standard uncertainty and unit; ``residual`` and its
-    ``limit`` in ``unit``, ``residuals`` per measurement. ``obstacle``: what stands against it
-    whatever the residual, "" if nothing does; ``note``: what it leaves open. ``about``: which piece
-    on which bottom. ``gels_px``: of cameras the u and v of the 63 resting dots of the left picture,
-    then of the right one; empty where they were not seen at rest.
+    ``limit`` in ``unit``, ``residuals`` per measurement. ``obstacle``: reason for
+    refusal independent of the residual, or ""; ``note``: limitations. ``about``: piece and bottom.
+    ``gels_px``: for cameras, u and v of the 63 dots at rest, left image then right; empty if not
+    seen at rest.
     """
 
     what: str
@@ -258,7 +258,7 @@ class CalibrationMeasured(Event):
 
     @property
     def acceptable(self) -> bool:
-        """Whether the residual is within its limit and nothing stands against it."""
+        """True if the residual is within its limit and there is no obstacle."""
         return self.residual <= self.limit and not self.obstacle
 
 
@@ -267,7 +267,7 @@ EpisodeDecision = Literal["keep", "discard", "redo", "flag", "skip"]
 
 @dataclass(frozen=True, slots=True)
 class DecisionAwaited(Event):
-    """The campaign waits whether to keep the episode that was just recorded; nothing moves."""
+    """The campaign waits for a decision on the last episode; nothing moves."""
 
     uuid: str
     item: int
@@ -275,10 +275,10 @@ class DecisionAwaited(Event):
 
 @dataclass(frozen=True, slots=True)
 class HandOverAwaited(Event):
-    """The campaign waits for the operator's hand at the jaws; nothing moves until they confirm.
+    """The campaign waits for the operator at the jaws; nothing moves until they confirm.
 
-    ``gives``: they hold ``piece`` between the open jaws, which then close; else they take hold of
-    it, and the jaws open. ``anew``: they fit ``piece``, the bottom, and the gels anew instead.
+    ``gives``: True if they hold ``piece`` between the open jaws, which then close; else they take
+    it, and the jaws open. ``anew``: they mount ``piece`` (the bottom) and the gels again instead.
     """
 
     piece: str
@@ -288,10 +288,9 @@ class HandOverAwaited(Event):
 
 @dataclass(frozen=True, slots=True)
 class MountingAwaited(Event):
-    """A campaign that goes on waits to be told whether it still has the mounting that it had.
+    """A resumed campaign waits for the operator to confirm its mounting.
 
-    Yes: ``bottom``, or the gels, were fitted anew since ``mounting`` (1, 2, ...); no: all is as it
-    was then.
+    Yes: ``bottom`` or the gels were mounted again since ``mounting`` (1, 2, ...); no: unchanged.
     """
 
     bottom: str
@@ -300,7 +299,7 @@ class MountingAwaited(Event):
 
 @dataclass(frozen=True, slots=True)
 class ProbeCollected(Event):
-    """A probe of a campaign is durable in the dataset, together with its label.
+    """A probe of a campaign and its label were stored in the dataset.
 
     ``item`` of the plan; ``done`` of ``total`` after it. ``commanded_mm`` and ``measured_mm``
     displacement, and the standard uncertainty ``sigma_mm`` of the measured one. ``signals`` (5,) at
@@ -324,7 +323,7 @@ class ProbeCollected(Event):
 
 @dataclass(frozen=True, slots=True)
 class EpisodeDecided(Event):
-    """What was decided about a recorded episode, and by whom."""
+    """A decision on a recorded episode, and the person."""
 
     uuid: str
     item: int
@@ -341,9 +340,9 @@ class FaultRaised(Event):
 
 @dataclass(frozen=True, slots=True)
 class Paused(Event):
-    """The run paused by itself at a safe place and loses nothing: it goes on when it is resumed.
+    """The run paused at a safe position and can be resumed without loss.
 
-    ``fault``: what keeps it from going on; nothing is latched.
+    ``fault``: reason of the pause; nothing is latched.
     """
 
     fault: Fault
@@ -351,13 +350,13 @@ class Paused(Event):
 
 @dataclass(frozen=True, slots=True)
 class Noticed(Event):
-    """Something is not as it should be; nothing is latched, and what goes on goes on."""
+    """A warning: nothing is latched and the activity continues."""
 
     fault: Fault
 
     @property
     def text(self) -> str:
-        """What it is and what to do, as one paragraph."""
+        """Problem and next step as one paragraph."""
         return f"{self.fault.what} {self.fault.next_step}"
 
 
@@ -368,7 +367,7 @@ class FaultsReset(Event):
 
 @dataclass(frozen=True, slots=True)
 class Progress(Event):
-    """Long work goes on: ``done`` of ``total``, in words."""
+    """Progress of a long task: ``done`` of ``total``, and a text."""
 
     done: int
     total: int
@@ -384,7 +383,7 @@ class Said(Event):
 
 @dataclass(frozen=True, slots=True)
 class Refused(Event):
-    """An order by hand was refused or ended: name of the condition, sentence for the operator."""
+    """A manual command was refused or ended: name of the condition, sentence for the operator."""
 
     reason: str
     text: str

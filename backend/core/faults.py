@@ -9,13 +9,22 @@ from dataclasses import dataclass
 
 
 class TouchdownError(Exception):
-    """Base of every error that Touchdown raises on purpose."""
+    """Base of all errors that Touchdown raises."""
 
 
 class InputError(TouchdownError):
-    """Bad input from outside: a file, a setting, an argument, a checkpoint. Exit code 2.
+    """Bad input: a file, a setting, an argument, a checkpoint. Exit code 2.
 
-    ``what`` is wrong, ``where`` (the file, key or argument), and the ``fix``.
+    Attributes
+    ----------
+    what, where, fix : str
+        Problem, its place (file, key or argument), and remedy.
+
+    Examples
+    --------
+    >>> str(InputError("There is no piece 'pod'.", "pod.toml", "Use pot."))
+    "There is no piece 'pod'. [pod.toml] Use pot."
+
     """
 
     def __init__(self, what: str, where: str, fix: str) -> None:
@@ -25,10 +34,17 @@ class InputError(TouchdownError):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Something failed while the bench was running. Latched until the operator resets it.
+    """A failure of the running bench. Latched until the operator resets it.
 
-    ``code`` is a short stable word such as ``CAMERA-STALE``; ``what`` happened, its
-    ``consequence`` and the ``next_step``; ``device`` names the cause.
+    Attributes
+    ----------
+    code : str
+        Stable identifier such as ``CAMERA-STALE``.
+    what, consequence, next_step : str
+        Problem, its consequence, and the action of the operator; one sentence each.
+    device : str
+        Name of the device that caused it, or "".
+
     """
 
     code: str
@@ -39,7 +55,7 @@ class Fault:
 
 
 class FaultError(TouchdownError):
-    """Raised where a ``Fault`` stops the present activity."""
+    """A ``Fault`` ended the present activity."""
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(f"{fault.what} {fault.consequence} {fault.next_step} [{fault.code}]")
@@ -47,9 +63,15 @@ class FaultError(TouchdownError):
 
 
 class RefusedError(TouchdownError):
-    """The interlock refused a command; ``reason`` is the name of the condition that failed.
+    """A command was refused by the interlock.
 
-    ``detail`` says what, and then ``next_step`` where that is told apart.
+    Attributes
+    ----------
+    reason : str
+        Name of the condition that failed.
+    what, next_step, detail : str
+        Problem, remedy (may be ""), and both together.
+
     """
 
     def __init__(self, reason: str, what: str, next_step: str = "") -> None:
@@ -59,4 +81,4 @@ class RefusedError(TouchdownError):
 
 
 class StaleSampleError(TouchdownError):
-    """A sample is older than allowed, or there is none: that is not an observation."""
+    """There is no sample, or it is older than allowed."""

@@ -20,7 +20,7 @@ UNSYNCABLE_ERRNOS = frozenset({errno.EINVAL, errno.ENOTSUP})
 def sync_folder(folder: Path) -> None:
     """Make renames in ``folder`` durable (a no-op where folders cannot be synced).
 
-    Raises ``OSError`` where the disk refuses for any other reason.
+    Raises ``OSError`` for any other failure.
     """
     if os.name != "posix":
         return
@@ -35,7 +35,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make ``folder`` durable with all folders above it that are missing: what is in them stays."""
+    """Create ``folder`` and its missing parents, durably."""
     missing = []
     while not folder.is_dir():
         missing.append(folder)
@@ -48,7 +48,7 @@ def make_folder(folder: Path) -> None:
 def write_atomically(path: Path, content: bytes) -> None:
     """Write ``content`` to ``path``: temporary name, fsync, rename, fsync of the folder.
 
-    If the disk refuses, ``path`` stays as it was and nothing else stays.
+    On an error ``path`` is unchanged and no temporary file remains.
     """
     make_folder(path.parent)
     part = path.with_name(f".{path.name}.part")
@@ -69,7 +69,7 @@ _FAR_BYTE = 1 << 20  # A Windows lock also blocks reading, so a byte far behind 
 
 
 def lock_file(path: Path) -> int:
-    """Lock ``path`` (made if need be) until the returned descriptor is closed.
+    """Lock ``path`` (created if missing) until the returned descriptor is closed.
 
     Raises ``BlockingIOError`` if it is locked already.
     """

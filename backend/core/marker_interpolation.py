@@ -50,8 +50,8 @@ _MISFIT.flags.writeable = False
 def fill_unseen_markers(displacement: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
     """Return ``displacement`` with the unseen markers filled from the seen ones.
 
-    ``displacement``: (n, 63, 2) in any unit (what stands at unseen markers is ignored, NaN
-    included); ``seen``: (n, 63) bool. Seen markers come back unchanged. Raises ValueError on other
+    ``displacement``: (n, 63, 2) in any unit (values of unseen markers are ignored, NaN included);
+    ``seen``: (n, 63) bool. Seen markers are unchanged. Raises ValueError on other
     shapes. Vectorised over n: frames are grouped by the number of unseen markers.
     """
     if displacement.shape[1:] != (MARKERS, 2) or seen.shape != displacement.shape[:2]:
@@ -76,7 +76,7 @@ def _fill_group(
 
 
 def marker_misfit(field: FloatArray) -> FloatArray:
-    """Return how far each marker lies from where all others would put it.
+    """Return the deviation of each marker from its interpolation from all others.
 
     ``field``: (63, 2), complete; the result has the same shape and unit. It is the residual of
     leave-one-out filling, zero for affine fields.

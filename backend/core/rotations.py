@@ -18,7 +18,7 @@ LEVEL_TOLERANCE_RAD = math.radians(0.2)  # A hand rotated by less than this coun
 
 
 def rotation_from_vector(vector_rad: FloatArray) -> FloatArray:
-    """Return the (3, 3) turn about a rotation vector (3,), in rad."""
+    """Return the (3, 3) rotation matrix of a rotation vector (3,), in rad."""
     angle = math.sqrt(float(vector_rad @ vector_rad))
     if angle == 0.0:
         return IDENTITY_ROTATION
@@ -35,7 +35,7 @@ def rotation_from_vector(vector_rad: FloatArray) -> FloatArray:
 
 
 def rotation_vector(turn: FloatArray) -> FloatArray:
-    """Return the rotation vector (3,), in rad, of a (3, 3) turn; its length is 0 to pi."""
+    """Return the rotation vector (3,), in rad, of a (3, 3) matrix; its length is 0 to pi."""
     odd = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     size, even = math.sqrt(float(odd @ odd)), float(np.trace(turn)) - 1.0
     angle = math.atan2(size, even)
@@ -43,32 +43,32 @@ def rotation_vector(turn: FloatArray) -> FloatArray:
         return np.asarray(odd * (angle / size))
     if even > 0.0:
         return np.asarray(0.5 * odd)
-    # Half a turn: the axis is the longest column of what is left over.
+    # Half a turn: the axis is the longest column of R + I.
     left = turn + IDENTITY_ROTATION
     axis = left[:, int(np.argmax(np.diag(left)))]
     return np.asarray(axis * (angle / math.sqrt(float(axis @ axis))))
 
 
 def pose_rotation(pose: Pose) -> FloatArray:
-    """Return the (3, 3) turn of a pose."""
+    """Return the (3, 3) rotation matrix of a pose."""
     return rotation_from_vector(np.array([pose.rx_rad, pose.ry_rad, pose.rz_rad]))
 
 
 def rotation_angle_rad(pose: Pose) -> float:
-    """Return by how much the hand is turned in all."""
+    """Return the rotation angle of the hand."""
     return math.hypot(pose.rx_rad, pose.ry_rad, pose.rz_rad)
 
 
 def tilt_rad(turn: FloatArray) -> float:
-    """Return how far a (3, 3) turn leans the hand away from pointing straight down."""
+    """Return the angle between the hand, rotated by (3, 3) ``turn``, and straight down."""
     return math.atan2(math.hypot(turn[0, 2], turn[1, 2]), float(turn[2, 2]))
 
 
 def tilt_margin_rad(turn: FloatArray, axis: FloatArray, most_rad: float) -> float:
-    """Return how far the hand may turn about ``axis`` until it leans by ``most_rad``.
+    """Return the rotation about ``axis`` at which the tilt of the hand reaches ``most_rad``.
 
-    ``axis`` (3,): unit vector in the bench frame. Infinite about an axis that never leans it so
-    far, 0 where it leans that far already and would lean on.
+    ``axis`` (3,): unit vector in the bench frame. Infinite if the tilt never gets so large; 0 if
+    it is already exceeded and would grow.
     """
     down = turn[:, 2]
     along = float(axis[2]) * float(axis @ down)
@@ -87,7 +87,7 @@ def tilt_margin_rad(turn: FloatArray, axis: FloatArray, most_rad: float) -> floa
 
 
 def require_unrotated(turn: FloatArray) -> None:
-    """Raise ``RefusedError`` unless the hand points straight down, unturned."""
+    """Raise ``RefusedError`` unless the hand points straight down without rotation."""
     vector = rotation_vector(turn)
     angle = math.sqrt(float(vector @ vector))
     if not angle <= LEVEL_TOLERANCE_RAD:

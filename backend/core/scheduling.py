@@ -1,7 +1,7 @@
 """Scheduling of threads: priorities, announced blocking sections, and postponed repaints.
 
-Real-time priority is used where the system allows it. A watchdog would take a thread that waits for
-a disk or a lock for a stalled one; a blocking section announces the wait.
+Real-time priority is used if the system allows it. A blocking section announces a wait for a disk
+or a lock, which a watchdog would otherwise report as a stalled thread.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from types import TracebackType
 
 
 def set_realtime_priority(priority: int) -> bool:
-    """Ask for SCHED_FIFO ``priority`` (0: leave it) for the calling thread; return whether given.
+    """Set SCHED_FIFO ``priority`` (0: no change) for the calling thread; return True if granted.
 
     Linux only; ordinary users need ``rtprio`` in limits.conf.
     """
@@ -32,10 +32,10 @@ def set_realtime_priority(priority: int) -> bool:
 
 @contextmanager
 def round_robin_priority(priority: int) -> Iterator[bool]:
-    """Give the calling thread, and those that it starts meanwhile, SCHED_RR ``priority``.
+    """Set SCHED_RR ``priority`` for the calling thread and the threads it starts in the block.
 
-    They take turns, as threads that share an interpreter have to. Yields whether it was given; the
-    calling thread has its own again in the end. 0, or a system without it: nothing changes.
+    Yields True if granted. The former priority is restored at the end. 0, or a system without
+    SCHED_RR: nothing changes.
     """
     if priority <= 0 or not hasattr(os, "sched_setscheduler"):
         yield False
@@ -56,18 +56,18 @@ NICENESS, RAISED_NICENESS = 10, -10
 
 
 def lower_priority() -> None:
-    """Bring this process to ``NICENESS``; one that stands further back already stays there."""
+    """Raise the niceness of this process to at least ``NICENESS``."""
     if os.name == "posix":
         os.nice(max(0, NICENESS - os.nice(0)))
 
 
 @contextmanager
 def raised_priority() -> Iterator[bool]:
-    """Bring the calling thread, and those that it starts meanwhile, to ``FORWARD``.
+    """Set ``RAISED_NICENESS`` for the calling thread and the threads it starts in the block.
 
-    Not to real-time priority: whole processors would be kept from the system's own work, such as
-    handing on what serial ports received. Yields whether it was given; the calling thread is where
-    it was in the end. Linux only; ordinary users need ``nice`` in limits.conf.
+    Real-time priority would keep whole processors from work of the system such as serial ports.
+    Yields True if granted. The former niceness is restored at the end. Linux only; ordinary users
+    need ``nice`` in limits.conf.
     """
     if sys.platform != "linux":
         yield False
@@ -85,10 +85,10 @@ def raised_priority() -> Iterator[bool]:
 
 
 class RepaintHold:
-    """Asked for by whoever decides, heeded by whoever draws; it ends by itself.
+    """Asks the GUI to postpone repaints while a decision is computed; expires by itself.
 
-    A decision is some hundred short library calls, each of which lets go of the interpreter. A
-    window that draws meanwhile keeps it for up to a millisecond each time: 6 ms become 40.
+    A decision consists of about a hundred short library calls that release the interpreter lock. A
+    repaint holds the lock for up to 1 ms each time, so that 6 ms become 40 ms.
     """
 
     def __init__(self, now_s: Callable[[], float] = time.perf_counter) -> None:
@@ -96,15 +96,15 @@ class RepaintHold:
 
     @property
     def on(self) -> bool:
-        """Whether a decision is due now."""
+        """True while repaints shall be postponed."""
         return self._now_s() < self._until_s
 
     def begin(self, longest_s: float) -> None:
-        """Ask for quiet from now on, for ``longest_s`` at most."""
+        """Start the hold; it expires after ``longest_s``."""
         self._until_s = self._now_s() + longest_s
 
     def end(self) -> None:
-        """End it: the decision is made."""
+        """End the hold."""
         self._until_s = float("-inf")
 
 
@@ -114,7 +114,7 @@ LOCK_TIMEOUT_S = 30.0  # another thread may copy a catalogue or wait for a disk
 
 @dataclass(frozen=True, slots=True)
 class BlockingSection:
-    """``what`` a thread does, and until when (``time.monotonic``) nobody need wonder."""
+    """Activity of a thread, and its latest end (``time.monotonic``)."""
 
     what: str
     until_s: float
@@ -125,7 +125,7 @@ _SECTIONS: dict[int, BlockingSection] = {}  # outermost section by native thread
 
 @contextmanager
 def blocking_section(what: str, limit_s: float) -> Iterator[None]:
-    """Say that this thread does ``what`` (*sets the scene*), which takes ``limit_s`` at most."""
+    """Announce that this thread does ``what`` ("sets the scene") for ``limit_s`` at most."""
     number = threading.get_native_id()
     if number in _SECTIONS:
         yield
@@ -138,12 +138,12 @@ def blocking_section(what: str, limit_s: float) -> Iterator[None]:
 
 
 def blocking_section_of(number: int) -> BlockingSection | None:
-    """Return what the thread with this number of the system says that it does."""
+    """Return the announced section of the thread with this native id."""
     return _SECTIONS.get(number)
 
 
 class SharedLock:
-    """A re-entrant lock that is held while a disk is written: who has to wait for it says so."""
+    """A re-entrant lock held during disk writes; waiting for it is a blocking section."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()

@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 
 class Stream(Generic[T]):
-    """Keeps the newest ``capacity`` items. One writer, any number of readers with own cursors."""
+    """Keeps the newest ``capacity`` items for one writer and any number of readers."""
 
     def __init__(self, name: str, capacity: int) -> None:
         self.name = name
@@ -42,12 +42,12 @@ class Stream(Generic[T]):
             self._count += 1
 
     def newest(self) -> T | None:
-        """Return the newest item whatever its age, for display only."""
+        """Return the newest item regardless of its age, for display only."""
         with self._lock:
             return self._items[-1][1] if self._items else None
 
     def latest(self, now_s: float, max_age_s: float) -> T:
-        """Return the newest item; raises ``StaleSampleError`` if there is none young enough."""
+        """Return the newest item; raises ``StaleSampleError`` if it is older than ``max_age_s``."""
         with self._lock:
             if not self._items:
                 raise StaleSampleError(f"{self.name}: no sample yet")
@@ -58,7 +58,7 @@ class Stream(Generic[T]):
         return item
 
     def since(self, cursor: int) -> tuple[list[T], int, int]:
-        """Return (items after ``cursor``, new cursor, number lost in between)."""
+        """Return (items after ``cursor``, new cursor, number of lost items)."""
         with self._lock:
             wanted = self._count - cursor
             kept = min(max(wanted, 0), len(self._items))
@@ -76,7 +76,7 @@ class Stream(Generic[T]):
         return (item for t_s, item in items if start_s <= t_s <= end_s)
 
     def clear(self) -> None:
-        """Forget the items (the count goes on, so that readers notice)."""
+        """Remove the items; the count is kept, so that readers notice."""
         with self._lock:
             self._items.clear()
 
@@ -92,7 +92,7 @@ class Samples:
 
 
 class SampleStream:
-    """A ring of numeric samples (force/torque at 1 kHz, poses): blocks in, blocks out."""
+    """A ring buffer of numeric samples (force/torque at 1 kHz, poses)."""
 
     def __init__(self, name: str, channels: int, capacity: int) -> None:
         self.name, self.channels, self.capacity = name, channels, capacity
@@ -129,7 +129,7 @@ class SampleStream:
     def window(self, start_s: float, end_s: float) -> Samples:
         """Return a copy of the kept samples stamped ``start_s <= t <= end_s``."""
         with self._lock:
-            # Searched in place: a copy of a full ring first would take milliseconds.
+            # Searched in place; copying a full ring takes milliseconds.
             kept = range(max(self._start, self._count - self.capacity), self._count)
             first = kept.start + bisect_left(kept, start_s, key=self._stamp)
             end = kept.start + bisect_right(kept, end_s, key=self._stamp)
@@ -150,7 +150,7 @@ class SampleStream:
         return t_s, values
 
     def clear(self) -> None:
-        """Forget the samples (the count goes on, so that readers notice)."""
+        """Remove the samples; the count is kept, so that readers notice."""
         with self._lock:
             self._start = self._count
 
@@ -158,7 +158,7 @@ class SampleStream:
         return float(self._t_s[number % self.capacity])
 
     def _copy(self, first: int, end: int, *, lost: int) -> Samples:
-        """Copy the samples from number ``first`` up to ``end``, at most one turn of the ring."""
+        """Copy the samples ``first`` to ``end``, at most ``capacity``."""
         begin = first % self.capacity
         fits = min(end - first, self.capacity - begin)
         t_s, values = (
@@ -169,13 +169,13 @@ class SampleStream:
 
 
 class Decimator:
-    """Takes so many samples a second of those that come: the first of each period."""
+    """Reduces a sample rate by taking the first sample of each period."""
 
     def __init__(self) -> None:
         self._period: int | None = None
 
     def takes(self, t_s: float, rate_hz: float) -> bool:
-        """Return whether the sample stamped ``t_s`` is one of ``rate_hz`` a second."""
+        """Return True if the sample stamped ``t_s`` belongs to the reduced rate ``rate_hz``."""
         # A stamp on the border of two periods belongs to the later one.
         period = math.floor(t_s * rate_hz + 1e-6)
         taken, self._period = period != self._period, period

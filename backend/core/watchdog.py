@@ -1,8 +1,8 @@
 """Detection of processes and threads that have stalled.
 
-A process stalls when a signal stops it or when each of its threads waits. A process that is short
-of processor time, or that waits for a disk, is not stalled: the scheduler reports the difference
-for each thread. Without ``/proc`` only a stopped process is recognised.
+A process is stalled if a signal stopped it or if all of its threads wait. A process that lacks
+processor time or waits for a disk is not stalled; the scheduler reports this for each thread.
+Without ``/proc`` only a stopped process is detected.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ MAX_LOOK_STEP_S = 0.1  # longest time that one look adds; looks are 50 ms apart
 
 
 class ProcessStallDetector:
-    """Looks at the process ``number`` whenever ``look`` is called, a few times in ``STILL_S``."""
+    """Observes the process ``number``; call ``look`` a few times in ``STALLED_AFTER_S``."""
 
     def __init__(self, number: int) -> None:
         self._folder = Path("/proc") / str(number) / "task"
@@ -27,7 +27,7 @@ class ProcessStallDetector:
         self._used_s, self._since_s, self._looked_s = -1.0, 0.0, 0.0
 
     def look(self, now_s: float) -> bool:
-        """Return whether it stands still at ``now_s``, of a clock that goes on; False once gone."""
+        """Return True if it is stalled at ``now_s`` (monotonic); False once it has ended."""
         try:
             used = self._process.cpu_times()
             states = self._states()
@@ -41,12 +41,12 @@ class ProcessStallDetector:
         return now_s - self._since_s >= STALLED_AFTER_S
 
     def _states(self) -> set[str]:
-        """Return the scheduler's letters of its threads; empty if they are not known."""
+        """Return the scheduler states of its threads; empty if unknown."""
         found = set[str]()
         with suppress(FileNotFoundError):
             for task in self._folder.iterdir():
                 with suppress(FileNotFoundError, ProcessLookupError):
-                    # The name before the letter may hold anything, brackets as well.
+                    # The process name before the state may contain brackets.
                     found.add((task / "stat").read_bytes().rpartition(b")")[2].split()[0].decode())
         if "Z" in found:
             return set()
@@ -56,28 +56,28 @@ class ProcessStallDetector:
 
 
 class ThreadStallDetector:
-    """Tells for how long a thread has rested: neither run nor wanted to.
+    """Measures the time for which a thread was not runnable.
 
-    One that polls, that waits for the interpreter, for a processor or for a disk does not rest.
-    Without ``/proc`` none is known to. What a look comes too late by counts for nothing, so that
-    a computer that slept, or a program that was stopped, lets no thread rest.
+    A thread that polls, or waits for the interpreter, a processor or a disk, counts as running.
+    Without ``/proc`` the time is 0. Delays between two looks are not counted, so that a suspended
+    computer or a stopped program has no effect.
     """
 
     def __init__(self, process: int, thread: int) -> None:
         self._status = Path("/proc") / str(process) / "task" / str(thread) / "status"
         self._switches: tuple[bytes, ...] = ()
         self._looked_s = 0.0
-        self.passed_s = 0.0  # from the look before the last to the last one, as far as it counts
+        self.passed_s = 0.0  # time between the last two looks, at most MAX_LOOK_STEP_S
         self.rested_s = 0.0
 
     def look(self, now_s: float) -> float:
-        """Return for how long it has rested at ``now_s``; 0 at first and once it is gone."""
+        """Return the idle time in s at ``now_s``; 0 at first and after its end."""
         self.passed_s, self._looked_s = min(now_s - self._looked_s, MAX_LOOK_STEP_S), now_s
         self.rested_s = self.rested_s + self.passed_s if self._rests() else 0.0
         return self.rested_s
 
     def _rests(self) -> bool:
-        """Return whether it rested since the last look."""
+        """Return True if it was idle since the last look."""
         before, self._switches, state = self._switches, (), b"R"
         with suppress(OSError):
             lines = [line.split() for line in self._status.read_bytes().splitlines()]

@@ -11,7 +11,7 @@ import math
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -27,6 +27,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Table
 
 from touchdown.backend.core import InputError
 
@@ -56,6 +57,13 @@ class VerbOutput:
     def show(self, renderable: RenderableType) -> None:
         """Print a rich table or other renderable for people (colours by ``rich.text.Text``)."""
         self._console.print(renderable, soft_wrap=False)
+
+    def table(self, title: str, header: Sequence[str], *rows: Iterable[str]) -> None:
+        """Print a table of plain texts for people."""
+        table = Table(*header, title=title)
+        for row in rows:
+            table.add_row(*row)
+        self.show(table)
 
     @contextmanager
     def progress(self, title: str, total: int | None) -> Iterator[AdvanceFunction]:

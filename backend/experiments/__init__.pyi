@@ -4,7 +4,6 @@ from .comparison import StrategyComparison as StrategyComparison
 from .comparison import comparison_tables as comparison_tables
 from .comparison import merged_oracle_shares as merged_oracle_shares
 from .comparison import oracle_share_table as oracle_share_table
-from .comparison import to_markdown as to_markdown
 from .document import BLUE as BLUE
 from .document import FAINT as FAINT
 from .document import INK as INK
@@ -16,6 +15,7 @@ from .document import ReportPicture as ReportPicture
 from .document import ReportTable as ReportTable
 from .document import TableEntry as TableEntry
 from .document import report_page as report_page
+from .document import to_markdown as to_markdown
 from .domain_shift import CollectionKind as CollectionKind
 from .domain_shift import DomainShift as DomainShift
 from .domain_shift import RandomisedTraining as RandomisedTraining
@@ -43,10 +43,9 @@ from .results import rewrite_tables as rewrite_tables
 from .results import write_comparison as write_comparison
 from .results import write_tables as write_tables
 from .run_report import write_run_report as write_run_report
-from .sensitivity import COLUMNS as COLUMNS
 from .sensitivity import NuisanceSensitivity as NuisanceSensitivity
-from .sensitivity import sensitivity_page as sensitivity_page
-from .sensitivity import sensitivity_rows as sensitivity_rows
+from .sensitivity import sensitivity_report as sensitivity_report
+from .sensitivity import sensitivity_table as sensitivity_table
 from .statistics import compare_intervals as compare_intervals
 from .strategies import BOTTOMS as BOTTOMS
 from .strategies import STRATEGIES as STRATEGIES
@@ -63,7 +62,6 @@ __all__ = [
     "BEYOND_FORMAT",
     "BLUE",
     "BOTTOMS",
-    "COLUMNS",
     "CONTENT_ERRORS",
     "DATA",
     "EVALUATED_STRATEGIES",
@@ -110,8 +108,8 @@ __all__ = [
     "report_page",
     "rewrite_tables",
     "run_jobs",
-    "sensitivity_page",
-    "sensitivity_rows",
+    "sensitivity_report",
+    "sensitivity_table",
     "split_jobs",
     "threshold_counts",
     "threshold_jobs",

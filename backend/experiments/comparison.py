@@ -10,7 +10,6 @@ Introduction to the Bootstrap, 1993, ch. 13).
 
 from __future__ import annotations
 
-import html
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +17,13 @@ from typing import Any
 import numpy as np
 
 from touchdown.backend.core import FloatArray, InputError, Outcome
-from touchdown.backend.experiments.document import PAGE_STYLE, reliability_chart
+from touchdown.backend.experiments.document import (
+    PictureGallery,
+    Report,
+    ReportSection,
+    ReportTable,
+    reliability_gallery,
+)
 from touchdown.backend.experiments.statics import PROBE_COUNTS
 from touchdown.backend.experiments.strategies import (
     IOU_AFTER,
@@ -189,15 +194,6 @@ def _bootstrap_sums(counts: Sequence[FloatArray]) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class ComparisonTable:
-    """One table in words: ``rows`` as long as ``columns``."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-
-@dataclass(frozen=True, slots=True)
 class StrategyComparison:
     """Closed loops and, where ``said`` is given, what is said before a release."""
 
@@ -226,19 +222,19 @@ class StrategyComparison:
         return found
 
 
-def comparison_tables(answer: Mapping[str, Any]) -> list[ComparisonTable]:
+def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
     """Return the tables of an answer; without groups or a ceiling there are fewer."""
     found = [
-        ComparisonTable(
+        ReportTable.of_texts(
             "Closed loop, simulated; 95 % intervals",
             ("strategy", "trials", "placed %", "unsafe %", "outcomes", "probes", "spare"),
-            tuple(_closed_loop_row(cell) for cell in (*answer["cells"], *answer["pooled"])),
+            (_closed_loop_row(cell) for cell in (*answer["cells"], *answer["pooled"])),
         )
     ]
     if "statics" in answer:
         statics = answer["statics"]
         found.append(
-            ComparisonTable(
+            ReportTable.of_texts(
                 "Would it stand at the place of the first probe? Balanced, %",
                 (
                     "strategy",
@@ -247,18 +243,18 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ComparisonTable]:
                     *(f"released, n = {n}" for n in PROBE_COUNTS),
                     "unsafe %, n = 3",
                 ),
-                tuple(_verdict_row(cell) for cell in (*statics["cells"], *statics["pooled"])),
+                (_verdict_row(cell) for cell in (*statics["cells"], *statics["pooled"])),
             )
         )
         found.append(
-            ComparisonTable(
+            ReportTable.of_texts(
                 "Do the maps keep their promise? Covered cells",
                 (
                     "strategy",
                     *(f"ECE, n = {n}" for n in RELIABLE_AFTER),
                     f"IoU %, n = {IOU_AFTER}",
                 ),
-                tuple(_reliability_row(cell) for cell in (*statics["cells"], *statics["pooled"])),
+                (_reliability_row(cell) for cell in (*statics["cells"], *statics["pooled"])),
             )
         )
     if answer["gaps"]:
@@ -266,23 +262,12 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ComparisonTable]:
     return found
 
 
-def to_markdown(found: Sequence[ComparisonTable]) -> str:
-    """Return tables as they stand in a document."""
-    parts = []
-    for sheet in found:
-        lines = [sheet.columns, ("---",) * len(sheet.columns), *sheet.rows]
-        parts.append(
-            "\n".join([f"{sheet.title}:", "", *(f"| {' | '.join(row)} |" for row in lines)])
-        )
-    return "\n\n".join(parts) + "\n"
-
-
-def oracle_share_table(rows: Sequence[Json]) -> ComparisonTable:
+def oracle_share_table(rows: Sequence[Json]) -> ReportTable:
     """Return the table of the shares of the way to the ceiling."""
-    return ComparisonTable(
+    return ReportTable.of_texts(
         "Share of the way from paper to ceiling, what all three did; 95 % intervals over seeds",
         ("strategy", "of", "n", "paper %", "own %", "ceiling %", "share %"),
-        tuple(_oracle_share_row(row) for row in rows),
+        (_oracle_share_row(row) for row in rows),
     )
 
 
@@ -344,59 +329,24 @@ def _format_number(value: float | None) -> str:
     return "" if value is None else f"{value:.1f}"
 
 
-def comparison_section(answer: Mapping[str, Any]) -> str:
-    """Return the part of a page that shows an answer of ``touchdown experiment beyond``."""
-    tables = "".join(_table(sheet) for sheet in comparison_tables(answer))
-    return (
-        "<h2>Beyond the paper</h2><p>Closed loops count every trial, whatever its outcome; "
-        "<i>unsafe</i>: fell or knocked over; <i>spare</i>: probes beyond the least number, "
-        "median. Towers: the upper bottom stands off the lower one by 0 to 6 mm; those on which "
-        f"the piece has no stable place are left out.</p>{tables}{_charts(answer)}"
+def comparison_report(answer: Mapping[str, Any]) -> Report:
+    """Return the report on an answer of ``touchdown experiment beyond``."""
+    text = (
+        "Closed loops count every trial, whatever its outcome; unsafe: fell or knocked over; "
+        "spare: probes beyond the least number, median. Towers: the upper bottom stands off the "
+        "lower one by 0 to 6 mm; those on which the piece has no stable place are left out."
     )
-
-
-def comparison_page(answer: Mapping[str, Any]) -> str:
-    """Return that part as a page of its own."""
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f"<title>Touchdown: beyond the paper</title><style>{PAGE_STYLE}</style></head><body>"
-        "<h1>Touchdown: strategies beyond the paper</h1>"
-        '<p class="banner">SIMULATED BENCH: no robot moved for these figures</p>'
-        f"<p>Bench <code>{answer['bench_sha256'][:16]}</code>, program "
-        f"{html.escape(answer['code'])}.</p>{comparison_section(answer)}</body></html>"
-    )
-
-
-def _table(sheet: ComparisonTable) -> str:
-    if not sheet.rows:
-        return ""
-    head = "".join(f"<th>{html.escape(word)}</th>" for word in sheet.columns)
-    rows = "".join(
-        f"<tr><th>{html.escape(row[0])}</th>"
-        + "".join(f"<td>{html.escape(value)}</td>" for value in row[1:])
-        + "</tr>"
-        for row in sheet.rows
-    )
-    return (
-        f"<h3>{html.escape(sheet.title)}</h3>"
-        f'<div class="wide"><table><tr>{head}</tr>{rows}</table></div>'
-    )
-
-
-def _charts(answer: Mapping[str, Any]) -> str:
-    drawn = [
-        reliability_chart(
-            chart["promised"],
-            chart["came"],
-            pooled["strategy"],
-            f"n = {n}, ECE {chart['ece']:.3f}",
-        )
+    parts: list[ReportTable | PictureGallery] = [t for t in comparison_tables(answer) if t.rows]
+    charts = [
+        (pooled["strategy"], f"n = {n}, ECE {chart['ece']:.3f}", chart)
         for pooled in answer.get("statics", {}).get("pooled", ())
         for n, chart in pooled["reliability"].items()
     ]
-    if not drawn:
-        return ""
-    return (
-        "<h3>Promised and true</h3><p>Covered cells, 15 bins of equal mass. Along: promised. Up: "
-        f'came true.</p><div class="charts">{"".join(drawn)}</div>'
+    if charts:
+        legend = "Covered cells, 15 bins of equal mass. Along: promised. Up: came true."
+        parts.append(reliability_gallery("Promised and true", legend, charts))
+    return Report(
+        "Touchdown: strategies beyond the paper",
+        (f"Bench {answer['bench_sha256'][:16]}, program {answer['code']}.",),
+        (ReportSection("Beyond the paper", (text,), tuple(parts)),),
     )

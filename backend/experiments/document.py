@@ -6,7 +6,7 @@ that draws and loads nothing. The Review workspace shows the same document.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -17,6 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray, Outcome
+
+Json = Mapping[str, Any]
+SIMULATED = "SIMULATED BENCH: no robot moved for these figures"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,15 +47,31 @@ class TableEntry:
 
 @dataclass(frozen=True, slots=True)
 class ReportTable:
-    """A table. ``columns``: name and what stands below it; each row: name, and an entry a column.
+    """A table of a report, of the command line or of a Markdown file.
 
-    ``note`` stands below the table.
+    ``columns``: name and subtitle; ``rows``: name, and one entry per column. ``corner`` is the
+    heading of the row names, ``note`` the text below the table.
     """
 
     title: str
     columns: tuple[tuple[str, str], ...]
     rows: tuple[tuple[str, tuple[TableEntry, ...]], ...]
     note: str = ""
+    corner: str = ""
+
+    @classmethod
+    def of_texts(
+        cls, title: str, header: Sequence[str], rows: Iterable[Sequence[str]]
+    ) -> ReportTable:
+        """Return a table of plain texts; the first column holds the row names."""
+        columns = tuple((name, "") for name in header[1:])
+        entries = tuple((row[0], tuple(map(TableEntry, row[1:]))) for row in rows)
+        return cls(title, columns, entries, corner=header[0])
+
+    def texts(self) -> list[tuple[str, ...]]:
+        """Return the header and the rows as plain texts, without intervals and notes."""
+        rows = [(name, *(entry.value for entry in entries)) for name, entries in self.rows]
+        return [(self.corner, *(name for name, _ in self.columns)), *rows]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +95,10 @@ class PictureGallery:
 
 @dataclass(frozen=True, slots=True)
 class ReportSection:
-    """One part of a report: a title, paragraphs, then tables and pictures in order."""
+    """One part of a report: a title, paragraphs, then tables and pictures in order.
+
+    Without a title it continues the section before it.
+    """
 
     title: str
     text: tuple[str, ...]
@@ -85,15 +107,12 @@ class ReportSection:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """``banner``: what every reader must know first; ``about``: paragraphs before the sections."""
+    """A report. ``about``: paragraphs before the sections; ``banner``: highlighted line above."""
 
     title: str
-    banner: str
     about: tuple[str, ...]
     sections: tuple[ReportSection, ...]
-
-
-Json = Mapping[str, Any]
+    banner: str = SIMULATED
 
 
 def entry_of(
@@ -199,6 +218,20 @@ def reliability_chart(
     return _frame(title, box + dots + ticks + _text(SIDE / 2, SIDE - 6, note))
 
 
+def reliability_gallery(
+    title: str, text: str, charts: Iterable[tuple[str, str, Json]]
+) -> PictureGallery:
+    """Return the reliability diagrams of ``charts``: title, note and curve of each."""
+    return PictureGallery(
+        title,
+        tuple(
+            ReportPicture(reliability_chart(curve["promised"], curve["came"], name, note))
+            for name, note, curve in charts
+        ),
+        text,
+    )
+
+
 def patch_picture(points_mm: FloatArray, patch: NDArray[np.bool_], title: str, note: str) -> str:
     """Return the face with the points that touch."""
     reach = float(np.abs(points_mm).max()) + 1.0
@@ -272,62 +305,74 @@ small{color:#55606B;display:block;font-size:.8em}code{font-size:.85em;overflow-w
 
 
 def report_page(report: Report) -> str:
-    """Return the whole page; hovering over a cell shows its job and seed."""
-    about = "".join(f"<p>{escape(text)}</p>" for text in report.about)
+    """Return a report as one HTML page; hovering over a cell shows its job and seed."""
+    sections = []
+    for section in report.sections:
+        parts = "".join(
+            _table(part) if isinstance(part, ReportTable) else _gallery(part)
+            for part in section.parts
+        )
+        sections.append(_tag("h2", section.title) + _paragraphs(section.text) + parts)
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f"<title>{escape(report.title)}</title><style>{PAGE_STYLE}</style></head><body>"
-        f'<h1>{escape(report.title)}</h1><p class="banner">{escape(report.banner)}</p>{about}'
-        f"{''.join(map(_section, report.sections))}</body></html>"
+        f"{_tag('title', report.title)}<style>{PAGE_STYLE}</style></head><body>"
+        f'{_tag("h1", report.title)}<p class="banner">{escape(report.banner)}</p>'
+        f"{_paragraphs(report.about)}{''.join(sections)}</body></html>"
     )
 
 
-def _section(section: ReportSection) -> str:
-    text = "".join(f"<p>{escape(words)}</p>" for words in section.text)
-    parts = [
-        _grid(part) if isinstance(part, ReportTable) else _gallery(part) for part in section.parts
-    ]
-    return f"<h2>{escape(section.title)}</h2>{text}{''.join(parts)}"
-
-
-def _grid(grid: ReportTable) -> str:
-    head = "".join(f"<th>{escape(name)}{_small(below)}</th>" for name, below in grid.columns)
+def _table(table: ReportTable) -> str:
+    head = "".join(
+        f"<th>{escape(name)}{_tag('small', below)}</th>" for name, below in table.columns
+    )
     rows = "".join(
         f"<tr><th>{escape(name)}</th>{''.join(map(_cell, entries))}</tr>"
-        for name, entries in grid.rows
+        for name, entries in table.rows
     )
-    note = f"<p>{_small(grid.note)}</p>" if grid.note else ""
+    note = f"<p>{_tag('small', table.note)}</p>" if table.note else ""
     return (
-        f'{_title(grid.title)}<div class="wide"><table><tr><th></th>{head}</tr>{rows}</table></div>'
-        f"{note}"
+        f'{_tag("h3", table.title)}<div class="wide"><table><tr><th>{escape(table.corner)}</th>'
+        f"{head}</tr>{rows}</table></div>{note}"
     )
 
 
 def _cell(entry: TableEntry) -> str:
     trace = f' title="{escape(entry.trace)}"' if entry.jobs else ""
-    notes = "".join(map(_small, entry.notes))
-    return f"<td{trace}>{escape(entry.value)}{_small(entry.interval)}{notes}</td>"
+    small = "".join(_tag("small", text) for text in (entry.interval, *entry.notes))
+    return f"<td{trace}>{escape(entry.value)}{small}</td>"
 
 
 def _gallery(gallery: PictureGallery) -> str:
-    text = f"<p>{escape(gallery.text)}</p>" if gallery.text else ""
-    end = f'<p class="end">{escape(gallery.end)}</p>' if gallery.end else ""
-    told = any(picture.title or picture.note for picture in gallery.pictures)
-    drawn = "".join(_captioned(p) if told else p.svg for p in gallery.pictures)
-    kind = "strip" if told else "charts"
-    return f'{_title(gallery.title)}{text}<div class="{kind}">{drawn}</div>{end}'
-
-
-def _captioned(picture: ReportPicture) -> str:
-    return (
+    captions = any(picture.title or picture.note for picture in gallery.pictures)
+    pictures = "".join(
         f'<div class="probe"><b>{escape(picture.title)}</b>{picture.svg}'
         f"<p>{escape(picture.note)}</p></div>"
+        if captions
+        else picture.svg
+        for picture in gallery.pictures
+    )
+    end = f'<p class="end">{escape(gallery.end)}</p>' if gallery.end else ""
+    return (
+        f"{_tag('h3', gallery.title)}{_paragraphs([gallery.text])}"
+        f'<div class="{"strip" if captions else "charts"}">{pictures}</div>{end}'
     )
 
 
-def _title(text: str) -> str:
-    return f"<h3>{escape(text)}</h3>" if text else ""
+def _paragraphs(texts: Iterable[str]) -> str:
+    return "".join(_tag("p", text) for text in texts)
 
 
-def _small(text: str) -> str:
-    return f"<small>{escape(text)}</small>" if text else ""
+def _tag(name: str, text: str) -> str:
+    return f"<{name}>{escape(text)}</{name}>" if text else ""
+
+
+def to_markdown(tables: Iterable[ReportTable]) -> str:
+    """Return tables as Markdown."""
+    parts = []
+    for table in tables:
+        header, *rows = table.texts()
+        lines = [header, ("---",) * len(header), *rows]
+        parts.append(
+            "\n".join([f"{table.title}:", "", *(f"| {' | '.join(row)} |" for row in lines)])
+        )
+    return "\n\n".join(parts) + "\n"

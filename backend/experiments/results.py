@@ -16,11 +16,10 @@ import numpy as np
 from touchdown.backend.core import InputError, Outcome, write_atomically
 from touchdown.backend.episodes import patch_bits
 from touchdown.backend.experiments.comparison import (
-    comparison_page,
+    comparison_report,
     comparison_tables,
     merged_oracle_shares,
     quantity_label,
-    to_markdown,
 )
 from touchdown.backend.experiments.document import (
     PictureGallery,
@@ -35,9 +34,10 @@ from touchdown.backend.experiments.document import (
     format_outcomes,
     format_percent,
     patch_picture,
-    reliability_chart,
+    reliability_gallery,
     report_page,
     scatter,
+    to_markdown,
     twin_traces,
 )
 from touchdown.backend.experiments.run_report import FILM_FILE
@@ -276,22 +276,17 @@ def _strategy_reliability(answers: Iterable[JsonMapping]) -> ReportSection | Non
             known = largest.get(pooled["strategy"])
             if pooled["reliability"] and (known is None or pooled["groups"] > known["groups"]):
                 largest[pooled["strategy"]] = pooled
-    drawn = tuple(
-        ReportPicture(
-            reliability_chart(
-                chart["promised"],
-                chart["came"],
-                TITLES.get(name, "other"),
-                f"n = {n}, ECE {chart['ece']:.3f}",
-            )
-        )
+    charts = [
+        (TITLES.get(name, "other"), f"n = {n}, ECE {chart['ece']:.3f}", chart)
         for name, pooled in largest.items()
         for n, chart in pooled["reliability"].items()
-    )
-    if not drawn:
+    ]
+    if not charts:
         return None
     text = "Covered cells, 15 bins of equal mass. Along: promised. Up: came true."
-    return ReportSection("Promised and true, by strategy", (text,), (PictureGallery("", drawn),))
+    return ReportSection(
+        "Promised and true, by strategy", (text,), (reliability_gallery("", "", charts),)
+    )
 
 
 def _strategy_columns(names: Sequence[str]) -> tuple[tuple[str, str], ...]:
@@ -302,9 +297,6 @@ def _cell_title(place: tuple[str, str]) -> str:
     piece, bottom = place
     over = " on ".join(reversed(bottom.split("+")))
     return f"{piece.title()} on {over}"
-
-
-SIMULATED = "SIMULATED BENCH: no robot moved for these figures"
 
 
 def report_of(tables: JsonMapping) -> Report:
@@ -324,7 +316,6 @@ def report_of(tables: JsonMapping) -> Report:
     ]
     return Report(
         f"Touchdown: the paper's experiments, {tables['scale']}",
-        SIMULATED,
         (
             f"Preset {tables['bench']['preset']}, bench {tables['bench_sha256'][:16]}, program "
             f"{tables['code']}. A pad slipped by more than 0.02 mm in {slip} of the probes. In "
@@ -448,23 +439,20 @@ def _mean(row: JsonMapping) -> TableEntry:
 def _reliability(charts: Sequence[JsonMapping]) -> ReportSection | None:
     if not charts:
         return None
-    drawn = tuple(
-        ReportPicture(
-            reliability_chart(
-                chart["promised"],
-                chart["came"],
-                f"{chart['piece'].title()} on {chart['bottom']}",
-                f"ECE {chart['ece']:.3f}, IoU {format_percent(chart['map_iou']['value'])}",
-            )
+    drawn = [
+        (
+            f"{chart['piece'].title()} on {chart['bottom']}",
+            f"ECE {chart['ece']:.3f}, IoU {format_percent(chart['map_iou']['value'])}",
+            chart,
         )
         for chart in charts
-    )
+    ]
     text = (
         "Belief after three probes against the true support, over all covered cells, 15 bins of "
         "equal mass. Along: promised. Up: came true."
     )
     return ReportSection(
-        "Do the probabilities keep their promise?", (text,), (PictureGallery("", drawn),)
+        "Do the probabilities keep their promise?", (text,), (reliability_gallery("", "", drawn),)
     )
 
 
@@ -642,7 +630,7 @@ def write_comparison(out: Path, answer: Mapping[str, Any]) -> Path:
     """Write what strategies beyond the paper did; tables written there later show it too."""
     content = json.dumps(answer, indent=1, sort_keys=True).encode() + b"\n"
     write_atomically(out / BEYOND_DATA, content)
-    write_atomically(out / BEYOND_PAGE, comparison_page(answer).encode())
+    write_atomically(out / BEYOND_PAGE, report_page(comparison_report(answer)).encode())
     write_atomically(out / BEYOND_TABLES, to_markdown(comparison_tables(answer)).encode())
     return out / BEYOND_DATA
 

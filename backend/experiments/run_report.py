@@ -8,7 +8,6 @@ It shows belief maps, wrench traces and decisions, probe by probe.
 from __future__ import annotations
 
 import base64
-import html
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,6 +31,14 @@ from touchdown.backend.core import (
     TrialFinished,
     TrialStarted,
     write_atomically,
+)
+from touchdown.backend.experiments.document import (
+    PictureGallery,
+    Report,
+    ReportPicture,
+    ReportSection,
+    ReportTable,
+    report_page,
 )
 from touchdown.backend.experiments.trials import BatchTrialResult
 
@@ -159,18 +166,6 @@ def belief_film(end: BatchTrialResult, outline_mm: FloatArray) -> Mapping[str, A
     return {"end": f"Seed {end.seed}: {word}. {end.reason}", "probes": probes}
 
 
-_STYLE = """
-body{font:15px/1.45 'DejaVu Sans',system-ui,sans-serif;color:#1B2127;background:#F2F4F6;margin:2em}
-h1{font-size:1.5em}h2{font-size:1.15em;margin:1.6em 0 .3em}
-.banner{background:#F9C800;color:#14181C;padding:.35em .8em;display:inline-block;font-weight:600}
-.strip{display:flex;gap:14px;flex-wrap:wrap}
-.probe{background:#fff;border:1px solid #C9D0D7;padding:10px;width:232px}
-.probe p{margin:.4em 0;font-size:.85em}.end{font-weight:600}
-.placed{color:#1b6b3a}.other{color:#B3261E}
-table{border-collapse:collapse}td,th{text-align:left}
-td,th{padding:.2em .9em;border-bottom:1px solid #C9D0D7}
-"""
-
 _LEGEND = (
     "Belief maps, 40 mm wide: yellow is support, blue is none, grey is unknown. Double line: hull "
     "of support above 90 %. Cross: centre of mass and planned step. Dashed: the true support, "
@@ -197,28 +192,25 @@ def write_run_report(
     ``runs``: the facts of each run in order. ``outlines_mm``: true outline (k, 2) per bottom name,
     drawn dashed after the fact; leave it out where the truth is unknown.
     """
-    sections, rows = [], []
-    for facts in runs:
-        head, trials = _split_trials(facts)
+    galleries, rows, placed = [], [], 0
+    for events in runs:
+        head, trials = _split_trials(events)
         if head is None:
             continue
-        outline = outlines_mm.get(head.bottom.split("+")[-1])
+        outline = outlines_mm.get(head.bottom.split("+")[-1]) if head.simulated else None
         for trial in trials:
-            sections.append(_section(head, trial, outline if head.simulated else None))
-            rows.append(_row(head, trial))
-    placed = sum('class="placed"' in row for row in rows)
-    body = (
-        f"<h1>Touchdown: {placed} of {len(rows)} placed</h1>"
-        '<p class="banner">SIMULATED BENCH: no robot moved for these figures</p>'
-        f"<p>{_LEGEND}</p>"
-        "<table><tr><th>piece</th><th>on</th><th>seed</th><th>outcome</th><th>probes</th>"
-        f"<th>true margin</th></tr>{''.join(rows)}</table>{''.join(sections)}"
+            title = f"{head.piece} on {head.bottom}, seed {trial.started.seed}"
+            galleries.append(_gallery(title, trial, outline))
+            rows.append((title, *_result(trial)))
+            end = trial.finished
+            placed += end is not None and end.outcome is Outcome.PLACED
+    table = ReportTable.of_texts("", ("trial", "outcome", "probes", "true margin"), rows)
+    report = Report(
+        f"Touchdown: {placed} of {len(rows)} placed",
+        (_LEGEND,),
+        (ReportSection("", (), (table, *galleries)),),
     )
-    page = (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f"<title>Touchdown report</title><style>{_STYLE}</style></head><body>{body}</body></html>"
-    )
-    write_atomically(path, page.encode())
+    write_atomically(path, report_page(report).encode())
 
 
 def _split_trials(facts: Iterable[Event]) -> tuple[RunStarted | None, list[_TrialRecord]]:
@@ -249,32 +241,21 @@ def _add_event(trial: _TrialRecord, fact: Event) -> None:
         trial.finished = fact
 
 
-def _row(head: RunStarted, trial: _TrialRecord) -> str:
+def _result(trial: _TrialRecord) -> tuple[str, str, str]:
     end = trial.finished
-    word = "interrupted" if end is None else end.outcome.value.replace("_", " ")
-    css = "placed" if end is not None and end.outcome is Outcome.PLACED else "other"
-    margin = "" if end is None or end.margin_mm is None else f"{end.margin_mm:+.2f} mm"
-    probes = "" if end is None else str(end.probes)
-    cells = (head.piece, head.bottom, str(trial.started.seed))
-    plain = "".join(f"<td>{html.escape(cell)}</td>" for cell in cells)
-    return f'<tr>{plain}<td class="{css}">{word}</td><td>{probes}</td><td>{margin}</td></tr>'
+    if end is None:
+        return "interrupted", "", ""
+    margin = "" if end.margin_mm is None else f"{end.margin_mm:+.2f} mm"
+    return end.outcome.value.replace("_", " "), str(end.probes), margin
 
 
-def _section(head: RunStarted, trial: _TrialRecord, outline_mm: FloatArray | None) -> str:
-    title = f"{head.piece} on {head.bottom}, seed {trial.started.seed}"
-    panels = []
+def _gallery(title: str, trial: _TrialRecord, outline_mm: FloatArray | None) -> PictureGallery:
+    pictures = []
     for updated, judged, chosen in zip(trial.beliefs, trial.judged, trial.chosen, strict=False):
-        recorded = trial.episodes.get(updated.probe)
-        signals = "" if recorded is None else tactile_png(recorded.episode)
-        traces = "" if recorded is None else wrench_svg(recorded.episode)
-        panels.append(
-            f'<div class="probe"><b>Probe {updated.probe}</b>'
-            f"{belief_svg(updated, judged, chosen, outline_mm)}{traces}{signals}"
-            f"<p>{html.escape(chosen.action.reason)}</p></div>"
-        )
-    faults = "".join(f"<p>{html.escape(f.fault.what)}</p>" for f in trial.faults)
+        drawing = belief_svg(updated, judged, chosen, outline_mm)
+        if recorded := trial.episodes.get(updated.probe):
+            drawing += wrench_svg(recorded.episode) + tactile_png(recorded.episode)
+        pictures.append(ReportPicture(drawing, f"Probe {updated.probe}", chosen.action.reason))
     reason = "Interrupted." if trial.finished is None else trial.finished.reason
-    return (
-        f'<h2>{html.escape(title)}</h2><div class="strip">{"".join(panels)}</div>{faults}'
-        f'<p class="end">{html.escape(reason)}</p>'
-    )
+    end = " ".join([*(event.fault.what for event in trial.faults), reason])
+    return PictureGallery(title, tuple(pictures), end=end)

@@ -13,7 +13,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from touchdown.backend.config import SimulationSettings, bench_sha256
-from touchdown.backend.experiments.document import BLUE, FAINT, INK, ORANGE, PAGE_STYLE
+from touchdown.backend.experiments.document import (
+    BLUE,
+    FAINT,
+    INK,
+    ORANGE,
+    PictureGallery,
+    Report,
+    ReportPicture,
+    ReportSection,
+    ReportTable,
+)
 from touchdown.backend.experiments.domain_shift import format_interval, press_scores
 from touchdown.backend.experiments.evaluation import (
     FACTORS,
@@ -30,6 +40,7 @@ from touchdown.backend.jobs import JobSpec, JobStore
 
 FORMAT = "touchdown-sensitivity/1"
 Json = dict[str, Any]
+JsonMapping = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +131,7 @@ class NuisanceSensitivity:
 _MODEL = "FT+Tac"
 
 
-def sensitivity_rows(answer: Json) -> list[tuple[str, ...]]:
+def sensitivity_table(answer: JsonMapping) -> ReportTable:
     """Return per nuisance its change of IoU at each factor, and stability right at the ends."""
     rows = []
     for nuisance in answer["nuisances"]:
@@ -131,48 +142,35 @@ def sensitivity_rows(answer: Json) -> list[tuple[str, ...]]:
             for f in (0.0, 1.0, 3.0)
         ]
         rows.append((nuisance["title"], *changes[:2], *changes[3:], *right))
-    return rows
+    header = ("nuisance", "0", "0.5", "2", "3", "stable right, 0", "1", "3")
+    title = "Change of the IoU in points, paired by group; stability right, %"
+    return ReportTable.of_texts(title, header, rows)
 
 
 def _finished_results(jobs: Sequence[JobSpec], store: JobStore) -> list[Mapping[str, Any]]:
     return [store.result(spec.id) for spec in jobs if store.has(spec.id)]
 
 
-JsonMapping = Mapping[str, Any]
 WIDE, TALL, LEFT, BOTTOM, TOP = 260, 190, 34, 34, 30
 LOW, HIGH = 0.3, 1.0
 """Range of the vertical axis."""
-COLUMNS = ("", "0", "0.5", "2", "3", "stable right, 0", "1", "3")
 
 
-def sensitivity_page(answer: JsonMapping) -> str:
-    """Return the whole page."""
-    charts = "".join(_chart(nuisance) for nuisance in answer["nuisances"] if nuisance["at"])
-    head = "".join(f"<th>{word}</th>" for word in COLUMNS)
-    lines = "".join(
-        f"<tr><th>{row[0]}</th>" + "".join(f"<td>{cell}</td>" for cell in row[1:]) + "</tr>"
-        for row in sensitivity_rows(dict(answer))
+def sensitivity_report(answer: JsonMapping) -> Report:
+    """Return the report: a chart a nuisance, and the table of changes."""
+    about = (
+        f"{answer['piece'].title()} on {' and '.join(answer['bottoms'])}, one model as it is, "
+        f"bench {answer['bench_sha256'][:16]}, program {answer['code']}. Each nuisance alone is 0 "
+        "to 3 times as large as on the bench; all else, seeds included, stays. Blue line with "
+        "dots: IoU of single presses. Orange dashed line with squares: stability right after one "
+        "press, on as many stable as unstable places. Bars: 95 % intervals, each value for "
+        "itself. Values of one chart share their presses, so that small changes mean more than "
+        "the bars say: see the table."
     )
-    body = [
-        "<h1>Touchdown: what each nuisance of the bench costs</h1>",
-        '<p class="banner">SIMULATED BENCH: no robot moved for these figures</p>',
-        f"<p>{html.escape(answer['piece'].title())} on {' and '.join(answer['bottoms'])}, "
-        f"one model as it is, bench <code>{answer['bench_sha256'][:16]}</code>, program "
-        f"{html.escape(answer['code'])}. Each nuisance alone is 0 to 3 times as large as on the "
-        f'bench; all else, seeds included, stays. <b style="color:{BLUE}">Line with dots</b>: IoU '
-        f'of single presses. <b style="color:{ORANGE}">Dashed line with squares</b>: stability '
-        "right after one press, on as many stable as unstable places. Bars: 95 % intervals, each "
-        "value for itself. Values of one chart share their presses, so that small changes mean "
-        "more than the bars say: see the table.</p>",
-        f'<div class="charts">{charts}</div>',
-        "<h2>Change of the IoU in points, paired by group; stability right, %</h2>"
-        f'<div class="wide"><table><tr>{head}</tr>{lines}</table></div>',
-    ]
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f"<title>Touchdown sensitivity</title><style>{PAGE_STYLE}</style></head>"
-        f"<body>{''.join(body)}</body></html>"
-    )
+    charts = tuple(ReportPicture(_chart(n)) for n in answer["nuisances"] if n["at"])
+    parts = (PictureGallery("", charts), sensitivity_table(answer))
+    title = "Touchdown: what each nuisance of the bench costs"
+    return Report(title, (about,), (ReportSection("", (), parts),))
 
 
 def _chart(nuisance: JsonMapping) -> str:

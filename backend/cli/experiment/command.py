@@ -12,8 +12,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
-
 from touchdown.backend.cli.experiment.domain_shift import (
     EVALUATIONS,
     add_evaluation_arguments,
@@ -117,12 +115,7 @@ def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
             "Name each beyond.json that one of them stands in.",
         )
     sheet = oracle_share_table(rows)
-    table = Table(title=sheet.title)
-    for column in sheet.columns:
-        table.add_column(column)
-    for row in sheet.rows:
-        table.add_row(*row)
-    screen.show(table)
+    screen.table(sheet.title, *sheet.texts())
     first = stored[0][1]
     content = {
         "format": BEYOND_FORMAT,
@@ -228,12 +221,8 @@ def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[di
     if not trials:
         return []
     found = threshold_counts(trials)
-    table = Table(title=f"Rules of release, {len(trials)} trials on bottoms of their own")
-    for column in found[0]:
-        table.add_column(column)
-    for row in found:
-        table.add_row(*(str(value) for value in row.values()))
-    screen.show(table)
+    title = f"Rules of release, {len(trials)} trials on bottoms of their own"
+    screen.table(title, list(found[0]), *(map(str, row.values()) for row in found))
     return found
 
 
@@ -415,12 +404,7 @@ def _run_beyond(args: argparse.Namespace, screen: VerbOutput, store: JobStore) -
     with report_write_errors(args.out):
         path = write_comparison(args.out, answer)
     for sheet in comparison_tables(answer):
-        table = Table(title=sheet.title)
-        for column in sheet.columns:
-            table.add_column(column)
-        for row in sheet.rows:
-            table.add_row(*row)
-        screen.show(table)
+        screen.table(sheet.title, *sheet.texts())
     screen.result({"version": JSON_VERSION, "file": str(path), "jobs": len(jobs),
                    "missing": missing, "failed": failed, "beyond": answer})  # fmt: skip
     return 1 if failed else 0

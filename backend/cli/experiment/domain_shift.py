@@ -11,8 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from rich.table import Table
-
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import InputError
 
@@ -107,19 +105,20 @@ def _elsewhere(
     if args.keep_models:
         _keep(args.keep_models, trained, store, screen)
     answer = plan.answer(store)
-    _show(
-        screen,
+    screen.table(
         "Presses: IoU %, stability right after one probe %; bench, elsewhere, change",
         ("model", "IoU", "elsewhere", "", "right", "elsewhere", "", "unsafe"),
-        press_rows(answer),
+        *press_rows(answer),
     )
-    title = "Change of the IoU in points, group by group"
-    _show(screen, title, ("what", "bottom", "change", "groups"), change_rows(answer))
-    _show(
-        screen,
+    screen.table(
+        "Change of the IoU in points, group by group",
+        ("what", "bottom", "change", "groups"),
+        *change_rows(answer),
+    )
+    screen.table(
         "Trials: placed %, unsafe %; bench, elsewhere, change",
         ("strategy", "trials", "placed", "elsewhere", "", "unsafe", "elsewhere", ""),
-        trial_rows(answer),
+        *trial_rows(answer),
     )
     return _kept(args.out, "elsewhere", answer, (plan.jobs(), failed), store)
 
@@ -133,12 +132,12 @@ def _sensitivity(
 ) -> Json:
     from touchdown.backend.core import write_atomically
     from touchdown.backend.experiments import (
-        COLUMNS,
         NuisanceSensitivity,
         job_effort,
         program_version,
-        sensitivity_page,
-        sensitivity_rows,
+        report_page,
+        sensitivity_report,
+        sensitivity_table,
     )
 
     plan = NuisanceSensitivity(
@@ -153,9 +152,10 @@ def _sensitivity(
     )
     failed = done(plan.jobs(), job_effort)
     answer = plan.answer(store)
-    write_atomically(args.out / "sensitivity.html", sensitivity_page(answer).encode())
-    title = "Change of IoU in points at 0 to 3 times each nuisance; stability right, %"
-    _show(screen, title, ("nuisance", *COLUMNS[1:]), sensitivity_rows(answer))
+    page = report_page(sensitivity_report(answer))
+    write_atomically(args.out / "sensitivity.html", page.encode())
+    table = sensitivity_table(answer)
+    screen.table(table.title, *table.texts())
     return _kept(args.out, "sensitivity", answer, (plan.jobs(), failed), store)
 
 
@@ -221,17 +221,6 @@ def _models(args: argparse.Namespace, bench: SimulationSettings, store: JobStore
     folders = [args.models] if args.models else models_that_ship(bench.preset)
     found = adopt_models(store, *folders)
     return {n: found[args.pieces, n] for n in ("FT+Tac", "FT") if (args.pieces, n) in found}
-
-
-def _show(
-    screen: VerbOutput, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
-) -> None:
-    table = Table(title=title)
-    for column in columns:
-        table.add_column(column)
-    for row in rows:
-        table.add_row(*row)
-    screen.show(table)
 
 
 def _kept(

@@ -10,14 +10,15 @@ import pytest
 
 from touchdown.backend.__main__ import main
 from touchdown.backend.config.simulation import SpreadSettings, load_simulation
+from touchdown.backend.experiments.document import report_page
 from touchdown.backend.experiments.domain_shift import format_drop, format_interval, press_scores
 from touchdown.backend.experiments.evaluation import FACTORS, NUISANCES, scale_nuisance
 from touchdown.backend.experiments.job_kinds import KINDS
 from touchdown.backend.experiments.models import adopt_models, models_that_ship
 from touchdown.backend.experiments.sensitivity import (
     NuisanceSensitivity,
-    sensitivity_page,
-    sensitivity_rows,
+    sensitivity_report,
+    sensitivity_table,
 )
 from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
 from touchdown.backend.jobs.job import JobStore
@@ -117,9 +118,9 @@ def test_sensitivity_is_asked_once_for_the_bench_itself(tmp_path: Path) -> None:
     assert shift == pytest.approx(tilt["at"][0]["iou"]["value"] - tilt["at"][1]["iou"]["value"])
     assert shift != 0.0
     assert tilt["at"][0]["iou_change_on"] == {"short": tilt["at"][0]["iou_change"]}
-    page = sensitivity_page(answer)
+    page = report_page(sensitivity_report(answer))
     assert page.count("<svg") == 2
-    assert sensitivity_rows(answer)[0][1] in page
+    assert sensitivity_table(answer).texts()[1][1] in page
 
 
 @pytest.mark.optional

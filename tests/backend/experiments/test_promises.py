@@ -15,10 +15,11 @@ from touchdown.backend.config.method import FusedSettings, StackSettings
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
 from touchdown.backend.experiments.comparison import (
     StrategyComparison,
-    comparison_page,
+    comparison_report,
     comparison_tables,
     oracle_shares,
 )
+from touchdown.backend.experiments.document import report_page
 from touchdown.backend.experiments.models import adopt_models, models_that_ship
 from touchdown.backend.experiments.results import comparison_beside, write_comparison
 from touchdown.backend.experiments.strategies import (
@@ -193,9 +194,7 @@ def test_a_tower_and_groups_from_end_to_end(bench_v1: SimulationSettings, store:
         assert (spec.id, spec.kind, spec.seed) == (job, kind, traced["seed"])
     assert sum(cell["reliability"]["1"]["count"]) > 2 * 100
     assert cell["reliability"]["3"]["ece"] < 1.0
-    assert [len(sheet.columns) for sheet in comparison_tables(found)] == [
-        len(sheet.rows[0]) for sheet in comparison_tables(found)
-    ]
+    assert all(len({len(row) for row in t.texts()}) == 1 for t in comparison_tables(found))
 
 
 def compared(*strategies: str) -> Json:
@@ -226,7 +225,7 @@ def compared(*strategies: str) -> Json:
 
 
 def test_the_page_shows_every_strategy_and_escapes_what_it_is_told() -> None:
-    page = comparison_page(compared("mine", "<b>"))
+    page = report_page(comparison_report(compared("mine", "<b>")))
     assert page.count("mine pot long") == 1
     assert page.count("<svg") == 4
     assert "<b>" not in page

@@ -131,14 +131,14 @@ class TrainingReader:
 
 
 def _label_hint(form: TrainingForm) -> str:
-    """Say how to come to labels that count, where the chosen ones do not."""
+    """Return a hint if no label counts under the present choice."""
     names = [name for name, _ in LABELS]
     review = "accept labels in Label (Ctrl+2) and let somebody else approve them"
     for name, text in LABELS[names.index(form.labels) + 1 :]:
         labels = next(choice for choice in LABEL_CHOICES if choice == name)
         if count := len(training_candidates(Path(form.data), labels)):
-            would = "1 episode would" if count == 1 else f"{count} episodes would"
-            return f"No label counts yet. {would} with Labels: {text}. Or {review}."
+            episodes = "1 episode" if count == 1 else f"{count} episodes"
+            return f"No label counts yet. Labels '{text}' would give {episodes}. Or {review}."
     return f"No label counts yet: {review}."
 
 

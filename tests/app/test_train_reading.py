@@ -31,11 +31,11 @@ def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
             for k in range(3)
         ]
         assert told().startswith(
-            "No label counts yet. 3 episodes would with Labels: Also the bench's own notes. Or"
+            "No label counts yet. Labels 'All, with drafts' would give 3 episodes. Or"
         )
         assert told("drafts") == ""
         dataset.labels.accept("ann", uuids[0])
-        assert "1 episode would with Labels: Also submitted ones." in told()
+        assert "Labels 'Approved and submitted' would give 1 episode." in told()
         dataset.labels.approve("bob", uuids[0])
         assert told() == ""
 

@@ -1,7 +1,9 @@
 from .collect_form import TargetButtons as TargetButtons
 from .collect_form import TargetForm as TargetForm
 from .collect_form import TargetPanel as TargetPanel
+from .fields import field_label as field_label
 from .fields import inset_spin_boxes as inset_spin_boxes
+from .fields import set_entries as set_entries
 from .jogging import JOINTS as JOINTS
 from .jogging import JogPad as JogPad
 from .jogging import JogUnit as JogUnit
@@ -49,5 +51,7 @@ __all__ = [
     "TrainingButtons",
     "TrainingForm",
     "TrainingFormPanel",
+    "field_label",
     "inset_spin_boxes",
+    "set_entries",
 ]

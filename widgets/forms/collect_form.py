@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import Signal
+from PySide6.QtCore import QSignalBlocker, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -19,14 +19,21 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import Panel, Theme, fit_icon, icon, label
-from touchdown.widgets.forms.fields import inset_spin_boxes
+from touchdown.widgets.base import Panel, Theme, label
+from touchdown.widgets.forms.fields import (
+    draw_run_icons,
+    field_label,
+    inset_spin_boxes,
+    let_shrink,
+    select_key,
+    set_entries,
+)
 from touchdown.widgets.forms.questions import NameField
 
 PATTERNS = (
     ("random", "Random, as in the paper"),
     ("grid", "Grid"),
-    ("adaptive", "Adaptive: into the holes"),
+    ("adaptive", "Adaptive: fill the gaps"),
 )
 WIDEST_MM = 60.0
 NO_LIMIT = "any"
@@ -34,9 +41,9 @@ NO_LIMIT = "any"
 
 @dataclass(frozen=True, slots=True)
 class TargetForm:
-    """What the operator asked for; ``within_mm`` 0 is any displacement that overlaps enough.
+    """Settings of a campaign. ``within_mm`` 0: any displacement with enough overlap.
 
-    ``probes_per_grip`` 0: as many as give the campaign three grips, 50 at most.
+    ``probes_per_grip`` 0: automatic, so that the campaign has three grips or more; at most 50.
     """
 
     piece: str = "pot"
@@ -55,10 +62,11 @@ class TargetForm:
 
 @dataclass(frozen=True, slots=True)
 class TargetButtons:
-    """Which buttons may be pressed. ``go_on``: what the last campaign still lacks, "" if nothing.
+    """Enabled buttons. ``go_on``: what the last campaign still lacks, "" if nothing.
 
-    ``why_not`` is why nothing can be started; ``in_contact``: a lift would help. ``ask``: what the
-    run waits to be confirmed or, with ``answers`` (yes, no), asks. ``form``: it may be filled in.
+    ``why_not``: reason why nothing can be started. ``in_contact``: a lift would help. ``ask``: text
+    to confirm or, with ``answers`` (yes, no), a question of the run. ``form``: the form is
+    editable.
     """
 
     start: bool
@@ -74,7 +82,7 @@ class TargetButtons:
 
 
 class TargetPanel(Panel):
-    """The form of a campaign with its buttons and its progress."""
+    """Form of a campaign with its buttons and progress."""
 
     start_requested = Signal()
     resume_requested = Signal()
@@ -93,16 +101,13 @@ class TargetPanel(Panel):
         self.within, self.count, self.per_grip = QDoubleSpinBox(), QSpinBox(), QSpinBox()
         self.seed, self.person = QSpinBox(), NameField()
         self.origin = (QDoubleSpinBox(), QDoubleSpinBox())
-        self.check_origin = QCheckBox("Feel the edges after every mounting")
+        self.check_origin = QCheckBox("Touch the edges after every mounting")
         self.ask = QCheckBox("Wait for an answer after each probe")
         self.hand_over = QCheckBox("Hand the piece over (no jig)")
         self.residual = label("", "small", wrap=True)
-        self.here, self.take = (
-            QPushButton("Set here"),
-            QPushButton("Add residual"),
-        )
+        self.here, self.take = QPushButton("Set here"), QPushButton("Add residual")
         self.why_not, self.lift = label("", "small", wrap=True), QPushButton("Lift 5 mm")
-        self.start, self.go_on = QPushButton("Start collecting"), QPushButton("Go on")
+        self.start, self.go_on = QPushButton("Start collecting"), QPushButton("Continue")
         self.pause, self.end = QPushButton("Pause"), QPushButton("End")
         self.bar, self.eta = QProgressBar(), label("", "small")
         self._fields: tuple[QWidget, ...] = (
@@ -110,16 +115,6 @@ class TargetPanel(Panel):
             self.seed, self.person, *self.origin, self.check_origin, self.ask, self.hand_over,
             self.here,
         )  # fmt: skip
-        self._limits()
-        self._tips()
-        self._arrange()
-        self._wire()
-        self.show_form(TargetForm())
-        self.show_residual("Origin not checked yet.", usable=False)
-        self.show_buttons(TargetButtons(start=False, pause=False, end=False, paused=False))
-        self.show_progress(0, 0, "")
-
-    def _limits(self) -> None:
         self.within.setRange(0.0, WIDEST_MM)
         self.within.setSpecialValueText(NO_LIMIT)
         self.within.setSuffix(" mm")
@@ -132,43 +127,62 @@ class TargetPanel(Panel):
             spin.setDecimals(2)
             spin.setSingleStep(0.1)
         inset_spin_boxes(self.within, self.count, self.per_grip, self.seed, *self.origin)
-        for key, text in PATTERNS:
-            self.pattern.addItem(text, key)
+        set_entries(self.pattern, PATTERNS)
         self.bar.setTextVisible(True)
         self.bar.setFormat("%v of %m")
         self.start.setProperty("role", "primary")
         self.person.setMaxLength(64)
+        self._tips()
+        self._arrange()
+        self.start.clicked.connect(self.start_requested)
+        self.go_on.clicked.connect(self.resume_requested)
+        self.pause.clicked.connect(self.pause_requested)
+        self.end.clicked.connect(self.end_requested)
+        self.take.clicked.connect(self.residual_requested)
+        self.here.clicked.connect(self.origin_requested)
+        self.lift.clicked.connect(self.lift_requested)
+        self.person.editingFinished.connect(lambda: self.person_entered.emit(self.person.text()))
+        for combo in (self.piece, self.bottom):
+            combo.currentIndexChanged.connect(self.pair_chosen)
+        self.show_form(TargetForm())
+        self.show_residual("Origin not checked yet.", usable=False)
+        self.show_buttons(TargetButtons(start=False, pause=False, end=False, paused=False))
+        self.show_progress(0, 0, "")
 
     def _tips(self) -> None:
         for widget, name, tip in (
-            (self.piece, "Piece", "The grasped piece; it waits in its jig"),
-            (self.bottom, "Bottom or board", "What is pressed on; its outline is known here"),
+            (self.piece, "Piece", "Piece to grasp, in its jig"),
+            (self.bottom, "Bottom or board", "Body to press on; its outline is known"),
             (self.within, "Range", "Largest displacement along x and along y"),
-            (self.pattern, "Pattern", "Where the probes go"),
-            (self.count, "Probes", "How many probes the campaign plans"),
-            (self.per_grip, "Probes per grip", "At most so many; auto: three grips, or more"),
-            (self.seed, "Seed", "The same seed gives the same plan"),
-            (self.person, "Person", "Who collects; stored with every episode"),
-            (self.origin[0], "Origin x", "Centre of the bottom for the arm, along x (mm)"),
-            (self.origin[1], "Origin y", "Centre of the bottom for the arm, along y (mm)"),
-            (self.check_origin, "Check the origin", "Feel all four edges with the held piece"),
-            (self.ask, "Ask after every probe", "Nothing moves until one key answers"),
-            (self.hand_over, "Hand over", "You hold the piece between the jaws and take it back"),
-            (self.here, "Set the origin where the arm is", "Jog it over the centre of the bottom"),
+            (self.pattern, "Pattern", "Pattern of the displacements"),
+            (self.count, "Probes", "Number of probes to plan"),
             (
-                self.take,
-                "Add the residual to the origin",
-                "Add the residual to the origin for new probes",
+                self.per_grip,
+                "Probes per grip",
+                "Largest number per grip; auto: at least three grips",
             ),
-            (self.lift, "Lift", "Rise by 5 mm, so that a campaign can start"),
-            (self.end, "End the campaign for now", "Lift, settle what was probed, end"),
+            (self.seed, "Seed", "The same seed gives the same plan"),
+            (self.person, "Person", "Your name; stored with every episode"),
+            (self.origin[0], "Origin x", "Centre of the bottom in arm coordinates, x (mm)"),
+            (self.origin[1], "Origin y", "Centre of the bottom in arm coordinates, y (mm)"),
+            (self.check_origin, "Check the origin", "Touch all four edges with the held piece"),
+            (self.ask, "Ask after every probe", "The arm waits until you press a key"),
+            (self.hand_over, "Hand over", "You hold the piece between the jaws and take it back"),
+            (
+                self.here,
+                "Set the origin where the arm is",
+                "Jog the arm over the centre of the bottom first",
+            ),
+            (self.take, "Add the residual to the origin", "Correct the origin for new probes"),
+            (self.lift, "Lift", "Lift by 5 mm; no campaign can start in contact"),
+            (self.end, "End the campaign for now", "Lift, store the finished probes, end"),
             (self.bar, "Progress", "Accepted probes of the campaign"),
         ):
             widget.setAccessibleName(name)
             widget.setToolTip(tip)
 
     def _arrange(self) -> None:
-        # A campaign in contact shows all of it: nothing may be squeezed at the least size.
+        # Compact: at the smallest window size a campaign in contact shows every row.
         self.column.setSpacing(4)
         self.lift.setProperty("role", "header")
         form = QGridLayout()
@@ -180,7 +194,7 @@ class TargetPanel(Panel):
             (("Piece", self.piece), ("Bottom", self.bottom), ("Pattern", self.pattern),
              ("Person", self.person))
         ):  # fmt: skip
-            form.addWidget(_buddy(text, field), row, 0)
+            form.addWidget(field_label(text, field), row, 0)
             form.addWidget(field, row, 1, 1, 3)
         pairs = (
             ("Range \N{PLUS-MINUS SIGN}", self.within, "Probes", self.count),
@@ -188,18 +202,14 @@ class TargetPanel(Panel):
             ("Origin x", self.origin[0], "y", self.origin[1]),
         )
         for row, (left, one, right, other) in enumerate(pairs, start=4):
-            form.addWidget(_buddy(left, one), row, 0)
+            form.addWidget(field_label(left, one), row, 0)
             form.addWidget(one, row, 1)
-            form.addWidget(_buddy(right, other), row, 2)
+            form.addWidget(field_label(right, other), row, 2)
             form.addWidget(other, row, 3)
         for field in self._fields:
-            if isinstance(field, QComboBox):
-                field.setMinimumContentsLength(8)
-                field.setSizeAdjustPolicy(
-                    QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
-                )
             if not isinstance(field, QCheckBox | QPushButton):
                 field.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        let_shrink(self.piece, self.bottom, self.pattern)
         buttons = QHBoxLayout()
         for button in (self.go_on, self.pause, self.end):
             buttons.addWidget(button, 1)
@@ -221,39 +231,22 @@ class TargetPanel(Panel):
         self.column.addWidget(self.eta)
         self.column.addStretch(1)
 
-    def _wire(self) -> None:
-        self.start.clicked.connect(self.start_requested)
-        self.go_on.clicked.connect(self.resume_requested)
-        self.pause.clicked.connect(self.pause_requested)
-        self.end.clicked.connect(self.end_requested)
-        self.take.clicked.connect(self.residual_requested)
-        self.here.clicked.connect(self.origin_requested)
-        self.lift.clicked.connect(self.lift_requested)
-        self.person.editingFinished.connect(lambda: self.person_entered.emit(self.person.text()))
-        for combo in (self.piece, self.bottom):
-            combo.currentIndexChanged.connect(self.pair_chosen)
-
     def show_catalogue(
         self, pieces: Sequence[tuple[str, str]], bottoms: Sequence[tuple[str, str]]
     ) -> None:
-        """Offer these (key, title) pieces and bottoms; the choice is kept where possible."""
+        """Set the (key, title) pieces and bottoms; the selection is kept if possible."""
         form = self.form()
         for combo, entries in ((self.piece, pieces), (self.bottom, bottoms)):
-            combo.blockSignals(True)
-            combo.clear()
-            for key, title in entries:
-                combo.addItem(title, key)
-            combo.blockSignals(False)
+            with QSignalBlocker(combo):
+                set_entries(combo, entries)
         self.show_form(form)
 
     def show_form(self, form: TargetForm) -> None:
-        """Fill in a form; unknown entries are left as they are."""
+        """Fill in the form; unknown entries change nothing."""
         self._form = form
         for combo, key in ((self.piece, form.piece), (self.bottom, form.bottom),
                            (self.pattern, form.pattern)):  # fmt: skip
-            index = combo.findData(key)
-            if index >= 0:
-                combo.setCurrentIndex(index)
+            select_key(combo, key)
         self.within.setValue(form.within_mm)
         self.count.setValue(form.count)
         self.per_grip.setValue(form.probes_per_grip)
@@ -265,7 +258,7 @@ class TargetPanel(Panel):
         self.hand_over.setChecked(form.hand_over)
 
     def form(self) -> TargetForm:
-        """Return what is filled in; without a catalogue, the pair that was asked for last."""
+        """Return the content of the form; without a catalogue, the pair shown last."""
         return TargetForm(
             piece=self.piece.currentData() or self._form.piece,
             bottom=self.bottom.currentData() or self._form.bottom,
@@ -282,37 +275,37 @@ class TargetPanel(Panel):
         )
 
     def show_buttons(self, buttons: TargetButtons) -> None:
-        """Enable what is allowed now; a disabled Start says why, and it confirms what waits."""
+        """Enable buttons and fields; Start confirms while ``ask`` is set."""
         self.start.setEnabled(buttons.start or bool(buttons.ask))
-        yes, no = buttons.answers or ("Confirm", "Go on")
+        yes, no = buttons.answers or ("Confirm", "Continue")
         self.start.setText(yes if buttons.ask else "Start collecting")
         said = buttons.ask or (f"{buttons.why_not}." if buttons.why_not else "")
         self.why_not.setText(said)
         self.why_not.setVisible(bool(said))
-        there = "Yes (F5)" if buttons.answers else "My hand is there (F5)"
-        tip = there if buttons.ask else "Begin a new campaign (F5)"
+        there = "Yes (F5)" if buttons.answers else "Confirm (F5)"
+        tip = there if buttons.ask else "Start a new campaign (F5)"
         self.start.setToolTip(buttons.why_not or tip)
         self.lift.setVisible(buttons.in_contact)
         self.go_on.setText(no)
         asked = buttons.answers is not None
         self.go_on.setEnabled(asked or (buttons.start and bool(buttons.go_on)))
-        tip = buttons.go_on or "No campaign is left to go on with"
+        tip = buttons.go_on or "No campaign to continue"
         self.go_on.setToolTip("No (Shift+F5)" if asked else tip)
         self.pause.setEnabled(buttons.pause)
         self.pause.setText("Resume" if buttons.paused else "Pause")
-        self.pause.setToolTip("Pause at the next safe place, arm lifted (P)")
+        self.pause.setToolTip("Pause at the next safe point, arm lifted (P)")
         self.end.setEnabled(buttons.end)
         for field in self._fields:
             field.setEnabled(buttons.form)
         self.draw_icons()
 
     def ask_person(self) -> None:
-        """Let the name be typed."""
+        """Focus the name field."""
         self.person.setFocus()
         self.person.selectAll()
 
     def show_progress(self, done: int, total: int, eta: str) -> None:
-        """Show how far the campaign is; ``eta`` in words."""
+        """Show the progress; ``eta`` is a text."""
         self.bar.setRange(0, max(total, 1))
         self.bar.setValue(min(done, total))
         self.bar.setVisible(total > 0)
@@ -320,22 +313,10 @@ class TargetPanel(Panel):
         self.eta.setVisible(bool(eta))
 
     def show_residual(self, text: str, *, usable: bool) -> None:
-        """Show what the last check of the origin found."""
+        """Show the result of the last check of the origin."""
         self.residual.setText(text)
         self.take.setEnabled(usable)
 
     def draw_icons(self) -> None:
         """Draw the icons in the colours of the theme."""
-        t = self._theme.tokens
-        ink = t.colour("panel") if self.start.isEnabled() else t.colour("disabled")
-        self.start.setIcon(icon("play", ink))
-        paused = self.pause.text() == "Resume"
-        for button, name in ((self.pause, "play" if paused else "pause"), (self.end, "cancel")):
-            button.setIcon(icon(name, t.colour("text" if button.isEnabled() else "disabled")))
-        fit_icon(self.start, self.pause, self.end)
-
-
-def _buddy(text: str, field: QWidget) -> QWidget:
-    made = label(text, "muted")
-    made.setBuddy(field)
-    return made
+        draw_run_icons(self._theme, self.start, self.pause, self.end)

@@ -21,13 +21,13 @@ from PySide6.QtWidgets import (
 )
 
 from touchdown.widgets.base import ElidedLabel, Panel, label, set_property
-from touchdown.widgets.forms.fields import inset_spin_boxes
+from touchdown.widgets.forms.fields import field_label, inset_spin_boxes
 from touchdown.widgets.forms.hold_button import HoldButton, HoldState
 
 
 @dataclass(frozen=True, slots=True)
 class JogUnit:
-    """Unit of a way, its steps, and slowest, fastest and usual speed in that unit per second."""
+    """Unit of jogging, its steps, and slowest, fastest and default speed per second."""
 
     unit: str
     spoken: str
@@ -36,10 +36,10 @@ class JogUnit:
 
 
 class JogPace(QWidget):
-    """Hold-to-run or one of the steps, and the speed. Each pace keeps its own speed."""
+    """Choice of hold-to-run or a step, and of the speed. Each unit keeps its own speed."""
 
     def __init__(self, paces: Sequence[JogUnit]) -> None:
-        """``paces``: the first is shown; the steps of the others are among its own."""
+        """``paces``: the first is shown; it has all steps of the others."""
         super().__init__()
         self._paces = tuple(paces)
         self._pace = self._paces[0]
@@ -53,12 +53,12 @@ class JogPace(QWidget):
 
     @property
     def step(self) -> float | None:
-        """The chosen step in the present unit, None while pads are held."""
+        """Selected step in the present unit, None for hold-to-run."""
         at = self._chosen()
         return None if at == 0 else float(self.steps[at].text())
 
     def show_pace(self, at: int) -> None:
-        """Show steps and speed of another pace."""
+        """Show steps and speed of another unit."""
         pace = self._pace = self._paces[at]
         for button, step in zip(self.steps[1:], self._paces[0].steps, strict=True):
             button.setVisible(step in pace.steps)
@@ -76,13 +76,11 @@ class JogPace(QWidget):
             self._slider.setValue(round(self._kept[pace.unit]))
 
     def next_step(self, by: int) -> None:
-        """Choose the next longer or shorter step; before the shortest is hold-to-run."""
+        """Select the next longer or shorter step; hold-to-run precedes the shortest."""
         at = self._chosen() + by
         while 0 < at < len(self.steps) - 1 and self.steps[at].isHidden():
             at += by
         self.steps[min(max(at, 0), len(self.steps) - 1)].setChecked(True)
-
-    # -- inside -----------------------------------------------------------------------------------
 
     def _chosen(self) -> int:
         return next((i for i, button in enumerate(self.steps) if button.isChecked()), 0)
@@ -105,7 +103,7 @@ class JogPace(QWidget):
         inset_spin_boxes(self.speed)
         for widget in (self.speed, self._slider):
             widget.setAccessibleName("Jog speed")
-            widget.setToolTip("Near the surface and in contact it is 2 mm/s at most")
+            widget.setToolTip("At most 2 mm/s near the surface and in contact")
         self.speed.valueChanged.connect(self._follow_spin)
         self._slider.valueChanged.connect(self._follow_slider)
 
@@ -122,9 +120,7 @@ class JogPace(QWidget):
         for button in self.steps:
             steps.addWidget(button, 1)
         steps.addWidget(self._unit)
-        buddy = label("Speed", "muted")
-        buddy.setBuddy(self.speed)
-        speed.addWidget(buddy)
+        speed.addWidget(field_label("Speed", self.speed))
         speed.addWidget(self._slider, 1)
         speed.addWidget(self.speed)
         column = QVBoxLayout(self)
@@ -136,8 +132,7 @@ class JogPace(QWidget):
 
 MINUS, DEGREE = "\N{MINUS SIGN}", "\N{DEGREE SIGN}"
 JOINTS = 6
-PAD_LINES, PAD_TALL = 8, 1.1
-"""A pad is at most so many lines of text wide, and so much taller than wide, on any screen."""
+PAD_LINES, PAD_TALL = 8, 1.1  # width of a pad in lines of text, height per width
 MOVES = (
     ("+y", 0, 1), ("-x", 1, 0), ("+x", 1, 2), ("-y", 2, 1), ("+z", 0, 3), ("-z", 2, 3),
 )  # fmt: skip
@@ -151,10 +146,10 @@ JOINT_PADS = tuple(
 
 @dataclass(frozen=True, slots=True)
 class PoseView:
-    """Where the hand is and the room each way; ``note`` says why it is slow, or why not at all.
+    """Pose of the hand and remaining travel; ``note``: reason for slow or blocked motion.
 
-    ``pose``: what the present frame shows, with its unit; "" while nothing is known. ``rooms``: for
-    ways such as "+x" or "-j4", what a pad says below its name. ``turned``: the hand is not level.
+    ``pose``: pose in the present frame with its unit, "" if unknown. ``rooms``: second line of the
+    pads by direction, such as "+x" or "-j4". ``turned``: the hand is not level.
     """
 
     pose: str = ""
@@ -166,7 +161,7 @@ class PoseView:
 
 
 class JogPad(Panel):
-    """The pads of one frame. With a step chosen a press is one step; else it lasts as the press."""
+    """Pads of one frame. A press is one step if a step is selected, else motion while it lasts."""
 
     hold_ended = Signal(str)
     step_pressed = Signal(str)
@@ -198,8 +193,7 @@ class JogPad(Panel):
         self.keys.setAccessibleName("Arm the jog keys")
         self.pace = JogPace(paces)
         self.speed = self.pace.speed
-        self.joint = 1
-        """The joint that the arrow keys drive in JOINT."""
+        self.joint = 1  # joint of the arrow keys in JOINT
         self._ready = self._turns = False
         self._pose, self._note = ElidedLabel(""), label("", "small")
         self._field = QWidget()
@@ -211,23 +205,23 @@ class JogPad(Panel):
 
     @property
     def turning(self) -> bool:
-        """Whether the pads turn: steps and speed are then in degrees."""
+        """True while pads rotate: steps and speed are in degrees."""
         return self.frame.currentText() == "JOINT" or self.turn.isChecked()
 
     @property
     def step(self) -> float | None:
-        """The chosen step, mm or degrees, None while pads are held."""
+        """Selected step, mm or degrees, None for hold-to-run."""
         return self.pace.step
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """The ways that have a pad now."""
+        """Directions of the visible pads."""
         if self.frame.currentText() == "JOINT":
             return tuple(what for what, _, _ in JOINT_PADS)
         return tuple(what for what, _, _ in (TURNS if self.turn.isChecked() else MOVES))
 
     def show_turning(self, reason: str) -> None:
-        """Offer turning and JOINT only where the arm can; else say why not ("" offers them)."""
+        """Offer rotation and JOINT; a ``reason`` disables them and is shown instead."""
         item = self.frame.model().item(2)  # type: ignore[attr-defined]
         item.setEnabled(not reason)
         item.setToolTip(reason)
@@ -238,7 +232,7 @@ class JogPad(Panel):
         self.level.setVisible(not reason)
 
     def show_armed(self, armed: bool) -> None:
-        """Show the ring round the panel while keys move the arm."""
+        """Highlight the panel while keys move the arm."""
         set_property(self, "armed", "yes" if armed else "no")
         if self.keys.isChecked() != armed:
             self.keys.setChecked(armed)
@@ -246,7 +240,7 @@ class JogPad(Panel):
         self._mark_joint()
 
     def show_ready(self, ready: bool, why: str) -> None:
-        """Switch all pads off with the reason, or on."""
+        """Enable all pads, or disable them with the reason."""
         self._ready = ready
         for what, pad in self.pads.items():
             if pad.isEnabled() != ready:
@@ -256,7 +250,7 @@ class JogPad(Panel):
             self.keys.setEnabled(ready)
 
     def show_look(self, look: PoseView) -> None:
-        """Show pose, room and note."""
+        """Show pose, remaining travel and note."""
         old = f"   ({look.age_s:.1f} s old)" if look.pose and look.age_s > 0.2 else ""
         pose = f"{look.pose}{old}" or "No pose yet"
         for shown, text in ((self._pose, pose), (self._note, look.note)):
@@ -273,7 +267,7 @@ class JogPad(Panel):
             self.level.setEnabled(look.turned and self._ready)
 
     def press_key(self, page: QWidget, what: str, key: int) -> None:
-        """Step, or begin to hold, by a key that means ``what`` while the pads move."""
+        """Step or hold by a key that means direction ``what``."""
         frame = self.frame.currentText()
         if frame == "JOINT":
             what = f"{what[0]}j{self.joint}"
@@ -283,33 +277,31 @@ class JogPad(Panel):
             self.hold.press(page, what, key)
 
     def choose_joint(self, joint: int) -> None:
-        """Choose what the arrow keys drive in JOINT; what is held ends."""
+        """Select the joint of the arrow keys in JOINT; ends a hold."""
         self.hold.end("another joint was chosen")
         self.joint = joint
         self._mark_joint()
 
     def next_step(self, by: int) -> None:
-        """Choose the next longer or shorter step; before the shortest is hold-to-run."""
+        """Select the next longer or shorter step; hold-to-run precedes the shortest."""
         self.pace.next_step(by)
 
     def next_frame(self) -> None:
-        """Choose the next frame that can be had."""
+        """Select the next available frame."""
         offered = [i for i in range(3) if self.frame.model().item(i).isEnabled()]  # type: ignore[attr-defined]
         at = offered.index(self.frame.currentIndex())
         self.frame.setCurrentIndex(offered[(at + 1) % len(offered)])
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Keep the pads nearly square where there is more room than they need."""
+        """Keep the pads nearly square."""
         super().resizeEvent(event)
         within = self.column.contentsRect().width()
         side = min(within / 4, PAD_LINES * self.fontMetrics().lineSpacing())
         most = QSize(round(4 * side), round(3 * PAD_TALL * side))
         self._field.setMaximumSize(most.expandedTo(self._field.minimumSizeHint()))
 
-    # -- inside -----------------------------------------------------------------------------------
-
     def _show_frame(self) -> None:
-        """Show the pads of the chosen frame; whatever is held ends."""
+        """Show the pads of the selected frame; ends a hold."""
         self.hold.end("the frame was changed")
         joint = self.frame.currentText() == "JOINT"
         self.turn.setVisible(self._turns and not joint)
@@ -336,7 +328,7 @@ class JogPad(Panel):
         return pad
 
     def _pressed_step(self, what: str) -> bool:
-        """Take a press as one step if a step is chosen."""
+        """Handle a press as one step if a step is selected."""
         if self.step is None:
             return False
         self.step_pressed.emit(what)
@@ -345,7 +337,7 @@ class JogPad(Panel):
     def _wire(self) -> None:
         self.keys.toggled.connect(self.keys_toggled)
         self.level.clicked.connect(self.level_requested)
-        self.level.setToolTip("Turn the hand back to straight down, where it is (Shift+T)")
+        self.level.setToolTip("Turn the hand to straight down, in place (Shift+T)")
         self.turn.setToolTip("Turn the hand about these axes instead of moving it (T)")
         self.level.setEnabled(False)
         self.frame.currentIndexChanged.connect(self._show_frame)
@@ -381,7 +373,7 @@ class JogPad(Panel):
 
 
 class _Pad(HoldButton):
-    """A pad that can be a step button as well."""
+    """Pad that steps or holds."""
 
     def __init__(
         self, text: str, what: str, name: str, hold: HoldState, step: Callable[[str], bool]
@@ -390,7 +382,7 @@ class _Pad(HoldButton):
         self._as_step = step
 
     def begin(self, source: int) -> None:
-        """Step, or begin to hold."""
+        """Step, or start a hold."""
         if not self._as_step(self._what):
             super().begin(source)
 

@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
 )
 
 from touchdown.widgets.base import ElidedLabel, Panel, Theme, label, set_property, ui_font
-from touchdown.widgets.forms.fields import inset_spin_boxes
+from touchdown.widgets.forms.fields import field_label, inset_spin_boxes
 
 PADDING = 3  # width added to a phase name, in letters
 
@@ -231,9 +231,7 @@ class GripperPanel(Panel):
             button.setToolTip(tip)
             button.clicked.connect(slot)
         row = QHBoxLayout()
-        buddy = label("Force", "muted")
-        buddy.setBuddy(self.force)
-        row.addWidget(buddy)
+        row.addWidget(field_label("Force", self.force))
         row.addWidget(self.force, 1)
         row.addWidget(self.grip, 1)
         row.addWidget(self.open, 1)

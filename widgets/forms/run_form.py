@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
@@ -14,11 +14,17 @@ from PySide6.QtWidgets import (
     QPushButton,
     QSizePolicy,
     QSpinBox,
-    QWidget,
 )
 
-from touchdown.widgets.base import ElidedLabel, Panel, Theme, fit_icon, icon, label
-from touchdown.widgets.forms.fields import inset_spin_boxes
+from touchdown.widgets.base import ElidedLabel, Panel, Theme
+from touchdown.widgets.forms.fields import (
+    draw_run_icons,
+    field_label,
+    inset_spin_boxes,
+    let_shrink,
+    select_key,
+    set_entries,
+)
 
 NOTHING = "nothing"
 STRATEGIES = (
@@ -89,10 +95,8 @@ class RunPanel(Panel):
             box.setRange(-300.0, 300.0)
             box.setDecimals(2)
         inset_spin_boxes(self._seed, self._trials, *self._origin)
-        for key, text in STRATEGIES:
-            self._strategy.addItem(text, key)
-        for key, text in MODES:
-            self._mode.addItem(text, key)
+        set_entries(self._strategy, STRATEGIES)
+        set_entries(self._mode, MODES)
         self.start = QPushButton("Start stacking")
         self.start.setProperty("role", "primary")
         self.pause = QPushButton("Pause")
@@ -130,20 +134,20 @@ class RunPanel(Panel):
         form.setColumnStretch(3, 1)
         wide = (("Piece", self._piece), ("Bottom", self._bottom), ("Below it", self._under))
         for row, (text, field) in enumerate(wide):
-            form.addWidget(_buddy(text, field), row, 0)
+            form.addWidget(field_label(text, field), row, 0)
             form.addWidget(field, row, 1, 1, 3)
         for column, (text, number) in ((0, ("Seed", self._seed)), (2, ("Trials", self._trials))):
-            form.addWidget(_buddy(text, number), 3, column)
+            form.addWidget(field_label(text, number), 3, column)
             form.addWidget(number, 3, column + 1)
         x, y = self._origin
-        self._origin_words = _buddy("Origin x", x), _buddy("y", y)
+        self._origin_words = field_label("Origin x", x), field_label("y", y)
         for column, widget in enumerate((self._origin_words[0], x, self._origin_words[1], y)):
             form.addWidget(widget, 7, column)
         self.show_devices(False)
-        form.addWidget(_buddy("Model", self._model), 5, 0)
+        form.addWidget(field_label("Model", self._model), 5, 0)
         form.addWidget(self._model, 5, 1, 1, 3)
         for row, (text, field) in ((4, ("Strategy", self._strategy)), (6, ("Mode", self._mode))):
-            form.addWidget(_buddy(text, field), row, 0)
+            form.addWidget(field_label(text, field), row, 0)
             form.addWidget(field, row, 1, 1, 3)
         buttons = QHBoxLayout()
         buttons.addWidget(self.pause, 1)
@@ -154,10 +158,7 @@ class RunPanel(Panel):
         self.column.addLayout(buttons)
         for one in (self._piece, self._bottom, self._under, self._strategy, self._mode):
             one.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-            one.setMinimumContentsLength(8)
-            one.setSizeAdjustPolicy(
-                QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
-            )
+            let_shrink(one)
 
     def show_catalogue(
         self, pieces: Sequence[tuple[str, str]], bottoms: Sequence[tuple[str, str]]
@@ -166,9 +167,7 @@ class RunPanel(Panel):
         form = self.form()
         for combo, entries in ((self._piece, pieces), (self._bottom, bottoms),
                                (self._under, (("", NOTHING), *bottoms))):  # fmt: skip
-            combo.clear()
-            for key, title in entries:
-                combo.addItem(title, key)
+            set_entries(combo, entries)
         self.show_form(form)
 
     def show_model(self, short: str, full: str) -> None:
@@ -187,9 +186,7 @@ class RunPanel(Panel):
         for combo, key in ((self._piece, form.piece), (self._bottom, form.bottom),
                            (self._under, form.under), (self._strategy, form.strategy),
                            (self._mode, form.mode)):  # fmt: skip
-            index = combo.findData(key)
-            if index >= 0:
-                combo.setCurrentIndex(index)
+            select_key(combo, key)
         self._seed.setValue(form.seed)
         self._trials.setValue(form.trials)
         self._origin[0].setValue(form.origin_x_mm)
@@ -198,8 +195,7 @@ class RunPanel(Panel):
     def form(self) -> RunForm:
         """Return the content of the form."""
         default = RunForm()
-        return replace(
-            default,
+        return RunForm(
             piece=self._piece.currentData() or default.piece,
             bottom=self._bottom.currentData() or default.bottom,
             under=self._under.currentData() or "",
@@ -225,21 +221,7 @@ class RunPanel(Panel):
 
     def draw_icons(self) -> None:
         """Draw the icons in the colours of the theme."""
-        t = self._theme.tokens
-        ink = t.colour("panel") if self.start.isEnabled() else t.colour("disabled")
-        self.start.setIcon(icon("play", ink))
-        for button, name in (
-            (self.pause, "play" if self.pause.text() == "Resume" else "pause"),
-            (self.cancel, "cancel"),
-        ):
-            button.setIcon(icon(name, t.colour("text" if button.isEnabled() else "disabled")))
-        fit_icon(self.start, self.pause, self.cancel)
-
-
-def _buddy(text: str, field: QWidget) -> QWidget:
-    made = label(text, "muted")
-    made.setBuddy(field)
-    return made
+        draw_run_icons(self._theme, self.start, self.pause, self.cancel)
 
 
 Entries = Sequence[tuple[str, str]]  # (name, title) of pieces
@@ -260,10 +242,7 @@ class ScenePanel(Panel):
         ):
             combo.setAccessibleName(name)
             combo.setToolTip(tip)
-            combo.setMinimumContentsLength(6)
-            combo.setSizeAdjustPolicy(
-                QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
-            )
+            let_shrink(combo, letters=6)
             row.addWidget(combo, 1)
         self.set.setAccessibleName("Set the bench")
         self.set.setToolTip("Reset both to their places on the simulated bench (Ctrl+N)")
@@ -277,9 +256,7 @@ class ScenePanel(Panel):
             (self.piece, pieces, chosen[0]),
             (self.bottom, bottoms, chosen[1]),
         ):
-            combo.clear()
-            for key, title in entries:
-                combo.addItem(title, key)
+            set_entries(combo, entries)
             combo.setCurrentIndex(max(combo.findData(name), 0))
 
     def show_ready(self, ready: bool) -> None:

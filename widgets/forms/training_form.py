@@ -16,16 +16,22 @@ from PySide6.QtWidgets import (
     QSizePolicy,
     QSpinBox,
     QToolButton,
-    QWidget,
 )
 
-from touchdown.widgets.base import Panel, Theme, fit_icon, icon, label
-from touchdown.widgets.forms.fields import inset_spin_boxes
+from touchdown.widgets.base import Panel, Theme
+from touchdown.widgets.forms.fields import (
+    draw_run_icons,
+    field_label,
+    inset_spin_boxes,
+    let_shrink,
+    select_key,
+    set_entries,
+)
 
 LABELS = (
     ("approved", "Approved labels"),
-    ("submitted", "Also submitted ones"),
-    ("drafts", "Also the bench's own notes"),
+    ("submitted", "Approved and submitted"),
+    ("drafts", "All, with drafts"),
 )
 LEAST_PX = 72
 MODALITIES = (("FT+Tac", "Touch and wrench"), ("Tac", "Touch only"), ("FT", "Wrench only"))
@@ -33,9 +39,9 @@ MODALITIES = (("FT+Tac", "Touch and wrench"), ("Tac", "Touch only"), ("FT", "Wre
 
 @dataclass(frozen=True, slots=True)
 class TrainingForm:
-    """What is filled in. ``held_out``: share of the episodes for validation, in per cent.
+    """Settings of a training. ``held_out``: share of the episodes for validation, per cent.
 
-    ``divide_series``: whole grips of a series may be held out, where there are few mountings.
+    ``divide_series``: hold out grips instead of whole series, where there are few mountings.
     """
 
     data: str = ""
@@ -54,7 +60,7 @@ class TrainingForm:
 
 @dataclass(frozen=True, slots=True)
 class TrainingButtons:
-    """Which buttons may be pressed; ``why_not`` says why Start may not."""
+    """Enabled buttons; ``why_not``: reason for a disabled Start."""
 
     start: bool
     cancel: bool
@@ -63,7 +69,7 @@ class TrainingButtons:
 
 
 class TrainingFormPanel(Panel):
-    """The form and its buttons."""
+    """Form of a training with its buttons."""
 
     start_requested = Signal()
     cancel_requested = Signal()
@@ -75,7 +81,7 @@ class TrainingFormPanel(Panel):
     def __init__(self, theme: Theme) -> None:
         super().__init__("Train")
         self._theme = theme
-        # A form that is squeezed has fields over one another.
+        # Fixed: in a squeezed form the fields overlap.
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self.data, self.labels, self.piece = QComboBox(), QComboBox(), QComboBox()
         self.modality, self.folder = QComboBox(), QToolButton()
@@ -87,15 +93,10 @@ class TrainingFormPanel(Panel):
         self.defaults.setText("Defaults")
         self.folder.setText("\N{HORIZONTAL ELLIPSIS}")
         self.folder.setProperty("role", "field")
-        for combo, entries in ((self.labels, LABELS), (self.modality, MODALITIES)):
-            for key, text in entries:
-                combo.addItem(text, key)
+        set_entries(self.labels, LABELS)
+        set_entries(self.modality, MODALITIES)
         self._tips()
         self._arrange()
-        self._connect()
-        self.show_buttons(TrainingButtons(start=False, cancel=False, resume=False))
-
-    def _connect(self) -> None:
         self.start.clicked.connect(self.start_requested)
         self.cancel.clicked.connect(self.cancel_requested)
         self.resume.clicked.connect(self.resume_requested)
@@ -106,19 +107,20 @@ class TrainingFormPanel(Panel):
         for number in self.numbers.all():
             number.valueChanged.connect(self.changed)
         self.divide.toggled.connect(self.changed)
+        self.show_buttons(TrainingButtons(start=False, cancel=False, resume=False))
 
     def _tips(self) -> None:
         for widget, name, tip in (
             (self.data, "Data", "A dataset, or a folder of simulated packs"),
             (self.folder, "Choose another folder of data", "Choose another folder of data"),
-            (self.labels, "Labels", "Which labels of a dataset count"),
-            (self.piece, "Piece", "The grasped piece; a model knows one"),
-            (self.modality, "Sees", "What the model sees of a probe"),
-            (self.start, "Start training", "Train in a process of its own (Ctrl+Return)"),
-            (self.cancel, "Cancel", "Stop; whole epochs are kept (Esc)"),
-            (self.resume, "Resume", "Go on with the chosen unfinished run (Ctrl+Shift+Return)"),
-            (self.divide, "Divide series", "Hold out grips of a series that is trained on: leaks"),
-            (self.defaults, "Defaults", "Fill in the paper's network and the usual training"),
+            (self.labels, "Labels", "Labels to train on"),
+            (self.piece, "Piece", "Grasped piece; a model is for one piece"),
+            (self.modality, "Sees", "Inputs of the model"),
+            (self.start, "Start training", "Train in a separate process (Ctrl+Return)"),
+            (self.cancel, "Cancel", "Stop; finished epochs are kept (Esc)"),
+            (self.resume, "Resume", "Continue the selected training (Ctrl+Shift+Return)"),
+            (self.divide, "Divide series", "Hold out grips instead of whole series (leakage)"),
+            (self.defaults, "Defaults", "Fill in the network and settings of the paper"),
         ):
             widget.setAccessibleName(name)
             widget.setToolTip(tip)
@@ -133,17 +135,17 @@ class TrainingFormPanel(Panel):
         where.setSpacing(4)
         where.addWidget(self.data, 1)
         where.addWidget(self.folder)
-        form.addWidget(_buddy("Data", self.data), 0, 0)
+        form.addWidget(field_label("Data", self.data), 0, 0)
         form.addLayout(where, 0, 1, 1, 3)
         rows = (("Labels", self.labels), ("Piece", self.piece), ("Sees", self.modality))
         for row, (text, field) in enumerate(rows, start=1):
-            form.addWidget(_buddy(text, field), row, 0)
+            form.addWidget(field_label(text, field), row, 0)
             form.addWidget(field, row, 1, 1, 3)
         self.numbers.place(form, 4)
         self.detail.setText("support: p > 0.9")
-        self.detail.setToolTip("A face point supports above this probability (the paper's delta)")
+        self.detail.setToolTip("A face point above this probability is support (delta)")
         self.header.addWidget(self.defaults)
-        # One row: the table of the split needs the room of a second.
+        # One row, to leave room for the table of the split.
         buttons = QHBoxLayout()
         buttons.setSpacing(4)
         buttons.addWidget(self.start, 1)
@@ -151,39 +153,33 @@ class TrainingFormPanel(Panel):
         buttons.addWidget(self.resume)
         self.column.addLayout(form)
         self.column.addLayout(buttons)
-        # As high as the field beside it.
         self.folder.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Ignored)
         for one in (self.data, self.labels, self.piece, self.modality):
             one.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-            one.setMinimumContentsLength(8)
-            one.setSizeAdjustPolicy(
-                QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
-            )
+            let_shrink(one)
 
     def show_data(self, entries: Sequence[tuple[str, str]], chosen: str) -> None:
-        """Offer these (folder, title) and choose one, without telling; the tip has the folder."""
+        """Set the (folder, title) entries and select one, without emitting ``changed``."""
         _refill(self.data, entries, chosen)
         for at, (folder, _) in enumerate(entries):
             self.data.setItemData(at, folder, Qt.ItemDataRole.ToolTipRole)
 
     def show_pieces(self, entries: Sequence[tuple[str, str]], chosen: str) -> None:
-        """Offer these (name, title) and choose one, without telling."""
+        """Set the (name, title) entries and select one, without emitting ``changed``."""
         _refill(self.piece, entries, chosen)
 
     def show_form(self, form: TrainingForm) -> None:
-        """Fill in a form without telling; unknown entries are left as they are."""
+        """Fill in the form without emitting ``changed``; unknown entries change nothing."""
         for combo, key in ((self.data, form.data), (self.labels, form.labels),
                            (self.piece, form.piece), (self.modality, form.modality)):  # fmt: skip
             with QSignalBlocker(combo):
-                index = combo.findData(key)
-                if index >= 0:
-                    combo.setCurrentIndex(index)
+                select_key(combo, key)
         self.numbers.show(form)
         with QSignalBlocker(self.divide):
             self.divide.setChecked(form.divide_series)
 
     def form(self) -> TrainingForm:
-        """Return what is filled in."""
+        """Return the content of the form."""
         return replace(
             self.numbers.read(),
             data=self.data.currentData() or "",
@@ -194,9 +190,9 @@ class TrainingFormPanel(Panel):
         )
 
     def show_buttons(self, buttons: TrainingButtons) -> None:
-        """Enable what is allowed now; a disabled Start says why."""
+        """Enable buttons and fields; the tool tip of a disabled Start gives the reason."""
         self.start.setEnabled(buttons.start)
-        self.start.setToolTip(buttons.why_not or "Train in a process of its own (Ctrl+Return)")
+        self.start.setToolTip(buttons.why_not or "Train in a separate process (Ctrl+Return)")
         self.cancel.setEnabled(buttons.cancel)
         self.resume.setEnabled(buttons.resume)
         for field in (self.data, self.folder, self.labels, self.piece, self.modality,
@@ -206,14 +202,11 @@ class TrainingFormPanel(Panel):
 
     def draw_icons(self) -> None:
         """Draw the icon in the colours of the theme."""
-        t = self._theme.tokens
-        ink = t.colour("panel") if self.start.isEnabled() else t.colour("disabled")
-        self.start.setIcon(icon("play", ink))
-        fit_icon(self.start)
+        draw_run_icons(self._theme, self.start)
 
 
 class _Numbers:
-    """The spin boxes of the form, two a row."""
+    """Spin boxes of the form, two per row."""
 
     def __init__(self) -> None:
         self.layers, self.hidden = _whole(1, 4), _whole(4, 1024)
@@ -229,26 +222,25 @@ class _Numbers:
             ("Layers", "LSTM layers; the paper has 2", self.layers),
             ("Units", "Units of each layer; the paper has 256", self.hidden),
             ("Epochs", "Passes over the training episodes", self.epochs),
-            ("Batch", "Episodes a step", self.batch),
+            ("Batch", "Episodes per step", self.batch),
             ("Rate", "Learning rate of the optimiser", self.rate),
-            ("Seed", "Of first weights, order and split", self.seed),
-            ("Held out", "Share of the episodes that validation keeps", self.held_out),
+            ("Seed", "Seed of initial weights, order and split", self.seed),
+            ("Held out", "Share of the episodes for validation", self.held_out),
         )
         for name, tip, box in self.named:
             box.setAccessibleName(name)
             box.setToolTip(tip)
             inset_spin_boxes(box)
-            # Two share a row: the room of the largest number would not fit.
-            box.setMinimumWidth(LEAST_PX)
+            box.setMinimumWidth(LEAST_PX)  # two share a row
 
     def all(self) -> list[QSpinBox | QDoubleSpinBox]:
         return [box for _, _, box in self.named]
 
     def place(self, form: QGridLayout, first: int) -> None:
-        """Place all but the share held out, which stands beside the split."""
+        """Place all but the held-out share, which is shown beside the split."""
         for at, (name, _, box) in enumerate(self.named[:-1]):
             row, side = divmod(at, 2)
-            form.addWidget(_buddy(name, box), first + row, 2 * side)
+            form.addWidget(field_label(name, box), first + row, 2 * side)
             form.addWidget(box, first + row, 2 * side + 1)
 
     def show(self, form: TrainingForm) -> None:
@@ -278,13 +270,5 @@ def _whole(low: int, high: int) -> QSpinBox:
 
 def _refill(combo: QComboBox, entries: Sequence[tuple[str, str]], chosen: str) -> None:
     with QSignalBlocker(combo):
-        combo.clear()
-        for key, title in entries:
-            combo.addItem(title, key)
+        set_entries(combo, entries)
         combo.setCurrentIndex(max(combo.findData(chosen), 0) if entries else -1)
-
-
-def _buddy(text: str, field: QWidget) -> QWidget:
-    made = label(text, "muted")
-    made.setBuddy(field)
-    return made

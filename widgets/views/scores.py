@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 
 from touchdown.backend.core import Outcome
 from touchdown.widgets.base import Panel, Theme, label, set_property
-from touchdown.widgets.forms import inset_spin_boxes
+from touchdown.widgets.forms import field_label, inset_spin_boxes, set_entries
 from touchdown.widgets.views.belief import BeliefScene, BeliefView
 
 MOST_VOID = 3
@@ -258,14 +258,10 @@ class ComparisonSheet(QDialog):
         close = QPushButton("Close")
         close.clicked.connect(self.close)
         top, columns = QHBoxLayout(), QHBoxLayout()
-        buddy = label("Trial", "muted")
-        buddy.setBuddy(self.trial)
-        versus = label("Against", "muted")
-        versus.setBuddy(self.against)
         top.addWidget(self.head, 1)
-        top.addWidget(versus)
+        top.addWidget(field_label("Against", self.against))
         top.addWidget(self.against)
-        top.addWidget(buddy)
+        top.addWidget(field_label("Trial", self.trial))
         top.addWidget(self.trial)
         columns.setSpacing(8)
         for panel in self.panels:
@@ -283,9 +279,7 @@ class ComparisonSheet(QDialog):
 
     def offer(self, rivals: Sequence[tuple[str, str]], chosen: str) -> None:
         """Set the (key, title) strategies for the right side and select one."""
-        self.against.clear()
-        for key, title in rivals:
-            self.against.addItem(title, key)
+        set_entries(self.against, rivals)
         self.against.setCurrentIndex(self.against.findData(chosen))
 
     def open_large(self) -> None:

@@ -239,6 +239,6 @@ def test_a_campaign_that_goes_on_asks_for_its_mounting_and_takes_either_answer(p
     page.press(KEY.Key_F5, with_key)
     assert page.bench.answers == [anew]
     settle(page.main)
-    assert (target.start.text(), target.go_on.text()) == ("Start collecting", "Go on")
+    assert (target.start.text(), target.go_on.text()) == ("Start collecting", "Continue")
     assert not target.go_on.isEnabled()
     assert len(page.bench.started) == 0

@@ -90,10 +90,35 @@ class DatasetDescription:
 
 
 class Dataset:
-    """Episodes, labels and geometry of one folder. Every call may come from any thread.
+    """Episodes, labels and geometry of one folder.
 
-    ``notices``: what opening found, a sentence each. ``backup_trouble``: why the newest copy of
-    the catalogue failed, or "". Use it as a context, or ``close`` it.
+    Open one with ``Dataset.open``; close it with a ``with`` block or ``close``. Iterating yields
+    the entries of all episodes that are not deleted, oldest first. All methods are thread-safe.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder of the dataset.
+    description : DatasetDescription
+        Content of ``dataset.json``.
+    labels : LabelStore
+        Labels with their revisions, undo and review.
+    geometry : GeometryStore
+        Faces and offsets that the labels refer to; derives contact patches from them.
+    runs : RunTracker
+        Runs recorded in the dataset.
+    notices : tuple of str
+        Problems found and repaired on opening, one sentence each.
+    backup_trouble : str
+        Reason why the last backup of the catalogue failed; empty if it succeeded.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder, Dataset.open(folder) as dataset:
+    ...     [dataset.read(entry.uuid).observation.shape for entry in dataset]
+    []
+
     """
 
     def __init__(
@@ -120,14 +145,38 @@ class Dataset:
 
     @classmethod
     def open(
-        cls, folder: Path, *, create: bool = True, write: bool = True, person: str = ""
+        cls, folder: Path | str, *, create: bool = True, write: bool = True, person: str = ""
     ) -> Self:
-        """Open the dataset ``folder``, or make it where ``create`` allows.
+        """Open a dataset, or create it.
 
-        To write, it takes the lock in the name of ``person`` (default: the account): raises
-        ``DatasetInUseError`` naming the other writer. Raises ``InputError`` for a network file
-        system, a folder that is no dataset, or a damaged catalogue.
+        Opening for writing takes the lock of the dataset and repairs what a crash left behind.
+        Readers need no lock, and one writer and any number of readers work at the same time.
+
+        Parameters
+        ----------
+        folder : Path or str
+            Folder of the dataset, on a local disk.
+        create : bool
+            Create the dataset if there is none (only with ``write``).
+        write : bool
+            Open for writing.
+        person : str
+            Name shown to others who want to write (default: the user account).
+
+        Returns
+        -------
+        Dataset
+            The open dataset.
+
+        Raises
+        ------
+        DatasetInUseError
+            If another process has it open for writing; the error names the writer.
+        InputError
+            If there is no dataset, its catalogue is damaged, or the disk is a network drive.
+
         """
+        folder = Path(folder)
         check_local_disk(folder)
         is_there = (folder / DESCRIPTION).is_file()
         if not is_there and not (create and write):
@@ -221,6 +270,9 @@ class Dataset:
             episode_index.enter_episode(connection, site, written.row, content, "record")
         return self.entry(episode.episode_id)
 
+    def __iter__(self) -> Iterator[EpisodeEntry]:
+        return iter(self.episodes())
+
     def entry(self, uuid: str) -> EpisodeEntry:
         """Return one entry; raises ``InputError`` if there is no such episode."""
         found = episode_index.find_episode(self.database, uuid)
@@ -237,7 +289,25 @@ class Dataset:
         return self.folder / self.entry(uuid).path
 
     def read(self, uuid: str) -> Episode:
-        """Read the signals of an episode; raises ``InputError`` naming a damaged file."""
+        """Read the signals of an episode.
+
+        Parameters
+        ----------
+        uuid : str
+            Id of the episode (``EpisodeEntry.uuid``).
+
+        Returns
+        -------
+        Episode
+            Observation (20, 258) at 10 Hz and the recording, if the file holds one. An episode in
+            a pack has neither recording nor images.
+
+        Raises
+        ------
+        InputError
+            If there is no such episode, or its file is damaged; the error names the file.
+
+        """
         packed = self._packed(uuid)
         return read_episode(self.path(uuid)) if packed is None else packed
 

@@ -48,10 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Evaluate and show the scores per bottom; returns 0."""
     # Imported here so that `touchdown --help` starts without torch.
-    from touchdown.backend.geometry import face_points, load_pieces
     from touchdown.backend.learning import (
         ModelRegistry,
-        evaluate_model,
+        evaluate,
         hardware_rows,
         load_checkpoint,
         load_episodes,
@@ -60,11 +59,10 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     checkpoint = load_checkpoint(args.model)
     card = checkpoint.card
     rows = load_episodes(args.data, card.piece, args.labels)
-    points = face_points(load_pieces(args.pieces).piece(card.piece).face)
-    scores = evaluate_model(checkpoint, rows, points, args.delta)
+    scores = evaluate(checkpoint, rows, delta=args.delta, pieces=args.pieces)
     real = hardware_rows(rows)
     if real is not None:
-        of_real = evaluate_model(checkpoint, real, points, args.delta)["all"]
+        of_real = evaluate(checkpoint, real, delta=args.delta, pieces=args.pieces)["all"]
         registry = ModelRegistry(models_folder())
         registry.note_hardware(card.weights_sha256, len(real), of_real.iou, of_real.point_accuracy)
     trained_on = set(card.data.get("episodes", {}))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import InputError
-from touchdown.backend.exchange import EXPORTS, export_format
+from touchdown.backend.exchange import EXPORTS
 from touchdown.backend.runs import dataset_folder
 
 if TYPE_CHECKING:
@@ -58,25 +57,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Export; 0 when the folder is complete."""
     # Imported here so that `touchdown --help` starts without SQLite and OpenCV.
-    from touchdown.backend.annotations import Dataset
-    from touchdown.backend.exchange import ExportQuery, export_dataset
+    from touchdown.backend.exchange import export
 
-    folder = Path(args.dataset) if args.dataset else dataset_folder()
-    query = ExportQuery(
-        args.piece, args.bottom, args.series, args.campaign, _states(args.states), args.held_out,
-        args.seed, args.divide_series,
-    )  # fmt: skip
-    with (
-        Dataset.open(folder, create=False, write=False) as dataset,
-        screen.progress(f"Exporting to {args.format}", None) as advance,
-    ):
-        done = export_dataset(
-            dataset,
-            export_format(args.format, tables=args.tables),
-            query,
-            Path(args.out),
-            args.video,
-            lambda count, total: advance(count, total=total),
+    with screen.progress(f"Exporting to {args.format}", None) as advance:
+        done = export(
+            args.dataset or dataset_folder(),
+            args.format,
+            args.out,
+            piece=args.piece,
+            bottom=args.bottom,
+            series=args.series,
+            campaign=args.campaign,
+            states=_states(args.states),
+            held_out=args.held_out,
+            seed=args.seed,
+            divide_series=args.divide_series,
+            video=args.video,
+            tables=args.tables,
+            on_progress=lambda count, total: advance(count, total=total),
         )
     screen.say(f"{done.episodes} episodes are in {done.folder}.")
     for warning in done.warnings:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from touchdown.backend.cli.output import VerbOutput
-from touchdown.backend.config import TrainingSettings, parse_settings
-from touchdown.backend.core import InputError
+from touchdown.backend.config import TrainingSettings
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from touchdown.backend.learning import TrainingFinished, TrainingLoaded
 
 
@@ -114,13 +114,9 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         TrainingCancelled,
         TrainingEpoch,
         TrainingFinished,
-        TrainingJob,
         TrainingLoaded,
-        TrainingProcess,
-        default_threads,
-        job_in_run,
-        record_report,
-        record_training,
+        make_training_job,
+        run_training,
     )
 
     settings = {
@@ -132,27 +128,22 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         "divide_series": args.divide_series,
         "seed": args.seed,
     }
-    job = {
-        "data": args.data.resolve(),
-        "piece": args.piece,
-        "out": _writable((args.out or Path(f"{args.piece or 'model'}.safetensors")).resolve()),
-        "settings": parse_settings(TrainingSettings, settings, "arguments"),
-        "labels": args.labels,
-        "resume": args.resume,
-        "threads": default_threads() if args.threads is None else args.threads,
-        "device": args.device,
-    }
+    job = make_training_job(
+        args.data,
+        args.piece,
+        args.out or Path(f"{args.piece or 'model'}.safetensors"),
+        settings,
+        labels=args.labels,
+        resume=args.resume,
+        threads=args.threads,
+        device=args.device,
+    )
     curve: list[dict[str, object]] = []
     answer: dict[str, object] = {"version": JSON_VERSION}
-    asked = parse_settings(TrainingJob, job, "arguments")
-    with (
-        record_training(asked, screen.say) as record,
-        TrainingProcess(job_in_run(record, asked)) as training,
-        screen.progress(f"Training {args.piece or 'model'}", args.epochs) as advance,
-    ):
-        for report in training.reports():
-            if record is not None:
-                record_report(record, report)
+    with screen.progress(f"Training {args.piece or 'model'}", args.epochs) as advance:
+
+        def show(report: BaseModel) -> None:
+            nonlocal answer
             match report:
                 case TrainingLoaded():
                     screen.say(_loaded(report))
@@ -172,8 +163,10 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
                 case TrainingCancelled():
                     screen.say(f"Cancelled after epoch {report.done}; go on with --resume.")
                     answer |= {"cancelled": True, "done": report.done}
-    if record is not None:
-        answer["run"] = record.uuid
+
+        run_id = run_training(job, show, screen.say)
+    if run_id is not None:
+        answer["run"] = run_id
     screen.result({**answer, "curve": curve})
     return 1 if "cancelled" in answer else 0
 
@@ -194,20 +187,3 @@ def _finished(report: TrainingFinished) -> str:
         f"{100 * report.iou:.1f} %, point accuracy "
         f"{100 * report.point_accuracy:.1f} %, {report.seconds:.0f} s"
     )
-
-
-def _writable(out: Path) -> Path:
-    """Return ``out``; ``InputError`` if no file can be written there, before hours of training."""
-    if out.is_dir():
-        raise InputError("This is a folder, not a file.", str(out), "Name a .safetensors file.")
-    folder = next(place for place in out.parents if place.exists())
-    try:
-        with tempfile.TemporaryFile(dir=folder) as file:
-            file.write(b"touchdown")
-    except OSError as error:
-        raise InputError(
-            f"The model cannot be written there: {error.strerror or 'not writable'}.",
-            str(folder),
-            "Name a file in a folder that you may write to (--out).",
-        ) from error
-    return out

@@ -1,6 +1,8 @@
 from .coco import read_coco as read_coco
 from .csv_tables import read_csv as read_csv
 from .exports import EXPORTS as EXPORTS
+from .exports import ExportResult as ExportResult
+from .exports import export as export
 from .exports import export_dataset as export_dataset
 from .exports import export_format as export_format
 from .imports import EpisodeImport as EpisodeImport
@@ -18,8 +20,10 @@ __all__ = [
     "EXPORT_STATES",
     "EpisodeImport",
     "ExportQuery",
+    "ExportResult",
     "ExportState",
     "ImportOptions",
+    "export",
     "export_dataset",
     "export_format",
     "import_labels",

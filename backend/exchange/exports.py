@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -20,6 +21,7 @@ from touchdown.backend.exchange.export_episode import ExportEpisode, ExportSigna
 from touchdown.backend.exchange.features import COMMANDED, MEASURED, Feature, make_features
 from touchdown.backend.exchange.query import (
     ExportQuery,
+    ExportState,
     SelectedEpisode,
     Selection,
     select_episodes,
@@ -82,6 +84,84 @@ class ExportResult:
     episodes: int
     manifest_sha256: str
     warnings: tuple[str, ...]
+
+
+def export(  # noqa: PLR0913 - each is a keyword of the public API
+    dataset: Dataset | Path | str,
+    format: str,
+    out: Path | str,
+    *,
+    piece: str | None = None,
+    bottom: str | None = None,
+    series: str | None = None,
+    campaign: str | None = None,
+    states: Sequence[ExportState] = ("approved",),
+    held_out: float = 0.2,
+    seed: int = 0,
+    divide_series: bool = False,
+    video: Video | None = None,
+    tables: bool = False,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> ExportResult:
+    """Export episodes and labels of a dataset; same as ``touchdown export``.
+
+    The folder gets a manifest with the query, the split, the geometry and the hash of every file.
+    An interrupted export leaves a folder whose name ends in ``.partial``.
+
+    Parameters
+    ----------
+    dataset : Dataset, Path or str
+        Open dataset, or its folder, which is then opened for reading.
+    format : {"lerobot", "robomimic", "zarr", "coco", "csv", "jsonl"}
+        File format. The last three hold labels and no signals, except for ``tables``.
+    out : Path or str
+        New folder to write.
+    piece, bottom, series, campaign : str, optional
+        Export only the episodes of this piece, bottom, series or campaign.
+    states : sequence of {"approved", "submitted", "draft"}
+        Label states to export.
+    held_out : float
+        Share of the episodes (0 to below 1) on the validation side, in whole series or mountings.
+        Tags of the dataset take precedence.
+    seed : int
+        Seed of the draw of the validation side.
+    divide_series : bool
+        Allow a pair of one series on both sides; the manifest then contains a warning.
+    video : {"sample", "all", "none"}, optional
+        Tactile images of 20 episodes, of all or of none (default: "sample" for LeRobot, else
+        "none").
+    tables : bool
+        With "csv": also write wrench, markers and poses of every episode at their own rates.
+    on_progress : callable, optional
+        Receives the number of episodes written, and the number to write.
+
+    Returns
+    -------
+    ExportResult
+        Folder, number of episodes, SHA-256 of the manifest and warnings.
+
+    Raises
+    ------
+    InputError
+        If an argument is invalid, no episode passes the query, or ``out`` exists.
+    FaultError
+        If the disk is full or fails.
+
+    Examples
+    --------
+    >>> result = export("probes", "lerobot", "probes-lerobot", piece="pot")  # doctest: +SKIP
+    >>> result.episodes  # doctest: +SKIP
+    1500
+
+    """
+    query = ExportQuery(
+        piece, bottom, series, campaign, tuple(states), held_out, seed, divide_series
+    )
+    chosen = export_format(format, tables=tables)
+    with ExitStack() as stack:
+        if not isinstance(dataset, Dataset):
+            dataset = stack.enter_context(Dataset.open(dataset, create=False, write=False))
+        return export_dataset(dataset, chosen, query, Path(out), video, on_progress)
 
 
 def export_dataset(

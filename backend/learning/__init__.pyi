@@ -6,6 +6,7 @@ from .checkpoint import load_checkpoint as load_checkpoint
 from .checkpoint import save_card as save_card
 from .checkpoint import save_checkpoint as save_checkpoint
 from .checkpoint import save_half_precision as save_half_precision
+from .fitting import evaluate as evaluate
 from .fitting import evaluate_model as evaluate_model
 from .fitting import hardware_rows as hardware_rows
 from .fitting import load_episodes as load_episodes
@@ -16,6 +17,7 @@ from .inference import PatchForward as PatchForward
 from .inference import channel_groups as channel_groups
 from .inference import modality_columns as modality_columns
 from .job import DeviceName as DeviceName
+from .job import ReportCallback as ReportCallback
 from .job import TrainingCancelled as TrainingCancelled
 from .job import TrainingEpoch as TrainingEpoch
 from .job import TrainingFinished as TrainingFinished
@@ -51,12 +53,12 @@ from .training_runs import RecordedTraining as RecordedTraining
 from .training_runs import TrainingProcess as TrainingProcess
 from .training_runs import TrainingRequest as TrainingRequest
 from .training_runs import TrainingRun as TrainingRun
-from .training_runs import job_in_run as job_in_run
 from .training_runs import list_training_runs as list_training_runs
+from .training_runs import make_training_job as make_training_job
 from .training_runs import read_training_run as read_training_run
-from .training_runs import record_report as record_report
-from .training_runs import record_training as record_training
 from .training_runs import resume_request as resume_request
+from .training_runs import run_training as run_training
+from .training_runs import train_model as train_model
 
 __all__ = [
     "HARDWARE_PROBES",
@@ -73,6 +75,7 @@ __all__ = [
     "NetworkShape",
     "PatchForward",
     "RecordedTraining",
+    "ReportCallback",
     "SamplePrediction",
     "Trainer",
     "TrainingCancelled",
@@ -91,10 +94,10 @@ __all__ = [
     "check_autonomous",
     "default_threads",
     "device_name",
+    "evaluate",
     "evaluate_model",
     "fingerprint",
     "hardware_rows",
-    "job_in_run",
     "list_training_runs",
     "load_card",
     "load_checkpoint",
@@ -102,18 +105,19 @@ __all__ = [
     "load_network",
     "load_samples",
     "make_card",
+    "make_training_job",
     "modality_columns",
     "models_below",
     "predict",
     "read_training_run",
-    "record_report",
-    "record_training",
     "resume_request",
+    "run_training",
     "save_card",
     "save_checkpoint",
     "save_half_precision",
     "select_device",
     "stable_flags",
+    "train_model",
     "training_candidates",
     "training_set_overview",
     "use_one_thread",

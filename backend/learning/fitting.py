@@ -17,14 +17,17 @@ from touchdown.backend.annotations import LabelChoice, is_dataset, load_training
 from touchdown.backend.config import BenchDescription, StabilitySettings
 from touchdown.backend.core import FloatArray, InputError, write_atomically
 from touchdown.backend.episodes import TrainingRows, load_rows
+from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.learning.checkpoint import (
     Checkpoint,
     ModelCard,
     NetworkSizes,
+    load_checkpoint,
     save_checkpoint,
 )
 from touchdown.backend.learning.inference import ARCH, modality_columns
 from touchdown.backend.learning.job import (
+    ReportCallback,
     TrainingCancelled,
     TrainingEpoch,
     TrainingFinished,
@@ -69,6 +72,54 @@ def hardware_rows(rows: TrainingRows) -> TrainingRows | None:
     return rows.take(np.array(real)) if real else None
 
 
+def evaluate(
+    model: Path | str | Checkpoint,
+    data: Path | str | TrainingRows,
+    *,
+    labels: LabelChoice = "approved",
+    delta: float = StabilitySettings().delta,
+    pieces: Path | None = None,
+) -> dict[str, EvaluationScores]:
+    """Measure a contact-patch model on labelled episodes; same as ``touchdown evaluate``.
+
+    Parameters
+    ----------
+    model : Path, str or Checkpoint
+        Model file (``.safetensors``), or a loaded model.
+    data : Path, str or TrainingRows
+        Dataset, folder of packs, or loaded episodes of the piece of the model.
+    labels : {"approved", "submitted", "drafts"}
+        Labels of a dataset to compare with. Packs hold final labels.
+    delta : float
+        Probability above which a face point supports the piece (0 to 1).
+    pieces : Path, optional
+        Folder with further piece files.
+
+    Returns
+    -------
+    dict of str to EvaluationScores
+        Scores by name of the bottom, and of all episodes under ``"all"``. IoU and point accuracy
+        are shares (0 to 1); stability is judged from a single probe.
+
+    Raises
+    ------
+    InputError
+        If the model or the data cannot be read, or belong to different faces.
+
+    Examples
+    --------
+    >>> scores = evaluate("pot.safetensors", "probes")  # doctest: +SKIP
+    >>> scores["all"].iou  # doctest: +SKIP
+    0.6412
+
+    """
+    checkpoint = model if isinstance(model, Checkpoint) else load_checkpoint(Path(model))
+    piece = checkpoint.card.piece
+    rows = data if isinstance(data, TrainingRows) else load_episodes(Path(data), piece, labels)
+    points = face_points(load_pieces(pieces).piece(piece).face)
+    return evaluate_model(checkpoint, rows, points, delta)
+
+
 def evaluate_model(
     checkpoint: Checkpoint, rows: TrainingRows, points_mm: FloatArray, delta: float
 ) -> dict[str, EvaluationScores]:
@@ -104,9 +155,6 @@ def evaluate_model(
 
 DIVERGED_NATS = 2 * math.log(2)
 """Twice the loss of always answering 0.5."""
-ReportCallback = Callable[
-    [TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled], None
-]
 
 
 def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bool]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -114,3 +115,6 @@ TrainingReport = Annotated[
 TRAINING_REPORT: TypeAdapter[
     TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled | TrainingRefused
 ] = TypeAdapter(TrainingReport)
+ReportCallback = Callable[
+    [TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled], None
+]

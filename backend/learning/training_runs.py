@@ -37,17 +37,21 @@ from touchdown.backend.annotations import (
     read_run_info,
     uuid7,
 )
-from touchdown.backend.config import TrainingSettings
+from touchdown.backend.config import TrainingSettings, parse_settings
 from touchdown.backend.core import Fault, FaultError, InputError, program_stamp
 from touchdown.backend.learning.checkpoint import ModelCard, load_card
+from touchdown.backend.learning.inference import Modality
 from touchdown.backend.learning.job import (
     TRAINING_REPORT,
+    DeviceName,
+    ReportCallback,
     TrainingCancelled,
     TrainingEpoch,
     TrainingFinished,
     TrainingJob,
     TrainingLoaded,
     TrainingRefused,
+    default_threads,
 )
 from touchdown.backend.learning.metrics import ReliabilityBin, calibration_error
 
@@ -301,6 +305,155 @@ def record_report(
             run.finish()
         case TrainingCancelled():
             run.cancel()
+
+
+def run_training(
+    job: TrainingJob,
+    on_report: ReportCallback,
+    on_notice: Callable[[str], None] = lambda text: None,
+) -> str | None:
+    """Train in a child process, recorded as a run of the dataset; return the id of the run.
+
+    A folder of packs keeps no runs: the id is None. ``on_notice`` gets the notices of the dataset
+    after the run. Raises ``InputError`` for bad data, ``FaultError`` if the child process dies.
+    """
+    with (
+        record_training(job, on_notice) as run,
+        TrainingProcess(job_in_run(run, job)) as training,
+    ):
+        for report in training.reports():
+            if run is not None:
+                record_report(run, report)
+            on_report(report)
+    return None if run is None else run.uuid
+
+
+_DEFAULTS = TrainingSettings()
+
+
+def train_model(  # noqa: PLR0913 - each is a keyword of the public API
+    data: Path | str,
+    piece: str | None,
+    out: Path | str,
+    *,
+    epochs: int = _DEFAULTS.epochs,
+    modality: Modality = _DEFAULTS.modality,
+    seed: int = 0,
+    batch: int = _DEFAULTS.batch,
+    learning_rate: float = _DEFAULTS.learning_rate,
+    labels: LabelChoice = "approved",
+    divide_series: bool = False,
+    resume: bool = False,
+    threads: int | None = None,
+    device: DeviceName = "auto",
+    on_report: ReportCallback | None = None,
+) -> ModelCard:
+    """Train a contact-patch model and return its card; same as ``touchdown train``.
+
+    The training runs in a child process at low priority, and a dataset records it as a run. The
+    call returns when the model is written. After an interruption, ``resume=True`` continues after
+    the last complete epoch. The same data, settings and number of threads give the same weights.
+
+    Parameters
+    ----------
+    data : Path or str
+        Dataset, or folder of packs written by ``touchdown simulate --out``.
+    piece : str or None
+        Name of the grasped piece; None if the data hold a single piece.
+    out : Path or str
+        Model file (``.safetensors``). The card is written beside it (``.json``).
+    epochs : int
+        Passes over the training episodes. The epoch of lowest validation loss is kept.
+    modality : {"FT", "Tac", "FT+Tac"}
+        Input of the network: wrench, marker displacements or both.
+    seed : int
+        Seed of the initial weights, the order of the episodes and the split.
+    batch : int
+        Episodes per step.
+    learning_rate : float
+        Step size of the optimiser.
+    labels : {"approved", "submitted", "drafts"}
+        Labels of a dataset to train on. Packs hold final labels.
+    divide_series : bool
+        Hold out whole grips instead of whole series.
+    resume : bool
+        Continue an interrupted training of the same model file.
+    threads : int, optional
+        Processor threads (default: 2 where there are two cores).
+    device : {"auto", "cpu", "cuda"}
+        Processor or graphics processor; "auto" uses CUDA if torch finds it.
+    on_report : callable, optional
+        Receives ``TrainingLoaded``, one ``TrainingEpoch`` per epoch and ``TrainingFinished``.
+
+    Returns
+    -------
+    ModelCard
+        Card of the written model, with its validation metrics.
+
+    Raises
+    ------
+    InputError
+        If the data, a setting or the model file cannot be used, or the training diverges.
+    FaultError
+        If the child process dies.
+
+    Examples
+    --------
+    >>> card = train_model("probes", "pot", "pot.safetensors", epochs=8)  # doctest: +SKIP
+    >>> card.metrics["validation"]["iou"]  # doctest: +SKIP
+    0.6381
+
+    """
+    settings = {
+        "modality": modality,
+        "epochs": epochs,
+        "batch": batch,
+        "learning_rate": learning_rate,
+        "divide_series": divide_series,
+        "seed": seed,
+    }
+    job = make_training_job(
+        Path(data), piece, Path(out), settings,
+        labels=labels, resume=resume, threads=threads, device=device,
+    )  # fmt: skip
+    run_training(job, on_report or (lambda report: None))
+    return load_card(job.out)
+
+
+def make_training_job(
+    data: Path, piece: str | None, out: Path, settings: Mapping[str, object], **options: object
+) -> TrainingJob:
+    """Return the job for ``settings`` (``TrainingSettings``) and ``options`` (``TrainingJob``).
+
+    Raises ``InputError`` for a bad value, or if no file can be written to ``out``.
+    """
+    if options.get("threads") is None:
+        options["threads"] = default_threads()
+    job = {
+        "data": data.resolve(),
+        "piece": piece,
+        "out": _checked_model_file(out.resolve()),
+        "settings": parse_settings(TrainingSettings, dict(settings), "arguments"),
+        **options,
+    }
+    return parse_settings(TrainingJob, job, "arguments")
+
+
+def _checked_model_file(out: Path) -> Path:
+    """Return ``out``; raises ``InputError`` if no file can be written there."""
+    if out.is_dir():
+        raise InputError("This is a folder, not a file.", str(out), "Name a .safetensors file.")
+    folder = next(place for place in out.parents if place.exists())
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"touchdown")
+    except OSError as error:
+        raise InputError(
+            f"The model cannot be written there: {error.strerror or 'not writable'}.",
+            str(folder),
+            "Name a file in a folder that you may write to (--out).",
+        ) from error
+    return out
 
 
 def record_reliability(run: ActiveRun, epoch: int, bins: object) -> None:

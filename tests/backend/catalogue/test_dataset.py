@@ -233,7 +233,7 @@ def test_filters_pick_what_they_name(dataset: Dataset, record: Record) -> None:
     def ids(**wanted: object) -> list[str]:
         return [e.uuid for e in dataset.episodes(EpisodeFilter(**wanted))]  # type: ignore[arg-type]
 
-    assert ids() == [second.uuid, third.uuid]
+    assert ids() == [second.uuid, third.uuid] == [entry.uuid for entry in dataset]
     assert ids(deleted=None) == [first.uuid, second.uuid, third.uuid]
     assert ids(deleted=True) == [first.uuid]
     assert ids(accepted=False) == [second.uuid]

@@ -22,7 +22,7 @@ from touchdown.backend.annotations.episode_index import SPLIT_TAG
 from touchdown.backend.annotations.values import Label
 from touchdown.backend.core.faults import FaultError, InputError
 from touchdown.backend.exchange import exports
-from touchdown.backend.exchange.exports import EXPORTS, export_dataset, export_format
+from touchdown.backend.exchange.exports import EXPORTS, export, export_dataset, export_format
 from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions
 from touchdown.backend.exchange.query import ExportQuery, ExportState, select_episodes
 
@@ -250,3 +250,25 @@ def test_pictures_are_refused_where_there_are_none(hand: Hand, dataset: Dataset)
     with pytest.raises(InputError, match="without pictures"):
         hand("lerobot", video="all")
     assert hand("lerobot", video="sample").episodes == 7
+
+
+def test_a_script_exports_a_folder_or_an_open_dataset(
+    dataset: Dataset, filled: Path, hand: Hand, tmp_path: Path
+) -> None:
+    by_path = export(str(filled), "jsonl", str(tmp_path / "path"), held_out=0.0)
+    assert by_path.episodes == 4
+    query = ExportQuery(states=EVERY, held_out=0.4, divide_series=True)
+    whole = hand("robomimic", query=query).folder
+    seen: list[tuple[int, int]] = []
+    of_open = export(
+        dataset, "robomimic", tmp_path / "open", states=EVERY, held_out=0.4, divide_series=True,
+        on_progress=lambda done, total: seen.append((done, total)),
+    )  # fmt: skip
+    contents = [manifest_of(folder) for folder in (whole, of_open.folder)]
+    assert contents[0].pop("created_ns") < contents[1].pop("created_ns")
+    assert contents[0] == contents[1]
+    assert seen[-1] == (6, 6)
+    with pytest.raises(InputError, match="no dataset"):
+        export(tmp_path / "none", "jsonl", tmp_path / "out")
+    with pytest.raises(InputError, match="no format"):
+        export(dataset, "hdf", tmp_path / "out")

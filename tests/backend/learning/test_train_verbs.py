@@ -8,8 +8,12 @@ import pytest
 import torch
 
 from touchdown.backend.__main__ import main
+from touchdown.backend.core.faults import InputError
 from touchdown.backend.learning.checkpoint import load_card
+from touchdown.backend.learning.fitting import evaluate
+from touchdown.backend.learning.job import TrainingEpoch, TrainingFinished
 from touchdown.backend.learning.training import computes_bfloat16
+from touchdown.backend.learning.training_runs import train_model
 
 PRECISION = "bfloat16" if computes_bfloat16(torch.device("cpu")) else "float32"
 Data = Callable[[Path, int], Path]
@@ -61,3 +65,36 @@ def test_missing_data_is_one_error_naming_it(
 ) -> None:
     assert main(["train", str(tmp_path / "none"), "--json"]) == 2
     assert json.loads(capsys.readouterr().err)["error"]["where"] == str(tmp_path / "none")
+
+
+def test_a_script_gets_the_numbers_of_the_command_line(
+    tmp_path: Path, write_data: Data, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = write_data(tmp_path / "data", 36)
+    by_verb, by_call = tmp_path / "verb.safetensors", tmp_path / "call.safetensors"
+    words = ["train", str(data), "--out", str(by_verb), "--epochs", "2", "--modality", "FT"]
+    assert main([*words, "--batch", "4", "--threads", "1", "--json"]) == 0
+    curve = json.loads(capsys.readouterr().out)["curve"]
+    reports: list[object] = []
+    card = train_model(
+        str(data), "pot", str(by_call), epochs=2, modality="FT", batch=4, threads=1,
+        on_report=reports.append,
+    )  # fmt: skip
+    assert card == load_card(by_verb) == load_card(by_call)
+    told = [r.validation_loss for r in reports if isinstance(r, TrainingEpoch)]
+    assert told == [point["validation_loss"] for point in curve]
+    assert isinstance(reports[-1], TrainingFinished)
+
+    assert main(["evaluate", str(by_verb), str(data), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)["scores"]
+    assert {name: s.as_json() for name, s in evaluate(by_call, str(data)).items()} == shown
+
+
+def test_a_training_from_a_script_names_what_is_wrong(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="epochs"):
+        train_model(tmp_path, "pot", tmp_path / "pot.safetensors", epochs=0)
+    with pytest.raises(InputError) as missing:
+        train_model(tmp_path / "none", "pot", tmp_path / "pot.safetensors")
+    assert missing.value.where == str(tmp_path / "none")
+    with pytest.raises(InputError, match="folder"):
+        train_model(tmp_path, "pot", tmp_path)

@@ -23,12 +23,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from touchdown.backend.bench.emulator_registry import (
-    Emulation,
-    bench_toml,
-    camera_tables,
-    melfa_tables,
-)
+from touchdown.backend.bench.emulator_registry import bench_toml
 from touchdown.backend.config import HardwareSettings, MelfaSettings, ProbeSettings
 from touchdown.backend.core import (
     FINGERS,
@@ -42,18 +37,20 @@ from touchdown.backend.core import (
     set_realtime_priority,
 )
 from touchdown.backend.devices.dynpick import EmulatedDynpick
-from touchdown.backend.devices.gelsight import GelsightServer
+from touchdown.backend.devices.gelsight import GelsightServer, camera_tables
 from touchdown.backend.devices.melfa import (
     READY_RAD,
     TIMEOUT_CYCLES,
     EmulatedMelfa,
     MelfaServer,
     frame_of,
+    melfa_tables,
     solve,
 )
 from touchdown.backend.devices.wsg import EmulatedWsg
 from touchdown.backend.emulation import (
     DeviceServer,
+    Emulation,
     FaultPlan,
     Faults,
     PtyServer,
@@ -62,10 +59,9 @@ from touchdown.backend.emulation import (
 )
 from touchdown.backend.simulation import ArmCycle, CycleRecord, Scene, SceneTruth, World
 
-STILL_S = 0.2
-"""How long before now the arm is looked at once more, to know whether it stands."""
+STILL_S = 0.2  # how long before now the arm is looked at once more, to know whether it stands
+# Wrist samples of a bench that was just set up: what hangs on the sensor, without any contact
 REST_ROWS = 100
-"""Wrist samples of a bench that was just set up: what hangs on the sensor, without any contact."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,22 +135,20 @@ class DriverMonitor:
 
 
 STIFF_N_MM = 1000.0
+# A descent below this height over first touch is another probe: its nuisances are drawn
 NEXT_PROBE_MM = 2.0
-"""A descent below this height over first touch is another probe: its nuisances are drawn."""
+# A world later than this takes no picture: it would be one of another time than it comes at, and
+# without pictures the world catches up several times as fast
 PICTURE_S = 0.040
-"""A world later than this takes no picture: it would be one of another time than it comes at, and
-without pictures the world catches up several times as fast."""
-BEHIND_S = 0.5
-"""A world later than this gives up catching up."""
+BEHIND_S = 0.5  # a world later than this gives up catching up
+# Age of a wrist sample when the sensor has it: the cycle in which it arises, and its computing
 LATENCY_S = 0.020
-"""Age of a wrist sample when the sensor has it: the cycle in which it arises, and its computing."""
-KEPT = 500
-"""Wrist samples that are kept for the sensor."""
+KEPT = 500  # wrist samples that are kept for the sensor
 CONTACT_MM = 0.02
+# On a bench with a jig a piece let go so high is in the hand of the operator, to be given back
 HAND_MM = 5.0
-"""On a bench with a jig a piece let go so high is in the hand of the operator, to be given back."""
+# A third of what the tracker errs by: a gel at rest is drawn anew once it has crept so far
 STILL_PX = 0.01
-"""A third of what the tracker errs by: a gel at rest is drawn anew once it has crept so far."""
 
 
 class EmulatedScene:
@@ -172,11 +166,10 @@ class EmulatedScene:
         self._felt: tuple[float, FloatArray] = (0.0, np.zeros((1, 6)))
         self._pictures: dict[Finger, ImageArray] = {}
         self._stop = threading.Event()
+        # Real-time priority while time passes, where the user may have it; 0: as it is
         self.priority = 0
-        """Real-time priority while time passes, where the user may have it; 0: as it is."""
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
-        self.late = 0
-        """Cycles that were given up."""
+        self.late = 0  # cycles that were given up
 
     @property
     def scene(self) -> Scene:
@@ -325,8 +318,7 @@ class CarriedProgram:
 
     def __init__(self, joined: EmulatedScene) -> None:
         self._joined = joined
-        self.turn: FloatArray = IDENTITY_ROTATION
-        """The hand is turned as that of the emulated arm."""
+        self.turn: FloatArray = IDENTITY_ROTATION  # the hand is turned as that of the emulated arm
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return where the arm was at the end of ``cycle``; a descent begins the next probe."""
@@ -410,21 +402,21 @@ piece = "{piece}"
 bottom = "{bottom}"
 
 """
+# How often the cameras are asked for a new picture: once a cycle of the world, which takes them at
+# the rate of the scene
 POLL_HZ = 100.0
-"""How often the cameras are asked for a new picture: once a cycle of the world, which takes them at
-the rate of the scene."""
 
-PRIORITY = 20
-"""Real-time priority of all devices: what they stand for loses no time to this computer's other
-work. Below that of the rig."""
+# Real-time priority of all devices: what they stand for loses no time to this computer's other
+# work. Below that of the rig.
+EMULATOR_PRIORITY = 20
+# About a cycle of the arm, which feels once a cycle; each look wakes sensor and driver
 SENSOR_TICK_S = 0.004
-"""About a cycle of the arm, which feels once a cycle; each look wakes sensor and driver."""
 
+# Python's own 5 ms, waited for by thread after thread, made the arm miss ten cycles at a time
 SWITCH_S = 0.0005
-"""Python's own 5 ms, waited for by thread after thread, made the arm miss ten cycles at a time."""
 
 
-def take_short_turns() -> None:
+def shorten_switch_interval() -> None:
     """For the process that serves a bench: no thread waits long behind those that render.
 
     What was made so far stays, so the collector need not look through it either.
@@ -449,9 +441,9 @@ def serve_bench(
     gripper = TcpServer(SceneWsg(joined, gripping), host, faults=gripping)
     sensor = _sensor(joined, folder, Faults("force_torque", plan), host)
     cameras = [_camera(joined, finger, folder, plan) for finger in FINGERS]
-    joined.priority = PRIORITY
+    joined.priority = EMULATOR_PRIORITY
     for front in (arm, gripper, sensor, *cameras):
-        front.priority = PRIORITY
+        front.priority = EMULATOR_PRIORITY
     tables: dict[str, Mapping[str, object]] = {
         **melfa_tables(arm),
         "wsg": {"host": host, "port": gripper.address[1]},

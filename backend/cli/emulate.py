@@ -25,26 +25,26 @@ from rich.table import Table
 from rich.text import Text
 
 from touchdown.backend.bench import (
-    FAULT_DEVICES,
-    PRIORITY,
+    EMULATOR_PRIORITY,
     EmulatedScene,
-    Emulation,
-    EmulationChoice,
-    WrenchFunction,
     bench_toml,
     emulate,
     lab_toml,
     serve_bench,
-    take_short_turns,
+    shorten_switch_interval,
 )
 from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels
 from touchdown.backend.config import first_error_message
 from touchdown.backend.core import FINGERS, InputError, round_robin_priority
+from touchdown.backend.devices import emulated_makes
 from touchdown.backend.devices.gelsight import SERIAL
 from touchdown.backend.emulation import (
     AMOUNTS,
     DeviceServer,
+    Emulation,
+    EmulationChoice,
     FaultPlan,
+    WrenchFunction,
     add_noise,
     hanging_gripper,
     load_faults,
@@ -128,7 +128,7 @@ BENCH = "bench"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "kind", choices=[*FAULT_DEVICES, BENCH], help="which device, or all of a bench"
+        "kind", choices=[*emulated_makes(), BENCH], help="which device, or all of a bench"
     )
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
     parser.add_argument("--port", type=_port, help="port (default: a free one)")
@@ -190,7 +190,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             args.folder = Path(rest.enter_context(tempfile.TemporaryDirectory(prefix="bench-")))
         if args.kind == BENCH:
             # Threads of one interpreter wait for each other: none may wait for other programs.
-            rest.enter_context(round_robin_priority(PRIORITY))
+            rest.enter_context(round_robin_priority(EMULATOR_PRIORITY))
         world, emulation = _bench(args) if args.kind == BENCH else (None, _device(args))
         return _serve(args, screen, world, emulation)
 
@@ -201,7 +201,7 @@ def _serve(
     end = threading.Event()
     begun_s = time.monotonic()
     if world is not None:
-        take_short_turns()
+        shorten_switch_interval()
         world.start()
     emulation.start()
     try:

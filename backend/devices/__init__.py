@@ -7,7 +7,9 @@ import lazy_loader
 if TYPE_CHECKING:
     from touchdown.backend.devices import (
         discovery,
+        factories,
         guarded_devices,
+        identification,
         interlock,
         jog,
         protocols,

@@ -1,6 +1,8 @@
 from .discovery import choices as choices
-from .discovery import make_tactile as make_tactile
-from .discovery import refuse_unknown_drivers as refuse_unknown_drivers
+from .factories import make_arm as make_arm
+from .factories import make_force_torque as make_force_torque
+from .factories import make_gripper as make_gripper
+from .factories import make_tactile as make_tactile
 from .guarded_devices import GuardedArm as GuardedArm
 from .guarded_devices import GuardedGripper as GuardedGripper
 from .interlock import LEASE_S as LEASE_S
@@ -60,9 +62,10 @@ from .protocols import Vector as Vector
 from .protocols import replaced_fault as replaced_fault
 from .protocols import servo_off_fault as servo_off_fault
 from .protocols import stopped_fault as stopped_fault
-from .registry import make_arm as make_arm
-from .registry import make_force_torque as make_force_torque
-from .registry import make_gripper as make_gripper
+from .registry import DeviceKind as DeviceKind
+from .registry import Make as Make
+from .registry import emulated_makes as emulated_makes
+from .registry import refuse_unknown_drivers as refuse_unknown_drivers
 from .supervision import NAMES as NAMES
 from .supervision import ArrivalMonitor as ArrivalMonitor
 from .supervision import DegradedDevice as DegradedDevice
@@ -95,6 +98,7 @@ __all__ = [
     "ConnectionSteps",
     "DegradedDevice",
     "Device",
+    "DeviceKind",
     "DeviceState",
     "ForceTorqueSensor",
     "Frame",
@@ -113,6 +117,7 @@ __all__ = [
     "JogSurroundings",
     "Joints",
     "Limits",
+    "Make",
     "Motion",
     "PressCommand",
     "ReleaseAuthorisation",
@@ -126,6 +131,7 @@ __all__ = [
     "TracedArm",
     "Vector",
     "choices",
+    "emulated_makes",
     "jig_refusal",
     "make_arm",
     "make_force_torque",

@@ -1,6 +1,6 @@
 """Identification of an unexpected device by its protocol.
 
-Used when the expected device does not answer, to name the one that does.
+When the expected device does not answer, the fault text names the device that does.
 """
 
 from __future__ import annotations
@@ -8,37 +8,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Protocol
 
-from touchdown.backend.devices.bota import Boot, BotaFrame, incoming
-from touchdown.backend.devices.dynpick import DynpickCommand, DynpickRecord, records
-from touchdown.backend.devices.ft300 import FIRMWARE_REGISTER, Ft300Sample, Read, Registers
-from touchdown.backend.devices.ft300 import encode as protocol_encode
-from touchdown.backend.devices.ft300 import incoming as protocol_incoming_2
-from touchdown.backend.devices.leptrino import (
-    Info,
-    LeptrinoCommand,
-    LeptrinoSample,
-    Plain,
-    encode,
-    packets,
-)
-from touchdown.backend.devices.optoforce import OptoforceFrame
-from touchdown.backend.devices.optoforce import incoming as protocol_incoming
-from touchdown.backend.devices.wsg import (
-    Assignment,
-    Query,
-    WsgCommand,
-    WsgReply,
-    WsgRequest,
-    encode_request,
-    lines,
-    replies,
-)
-from touchdown.backend.devices.wsg import encode as gcl_encode
+from touchdown.backend.devices import registry
 
-LISTEN_S = 0.15
-"""So long for what comes of itself, and for each answer."""
+LISTEN_S = 0.15  # for unrequested messages, and for each answer
 READ_S = 0.02
 
 
@@ -48,75 +23,82 @@ class _Decoder(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ProtocolSignature:
-    """One protocol: its name in bench files, the device in words, and how it is known.
+    """Identifying traits of one protocol.
 
-    ``request`` only reads, and no other device here moves or changes by its bytes; empty where
-    the device speaks of itself. ``messages`` are the types that no noise is taken for, ``least``
-    how many of them there must be.
+    Parameters
+    ----------
+    name
+        Protocol or driver name in the lab file.
+    description
+        Device, for the text of a fault.
+    request
+        Bytes that make the device answer. They must read only, and must not move or configure any
+        other device. Empty if the device sends without a request.
+    decoder
+        Factory of the decoder of its messages.
+    messages
+        Message types that noise cannot imitate.
+    least
+        Number of such messages that identify the device.
+
     """
 
     name: str
-    words: str
+    description: str
     request: bytes
     decoder: Callable[[], _Decoder]
     messages: tuple[type, ...]
     least: int = 1
 
 
-PROTOCOL_SIGNATURES: Sequence[ProtocolSignature] = (
-    ProtocolSignature(
-        "binary", "a WSG gripper that speaks its binary protocol",
-        encode_request(WsgRequest(WsgCommand.SYSTEM_STATE, (0, 0))),
-        replies, (WsgReply,),
-    ),
-    ProtocolSignature(
-        "gcl", "a WSG gripper that speaks its text protocol",
-        b"\n" + gcl_encode(Query("GRIPSTATE")), lines, (Assignment,),
-    ),
-    ProtocolSignature(
-        "leptrino", "a Leptrino force/torque sensor",
-        encode(Plain(LeptrinoCommand.INFO)),
-        packets, (Info, LeptrinoSample), 1,
-    ),
-    ProtocolSignature(
-        "ft300", "a Robotiq FT300 force/torque sensor",
-        protocol_encode(Read(FIRMWARE_REGISTER, 3)),
-        protocol_incoming_2, (Registers, Ft300Sample),
-    ),
-    ProtocolSignature(
-        "dynpick", "a Dynpick force/torque sensor", 2 * DynpickCommand.READ.value,
-        records, (DynpickRecord,), 2,
-    ),
-    ProtocolSignature("bota", "a Bota force/torque sensor", b"", incoming, (Boot, BotaFrame), 2),
-    ProtocolSignature(
-        "optoforce", "an OptoForce force/torque sensor", b"", protocol_incoming,
-        (OptoforceFrame,), 2,
-    ),
-)  # fmt: skip
+def load_signatures() -> tuple[ProtocolSignature, ...]:
+    """Return the signatures of all makes, in the order of ``MAKES``.
+
+    The first call imports their protocols. Factories call it, so that no import delays the
+    real-time process later.
+    """
+    return _load(registry.MAKES)
+
+
+@cache
+def _load(makes: tuple[registry.Make, ...]) -> tuple[ProtocolSignature, ...]:
+    return tuple(s for make in makes if make.signatures for s in make.load(make.signatures))
 
 
 def identify_device(
     send: Callable[[bytes], None], receive: Callable[[float], bytes], expected: str
 ) -> str:
-    """Return who is at the other end, in words; nothing if nobody known, or ``expected`` itself.
+    """Return the description of the connected device.
 
-    ``receive`` waits at most so many seconds; both may raise ``OSError``: then nobody is known.
+    Parameters
+    ----------
+    send, receive
+        Access to the wire. ``receive`` waits at most the given seconds. Both may raise ``OSError``.
+    expected
+        Name of the protocol or driver that was expected.
+
+    Returns
+    -------
+    str
+        Empty if the device is unknown, is the expected one, or if the wire fails.
+
     """
-    heard = [(kind, kind.decoder()) for kind in PROTOCOL_SIGNATURES]
-    known = {kind.name: 0 for kind in PROTOCOL_SIGNATURES}
+    signatures = load_signatures()
+    decoders = [(signature, signature.decoder()) for signature in signatures]
+    known = dict.fromkeys((signature.name for signature in signatures), 0)
     try:
-        for request in (b"", *(kind.request for kind in PROTOCOL_SIGNATURES if kind.request)):
+        for request in (b"", *(s.request for s in signatures if s.request)):
             if request:
                 send(request)
             end_s = time.monotonic() + LISTEN_S
             while (left_s := end_s - time.monotonic()) > 0:
                 data = receive(min(left_s, READ_S))
-                for kind, decoder in heard if data else ():
-                    known[kind.name] += sum(
-                        isinstance(m, kind.messages) for m in decoder.feed(data)
+                for signature, decoder in decoders if data else ():
+                    known[signature.name] += sum(
+                        isinstance(m, signature.messages) for m in decoder.feed(data)
                     )
-                    if known[kind.name] >= kind.least:
-                        return "" if kind.name == expected else kind.words
+                    if known[signature.name] >= signature.least:
+                        return "" if signature.name == expected else signature.description
     except OSError:
         pass
     return ""

@@ -1,177 +1,142 @@
-"""Registry of the drivers for arm, gripper, wrist sensor by the name in a bench file.
+"""Registry of device makes: one line per make in ``MAKES``, then the makes of installed packages.
 
-Shipped drivers first, then those that installed packages offer by entry point. A shipped driver
-cannot be replaced. The real-time process loads this module: it must not import cameras, OpenCV or
-emulators.
+A make is a folder of this package. Its driver, its emulator and its protocol signatures are loaded
+by name when they are needed, so that the real-time process loads neither emulators nor OpenCV. An
+installed package offers a driver as ``name = "module:callable"`` under the entry points
+``touchdown.<kind>``. A shipped driver cannot be replaced.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import TypeVar
+from typing import Any, Literal
 
 from touchdown.backend.config import HardwareSettings
-from touchdown.backend.core import InputError, SampleStream
-from touchdown.backend.devices.bota import BotaDriver
-from touchdown.backend.devices.dynpick import DynpickDriver
-from touchdown.backend.devices.force_torque import (
-    LATE_S,
-    ForceTorqueReader,
-    SensorLink,
-    WrenchDriver,
-    open_link,
-)
-from touchdown.backend.devices.ft300 import Ft300Driver
-from touchdown.backend.devices.leptrino import LeptrinoDriver
-from touchdown.backend.devices.melfa import (
-    MelfaArm,
-    MelfaWrenchDriver,
-    SocketLinks,
-    monitor_address,
-)
-from touchdown.backend.devices.netft import NetFtDriver
-from touchdown.backend.devices.optoforce import OptoforceDriver
-from touchdown.backend.devices.protocols import Arm, Gripper
-from touchdown.backend.devices.ur import SCHEME, UrArm, UrWrenchDriver, open_rtde
-from touchdown.backend.devices.wsg import BinaryProtocol, GclProtocol, GripperProtocol, WsgGripper
+from touchdown.backend.core import InputError
 
-Maker = TypeVar("Maker")
+DeviceKind = Literal["force_torque", "gripper", "arm", "tactile"]
 
 
-def find_driver(group: str, name: str, shipped: Mapping[str, Maker], where: str) -> Maker:
-    """Return what makes the driver ``name``; raises ``InputError`` for one nobody offers.
+@dataclass(frozen=True, slots=True)
+class Make:
+    """One make of device; the other names are exports of its folder ``backend/devices/<name>``.
 
-    A package offers a driver as ``name = "module:callable"`` under the entry points ``group``; one
-    that ships cannot be replaced.
+    Parameters
+    ----------
+    kind
+        Kind of device. It fixes the arguments of ``driver``, see ``factories``.
+    name
+        Name of the folder, and of the driver in lab files.
+    driver
+        Callable that returns the driver.
+    emulator
+        Callable ``(choice, faults) -> Emulation``, empty if there is none.
+    signatures
+        Sequence of ``ProtocolSignature``, empty if the device cannot be identified by its bytes.
+    emulated_as
+        Name for ``touchdown emulate`` where one folder holds two kinds of device.
+
     """
-    if name in shipped:
-        return shipped[name]
-    offered = {point.name: point for point in entry_points(group=group)}
+
+    kind: DeviceKind
+    name: str
+    driver: str
+    emulator: str = ""
+    signatures: str = ""
+    emulated_as: str = ""
+
+    def load(self, export: str) -> Any:
+        """Return an export of the make's folder."""
+        return getattr(importlib.import_module(f"{__package__}.{self.name}"), export)
+
+
+# Unknown devices are identified in this order: it is the order of requests on the wire.
+MAKES: tuple[Make, ...] = (
+    Make("gripper", "wsg", "make_wsg", "emulate_wsg", "SIGNATURES"),
+    Make("force_torque", "leptrino", "LeptrinoDriver", "emulate_leptrino", "SIGNATURES"),
+    Make("force_torque", "ft300", "Ft300Driver", "emulate_ft300", "SIGNATURES"),
+    Make("force_torque", "dynpick", "DynpickDriver", "emulate_dynpick", "SIGNATURES"),
+    Make("force_torque", "bota", "BotaDriver", "emulate_bota", "SIGNATURES"),
+    Make("force_torque", "optoforce", "OptoforceDriver", "emulate_optoforce", "SIGNATURES"),
+    Make("force_torque", "netft", "NetFtDriver", "emulate_netft"),
+    Make("force_torque", "melfa", "MelfaWrenchDriver", "emulate_monitor", emulated_as="monitor"),
+    Make("force_torque", "ur", "UrWrenchDriver"),
+    Make("arm", "melfa", "make_melfa", "emulate_melfa"),
+    Make("arm", "ur", "make_ur"),
+    Make("tactile", "gelsight", "make_gelsight", "emulate_gelsight"),
+    Make("tactile", "lerobot", "make_lerobot"),
+)
+
+# Key of the lab file that names the driver.
+DRIVER_KEYS: Mapping[DeviceKind, str] = {
+    "force_torque": "ft.driver",
+    "tactile": "gelsight.driver",
+    "gripper": "wsg.driver",
+    "arm": "melfa.driver",
+}
+
+
+def load_driver(kind: DeviceKind, settings: HardwareSettings) -> Any:
+    """Return the callable that makes the driver of a lab file.
+
+    Raises
+    ------
+    InputError
+        If no installed package offers the driver, or if it cannot be imported.
+
+    """
+    name, where = driver_name(kind, settings), DRIVER_KEYS[kind]
+    for make in MAKES:
+        if (make.kind, make.name) == (kind, name):
+            return make.load(make.driver)
+    offered = {point.name: point for point in entry_points(group=f"touchdown.{kind}")}
     if name not in offered:
-        raise unknown_driver_error(name, where, [*shipped, *sorted(offered)])
+        raise unknown_driver_error(name, where, driver_names(kind))
     try:
-        maker: Maker = offered[name].load()
+        return offered[name].load()
     except (ImportError, AttributeError) as error:
         raise InputError(
-            f"The driver '{name}' cannot be loaded: {error}.", where, "Install its package anew."
+            f"The driver '{name}' cannot be loaded: {error}.", where, "Reinstall its package."
         ) from error
-    return maker
+
+
+def driver_name(kind: DeviceKind, settings: HardwareSettings) -> str:
+    """Return the name of the driver in a lab file."""
+    table, field = DRIVER_KEYS[kind].split(".")
+    return str(getattr(getattr(settings, table), field))
+
+
+def driver_names(kind: DeviceKind) -> list[str]:
+    """Return the names of the drivers that are shipped or installed."""
+    installed = sorted(point.name for point in entry_points(group=f"touchdown.{kind}"))
+    return [*(make.name for make in MAKES if make.kind == kind), *installed]
+
+
+def drivers() -> Mapping[str, list[str]]:
+    """Return the names of the drivers by the key of the lab file."""
+    return {key: driver_names(kind) for kind, key in DRIVER_KEYS.items()}
+
+
+def emulated_makes() -> Mapping[str, Make]:
+    """Return the makes that have an emulator, by their name for ``touchdown emulate``."""
+    return {make.emulated_as or make.name: make for make in MAKES if make.emulator}
+
+
+def refuse_unknown_drivers(settings: HardwareSettings, where: str) -> None:
+    """Raise ``InputError`` for the first unknown driver; none is loaded."""
+    for kind, key in DRIVER_KEYS.items():
+        name, known = driver_name(kind, settings), driver_names(kind)
+        if name not in known:
+            raise unknown_driver_error(name, f"{where}, {key}", known)
 
 
 def unknown_driver_error(name: str, where: str, known: Sequence[str]) -> InputError:
-    """Return the error of a driver that none of the installed packages offers."""
+    """Return the error for a driver that is neither shipped nor installed."""
     return InputError(
         f"There is no driver '{name}'.",
         where,
         f"Use one of {', '.join(known)}, or install the package that offers it.",
     )
-
-
-ARM_ENTRY_POINTS = "touchdown.arm"
-"""Entry points: name -> callable(settings, now_s, wrench, poses) that returns an ``Arm``."""
-
-ArmMaker = Callable[[HardwareSettings, Callable[[], float], SampleStream, SampleStream], Arm]
-
-
-def make_arm(
-    settings: HardwareSettings,
-    now_s: Callable[[], float],
-    wrench: SampleStream,
-    poses: SampleStream,
-) -> Arm:
-    """Return the driver of ``melfa.driver``; raises ``InputError``.
-
-    ``wrench``: untared samples of the wrist in the axes of the bench; ``poses`` takes what the arm
-    measures of ``G``.
-    """
-    shipped: dict[str, ArmMaker] = {"melfa": _melfa, "ur": _ur}
-    maker = find_driver(ARM_ENTRY_POINTS, settings.melfa.driver, shipped, "melfa.driver")
-    return maker(settings, now_s, wrench, poses)
-
-
-def _melfa(
-    settings: HardwareSettings,
-    now_s: Callable[[], float],
-    wrench: SampleStream,
-    poses: SampleStream,
-) -> MelfaArm:
-    return MelfaArm(SocketLinks(settings.melfa, now_s), wrench, settings.melfa, now_s, poses)
-
-
-def _ur(
-    settings: HardwareSettings,
-    now_s: Callable[[], float],
-    wrench: SampleStream,
-    poses: SampleStream,
-) -> UrArm:
-    return UrArm(settings.ur, now_s, wrench, poses)
-
-
-WRIST_SENSOR_ENTRY_POINTS = "touchdown.force_torque"
-"""Entry points: name -> callable(settings, address) that returns a ``Language``."""
-
-WristSensorMaker = Callable[[HardwareSettings, str], WrenchDriver]
-WRIST_SENSOR_DRIVERS: dict[str, WristSensorMaker] = {
-    "dynpick": DynpickDriver,
-    "leptrino": LeptrinoDriver,
-    "ft300": Ft300Driver,
-    "bota": BotaDriver,
-    "optoforce": OptoforceDriver,
-    "netft": NetFtDriver,
-    "melfa": MelfaWrenchDriver,
-    "ur": UrWrenchDriver,
-}
-
-
-def make_force_torque(
-    settings: HardwareSettings,
-    now_s: Callable[[], float],
-    samples: SampleStream | None = None,
-) -> ForceTorqueReader:
-    """Return the driver of ``ft.driver`` at ``ft.address``; raises ``InputError``."""
-    address = settings.ft.address
-    if not address and settings.ft.driver == "melfa":
-        address = monitor_address(settings)
-    if not address and settings.ft.driver == "ur":
-        address = SCHEME + settings.ur.host
-    if not address:
-        raise InputError(
-            "The sensor has no address.", "ft.address", "Name its serial port or host."
-        )
-    language = find_driver(
-        WRIST_SENSOR_ENTRY_POINTS, settings.ft.driver, WRIST_SENSOR_DRIVERS, "ft.driver"
-    )
-    maker = partial(language, settings, address)
-    maker()  # what the settings lack is told now, not at the first connection
-
-    def link(language: WrenchDriver) -> SensorLink:
-        if address.startswith(SCHEME):
-            return open_rtde(settings, address)
-        return open_link(address, baud=language.baud, chunk=language.chunk)
-
-    late_s = LATE_S if "://" in address else max(LATE_S, 1e-3 * settings.serial.latency_ms)
-    return ForceTorqueReader(maker, link, settings.ft, now_s, samples, late_s)
-
-
-GRIPPER_ENTRY_POINTS = "touchdown.gripper"
-"""Entry points: name -> callable(settings, now_s) that returns a ``Gripper``."""
-
-GripperMaker = Callable[[HardwareSettings, Callable[[], float]], Gripper]
-
-
-def make_gripper(settings: HardwareSettings, now_s: Callable[[], float]) -> Gripper:
-    """Return the driver of ``wsg.driver``; raises ``InputError``."""
-    shipped: dict[str, GripperMaker] = {"wsg": _wsg}
-    return find_driver(GRIPPER_ENTRY_POINTS, settings.wsg.driver, shipped, "wsg.driver")(
-        settings, now_s
-    )
-
-
-def _wsg(settings: HardwareSettings, now_s: Callable[[], float]) -> WsgGripper:
-    wsg = settings.wsg
-    language: Callable[[], GripperProtocol] = BinaryProtocol
-    if wsg.protocol == "gcl":
-        language = partial(GclProtocol, wsg)
-    return WsgGripper(wsg.host, wsg.port, wsg, now_s, language)

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
         disturbances,
         fault_plan,
         server,
+        serving,
     )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -15,23 +15,37 @@ from .server import EmulatedDevice as EmulatedDevice
 from .server import PtyServer as PtyServer
 from .server import TcpServer as TcpServer
 from .server import UdpServer as UdpServer
+from .serving import BenchTables as BenchTables
+from .serving import Emulation as Emulation
+from .serving import EmulationChoice as EmulationChoice
+from .serving import PictureFunction as PictureFunction
+from .serving import StreamingSensor as StreamingSensor
+from .serving import WrenchFunction as WrenchFunction
+from .serving import serve_serial as serve_serial
 
 __all__ = [
     "AMOUNTS",
     "CHUNK",
     "UNPLUGGED_S",
+    "BenchTables",
     "DeviceServer",
     "DisturbanceScript",
     "EmulatedDevice",
+    "Emulation",
+    "EmulationChoice",
     "FaultPlan",
     "Faults",
+    "PictureFunction",
     "PtyServer",
     "SampleSchedule",
+    "StreamingSensor",
     "TcpServer",
     "UdpServer",
+    "WrenchFunction",
     "add_noise",
     "apply_faults",
     "hanging_gripper",
     "load_faults",
     "parse_script",
+    "serve_serial",
 ]

@@ -1,7 +1,9 @@
 from .driver import BotaDriver as BotaDriver
-from .emulator import EmulatedBota as EmulatedBota
-from .protocol import Boot as Boot
-from .protocol import BotaFrame as BotaFrame
-from .protocol import incoming as incoming
+from .emulator import emulate_bota as emulate_bota
+from .protocol import SIGNATURES as SIGNATURES
 
-__all__ = ["Boot", "BotaDriver", "BotaFrame", "EmulatedBota", "incoming"]
+__all__ = [
+    "SIGNATURES",
+    "BotaDriver",
+    "emulate_bota",
+]

@@ -16,7 +16,14 @@ from touchdown.backend.devices.bota.protocol import (
     BotaRequest,
     BotaStatus,
 )
-from touchdown.backend.emulation import SampleSchedule
+from touchdown.backend.emulation import (
+    Emulation,
+    EmulationChoice,
+    Faults,
+    SampleSchedule,
+    apply_faults,
+    serve_serial,
+)
 
 RATED = (500.0, 500.0, 1200.0, 15.0, 15.0, 12.0)
 TEMPERATURE_C = 27.5
@@ -90,3 +97,8 @@ class EmulatedBota:
         status = int(BotaStatus.OVER_RANGE) if over else 0
         timestamp_us = round(now_s * 1e6) % TIMESTAMP_TURN
         return protocol.encode(BotaFrame(status, values, timestamp_us, TEMPERATURE_C))
+
+
+def emulate_bota(choice: EmulationChoice, faults: Faults) -> Emulation:
+    """Serve the sensor on a pseudo terminal or TCP port."""
+    return serve_serial(EmulatedBota(apply_faults(choice.wrench, faults)), choice, faults)

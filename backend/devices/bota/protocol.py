@@ -24,6 +24,7 @@ from touchdown.backend.devices.framing import (
     require_length,
     wrench_of,
 )
+from touchdown.backend.devices.identification import ProtocolSignature
 
 FRAME_BYTES = 37
 HEADER = 0xAA
@@ -179,3 +180,8 @@ def _take_request(data: bytes, at: int) -> FrameStep[BotaRequest] | None:
     if len(data) - at < _REQUEST_LONGEST and re.fullmatch(rb"[cf][0-9,]*", data[at:]):
         return None
     return FrameStep(1, refused=True)
+
+
+SIGNATURES = (
+    ProtocolSignature("bota", "a Bota force/torque sensor", b"", incoming, (Boot, BotaFrame), 2),
+)

@@ -1,7 +1,11 @@
 from .driver import DynpickDriver as DynpickDriver
 from .emulator import EmulatedDynpick as EmulatedDynpick
-from .protocol import DynpickCommand as DynpickCommand
-from .protocol import DynpickRecord as DynpickRecord
-from .protocol import records as records
+from .emulator import emulate_dynpick as emulate_dynpick
+from .protocol import SIGNATURES as SIGNATURES
 
-__all__ = ["DynpickCommand", "DynpickDriver", "DynpickRecord", "EmulatedDynpick", "records"]
+__all__ = [
+    "SIGNATURES",
+    "DynpickDriver",
+    "EmulatedDynpick",
+    "emulate_dynpick",
+]

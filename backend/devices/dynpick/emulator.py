@@ -14,7 +14,14 @@ from touchdown.backend.devices.dynpick.protocol import (
     DynpickCommand,
     DynpickRecord,
 )
-from touchdown.backend.emulation import SampleSchedule
+from touchdown.backend.emulation import (
+    Emulation,
+    EmulationChoice,
+    Faults,
+    SampleSchedule,
+    apply_faults,
+    serve_serial,
+)
 
 RATE_HZ = 1000.0
 SENSITIVITY = (65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75)
@@ -104,3 +111,8 @@ class EmulatedDynpick:
         record = DynpickRecord(self._tick, counts)
         self._tick = (self._tick + 1) % 10
         return protocol.encode_record(record)
+
+
+def emulate_dynpick(choice: EmulationChoice, faults: Faults) -> Emulation:
+    """Serve the sensor on a pseudo terminal or TCP port."""
+    return serve_serial(EmulatedDynpick(apply_faults(choice.wrench, faults)), choice, faults)

@@ -19,6 +19,7 @@ from touchdown.backend.devices.framing import (
     Wrench,
     wrench_of,
 )
+from touchdown.backend.devices.identification import ProtocolSignature
 
 ZERO_COUNT, TOP_COUNT = 0x2000, 0x3FFF
 """Counts of no load and of the upper end; the lower end is 0."""
@@ -157,3 +158,15 @@ def decode_filter(data: bytes) -> int:
     if data[:1] not in (b"1", b"2", b"4", b"8"):
         raise ProtocolError("digit", "dynpick filter")
     return int(data[:1])
+
+
+SIGNATURES = (
+    ProtocolSignature(
+        "dynpick",
+        "a Dynpick force/torque sensor",
+        2 * DynpickCommand.READ.value,
+        records,
+        (DynpickRecord,),
+        2,
+    ),
+)

@@ -1,19 +1,9 @@
 from .driver import Ft300Driver as Ft300Driver
-from .emulator import EmulatedFt300 as EmulatedFt300
-from .protocol import FIRMWARE_REGISTER as FIRMWARE_REGISTER
-from .protocol import Ft300Sample as Ft300Sample
-from .protocol import Read as Read
-from .protocol import Registers as Registers
-from .protocol import encode as encode
-from .protocol import incoming as incoming
+from .emulator import emulate_ft300 as emulate_ft300
+from .protocol import SIGNATURES as SIGNATURES
 
 __all__ = [
-    "FIRMWARE_REGISTER",
-    "EmulatedFt300",
+    "SIGNATURES",
     "Ft300Driver",
-    "Ft300Sample",
-    "Read",
-    "Registers",
-    "encode",
-    "incoming",
+    "emulate_ft300",
 ]

@@ -26,7 +26,14 @@ from touchdown.backend.devices.ft300.protocol import (
     WriteMany,
     WriteOne,
 )
-from touchdown.backend.emulation import SampleSchedule
+from touchdown.backend.emulation import (
+    Emulation,
+    EmulationChoice,
+    Faults,
+    SampleSchedule,
+    apply_faults,
+    serve_serial,
+)
 
 PERIOD_S = 0.01
 SERIAL, FIRMWARE, YEAR = b"F-12345\x00", b"FTS-3\x00", 2021
@@ -91,3 +98,8 @@ class EmulatedFt300:
 
 def _words(content: bytes) -> list[int]:
     return [int.from_bytes(content[at : at + 2], "big") for at in range(0, len(content), 2)]
+
+
+def emulate_ft300(choice: EmulationChoice, faults: Faults) -> Emulation:
+    """Serve the sensor on a pseudo terminal or TCP port."""
+    return serve_serial(EmulatedFt300(apply_faults(choice.wrench, faults)), choice, faults)

@@ -18,6 +18,7 @@ from touchdown.backend.devices.framing import (
     noise_until,
     wrench_of,
 )
+from touchdown.backend.devices.identification import ProtocolSignature
 
 SLAVE = 9
 STREAM_HEADER = b"\x20\x4e"
@@ -249,3 +250,14 @@ def _request(body: bytes) -> Ft300Request:
     if body[1] == _WRITE_ONE:
         return WriteOne(register, value)
     return WriteMany(register, struct.unpack(f">{value}H", body[7:]))
+
+
+SIGNATURES = (
+    ProtocolSignature(
+        "ft300",
+        "a Robotiq FT300 force/torque sensor",
+        encode(Read(FIRMWARE_REGISTER, 3)),
+        incoming,
+        (Registers, Ft300Sample),
+    ),
+)

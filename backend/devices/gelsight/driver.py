@@ -16,7 +16,7 @@ from typing import Generic, TypeAlias, TypeVar
 
 import numpy as np
 
-from touchdown.backend.config import GelsightSettings
+from touchdown.backend.config import GelsightSettings, HardwareSettings
 from touchdown.backend.core import Fault, FaultError, Finger, ImageArray, Stream, TactileFrame
 from touchdown.backend.devices.cameras import PictureFilter, PictureSource, link_fault, open_source
 from touchdown.backend.devices.protocols import ConnectionSteps, DeviceState, Health, Identity
@@ -337,3 +337,13 @@ class TactileCamera:
         self.fault = fault
         if self._first.is_set():
             self._state = DeviceState.FAULT
+
+
+def make_gelsight(
+    finger: Finger,
+    settings: HardwareSettings,
+    now_s: Callable[[], float],
+    frames: Stream[TactileFrame],
+) -> TactileCamera:
+    """Return the camera of one finger, found by its serial number."""
+    return TactileCamera(finger, settings.gelsight, now_s, frames)

@@ -11,17 +11,22 @@ import contextlib
 import os
 import select
 import shutil
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from touchdown.backend.core import Clock, Decimator, ImageArray
-from touchdown.backend.emulation import DeviceServer, Faults
+from touchdown.backend.core import Clock, Decimator, Finger, ImageArray, InputError
+from touchdown.backend.emulation import (
+    BenchTables,
+    DeviceServer,
+    Emulation,
+    EmulationChoice,
+    Faults,
+    PictureFunction,
+)
 
-PictureFunction = Callable[[float], ImageArray | None]
-"""(now) -> the picture to send, None if there is no new one."""
 WIDTH_PX = 320
 """Width of the pictures that ``OTHER`` and ``TILE_COLUMNS`` are of."""
 OTHER = np.array([[1.0, 0.012, 3.0], [-0.01, 0.985, 4.0]])
@@ -231,3 +236,23 @@ def small_dots(picture: ImageArray) -> ImageArray:
 
 GELS = {"other_gel": other_gel, "small_dots": small_dots}
 """What a fault of this kind fits in place of the gel."""
+
+
+def emulate_gelsight(choice: EmulationChoice, faults: Faults) -> Emulation:
+    """Serve the pictures of a camera in a folder; raises ``InputError`` without either."""
+    choice.network_port()
+    if choice.folder is None or choice.port is not None or choice.pictures is None:
+        raise InputError(
+            "An emulated camera is a pipe in a folder.", "--folder", "Name a folder; no --port."
+        )
+    serial = choice.serial or SERIAL
+    front = GelsightServer(choice.pictures, choice.folder, serial, faults=faults)
+    return Emulation((front,), camera_tables(choice.folder, {choice.finger: serial}))
+
+
+def camera_tables(folder: Path, serials: Mapping[Finger, str]) -> BenchTables:
+    """Return the tables of a bench file for emulated cameras."""
+    names = {"by_id": "by-id", "names": "names", "nodes": "nodes"}
+    places = {key: str((folder / name).resolve()) for key, name in names.items()}
+    own = {f"gelsight.{finger}": {"serial": serial} for finger, serial in serials.items()}
+    return {"gelsight": {**places, "crop_fraction": 0.0}, **own}

@@ -1,19 +1,9 @@
 from .driver import LeptrinoDriver as LeptrinoDriver
-from .emulator import EmulatedLeptrino as EmulatedLeptrino
-from .protocol import Info as Info
-from .protocol import LeptrinoCommand as LeptrinoCommand
-from .protocol import LeptrinoSample as LeptrinoSample
-from .protocol import Plain as Plain
-from .protocol import encode as encode
-from .protocol import packets as packets
+from .emulator import emulate_leptrino as emulate_leptrino
+from .protocol import SIGNATURES as SIGNATURES
 
 __all__ = [
-    "EmulatedLeptrino",
-    "Info",
-    "LeptrinoCommand",
+    "SIGNATURES",
     "LeptrinoDriver",
-    "LeptrinoSample",
-    "Plain",
-    "encode",
-    "packets",
+    "emulate_leptrino",
 ]

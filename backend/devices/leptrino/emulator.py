@@ -24,7 +24,14 @@ from touchdown.backend.devices.leptrino.protocol import (
     Plain,
     Rated,
 )
-from touchdown.backend.emulation import SampleSchedule
+from touchdown.backend.emulation import (
+    Emulation,
+    EmulationChoice,
+    Faults,
+    SampleSchedule,
+    apply_faults,
+    serve_serial,
+)
 
 RATED = (250.0, 250.0, 250.0, 6.0, 6.0, 6.0)
 INFO = Info("PFS080YA501A6", "00012345", "1.13")
@@ -99,3 +106,8 @@ def _refusal(data: bytes) -> Packet:
     content = b"" if found is None else found[1].replace(b"\x10\x10", b"\x10")
     whole = found is not None and len(content) >= 3 and xor8(content) ^ ETX == found[2][0]
     return Plain(content[2], LENGTH) if whole else Nak()
+
+
+def emulate_leptrino(choice: EmulationChoice, faults: Faults) -> Emulation:
+    """Serve the sensor on a pseudo terminal or TCP port."""
+    return serve_serial(EmulatedLeptrino(apply_faults(choice.wrench, faults)), choice, faults)

@@ -20,6 +20,7 @@ from touchdown.backend.devices.framing import (
     wrench_of,
     xor8,
 )
+from touchdown.backend.devices.identification import ProtocolSignature
 
 DLE, STX, ETX, NAK_BYTE = 0x10, 0x02, 0x03, 0x15
 LONGEST_DATA = 128
@@ -239,3 +240,14 @@ def _finite(loads: tuple[float, ...]) -> tuple[float, ...]:
     if not all(0 < load < 1e6 for load in loads):
         raise ProtocolError("range", "leptrino rated load", 4)
     return loads
+
+
+SIGNATURES = (
+    ProtocolSignature(
+        "leptrino",
+        "a Leptrino force/torque sensor",
+        encode(Plain(LeptrinoCommand.INFO)),
+        packets,
+        (Info, LeptrinoSample),
+    ),
+)

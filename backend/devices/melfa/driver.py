@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from touchdown.backend.config import MelfaSettings
+from touchdown.backend.config import HardwareSettings, MelfaSettings
 from touchdown.backend.core import (
     IDENTITY_ROTATION,
     Fault,
@@ -35,6 +35,7 @@ from touchdown.backend.devices.melfa.force_program import AirBaseline, ForceProg
 from touchdown.backend.devices.melfa.kinematics import JOINT_RANGES, MelfaPlacement
 from touchdown.backend.devices.melfa.r3_protocol import ControllerState, RunStatus
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
+from touchdown.backend.devices.melfa.sockets import SocketLinks
 from touchdown.backend.devices.melfa.stream import END, Phase, StreamCore, StreamInput
 from touchdown.backend.devices.protocols import (
     ARM,
@@ -572,3 +573,13 @@ class MelfaArm:
         if not self._powered:
             # The program of the stream would switch them on.
             raise FaultError(servo_off_fault(ARM))
+
+
+def make_melfa(
+    settings: HardwareSettings,
+    now_s: Callable[[], float],
+    wrench: SampleStream,
+    poses: SampleStream,
+) -> MelfaArm:
+    """Return the arm at ``melfa.host``."""
+    return MelfaArm(SocketLinks(settings.melfa, now_s), wrench, settings.melfa, now_s, poses)

@@ -12,19 +12,34 @@ import socket
 from collections.abc import Callable
 from functools import partial
 
-from touchdown.backend.config import MelfaSettings
+from touchdown.backend.config import HardwareSettings, MelfaSettings
 from touchdown.backend.core import Clock, FloatArray
-from touchdown.backend.devices.melfa.emulated_channels import EmulatedCommands, EmulatedStream
+from touchdown.backend.devices.melfa.emulated_channels import (
+    TYPE_FORCE,
+    EmulatedCommands,
+    EmulatedMonitor,
+    EmulatedStream,
+)
 from touchdown.backend.devices.melfa.emulated_controller import EmulatedController
-from touchdown.backend.emulation import CHUNK, UNPLUGGED_S, DeviceServer, Faults
+from touchdown.backend.emulation import (
+    CHUNK,
+    UNPLUGGED_S,
+    BenchTables,
+    DeviceServer,
+    Emulation,
+    EmulationChoice,
+    Faults,
+    UdpServer,
+    apply_faults,
+)
 
 TICK_S = 0.004
 """Longest sleep between two looks; while cycles are counted, until the next one."""
 ALARM = 2601
 """Error of the fault ``alarm``: a position over its limit."""
 ESTOP = 50
-TIMEOUT_CYCLES = 57
-"""MXTTOUT of a rehearsal: a silent stream ends after 0.2 s, as it should on a real controller."""
+TIMEOUT_CYCLES = 57  # MXTTOUT of the bench file: a silent stream ends after 0.2 s
+IDLE_CHECK_S = 0.5  # of the bench file: shorter than on a real arm
 
 
 class EmulatedMelfa:
@@ -248,3 +263,34 @@ class MelfaServer(DeviceServer):
                 self._on.remove(kind)
                 if kind == "estop":
                     controller.release_emergency_stop()
+
+
+def emulate_melfa(choice: EmulationChoice, faults: Faults) -> Emulation:
+    """Serve the stream on the port, commands and STOP on the two ports above it."""
+    port = choice.network_port()
+    ports = (port + 1, port + 2, port) if port else (0, 0, 0)
+    settings = HardwareSettings.model_validate({"melfa": {"mxt": {"mxttout": TIMEOUT_CYCLES}}})
+    front = MelfaServer(EmulatedMelfa(settings.melfa), choice.host, ports, faults=faults)
+    return Emulation((front,), melfa_tables(front))
+
+
+def melfa_tables(front: MelfaServer) -> BenchTables:
+    """Return the tables of a bench file for an emulated arm."""
+    served = front.settings
+    return {
+        "melfa": {"host": served.host, "idle_check_s": IDLE_CHECK_S},
+        "melfa.r3": {"port": served.r3.port, "stop_port": served.r3.stop_port},
+        "melfa.mxt": {"port": served.mxt.port, "mxttout": served.mxt.mxttout},
+    }
+
+
+def emulate_monitor(choice: EmulationChoice, faults: Faults) -> Emulation:
+    """Serve the force that the controller reports every cycle."""
+    sensor = EmulatedMonitor(apply_faults(choice.wrench, faults))
+    sensor.pace.faults = faults
+    front = UdpServer(sensor, choice.host, choice.network_port(), faults=faults)
+    tables: BenchTables = {
+        "ft": {"driver": "melfa", "address": front.url},
+        "melfa.monitor": {"type_force": TYPE_FORCE},
+    }
+    return Emulation((front,), tables)

@@ -36,11 +36,6 @@ SETTLE_S = 0.05
 COUNTER_TURN = 1 << 32
 
 
-def monitor_address(settings: HardwareSettings) -> str:
-    """Return where the monitor answers if nobody says otherwise: at the arm's own controller."""
-    return f"udp://{settings.melfa.host}:{settings.melfa.monitor.port}"
-
-
 class MelfaWrenchDriver:
     """Old and doubled packets are dropped by their counter; a gap counts as lost."""
 
@@ -61,6 +56,11 @@ class MelfaWrenchDriver:
         self._rated = (own.rated_n,) * 3 + (own.rated_nm,) * 3
         self._last: int | None = None
         self._bad = self._bad_in_a_row = self._discarded = 0
+
+    @staticmethod
+    def default_address(settings: HardwareSettings) -> str:
+        """Return the address of the monitor on the arm's controller."""
+        return f"udp://{settings.melfa.host}:{settings.melfa.monitor.port}"
 
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
         """End a stream that may still run, start one, and see that it carries the force."""

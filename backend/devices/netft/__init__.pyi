@@ -1,6 +1,7 @@
 from .driver import NetFtDriver as NetFtDriver
-from .emulator import EmulatedCalibration as EmulatedCalibration
-from .emulator import EmulatedNetFt as EmulatedNetFt
-from .emulator import EmulatedPage as EmulatedPage
+from .emulator import emulate_netft as emulate_netft
 
-__all__ = ["EmulatedCalibration", "EmulatedNetFt", "EmulatedPage", "NetFtDriver"]
+__all__ = [
+    "NetFtDriver",
+    "emulate_netft",
+]

@@ -17,7 +17,16 @@ from touchdown.backend.devices.netft.protocol import (
     RdtCommand,
     RdtRecord,
 )
-from touchdown.backend.emulation import SampleSchedule
+from touchdown.backend.emulation import (
+    BenchTables,
+    Emulation,
+    EmulationChoice,
+    Faults,
+    SampleSchedule,
+    TcpServer,
+    UdpServer,
+    apply_faults,
+)
 
 PER_UNIT = 1_000_000
 RATE_HZ = 1000.0
@@ -138,3 +147,18 @@ class EmulatedPage:
     def closed(self, now_s: float) -> None:
         """Forget half a request."""
         self._heard = b""
+
+
+def emulate_netft(choice: EmulationChoice, faults: Faults) -> Emulation:
+    """Serve the datagrams on the port, the TCP channel on the port below, the page above."""
+    port = choice.network_port()
+    sensor = EmulatedNetFt(apply_faults(choice.wrench, faults))
+    sensor.pace.faults = faults
+    front = UdpServer(sensor, choice.host, port, faults=faults)
+    channel = TcpServer(EmulatedCalibration(), choice.host, port - 1 if port else 0)
+    page = TcpServer(EmulatedPage(), choice.host, port + 1 if port else 0)
+    tables: BenchTables = {
+        "ft": {"driver": "netft", "address": front.url},
+        "netft": {"tcp_port": channel.address[1], "http_port": page.address[1]},
+    }
+    return Emulation((front, channel, page), tables)

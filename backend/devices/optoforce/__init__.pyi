@@ -1,15 +1,9 @@
 from .driver import OptoforceDriver as OptoforceDriver
-from .emulator import CAPACITY as CAPACITY
-from .emulator import COUNTS as COUNTS
-from .emulator import EmulatedOptoforce as EmulatedOptoforce
-from .protocol import OptoforceFrame as OptoforceFrame
-from .protocol import incoming as incoming
+from .emulator import emulate_optoforce as emulate_optoforce
+from .protocol import SIGNATURES as SIGNATURES
 
 __all__ = [
-    "CAPACITY",
-    "COUNTS",
-    "EmulatedOptoforce",
+    "SIGNATURES",
     "OptoforceDriver",
-    "OptoforceFrame",
-    "incoming",
+    "emulate_optoforce",
 ]

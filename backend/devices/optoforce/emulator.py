@@ -15,7 +15,14 @@ from touchdown.backend.devices.optoforce.protocol import (
     Config,
     OptoforceFrame,
 )
-from touchdown.backend.emulation import SampleSchedule
+from touchdown.backend.emulation import (
+    Emulation,
+    EmulationChoice,
+    Faults,
+    SampleSchedule,
+    apply_faults,
+    serve_serial,
+)
 
 COUNTS = (10_000.0, 10_000.0, 10_000.0, 10_000.0, 10_000.0, 10_000.0)
 CAPACITY = (200.0, 200.0, 200.0, 6.5, 6.5, 6.5)
@@ -81,3 +88,10 @@ class EmulatedOptoforce:
         frame = OptoforceFrame(self._count, status, tuple(zeroed))
         self._count = (self._count + 1) % COUNT_TURN
         return protocol.encode(frame)
+
+
+def emulate_optoforce(choice: EmulationChoice, faults: Faults) -> Emulation:
+    """Serve the sensor on a pseudo terminal or TCP port; the bench file gets its data sheet."""
+    sensor = EmulatedOptoforce(apply_faults(choice.wrench, faults))
+    tables = {"optoforce": {"counts": list(COUNTS), "capacity": list(CAPACITY)}}
+    return serve_serial(sensor, choice, faults, tables)

@@ -20,6 +20,7 @@ from touchdown.backend.devices.framing import (
     sum16,
     wrench_of,
 )
+from touchdown.backend.devices.identification import ProtocolSignature
 
 SPEED_HZ = {0: 0, 1: 1000, 3: 333, 10: 100, 33: 30, 100: 10}
 """Rate of each ``speed`` code; 0 stops the stream."""
@@ -194,3 +195,10 @@ def _take_request(data: bytes, at: int) -> FrameStep[Config] | None:
         return FrameStep(9, Config(*_summed(data[at : at + 9])[4:]))
     except ProtocolError:
         return FrameStep(1, refused=True)
+
+
+SIGNATURES = (
+    ProtocolSignature(
+        "optoforce", "an OptoForce force/torque sensor", b"", incoming, (OptoforceFrame,), 2
+    ),
+)

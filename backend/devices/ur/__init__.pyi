@@ -1,6 +1,7 @@
-from .driver import UrArm as UrArm
-from .rtde import SCHEME as SCHEME
+from .driver import make_ur as make_ur
 from .rtde import UrWrenchDriver as UrWrenchDriver
-from .rtde import open_rtde as open_rtde
 
-__all__ = ["SCHEME", "UrArm", "UrWrenchDriver", "open_rtde"]
+__all__ = [
+    "UrWrenchDriver",
+    "make_ur",
+]

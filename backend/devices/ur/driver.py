@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from touchdown.backend.config import UrSettings
+from touchdown.backend.config import HardwareSettings, UrSettings
 from touchdown.backend.core import (
     LEVEL_TOLERANCE_RAD,
     Fault,
@@ -640,3 +640,13 @@ class UrArm(LevelHand):
             if self._script_ended:
                 self._send_script(robot)
         return robot
+
+
+def make_ur(
+    settings: HardwareSettings,
+    now_s: Callable[[], float],
+    wrench: SampleStream,
+    poses: SampleStream,
+) -> UrArm:
+    """Return the arm at ``ur.host``."""
+    return UrArm(settings.ur, now_s, wrench, poses)

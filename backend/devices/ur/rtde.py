@@ -322,16 +322,27 @@ class UrWrenchDriver:
     chunk = SAMPLE.size
 
     def __init__(self, settings: HardwareSettings, address: str) -> None:
-        self._host = address.removeprefix(SCHEME)
+        self._settings, self._address = settings, address
         self._rated, self._period_s = settings.ur.rated, 1.0 / settings.ur.rate_hz
         self._told_s = math.nan
         self._bad = self._bad_in_a_row = 0
 
+    @staticmethod
+    def default_address(settings: HardwareSettings) -> str:
+        """Return the address of the arm's own sensor."""
+        return SCHEME + settings.ur.host
+
+    def open_link(self) -> SensorLink:
+        """Open the connection of the ``ur_rtde`` package; raises ``OSError``."""
+        return open_rtde(self._settings, self._address)
+
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
-        """See that samples come; nothing is to be switched on."""
+        """Wait for the first sample; the sensor is always on."""
         if cancel.is_set() or not self.take(link.read(START_S)):
             raise NotAnsweredError("The robot tells no wrench of its own sensor")
-        identity = Identity("Universal Robots", "built-in F/T", self._host, "")
+        identity = Identity(
+            "Universal Robots", "built-in F/T", self._address.removeprefix(SCHEME), ""
+        )
         return SensorDescription(identity, self._rated, self._period_s, numbered=True)
 
     def take(self, data: bytes) -> list[WrenchReading]:

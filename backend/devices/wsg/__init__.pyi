@@ -1,33 +1,13 @@
 from .driver import WsgGripper as WsgGripper
-from .emulator import EmulatedGcl as EmulatedGcl
+from .driver import make_wsg as make_wsg
 from .emulator import EmulatedWsg as EmulatedWsg
-from .gcl import Assignment as Assignment
-from .gcl import GclProtocol as GclProtocol
-from .gcl import Query as Query
-from .gcl import encode as encode
-from .gcl import lines as lines
-from .protocol import BinaryProtocol as BinaryProtocol
-from .protocol import GripperProtocol as GripperProtocol
-from .protocol import WsgCommand as WsgCommand
-from .protocol import WsgReply as WsgReply
-from .protocol import WsgRequest as WsgRequest
-from .protocol import encode_request as encode_request
-from .protocol import replies as replies
+from .emulator import emulate_wsg as emulate_wsg
+from .gcl import SIGNATURES as SIGNATURES
 
 __all__ = [
-    "Assignment",
-    "BinaryProtocol",
-    "EmulatedGcl",
+    "SIGNATURES",
     "EmulatedWsg",
-    "GclProtocol",
-    "GripperProtocol",
-    "Query",
-    "WsgCommand",
     "WsgGripper",
-    "WsgReply",
-    "WsgRequest",
-    "encode",
-    "encode_request",
-    "lines",
-    "replies",
+    "emulate_wsg",
+    "make_wsg",
 ]

@@ -12,8 +12,9 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
-from touchdown.backend.config import WsgSettings
+from touchdown.backend.config import HardwareSettings, WsgSettings
 from touchdown.backend.core import Fault, FaultError
 from touchdown.backend.devices.identification import identify_device
 from touchdown.backend.devices.protocols import (
@@ -25,6 +26,7 @@ from touchdown.backend.devices.protocols import (
     Identity,
 )
 from touchdown.backend.devices.wsg import protocol
+from touchdown.backend.devices.wsg.gcl import GclProtocol
 from touchdown.backend.devices.wsg.protocol import (
     BinaryProtocol,
     GraspState,
@@ -677,3 +679,12 @@ def _number(reply: WsgReply) -> float:
     if reply.status != WsgStatus.SUCCESS or not reply.values:
         raise FaultError(link_fault(f"The gripper refuses to be read (code {reply.status})."))
     return float(reply.values[0])
+
+
+def make_wsg(settings: HardwareSettings, now_s: Callable[[], float]) -> WsgGripper:
+    """Return the gripper of ``wsg.host`` with the protocol of ``wsg.protocol``."""
+    wsg = settings.wsg
+    make_protocol: Callable[[], GripperProtocol] = BinaryProtocol
+    if wsg.protocol == "gcl":
+        make_protocol = partial(GclProtocol, wsg)
+    return WsgGripper(wsg.host, wsg.port, wsg, now_s, make_protocol)

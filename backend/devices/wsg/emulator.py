@@ -35,7 +35,13 @@ from touchdown.backend.devices.wsg.protocol import (
     WsgRequest,
     WsgStatus,
 )
-from touchdown.backend.emulation import Faults
+from touchdown.backend.emulation import (
+    EmulatedDevice,
+    Emulation,
+    EmulationChoice,
+    Faults,
+    TcpServer,
+)
 
 CLAMPING_TRAVEL_MM = 3.0
 """How far grasp closes beyond the nominal width before it gives up."""
@@ -584,3 +590,12 @@ def _read(content: bytes) -> GclLine | UnknownLine:
         if found := re.match(rb"[A-Z][A-Z0-9]*", content):
             return UnknownLine(found[0].decode())
         raise
+
+
+def emulate_wsg(choice: EmulationChoice, faults: Faults) -> Emulation:
+    """Serve the gripper on a TCP port, with the binary or the text protocol."""
+    gripper = EmulatedWsg(part_mm=choice.part_mm, faults=faults)
+    device: EmulatedDevice = EmulatedGcl(gripper) if choice.text else gripper
+    front = TcpServer(device, choice.host, choice.network_port(), faults=faults)
+    table: dict[str, object] = {"host": choice.host, "port": front.address[1]}
+    return Emulation((front,), {"wsg": table | ({"protocol": "gcl"} if choice.text else {})})

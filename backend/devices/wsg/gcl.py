@@ -17,6 +17,7 @@ from typing import TypeAlias
 
 from touchdown.backend.config import WsgSettings
 from touchdown.backend.devices.framing import LineStream, ProtocolError
+from touchdown.backend.devices.identification import ProtocolSignature
 from touchdown.backend.devices.protocols import Identity
 from touchdown.backend.devices.wsg.protocol import (
     MAKER,
@@ -25,6 +26,8 @@ from touchdown.backend.devices.wsg.protocol import (
     WsgReply,
     WsgRequest,
     WsgStatus,
+    encode_request,
+    replies,
 )
 
 LONGEST = 256
@@ -360,3 +363,21 @@ class GclProtocol:
 
 def _called(name: str) -> WsgCommand | None:
     return next((command for command, call in CALLS.items() if call == name), None)
+
+
+SIGNATURES = (
+    ProtocolSignature(
+        "binary",
+        "a WSG gripper that speaks its binary protocol",
+        encode_request(WsgRequest(WsgCommand.SYSTEM_STATE, (0, 0))),
+        replies,
+        (WsgReply,),
+    ),
+    ProtocolSignature(
+        "gcl",
+        "a WSG gripper that speaks its text protocol",
+        b"\n" + encode(Query("GRIPSTATE")),
+        lines,
+        (Assignment,),
+    ),
+)

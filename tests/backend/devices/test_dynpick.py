@@ -10,8 +10,8 @@ import pytest
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.factories import make_force_torque
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.devices.registry import make_force_torque
 from touchdown.backend.emulation.fault_plan import add_noise
 from touchdown.backend.emulation.server import PtyServer, TcpServer
 from touchdown.backend.rig.connection import reconnect

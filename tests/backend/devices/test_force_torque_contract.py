@@ -1,72 +1,83 @@
-"""One contract for every wrist sensor on a wire: a new language is held to it by one more row.
+"""Contract of every wrist sensor on a wire.
 
-Each speaks to its emulated sensor over a real pseudo terminal or UDP socket; one of them also
-from behind the link of a rig.
+The makes come from the registry: a registered make with an emulator is tested without a line here.
+Each driver is connected to its emulated sensor over a real pseudo terminal or UDP socket, one of
+them also through the rig process link.
 """
 
 import sys
 import threading
 import time
+import tomllib
+from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.backend.devices.waiting import until
 from tests.backend.rig.ticking import TickingRig
+from touchdown.backend.bench.emulator_registry import bench_toml, emulate
 from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.bota.emulator import EmulatedBota
-from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
-from touchdown.backend.devices.ft300.emulator import EmulatedFt300
-from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
-from touchdown.backend.devices.melfa.emulated_channels import TYPE_FORCE, EmulatedMonitor
+from touchdown.backend.core.faults import FaultError, InputError
+from touchdown.backend.devices import registry
+from touchdown.backend.devices.factories import make_force_torque
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
-from touchdown.backend.devices.netft.emulator import PER_UNIT, EmulatedNetFt
-from touchdown.backend.devices.optoforce.emulator import CAPACITY, COUNTS, EmulatedOptoforce
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.devices.registry import WRIST_SENSOR_DRIVERS, make_force_torque
 from touchdown.backend.devices.wsg.emulator import EmulatedWsg
 from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
-from touchdown.backend.emulation.server import PtyServer, TcpServer, UdpServer
+from touchdown.backend.emulation.server import PtyServer, TcpServer
+from touchdown.backend.emulation.serving import EmulationChoice
 from touchdown.backend.rig.connection import reconnect
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 TREMBLE = (0.03, 0.03, 0.03, 0.003, 0.003, 0.003)
-RATE_HZ = {"ft300": 100.0, "melfa": 1.0 / CYCLE_S}
-DATAGRAMS = ("netft", "melfa")
-EMULATED = {
-    "dynpick": EmulatedDynpick,
-    "leptrino": EmulatedLeptrino,
-    "ft300": EmulatedFt300,
-    "bota": EmulatedBota,
-    "optoforce": EmulatedOptoforce,
-    "netft": EmulatedNetFt,
-    "melfa": EmulatedMonitor,
-}
+EMULATED = {}  # emulated sensors of installed packages: name of the driver -> class(wrench)
+
+
+def emulated_makes():
+    """Return the emulator name of each wrist sensor by the name of its driver."""
+    makes = registry.emulated_makes().items()
+    return {make.name: name for name, make in makes if make.kind == "force_torque"}
+
+
+RATE_HZ = {**dict.fromkeys(emulated_makes(), 1000.0), "ft300": 100.0, "melfa": 1.0 / CYCLE_S}
+
+
+def emulation_of(kind, folder, wrench):
+    """Return the emulated sensor, on a pseudo terminal with a fixed name if it has one."""
+    choice = EmulationChoice(emulated_makes()[kind], wrench=wrench)
+    if sys.platform != "win32":
+        with suppress(InputError):
+            return emulate(replace(choice, tty=folder / "sensor"))
+    return emulate(choice)
 
 
 class Wired:
-    """A driver, the emulated sensor it meets, and what goes wrong between them."""
+    """A driver and its emulated sensor."""
 
     def __init__(self, kind, folder):
         self.kind = kind
-        self.faults = Faults("force_torque")
-        sensor = EMULATED[kind](apply_faults(add_noise(lambda now_s: LOAD, TREMBLE), self.faults))
-        if kind in DATAGRAMS:
-            self.front = UdpServer(sensor, faults=self.faults)
-        elif sys.platform == "win32":
-            self.front = TcpServer(sensor, faults=self.faults)
+        load = add_noise(lambda now_s: LOAD, TREMBLE)
+        if kind in EMULATED:
+            self.faults = Faults("force_torque")
+            sensor = EMULATED[kind](apply_faults(load, self.faults))
+            serial = sys.platform != "win32"
+            self.front = (
+                PtyServer(sensor, faults=self.faults, link=folder / "sensor")
+                if serial
+                else TcpServer(sensor, faults=self.faults)
+            )
+            self._served = [self.front]
+            tables = {"ft": {"driver": kind, "address": self.front.url}}
         else:
-            self.front = PtyServer(sensor, faults=self.faults, link=folder / "sensor")
-        settings = {
-            "ft": {"driver": kind, "address": self.front.url},
-            "optoforce": {"counts": COUNTS, "capacity": CAPACITY},
-            # Nothing listens there: the scale of the settings counts.
-            "netft": {"counts": (PER_UNIT, PER_UNIT), "http_port": 1, "tcp_port": 1},
-            "melfa": {"monitor": {"type_force": TYPE_FORCE}},
-        }
-        self.driver = make_force_torque(HardwareSettings.model_validate(settings), time.monotonic)
-        self.front.start()
+            emulation = emulation_of(kind, folder, load)
+            self._served, self.front = list(emulation.fronts), emulation.fronts[0]
+            self.faults = self.front.faults
+            tables = tomllib.loads(bench_toml(emulation.bench))
+        self.driver = make_force_torque(HardwareSettings.model_validate(tables), time.monotonic)
+        for front in self._served:
+            front.start()
 
     behind = 0
     """So many samples may be in the stream that the health does not count yet."""
@@ -87,7 +98,8 @@ class Wired:
 
     def close(self):
         self.driver.close()
-        self.front.close()
+        for front in self._served:
+            front.close()
 
 
 class OverTheLink(Wired):
@@ -105,7 +117,7 @@ class OverTheLink(Wired):
         self._rig.close()
 
 
-@pytest.fixture(params=[*sorted(EMULATED), "leptrino over the link"])
+@pytest.fixture(params=[*sorted(emulated_makes()), "leptrino over the link"])
 def wired(request, tmp_path):
     kind, _, link = request.param.partition(" ")
     made = (OverTheLink if link else Wired)(kind, tmp_path)
@@ -113,9 +125,10 @@ def wired(request, tmp_path):
     made.close()
 
 
-def test_every_language_has_an_emulated_sensor():
-    # The wire of ``ur`` is that of a package: it is held to a module like it.
-    assert set(EMULATED) == set(WRIST_SENSOR_DRIVERS) - {"ur"}
+def test_every_make_has_an_emulated_sensor():
+    # The link of ``ur`` is a package: test_ur_sensor.py holds it to a module like it.
+    makes = {make.name for make in registry.MAKES if make.kind == "force_torque"}
+    assert set(emulated_makes()) == makes - {"ur"}
 
 
 def test_it_delivers_what_the_sensor_feels_in_order_at_its_rate(wired):
@@ -132,7 +145,7 @@ def test_it_delivers_what_the_sensor_feels_in_order_at_its_rate(wired):
     assert np.all(np.abs(values[:, 3:].mean(axis=0) - LOAD[3:]) < 0.01)
     run = driver.samples.since(0)
     assert np.all(np.diff(run.t_s) > 0)
-    period_s = 1.0 / RATE_HZ.get(wired.kind, 1000.0)
+    period_s = 1.0 / (RATE_HZ.get(wired.kind) or driver.describe()["usual_hz"])
     span_s = run.t_s[-1] - run.t_s[10]
     assert span_s / (len(run.t_s) - 11) == pytest.approx(period_s, rel=0.3)
     assert driver.samples.count - driver.health.received in range(wired.behind + 1)

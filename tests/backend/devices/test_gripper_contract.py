@@ -14,10 +14,10 @@ from tests.backend.rig.ticking import TickingRig, rounds_pass
 from touchdown.backend.config.hardware import HardwareSettings, WsgSettings
 from touchdown.backend.config.simulation import SimulationSettings
 from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.devices.factories import make_gripper
 from touchdown.backend.devices.interlock import ByHand
 from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.devices.registry import make_gripper
 from touchdown.backend.devices.wsg.driver import WsgGripper
 from touchdown.backend.devices.wsg.emulator import EmulatedGcl, EmulatedWsg, GripperProfile
 from touchdown.backend.devices.wsg.protocol import SystemFlag

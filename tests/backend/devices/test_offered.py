@@ -8,7 +8,7 @@ import pytest
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.devices import registry
-from touchdown.backend.devices.registry import make_force_torque, make_gripper
+from touchdown.backend.devices.factories import make_force_torque, make_gripper
 from touchdown.backend.devices.wsg.driver import WsgGripper
 
 

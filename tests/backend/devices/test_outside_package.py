@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.backend.devices import test_force_torque_contract as contract
-from touchdown.backend.devices.registry import make_force_torque
+from touchdown.backend.devices.factories import make_force_torque
 from touchdown.backend.emulation.fault_plan import SampleSchedule
 
 GUIDE = Path(__file__).resolve().parents[3] / "docs" / "hardware.md"

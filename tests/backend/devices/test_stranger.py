@@ -9,7 +9,7 @@ from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.dynpick import protocol as dynpick
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 from touchdown.backend.devices.ft300.emulator import EmulatedFt300
-from touchdown.backend.devices.identification import PROTOCOL_SIGNATURES, identify_device
+from touchdown.backend.devices.identification import identify_device, load_signatures
 from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
 from touchdown.backend.devices.wsg.emulator import EmulatedGcl, EmulatedWsg
 
@@ -41,8 +41,8 @@ class Wire:
 
 @pytest.mark.parametrize("name", DEVICES)
 def test_each_device_is_known_unless_it_is_the_expected_one(name, monkeypatch):
-    (kind,) = [one for one in PROTOCOL_SIGNATURES if one.name == name]
-    for expected, words in (("another", kind.words), (name, "")):
+    (kind,) = [one for one in load_signatures() if one.name == name]
+    for expected, words in (("another", kind.description), (name, "")):
         wire = Wire(DEVICES[name](), monkeypatch)
         assert identify_device(wire.send, wire.receive, expected) == words
 
@@ -62,6 +62,6 @@ def test_noise_silence_and_a_lost_wire_are_nobody(monkeypatch):
 
 
 def test_asking_zeroes_no_sensor_and_configures_none():
-    asked = b"".join(kind.request for kind in PROTOCOL_SIGNATURES)
+    asked = b"".join(kind.request for kind in load_signatures())
     assert dynpick.DynpickCommand.OFFSET_RESET.value not in asked
     assert protocol.encode(protocol.BotaRequest("C")) not in asked

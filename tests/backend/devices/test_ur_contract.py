@@ -15,8 +15,8 @@ from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.factories import make_arm
 from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode
-from touchdown.backend.devices.registry import make_arm
 from touchdown.backend.devices.ur import driver as ur_arm
 from touchdown.backend.devices.ur import rtde
 from touchdown.backend.devices.ur import rtde as stop_lane

@@ -12,8 +12,8 @@ import pytest
 from tests.backend.devices.waiting import until
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices.factories import make_force_torque
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.devices.registry import make_force_torque
 from touchdown.backend.devices.ur import rtde
 from touchdown.backend.devices.ur.rtde import SAMPLE, UrWrenchDriver
 

@@ -22,7 +22,7 @@ from touchdown.backend.devices.melfa.emulated_channels import TYPE_FORCE, Emulat
 from touchdown.backend.devices.netft.emulator import PER_UNIT, EmulatedNetFt
 from touchdown.backend.devices.optoforce.emulator import CAPACITY, COUNTS, EmulatedOptoforce
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.devices.registry import WRIST_SENSOR_DRIVERS
+from touchdown.backend.devices.registry import load_driver
 from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
 
 EMULATED = {
@@ -130,8 +130,10 @@ class WristTrial:
         felt = apply_faults(add_noise(lambda now_s: LOAD, TREMBLE, seed), self.faults)
         self.sensor = EMULATED[self.kind](felt)
         self.link = SteppedLink(self.sensor, self.faults, self.clock, self.rng)
+        chosen = SETTINGS.ft.model_copy(update={"driver": self.kind})
+        make_driver = load_driver("force_torque", SETTINGS.model_copy(update={"ft": chosen}))
         self.reader = ForceTorqueReader(
-            lambda: WRIST_SENSOR_DRIVERS[self.kind](SETTINGS, "a port"),
+            lambda: make_driver(SETTINGS, "a port"),
             self._open,
             SETTINGS.ft,
             self.clock.now_s,

@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from tests.backend.wire.vectors import data
-from touchdown.backend.bench.emulator_registry import SERIAL, EmulationChoice, emulate
+from touchdown.backend.bench.emulator_registry import emulate
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.bota.emulator import EmulatedBota
 from touchdown.backend.devices.bota.protocol import BotaFrame
@@ -22,8 +22,11 @@ from touchdown.backend.devices.netft.emulator import (
 )
 from touchdown.backend.devices.optoforce import protocol as optoforce
 from touchdown.backend.devices.optoforce.emulator import EmulatedOptoforce
+from touchdown.backend.devices.registry import emulated_makes
 from touchdown.backend.emulation.fault_plan import Faults, apply_faults
+from touchdown.backend.emulation.serving import EmulationChoice
 
+FORCE_TORQUE = [n for n, make in emulated_makes().items() if make.kind == "force_torque"]
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 
 
@@ -168,7 +171,7 @@ def test_a_frozen_load_stands_and_a_saturated_one_is_beyond_all_ranges():
     assert min(felt(5.0)) > 1e4
 
 
-@pytest.mark.parametrize("kind", [*SERIAL, "netft", "monitor"])
+@pytest.mark.parametrize("kind", FORCE_TORQUE)
 def test_every_sensor_that_is_emulated_can_slow_down(kind):
     emulation = emulate(EmulationChoice(kind))
     try:

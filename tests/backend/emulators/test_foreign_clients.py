@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 import serial
 
-from touchdown.backend.bench.emulator_registry import EmulationChoice, emulate
+from touchdown.backend.bench.emulator_registry import emulate
+from touchdown.backend.emulation.serving import EmulationChoice
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 LIMIT_S = 30.0

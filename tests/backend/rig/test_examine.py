@@ -2,9 +2,10 @@
 
 import pytest
 
-from touchdown.backend.bench.emulator_registry import EmulationChoice, emulate
+from touchdown.backend.bench.emulator_registry import emulate
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.devices.melfa.driver import MelfaArm
+from touchdown.backend.emulation.serving import EmulationChoice
 from touchdown.backend.rig import diagnostics as looking
 from touchdown.backend.rig.diagnostics import examine_devices
 

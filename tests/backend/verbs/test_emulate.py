@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from touchdown.backend.__main__ import main
-from touchdown.backend.bench.emulator_registry import FAULT_DEVICES
 from touchdown.backend.cli import emulate
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.config.lab import load_lab
 from touchdown.backend.config.toml_file import read_settings
+from touchdown.backend.devices.registry import emulated_makes
 from touchdown.backend.devices.wsg import protocol
 from touchdown.backend.devices.wsg.protocol import WsgCommand, WsgRequest
 
@@ -24,7 +24,7 @@ def free_port():
         return listener.getsockname()[1]
 
 
-@pytest.mark.parametrize("kind", sorted(FAULT_DEVICES))
+@pytest.mark.parametrize("kind", sorted(emulated_makes()))
 def test_every_kind_serves_and_tells_its_bench_file(kind, capsys, tmp_path):
     folder = ["--folder", str(tmp_path)] if kind == "gelsight" else []
     assert main(["emulate", kind, *folder, "--for", "0.02", "--json"]) == 0

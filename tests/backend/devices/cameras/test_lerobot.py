@@ -15,7 +15,7 @@ from tests.backend.devices.waiting import until
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.streams import Stream
-from touchdown.backend.devices.discovery import make_tactile
+from touchdown.backend.devices.factories import make_tactile
 from touchdown.backend.devices.lerobot.driver import LeRobotSource, _maker
 from touchdown.backend.devices.protocols import DeviceState
 

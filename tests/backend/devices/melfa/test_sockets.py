@@ -9,7 +9,7 @@ import pytest
 
 from tests.backend.devices.emulated_arm import settings
 from tests.backend.devices.waiting import until
-from touchdown.backend.bench.emulator_registry import EmulationChoice, emulate
+from touchdown.backend.bench.emulator_registry import emulate
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream
@@ -19,6 +19,7 @@ from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.melfa.sockets import SocketLinks
 from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode
+from touchdown.backend.emulation.serving import EmulationChoice
 
 START = np.array([0.0, 0.0, 60.0])
 

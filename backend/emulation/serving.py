@@ -1,0 +1,131 @@
+"""Choice of an emulated device, and its running servers."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from touchdown.backend.core import Finger, ImageArray, InputError
+from touchdown.backend.emulation.fault_plan import (
+    FaultPlan,
+    Faults,
+    SampleSchedule,
+    add_noise,
+    hanging_gripper,
+)
+from touchdown.backend.emulation.server import (
+    DeviceServer,
+    EmulatedDevice,
+    PtyServer,
+    TcpServer,
+)
+
+WrenchFunction = Callable[[float], Sequence[float]]  # time in s -> (6,) N and N·m
+PictureFunction = Callable[[float], ImageArray | None]  # time in s -> picture, None if no new one
+BenchTables = Mapping[str, Mapping[str, object]]  # tables of a bench file
+
+
+class StreamingSensor(EmulatedDevice, Protocol):
+    """An emulated sensor that streams samples."""
+
+    pace: SampleSchedule
+
+
+@dataclass(frozen=True, slots=True)
+class EmulationChoice:
+    """An emulated device and its wire.
+
+    Parameters
+    ----------
+    kind
+        Name of the make, as in ``touchdown emulate``.
+    host, port
+        Address to listen on; None takes a free port.
+    tty
+        Link to the pseudo terminal of a serial sensor.
+    faults
+        Planned faults.
+    wrench
+        Load on a wrist sensor, (6,) N and N·m as a function of time in s.
+    part_mm
+        Width of the piece between the jaws of a gripper, None for none.
+    text
+        True for a gripper with its text protocol.
+    finger, serial, folder, film
+        Of a camera: finger, serial number, folder of its devices, video or picture to show.
+    pictures
+        Of a camera: picture as a function of time in s, in place of ``film``.
+
+    """
+
+    kind: str
+    host: str = "127.0.0.1"
+    port: int | None = None
+    tty: Path | None = None
+    faults: FaultPlan = field(default_factory=FaultPlan)
+    wrench: WrenchFunction = field(default_factory=lambda: add_noise(hanging_gripper))
+    part_mm: float | None = 20.0
+    text: bool = False
+    finger: Finger = "left"
+    serial: str = ""
+    folder: Path | None = None
+    film: Path | None = None
+    pictures: PictureFunction | None = None
+
+    def network_port(self) -> int:
+        """Return the port, 0 for a free one; raises ``InputError`` if ``tty`` is given."""
+        if self.tty is not None:
+            raise InputError(f"A {self.kind} has no serial port.", "--tty", "Give --port instead.")
+        return self.port or 0
+
+
+@dataclass(frozen=True, slots=True)
+class Emulation:
+    """The servers of one emulated device, the main one first, and its tables of a bench file."""
+
+    fronts: tuple[DeviceServer, ...]
+    bench: BenchTables
+
+    def start(self) -> None:
+        """Start to serve."""
+        for front in self.fronts:
+            front.start()
+
+    def close(self) -> None:
+        """Stop serving."""
+        for front in self.fronts:
+            front.close()
+
+
+def serve_serial(
+    sensor: StreamingSensor,
+    choice: EmulationChoice,
+    faults: Faults,
+    tables: BenchTables | None = None,
+) -> Emulation:
+    """Serve a wrist sensor on a pseudo terminal, or on a TCP port if one is given.
+
+    Parameters
+    ----------
+    sensor
+        Emulated sensor; its wrench function applies ``faults`` (``apply_faults``).
+    choice
+        Port or link to use.
+    faults
+        Faults of the wire and of the sample rate.
+    tables
+        Tables of the bench file beyond ``[ft]``.
+
+    """
+    sensor.pace.faults = faults
+    front: DeviceServer
+    if choice.port is not None or sys.platform == "win32":
+        front = TcpServer(sensor, choice.host, choice.port or 0, faults=faults)
+    else:
+        front = PtyServer(sensor, faults=faults, link=choice.tty)
+    return Emulation(
+        (front,), {"ft": {"driver": choice.kind, "address": front.url}, **(tables or {})}
+    )

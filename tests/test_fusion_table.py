@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.bench.fusion_table import PAGE, loops, named, written
+from tests.fusion_tables import PAGE, loops, named, written
 
 
 def test_the_page_shows_what_the_results_hold() -> None:

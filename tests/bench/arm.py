@@ -1,32 +1,399 @@
-"""Figures of the arm's driver: cycle times beside a busy interpreter, STOP, gaps of the stream."""
+"""Figures of the arm over real sockets: cycle times beside a busy interpreter, gaps of the stream,
+STOP in every state.
+
+Backend, rig process and wires are those of a lab day. The emulated controller, whose clock is that
+of this computer, records when STOP reached it.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
+import math
+import random
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing import get_context
+from socket import socket
 
 import numpy as np
 
 from tests.backend.devices.emulated_arm import Rig
-from tests.backend.devices.melfa.trials import trial
-from tests.bench.arm_child import SPEED_MM_S, UP, driver, front
+from tests.backend.devices.melfa.stop_meets import interrupted, still
+from tests.backend.devices.melfa.trials import PRESS, trial
+from tests.backend.devices.waiting import until
+from tests.backend.rig.served import Backend, Served
+from tests.bench.children.arm import SPEED_MM_S, UP, driver, front
 from tests.bench.registry import Figure, figure
-from touchdown.backend.core.faults import FaultError
-from touchdown.backend.core.values import Pose
+from tests.busy_computer import STARVED
+from touchdown.backend.core.faults import Fault, FaultError, RefusedError
+from touchdown.backend.core.values import FloatArray, Pose
+from touchdown.backend.devices.melfa.driver import MelfaOrders
+from touchdown.backend.devices.melfa.emulated_channels import EmulatedCommands
+from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
+from touchdown.backend.devices.protocols import DeviceState, PressCommand
+from touchdown.backend.emulation.fault_plan import hanging_gripper
+
+STATE_UP = Pose(0.0, 0.0, 150.0)
+ABOVE_MM, FLOOR_MM, GEL_N_MM = 60.0, 58.0, 5.0
+"""Where a press begins; where it meets something, and how stiff that is."""
+STATE_PRESS = PressCommand(1.5, 1.5, 20.0, 2.0, 1.0, 6.0, (30.0, 30.0, 15.0))
+STATE_SPEED_MM_S, JOINT_RAD_S = 10.0, 0.05
+SOON_S, LIMIT_S, NEVER_S, TRIES = 0.08, 20.0, 2.0, 10
+BRAKED_S, WATCHED_S, STILL_RAD, TROUBLED_S = 0.2, 0.1, 1e-4, 0.9
+LATE_S, SPLIT_S, LONG_BYTES = 2.0, 0.003, 300
+ALARM = 2601
+
+
+class TroubledFront(MelfaServer):
+    """Whose command channel, and nothing else, can be silent, late, split or too long."""
+
+    def __init__(self, device: EmulatedMelfa) -> None:
+        super().__init__(device)
+        self.trouble = ""
+        self._later: deque[tuple[float, socket, EmulatedCommands, bytes]] = deque()
+
+    def _reply(self, client: socket, session: EmulatedCommands, out: bytes) -> None:
+        now_s = self._clock.now_s()
+        while self._later and self._later[0][0] <= now_s:
+            _, to, of, piece = self._later.popleft()
+            if not of.gone:
+                super()._reply(to, of, piece)
+        if not out or self.trouble == "silent":
+            return
+        if self.trouble == "late":
+            self._later.append((now_s + LATE_S, client, session, out))
+        elif self.trouble == "split":
+            pieces = enumerate(out[k : k + 1] for k in range(len(out)))
+            self._later += [(now_s + SPLIT_S * k, client, session, one) for k, one in pieces]
+        else:
+            long = b"QoK" + b"7" * LONG_BYTES + b"\r"
+            super()._reply(client, session, long if self.trouble == "long" else out)
+
+
+class Bench:
+    """One arm, its wrist sensor and gripper; ``mode`` is the stiffness mode of the arm."""
+
+    def __init__(self, mode: str = "software", seed: int = 0) -> None:
+        self.served = Served(TroubledFront, self._felt, stiffness_mode=mode)
+        device = self.served.arm._device
+        self.front, self.controller = self.served.arm, device.controller
+        self._placing = MelfaOrders(self.served.settings.melfa).placing
+        self._start_rad = self.controller.joints.true_rad.copy()
+        self._joints, self._place_mm = self._start_rad, np.array([0.0, 0.0, ABOVE_MM])
+        self.controller.felt = lambda: np.array([0.0, 0.0, self.push_n(), 0.0, 0.0, 0.0])
+        self.backend = Backend(self.served.settings)
+        self.rng = random.Random(seed)
+        self._threads: list[threading.Thread] = []
+        self._steady = threading.Event()
+
+    def close(self) -> None:
+        """End everything."""
+        self.backend.close()
+        self.served.close()
+
+    def _felt(self, now_s: float) -> tuple[float, ...]:
+        x, y, z, *moments = hanging_gripper(now_s)
+        return (x, y, z + self.push_n(), *moments)
+
+    def height_mm(self) -> float:
+        """Return where ``G`` truly is."""
+        self.push_n()
+        return float(self._place_mm[2])
+
+    def push_n(self) -> float:
+        """Return what presses on the arm from below."""
+        joints: FloatArray | None = getattr(self, "controller", None) and (
+            self.controller.joints.true_rad
+        )
+        if joints is not None and joints is not self._joints:
+            self._joints, self._place_mm = joints, self._placing.pivot_mm(joints)
+        return max(0.0, GEL_N_MM * (FLOOR_MM - float(self._place_mm[2])))
+
+    # -- getting somewhere ------------------------------------------------------------------------
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        self._steady.wait(seconds)
+
+    def aside(self, order: Callable[[], object], request: bytes = b"") -> None:
+        """Give an order on a thread of its own, how it ends is nobody's business.
+
+        Returns once the controller is asked ``request``, if one is given.
+        """
+
+        def give() -> None:
+            with contextlib.suppress(FaultError, RefusedError):
+                order()
+
+        begun_s, thread = time.monotonic(), threading.Thread(target=give, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+        while request and not self._asked(request, begun_s):
+            if not thread.is_alive() or time.monotonic() > begun_s + LIMIT_S:
+                raise FaultError(NOT_SEEN)
+            self._steady.wait(0.0005)
+
+    def _asked(self, request: bytes, since_s: float) -> bool:
+        newest = list(self.front.log)[-40:]
+        return any(e.incoming and e.t_s >= since_s and request in e.data for e in newest)
+
+    def renew(self) -> None:
+        """Hold a live lease."""
+        self.backend.interlock.renew_lease(self.backend.now_s())
+
+    def above(self) -> None:
+        """Be connected, and stand long enough for a press to know its air."""
+        self.backend.connect()
+        self.renew()
+        self.wait(0.3)
+
+    def recover(self) -> None:
+        """Be closed, with latch and error cleared, and the arm carried back to its start."""
+        self.front.trouble = ""
+        for thread in self._threads:
+            thread.join(LIMIT_S)
+        self._threads.clear()
+        with contextlib.suppress(FaultError):
+            self.backend.arm.close()
+        if self.backend.link.lost is not None:
+            self.backend.disconnect()
+        self.controller.reset_error()
+        joints = self.controller.joints
+        joints.command_rad = joints.filtered_rad = joints.true_rad = self._start_rad.copy()
+        self.backend.interlock.reset()
+        self.wait(0.03)
+
+    # -- STOP -------------------------------------------------------------------------------------
+
+    def stop(self) -> float:
+        """Press STOP and return when (monotonic)."""
+        pressed_s = time.monotonic()
+        self.backend.interlock.stop()
+        self.backend.arm.stop()
+        return pressed_s
+
+    def wire_s(self, pressed_s: float) -> float:
+        """Return how long STOP took to the controller; infinite if it never came."""
+        while time.monotonic() < pressed_s + NEVER_S:
+            came = [stop_s for stop_s in list(self.front.stops) if stop_s >= pressed_s]
+            if came:
+                return came[0] - pressed_s
+            self._steady.wait(0.001)
+        return float("inf")
+
+    def _pass(self, seconds: float) -> None:
+        """Let time pass, and the controller come so far: a busy computer may leave it behind."""
+        then_s = time.monotonic() + seconds
+        self.wait(seconds)
+        until(lambda: self.controller.now_s >= then_s, LIMIT_S)
+
+    def stands(self) -> bool:
+        """Whether the arm stands, after it has had time to brake, and no program presses."""
+        self._pass(BRAKED_S)
+        before = self.controller.joints.true_rad.copy()
+        self._pass(WATCHED_S)
+        moved = float(np.abs(self.controller.joints.true_rad - before).max())
+        return moved < STILL_RAD and self.controller.program != "probe"
+
+
+NOT_SEEN = Fault("NO-ANSWER", "The controller was not asked what was waited for.", "", "", "arm")
+
+
+@dataclass(frozen=True)
+class State:
+    """How to get there; ``mode`` is the stiffness mode; ``wired``: a wire is surely up."""
+
+    reach: Callable[[Bench], object]
+    mode: str = "software"
+    wired: bool = True
+
+
+def _connecting(request: bytes) -> State:
+    def reach(bench: Bench) -> None:
+        bench.backend.wrist.connect(10.0, threading.Event())
+        bench.aside(lambda: bench.backend.arm.connect(10.0, threading.Event()), request)
+
+    return State(reach)
+
+
+def _under_way(
+    begin: Callable[[Bench], object], for_s: float = 0.1, mode: str = "software"
+) -> State:
+    def reach(bench: Bench) -> None:
+        bench.above()
+        begin(bench)
+        bench.wait(for_s + bench.rng.uniform(0.0, SOON_S))
+
+    return State(reach, mode)
+
+
+def _asked(order: Callable[[Bench], object], request: bytes, mode: str = "software") -> State:
+    def reach(bench: Bench) -> None:
+        bench.above()
+        bench.aside(lambda: order(bench), request)
+
+    return State(reach, mode)
+
+
+def _press(bench: Bench) -> object:
+    return bench.backend.arm.press(STATE_PRESS)
+
+
+def in_contact(bench: Bench) -> object:
+    """Press until the hand is pushed by 2 N; raises what ends it before."""
+    motion = bench.backend.arm.press(STATE_PRESS)
+    end_s = time.monotonic() + LIMIT_S
+    while bench.push_n() < 2.0:
+        if motion.done or time.monotonic() > end_s:
+            motion.result()
+            raise FaultError(NOT_SEEN)
+        bench.renew()
+        bench.wait(0.002)
+    return motion
+
+
+def _unloading(bench: Bench) -> object:
+    in_contact(bench)
+    bench.wait(1.0)
+    return bench.backend.arm.unload(0.5, 1.0)
+
+
+def _retreating(bench: Bench) -> None:
+    in_contact(bench)
+    bench.backend.arm.retreat()
+
+
+def _faulted(bench: Bench) -> None:
+    bench.backend.arm.move_to(STATE_UP, STATE_SPEED_MM_S)
+    bench.wait(0.1)
+    bench.controller.raise_error(ALARM)
+    until(lambda: bench.backend.arm.state is DeviceState.FAULT, LIMIT_S)
+
+
+def _after_stop_latched(bench: Bench) -> None:
+    bench.backend.arm.move_to(STATE_UP, STATE_SPEED_MM_S)
+    bench.wire_s(bench.stop())
+    bench.wait(0.1)
+
+
+def _reset(bench: Bench) -> None:
+    _after_stop_latched(bench)
+    bench.backend.interlock.reset()
+
+
+def _after_a_stop(request: bytes) -> State:
+    def reach(bench: Bench) -> None:
+        bench.above()
+        _reset(bench)
+        bench.wait(0.05)
+        bench.renew()
+        bench.aside(lambda: bench.backend.arm.move_to(STATE_UP, STATE_SPEED_MM_S), request)
+
+    return State(reach)
+
+
+def _closing(bench: Bench) -> None:
+    bench.aside(bench.backend.arm.close)
+
+
+def _servo_off(bench: Bench) -> None:
+    bench.backend.arm.servo(False)
+
+
+def _servo_on(bench: Bench) -> None:
+    bench.backend.arm.servo(False)
+    bench.backend.arm.servo(True)
+
+
+START_UP = (
+    "1;OPEN=TOUCHDOWN\r",
+    "ERROR",
+    "PARMXTTOUT",
+    "CNTLON",
+    "OVRD=",
+    "SRVON",
+    "SLOTINIT",
+    "RUN",
+)
+JOINTS = (JOINT_RAD_S, 0.0, 0.0, 0.0, 0.0, 0.0)
+STATES: Mapping[str, State] = {
+    "closed": State(lambda bench: None, wired=False),
+    **{f"connecting: {one.strip('1;=')}": _connecting(one.encode()) for one in START_UP},
+    "connecting: first packets": _connecting(b"STATE"),
+    "ready": _under_way(lambda bench: None),
+    "switching off": _asked(_servo_off, b"SRVOFF"),
+    "servo off": _under_way(_servo_off),
+    "switching on": _asked(_servo_on, b"SRVON"),
+    "travelling": _under_way(lambda bench: bench.backend.arm.move_to(STATE_UP, STATE_SPEED_MM_S)),
+    "jogging": _under_way(lambda bench: bench.backend.arm.jog((0.0, 0.0, STATE_SPEED_MM_S), 2.0)),
+    "turning joints": _under_way(lambda bench: bench.backend.arm.jog_joints(JOINTS, 2.0)),
+    "press, on its way down": _under_way(_press),
+    "press, in contact": _under_way(in_contact),
+    "unloading": _under_way(_unloading, 0.05),
+    "retreat": _under_way(_retreating, 0.0),
+    "force program, prepared": _asked(_press, b"MDKZ", "controller"),
+    "force program, begun": _asked(_press, b"RUNTDPROBE", "controller"),
+    "force program, on its way down": _under_way(_press, mode="controller"),
+    "force program, in contact": _under_way(in_contact, mode="controller"),
+    "fault": _under_way(_faulted),
+    "stopped already": _under_way(_after_stop_latched),
+    "reset just now": _under_way(_reset, 0.0),
+    "stream opened again": _after_a_stop(b"SLOTINIT"),
+    "stream opened again, run": _after_a_stop(b"RUN"),
+    "disconnecting": _under_way(_closing, 0.0),
+}
+
+
+def _troubled(trouble: str) -> State:
+    def reach(bench: Bench) -> None:
+        bench.above()
+        bench.backend.arm.move_to(STATE_UP, STATE_SPEED_MM_S)
+        bench.front.trouble = trouble
+        bench.wait(bench.rng.uniform(0.1, TROUBLED_S))
+
+    return State(reach)
+
+
+TROUBLED: Mapping[str, State] = {
+    f"command channel {kind}": _troubled(kind) for kind in ("silent", "late", "split", "long")
+}
+
+
+def pressed_in(bench: Bench, name: str, state: State) -> tuple[float, list[str]]:
+    """Reach a state, press STOP; return s to the wire (NaN: not reached) and what fails."""
+    for _ in range(TRIES):
+        try:
+            state.reach(bench)
+        except (FaultError, RefusedError) as error:
+            code = error.fault.code if isinstance(error, FaultError) else error.reason
+            if code not in STARVED | {"NO-ANSWER"}:
+                raise
+            bench.recover()
+        else:
+            break
+    else:
+        return float("nan"), [f"{name}: never reached"]
+    pressed_s = bench.stop()
+    took_s = bench.wire_s(pressed_s) if state.wired else 0.0
+    rows = {"goes on": bench.stands(), "not latched": bench.backend.interlock.latched}
+    bench.recover()
+    return took_s, [f"{name}: {what}" for what, holds in rows.items() if not holds]
+
 
 SECONDS, BUSY, PRIORITY = 15.0, 1, 50
-STOPS, TRIALS = 100, 500
+WIRE_STOPS, TRIALS = 100, 500
 GAPS_S = (0.06, 0.098)
 Times = dict[str, float | str]
-CHILD = [sys.executable, "-m", "tests.bench.arm_child"]
+CHILD = [sys.executable, "-m", "tests.bench.children.arm"]
 
 
 @contextmanager
@@ -105,7 +472,7 @@ def stop_to_wire() -> list[Figure]:
     arm = driver(served.settings)
     took_ms = []
     try:
-        while len(took_ms) < STOPS:
+        while len(took_ms) < WIRE_STOPS:
             try:
                 arm.connect(10.0, threading.Event())
                 arm.move_to(UP, 5.0)
@@ -125,7 +492,7 @@ def stop_to_wire() -> list[Figure]:
         arm.close()
         served.close()
     p99 = float(np.percentile(took_ms, 99))
-    told = f"{STOPS} stops; median {np.median(took_ms):.2f}, worst {max(took_ms):.1f} ms"
+    told = f"{WIRE_STOPS} stops; median {np.median(took_ms):.2f}, worst {max(took_ms):.1f} ms"
     return [Figure("STOP to the controller's socket, p99", p99, "ms", "<= 20", p99 <= 20.0, told)]
 
 
@@ -168,4 +535,99 @@ def fault_campaign() -> list[Figure]:
         else (f"{len({one.fault for one in ended})} kinds of faults in travels, jogs and presses")
     )
     text = f"faults of {TRIALS} not ended as documented, or with an unsafe command"
+    return [Figure(text, len(broken), "", "0", not broken, told)]
+
+
+STATE_STOPS, TROUBLES, WIRE_MS = 20, 26, 20.0
+MODES = ("software", "controller")
+AIR_S = 0.3
+
+
+@figure("faults")
+def stops_in_every_state(stops: int = STATE_STOPS) -> list[Figure]:
+    """From STOP to the emulated controller, in each state; what went on all the same."""
+    return _stop_figures("STOP in every state", STATES, stops)
+
+
+@figure("faults")
+def stops_beside_a_troubled_channel(stops: int = TROUBLES) -> list[Figure]:
+    """The same while the command channel is silent, 2 s late, split or too long, in motion."""
+    return _stop_figures("STOP beside a troubled command channel", TROUBLED, stops)
+
+
+def _stop_figures(name: str, states: Mapping[str, State], stops: int) -> list[Figure]:
+    took_ms: dict[str, list[float]] = {}
+    broken: list[str] = []
+    for mode in MODES:
+        of_mode = {name: state for name, state in states.items() if state.mode == mode}
+        if not of_mode:
+            continue
+        bench = Bench(mode)
+        try:
+            for state_name, state in of_mode.items():
+                ended = [pressed_in(bench, state_name, state) for _ in range(stops)]
+                reached = [1e3 * took_s for took_s, _ in ended if not math.isnan(took_s)]
+                took_ms |= {state_name: reached} if reached else {}
+                broken += [what for _, wrong in ended for what in wrong]
+        finally:
+            bench.close()
+    wired = [ms for one, all_ms in took_ms.items() if states[one].wired for ms in all_ms]
+    p50, p99, worst = np.percentile(wired, (50, 99, 100), method="lower")
+    slow = sorted(took_ms, key=lambda one: -max(took_ms[one]))[:3]
+    told = f"{len(wired)} stops in {len(took_ms)} states; median {p50:.1f}, worst {worst:.0f} ms; "
+    told += ", ".join(f"{one} {max(took_ms[one]):.0f}" for one in slow)
+    wrong = "; ".join(sorted(set(broken))[:3])
+    return [
+        Figure(f"{name}: to the wire, p99", float(p99), "ms", "<= 20", bool(p99 <= WIRE_MS), told),
+        Figure(f"{name}: went on, or no latch", len(broken), "", "0", not broken, wrong),
+    ]
+
+
+def _connected(rig: Rig) -> None:
+    rig.arm.connect(1.0, threading.Event())
+    rig.rest(AIR_S)
+
+
+def _stood(rig: Rig) -> None:
+    _connected(rig)
+    rig.arm.stop()
+    rig.rest(AIR_S)
+
+
+def _unpowered(rig: Rig) -> None:
+    _connected(rig)
+    rig.arm.servo(False)
+
+
+ORDERS: Mapping[str, tuple[Callable[[Rig], None], Callable[[Rig], object], str]] = {
+    "connecting": (lambda rig: None, _connected, "software"),
+    "press of the controller": (_connected, lambda rig: rig.arm.press(PRESS), "controller"),
+    "move after a stop": (
+        _stood, lambda rig: rig.arm.move_to(Pose(0.0, 0.0, 120.0), 20.0), "software"
+    ),
+    "servo on": (_unpowered, lambda rig: rig.arm.servo(True), "software"),
+    "servo off": (_connected, lambda rig: rig.arm.servo(False), "software"),
+    "closing": (_connected, lambda rig: rig.arm.close(), "software"),
+}  # fmt: skip
+
+
+@figure("faults")
+def stops_between_requests() -> list[Figure]:
+    """STOP after each request of each order, by a hand-wound clock: what moved all the same."""
+    broken, counts = [], []
+    for name, (prepare, order, mode) in ORDERS.items():
+        count = 0
+        while True:
+            rig = Rig(stiffness_mode=mode)
+            rig.noise_n = 0.05
+            prepare(rig)
+            if interrupted(rig, lambda: order(rig), count) is None:  # noqa: B023 - called at once
+                break
+            idle = rig.arm.state is DeviceState.CLOSED or rig.arm._core.program is None
+            if not (still(rig) and idle and rig.device.controller.program != "probe"):
+                broken.append(f"{name}, request {count + 1}")
+            count += 1
+        counts.append(f"{name} {count}")
+    told = ", ".join(counts) + "".join(f"; {one}" for one in broken[:3])
+    text = "STOP between two requests: the arm moved all the same"
     return [Figure(text, len(broken), "", "0", not broken, told)]

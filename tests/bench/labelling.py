@@ -1,8 +1,15 @@
-"""Figures of the label page: how soon the next episode is painted, a nudge, an accepted label."""
+"""Labelling: the page, slips, queues of wrong labels, and a day of labelling.
+
+The queue of the episodes of which the model is unsure looks at no label: it is measured by how
+often the model itself is wrong there.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import os
+import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -14,6 +21,15 @@ from unittest import mock
 import numpy as np
 
 from tests.bench.registry import Figure, figure
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.labels import SetState
+from touchdown.backend.annotations.queues import SCORES
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.bench.assembly import shipped_model
+from touchdown.backend.geometry.outlines import true_patch
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.placement.estimator import NOTABLE_SIGMAS, Ensemble, Estimator, OffsetGrid
+from touchdown.backend.placement.label_review import score_labels
 
 EPISODES, FILMED = 10_000, 120
 """The queue is long; those that are looked at have films of 2 s."""
@@ -139,3 +155,255 @@ def _stated(name: str, times_ms: list[float], shares: tuple[int, ...], note: str
 
 def _now() -> bool:
     return True
+
+
+SLIP_PROBES, PER_GRIP, EVERY = 126, 3, 3
+"""In every third grip the piece sits 1 to 3 mm off its place along the jaws."""
+
+
+@figure("labelling")
+def slips() -> list[Figure]:
+    """Collect on the simulated devices with injected slips, then judge each recorded label."""
+    from touchdown.backend.annotations.dataset import Dataset
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "dataset"
+        with mock.patch("os.fsync"), Dataset.open(folder, person="bench") as dataset:
+            slipped_at_s = _collect(dataset)
+            judged = _judged(dataset, slipped_at_s)
+    hits = [badged for slipped, badged in judged if slipped]
+    false = [badged for slipped, badged in judged if not slipped]
+    return [
+        _row("slips of 1 to 3 mm that are badged", hits, ">= 95", low=95.0, high=100.0),
+        _row("clean probes that are badged", false, "<= 5", low=0.0, high=5.0),
+    ]
+
+
+def _row(name: str, badged: list[bool], target: str, *, low: float, high: float) -> Figure:
+    if not badged:
+        return Figure(name, None, "%", target, None, "no such probe was collected")
+    share = 100 * sum(badged) / len(badged)
+    note = f"{sum(badged)} of {len(badged)} probes"
+    return Figure(name, share, "%", target, low <= share <= high, note)
+
+
+Taken = tuple[int, float]
+"""Mounting (0, 1, ...) and time of a picture: the clock begins anew with every mounting."""
+
+
+def _collect(dataset: Any) -> dict[Taken, bool]:
+    """Return for each picture whether the piece had slipped."""
+    from touchdown.backend.bench.assembly import simulated_session
+    from touchdown.backend.runs.recorder import RecordingOptions
+    from touchdown.backend.runs.requests import CollectRequest
+    from touchdown.backend.simulation import gripper
+    from touchdown.backend.simulation.devices.bench import SimulatedBench
+
+    rng, grips, slipped = np.random.default_rng(5), [0], dict[Taken, bool]()
+    last: Taken = (0, 0.0)
+    draw, picture = gripper.draw_gripping, SimulatedBench.scene_picture
+
+    def drawn(*given: Any) -> Any:
+        grip = draw(*given)
+        grips[0] += 1
+        if grips[0] % EVERY:
+            return grip
+        x_mm, z_mm = grip.grasp_offset_mm
+        x_mm += float(rng.choice([-1, 1]) * rng.uniform(1, 3))
+        return dataclasses.replace(grip, grasp_offset_mm=(x_mm, z_mm))
+
+    def seen(bench: SimulatedBench) -> Any:
+        nonlocal last
+        at_s, now = round(bench.clock.now_s(), 6), grips[0] % EVERY == 0
+        last = (last[0] + (at_s < last[1]), at_s)
+        if slipped.setdefault(last, now) is not now:
+            raise RuntimeError("two pictures at one time: nobody could tell which slipped")
+        return picture(bench)
+
+    with (
+        mock.patch.object(gripper, "draw_gripping", drawn),
+        mock.patch.object(SimulatedBench, "scene_picture", seen),
+    ):
+        session = simulated_session(keep=RecordingOptions(None))
+        session.dataset = dataset
+        session.run(
+            CollectRequest(
+                count=SLIP_PROBES, person="bench", probes_per_grip=PER_GRIP, grips_per_mounting=10
+            )
+        )
+        session.close()
+    return slipped
+
+
+def _judged(dataset: Any, slipped: dict[Taken, bool]) -> list[tuple[bool, bool]]:
+    """Return (slipped, badged) of each probe that was no refused observation."""
+    from touchdown.app.label.evidence import evidence_badges
+    from touchdown.app.shell.datasets import ModelPrelabeller, model_path_in_use
+    from touchdown.app.shell.label_items import LabelDraft, item_reader
+    from touchdown.backend.geometry.pieces import load_pieces
+
+    read = item_reader(dataset, ModelPrelabeller(load_pieces(), model_path_in_use), lambda: None)
+    judged, mountings = [], dict[str, int]()
+    for entry in dataset.episodes():
+        mounting = mountings.setdefault(entry.mounting_id, len(mountings))
+        if entry.quality.accepted:
+            item = read(entry.uuid)
+            assert item.episode.recording is not None
+            at_s = round(item.episode.recording.scene[0].t_s, 6)
+            badge = evidence_badges(LabelDraft.of(dataset.labels.head(entry.uuid)), item)
+            judged.append((slipped[mounting, at_s], bool(badge)))
+    return judged
+
+
+ROOT = Path(__file__).resolve().parents[2]
+BOTTOMS, EACH, SEED = "circle15,circle25,square15", 1000, 77
+WRONG_SHARE, WRONG_MM = 0.02, (1.0, 3.0)
+FIRST = 100
+NOT_FOR_ERRORS = {"audit": "random", "uncertainty": "looks at no label"}
+DRAWN, WORST = 300, 0.1
+"""So many random episodes tell how bad the worst tenth of the model's patches is."""
+Wrong = dict[str, Label]
+"""What each wrong label says; all others are as commanded."""
+
+
+@figure("queues")
+def wrong_labels() -> list[Figure]:
+    """3,000 simulated probes of the pot, 2 % of the labels wrong in two ways; shipped model."""
+    with tempfile.TemporaryDirectory() as name:
+        packs = Path(name) / "packs"
+        words = ["simulate", "--piece", "pot", "--bottoms", BOTTOMS, "--episodes", str(EACH)]
+        words += ["--seed", str(SEED), "--out", str(packs)]
+        command = [sys.executable, "-m", "touchdown", *words]
+        subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+        moved = _measured(packs, Path(name) / "moved", _moved, "off by 1 to 3 mm")
+        return [*moved, *_measured(packs, Path(name) / "next", _of_the_next, "of the next probe")]
+
+
+def _measured(
+    packs: Path, folder: Path, make: Callable[[Dataset], Wrong], kind: str
+) -> list[Figure]:
+    """Set labels wrong in a dataset of its own, submit all, let the model score them, measure."""
+    Dataset.open(folder).close()
+    shutil.copytree(packs, folder / "packs")
+    with Dataset.open(folder) as dataset:
+        wrong = make(dataset)
+        for uuid, label in wrong.items():
+            dataset.labels.set("bench", uuid, label)
+        uuids = [entry.uuid for entry in dataset.episodes()]
+        dataset.labels.bulk("bench", dataset.labels.preview("bench", uuids, SetState("accept")))
+        models = Ensemble([Estimator.load(shipped_model("pot"), load_pieces().top("pot"))])
+        count = score_labels(dataset, lambda _: models, lambda done, total: True)
+        figures = _precision(dataset, set(wrong), count, kind)
+        if make is _moved:
+            figures += [*_badges(dataset, wrong), *_unsure(dataset, models)]
+        return figures
+
+
+def _chosen(dataset: Dataset) -> list[int]:
+    """Return which episodes get a wrong label, in the order of the dataset."""
+    count = len(dataset.episodes())
+    rng = np.random.default_rng(SEED)
+    return sorted(rng.choice(count, round(WRONG_SHARE * count), replace=False).tolist())
+
+
+def _moved(dataset: Dataset) -> Wrong:
+    """Move labels by 1 to 3 mm, as a slip in the grasp or a wrong origin does."""
+    rng, entries, moved = np.random.default_rng(SEED), dataset.episodes(), {}
+    for k in _chosen(dataset):
+        label = dataset.labels.head(entries[k].uuid).label
+        turn, by_mm = rng.uniform(0, 2 * np.pi), float(rng.uniform(*WRONG_MM))
+        at = label.offset_mm + by_mm * np.array([np.cos(turn), np.sin(turn)])
+        x_um, y_um = np.rint(1e3 * at).astype(int).tolist()
+        moved[entries[k].uuid] = Label(x_um, y_um, label.theta_mdeg, label.sigma_um)
+    return moved
+
+
+def _of_the_next(dataset: Dataset) -> Wrong:
+    """Give an episode the label of another of its pair, as a slip by one row does."""
+    entries, swapped = dataset.episodes(), {}
+    for k in _chosen(dataset):
+        other = next(e for e in (*entries[k + 1 :], *entries[:k]) if e.bottom == entries[k].bottom)
+        swapped[entries[k].uuid] = dataset.labels.head(other.uuid).label
+    return swapped
+
+
+def _precision(dataset: Dataset, wrong: set[str], count: int, kind: str) -> list[Figure]:
+    """Return the share of wrong labels in the first 100 of each queue."""
+    base = len(wrong) / count
+    figures = []
+    for queue in (*SCORES, "audit"):
+        first = dataset.queue(queue, "zoe", seed=SEED, limit=FIRST)
+        hits = sum(uuid in wrong for uuid in first)
+        share = hits / max(len(first), 1)
+        note = f"{hits} of {len(wrong)} wrong labels in the first {len(first)} of {count}"
+        why = NOT_FOR_ERRORS.get(queue)
+        ok = None if why else share > base
+        target = f"stated ({why})" if why else f"> {100 * base:.1f} (base rate)"
+        name = f"queue {queue}, labels {kind} in the first {FIRST}"
+        figures.append(Figure(name, 100 * share, "%", target, ok, note))
+    return figures
+
+
+def _unsure(dataset: Dataset, models: Ensemble) -> list[Figure]:
+    """Return how often the model is wrong where it says that it is unsure; truth as simulated."""
+    grids = dict[str, OffsetGrid]()
+
+    def overlap(uuid: str) -> float:
+        episode, geometry = dataset.film(uuid).episode, dataset.entry(uuid).geometry
+        pair = dataset.geometry.pair(geometry)
+        if geometry not in grids:
+            grids[geometry] = OffsetGrid.of(pair.points_mm, pair.bottom)
+        felt = models.judge(episode, grids[geometry]).patch.probability > 0.5
+        x_mm, y_mm = episode.offset_mm.tolist()
+        true = true_patch(pair.points_mm, (x_mm, y_mm), pair.bottom) > 0
+        return float((felt & true).sum() / max((felt | true).sum(), 1))
+
+    uuids = [entry.uuid for entry in dataset.episodes()]
+    chosen = np.random.default_rng(SEED).choice(len(uuids), DRAWN, replace=False)
+    usual = np.array([overlap(uuids[k]) for k in chosen.tolist()])
+    first = dataset.queue("uncertainty", "zoe", limit=FIRST)
+    there = np.array([overlap(uuid) for uuid in first])
+    share = float((there < np.quantile(usual, WORST)).mean())
+    note = f"mean IoU {there.mean():.2f} there, {usual.mean():.2f} of {DRAWN} drawn"
+    return [
+        Figure(f"queue uncertainty, the model's worst tenth in the first {FIRST}", 100 * share,
+               "%", f"> {100 * WORST:.0f} (base rate)", share > WORST, note)
+    ]  # fmt: skip
+
+
+def _badges(dataset: Dataset, wrong: Wrong) -> list[Figure]:
+    """Return the shares of wrong and right labels with a badge: by the others, by model alone."""
+    rows = dataset.database.rows("SELECT name, episode, value FROM score")
+    found = {(name, uuid): value for name, uuid, value in rows}
+    uuids = [entry.uuid for entry in dataset.episodes()]
+    figures = []
+    for by, name, power in (("other episodes", "doubt", 0.5), ("model alone", "disagreement", 1)):
+        badged = {u: found[name, u] ** power > NOTABLE_SIGMAS for u in uuids if (name, u) in found}
+        bad = [is_badged for uuid, is_badged in badged.items() if uuid in wrong]
+        good = [is_badged for uuid, is_badged in badged.items() if uuid not in wrong]
+        hits, false = (100 * float(np.mean(one)) for one in (bad, good))
+        note = f"{by}, no scene camera; of {len(bad)} off by 1 to 3 mm"
+        figures += [
+            Figure(f"wrong labels badged by {by}", hits, "%", ">= 95", hits >= 95, note),
+            Figure(f"right labels badged by {by}", false, "%", "<= 5", false <= 5, f"{len(good)}"),
+        ]
+    return figures
+
+
+DAY = "tests/journeys/test_annotators_day.py"
+DAY_PROBES = 100
+
+
+@figure("day")
+def a_day_of_labelling() -> list[Figure]:
+    """Label by keys in the real window, kill it twice, review, correct, train and export."""
+    command = [sys.executable, "-m", "pytest", DAY, "-q", "-x", "-p", "no:cacheprovider"]
+    command += ["--timeout", "1800"]
+    done = subprocess.run(
+        command, cwd=ROOT, env={**os.environ, "DAY_PROBES": str(DAY_PROBES)}, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    name = f"day of {DAY_PROBES} probes, killed twice: parts that did not hold"
+    lines = done.stdout.strip().splitlines()
+    held = done.returncode == 0
+    return [Figure(name, 0.0 if held else 1.0, "", "0", held, lines[-1] if lines else "")]

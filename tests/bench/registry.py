@@ -1,6 +1,7 @@
-"""The promised figures: each is measured by one registered function and printed by its target.
+"""Register of measured figures and their targets.
 
-Add a figure by writing a module in this folder and naming it in ``MODULES`` of ``run.py``::
+Add a figure by writing a function in a module of this folder and naming the module in ``MODULES``
+of ``run.py``::
 
     from tests.bench.registry import Figure, figure
 

@@ -1,8 +1,8 @@
-"""Print every promised figure next to its target: ``make bench``.
+"""Print every figure next to its target: ``make bench``.
 
-``python -m tests.bench.run [name ...] [--json]`` measures the named groups or figures only, and
-says each as it comes, since a whole group may take an hour. Exit code 0 if every measured figure
-meets its target, else 1.
+``python -m tests.bench.run [name ...] [--json]`` measures the named groups or figures only and
+prints each as it comes; a whole group may take an hour. Exit code 0 if every measured figure meets
+its target, else 1.
 """
 
 from __future__ import annotations
@@ -19,52 +19,29 @@ from tests.bench.registry import REGISTER, Figure
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core.faults import TouchdownError
 
+# Modules that register figures, in the order of the table.
 MODULES: tuple[str, ...] = (
-    "tests.bench.command_line",
-    "tests.bench.tracking",
-    "tests.bench.simulation",
-    "tests.bench.agreement",
+    "tests.bench.throughput",
     "tests.bench.window",
-    "tests.bench.stacking",
-    "tests.bench.store",
-    "tests.bench.labelling",
-    "tests.bench.labelling_slips",
-    "tests.bench.labelling_day",
-    "tests.bench.collecting",
     "tests.bench.experiments",
-    "tests.bench.full_tables",
-    "tests.bench.store_files",
-    "tests.bench.queues",
+    "tests.bench.dataset",
+    "tests.bench.labelling",
     "tests.bench.arm",
-    "tests.bench.arm_rig",
-    "tests.bench.fault_cores",
-    "tests.bench.faults",
-    "tests.bench.faults_pictures",
+    "tests.bench.rig",
+    "tests.bench.device_faults",
+    "tests.bench.camera_faults",
+    "tests.bench.wire_faults",
+    "tests.bench.motion_faults",
     "tests.bench.wired",
-    "tests.bench.operators_day",
-    "tests.bench.faults_wired",
-    "tests.bench.fault_streams",
-    "tests.bench.fault_arm",
-    "tests.bench.fault_plugs",
-    "tests.bench.fault_contact",
-    "tests.bench.fault_peaks",
-    "tests.bench.fault_lines",
-    "tests.bench.fault_controller",
-    "tests.bench.fault_disk",
-    "tests.bench.fault_memory",
-    "tests.bench.fault_data",
-    "tests.bench.fault_grip",
-    "tests.bench.fault_workers",
-    "tests.bench.fault_children",
-    "tests.bench.fault_raising",
-    "tests.bench.fault_lease",
-    "tests.bench.fault_blocked_camera",
-    "tests.bench.fault_flood",
-    "tests.bench.fault_starved",
-    "tests.bench.fault_locked_label",
-    "tests.bench.wired_parts",
+    "tests.bench.wired_faults",
+    "tests.bench.disk_faults",
+    "tests.bench.workers",
+    "tests.bench.raised_errors",
+    "tests.bench.blocked_camera",
+    "tests.bench.error_flood",
+    "tests.bench.starved_window",
+    "tests.bench.locked_catalogue",
 )
-"""Modules that register figures, in the order of the table."""
 
 WORDS = {
     True: Text("met", "green"),

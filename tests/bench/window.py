@@ -1,4 +1,4 @@
-"""Figures of the window: at full load, beside decisions, at its start, over half an hour."""
+"""Figures of the window: full load, beside decisions, start-up, half an hour."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def decisions_beside_the_window() -> list[Figure]:
 @figure("window-soak")
 def window_for_half_an_hour() -> list[Figure]:
     """Let the window show 30 simulated minutes of stacking, all pages in turn."""
-    answer = _child("tests.bench.window_soak", SOAK_S)
+    answer = _child("tests.bench.children.soak", SOAK_S)
     name = "memory of the window, slope over 30 simulated minutes"
     if isinstance(answer, str):
         return [Figure(name, None, "MB/min", "<= 1", False, answer)]
@@ -80,7 +80,7 @@ def window_for_half_an_hour() -> list[Figure]:
 @figure("window")
 def window_start() -> list[Figure]:
     """Start the window twice in one process."""
-    answer = _child("tests.bench.window_start", START_S)
+    answer = _child("tests.bench.children.start_up", START_S)
     if isinstance(answer, str):
         return [Figure("window, start to live pictures", None, "s", "<= 3", False, answer)]
     warm_s, cold_s = answer["warm_s"], answer["cold_s"]
@@ -97,7 +97,7 @@ def _child(module: str, most_s: float) -> dict[str, float] | str:
 
 def _measured(seconds: float) -> dict[str, float] | str:
     """Return what the window measured of itself in ``seconds``, or why it did not."""
-    command = [sys.executable, "-m", "app", "--measure", "--after", f"{seconds:g}"]
+    command = [sys.executable, "-m", "touchdown.app", "--measure", "--after", f"{seconds:g}"]
     return _answer([*command, "--size", "1600x940"], START_S + seconds)
 
 

@@ -11,7 +11,14 @@ import pytest
 
 from tests.backend.catalogue.conftest import context_for
 from tests.backend.catalogue.test_packs_in_datasets import write_pack
-from tests.backend.dataset import test_health as faults
+from tests.backend.dataset.test_health import (
+    jumped_marker,
+    knocked,
+    late_gel,
+    never_touched,
+    simulated,
+    worse,
+)
 from touchdown.backend.annotations import operation_log, review
 from touchdown.backend.annotations.dataset import Dataset, check_dataset_quality
 from touchdown.backend.annotations.episode_index import SPLIT_TAG
@@ -20,13 +27,13 @@ from touchdown.backend.core.values import Episode
 from touchdown.backend.episodes.quality import ExaminedEpisode
 
 FAULTS: dict[str, Callable[[ExaminedEpisode], ExaminedEpisode]] = {
-    "jerk": faults.knocked,
-    "no contact": faults.never_touched,
-    "saturated markers": faults.jumped_marker,
-    "clock skew": faults.late_gel,
-    "lost markers": lambda row: faults.worse(row, lost_markers=4),
-    "dropped frames": lambda row: faults.worse(row, dropped_frames=5),
-    "slip": lambda row: faults.worse(row, slip_mm=0.4),
+    "jerk": knocked,
+    "no contact": never_touched,
+    "saturated markers": jumped_marker,
+    "clock skew": late_gel,
+    "lost markers": lambda row: worse(row, lost_markers=4),
+    "dropped frames": lambda row: worse(row, dropped_frames=5),
+    "slip": lambda row: worse(row, slip_mm=0.4),
 }
 
 
@@ -36,7 +43,7 @@ def always(_done: int, _count: int) -> bool:
 
 @pytest.fixture(scope="module")
 def rows() -> list[ExaminedEpisode]:
-    return faults.simulated(30)
+    return simulated(30)
 
 
 @pytest.fixture

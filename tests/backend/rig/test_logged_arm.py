@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.bench.logged_arm import ahead_of
+from tests.bench.children.logged_arm import ahead_of
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 
 

@@ -1,0 +1,127 @@
+"""Time of set-up, command line, mass simulation, collection and marker tracking."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tests.backend.sensing.known_truth import known_truth
+from tests.bench.registry import Figure, figure
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.bench.assembly import simulated_session
+from touchdown.backend.cli.track import track_images
+from touchdown.backend.core.values import MARKERS, MarkerState
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import CollectRequest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def _seconds(command: list[str]) -> float:
+    start = time.perf_counter()
+    subprocess.run(command, cwd=ROOT, check=False, capture_output=True)
+    return time.perf_counter() - start
+
+
+@figure("setup")
+def second_setup() -> list[Figure]:
+    """Time of ``make setup`` when nothing changed."""
+    _seconds(["make", "setup"])
+    value = _seconds(["make", "setup"])
+    return [Figure("make setup, second time", value, "s", "< 3", ok=value < 3)]
+
+
+@figure("setup")
+def command_line_start() -> list[Figure]:
+    """Time until the command line has answered (`--version`)."""
+    value = min(_seconds([sys.executable, "-m", "touchdown", "--version"]) for _ in range(3))
+    return [Figure("touchdown --version", value, "s", "< 1 (own)", ok=value < 1)]
+
+
+@figure("simulation")
+def six_thousand_episodes() -> list[Figure]:
+    """Time for 6,000 episodes of the Pot on two processes, without images."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = "simulate --piece pot --bottoms circle15,circle25,square15 --episodes 2000 --seed 1"
+        done = subprocess.run(
+            [sys.executable, "-m", "touchdown", *words.split(), "--out", folder, "--json"],
+            check=True,
+            capture_output=True,
+            text=True,
+            cwd=Path(__file__).resolve().parents[2],
+        )
+    answer = json.loads(done.stdout)
+    ok = answer["seconds"] <= 60 and answer["episodes"] == 6000
+    return [Figure("6,000 episodes of the pot", answer["seconds"], "s", "<= 60 (goal 20)", ok)]
+
+
+PROBES = 30
+
+
+@figure("store")
+def collecting() -> list[Figure]:
+    """Probes per second of a headless campaign, and bench seconds per probe."""
+    with tempfile.TemporaryDirectory() as folder, Dataset.open(Path(folder) / "ds") as dataset:
+        session = simulated_session(keep=RecordingOptions(None))
+        session.dataset = dataset
+        start_s = time.perf_counter()
+        session.run(CollectRequest(count=PROBES, person="bench", grips_per_mounting=10))
+        took_s = time.perf_counter() - start_s
+        bench_s = session.clock_s()
+        session.close()
+    rate = PROBES / took_s
+    return [
+        Figure("headless collecting", rate, "probes/s", ">= 0.2 (a real bench)", rate >= 0.2),
+        Figure("bench time per probe", bench_s / PROBES, "s", "", True),
+    ]
+
+
+GELSIGHT = Path(__file__).resolve().parents[1] / "data" / "gelsight"
+SMALL_DOTS = (
+    GELSIGHT / "artificial_strawberry_exp2_camera_2.avi",
+    GELSIGHT / "plug_3D_exp3_camera_0.avi",
+)
+"""Other gels: recognised and named by the tracker, not tracked."""
+
+
+@figure("tracking")
+def real_gels() -> list[Figure]:
+    """Speed, and what is seen on real videos and pictures."""
+    ms: list[float] = []
+    whole_at_start, seen = [], []
+    cv2.setNumThreads(1)
+    for path in sorted({*GELSIGHT.glob("*.avi"), *GELSIGHT.glob("*.png")} - set(SMALL_DOTS)):
+        for index, tracked in enumerate(track_images(path)):
+            count = int(np.sum(tracked.field.state == MarkerState.SEEN))
+            if index == 0:
+                whole_at_start.append(count == MARKERS)
+            else:
+                ms.append(tracked.ms)
+            seen.append(count / MARKERS)
+    median, share = float(np.median(ms)), 100 * float(np.mean(seen))
+    files = f"{sum(whole_at_start)} of {len(whole_at_start)}"
+    return [
+        Figure("tracker, median per frame, one thread", median, "ms", "<= 1 (must 2)", median <= 2),
+        Figure("files with 63/63 on frame 0", files, "", "all", all(whole_at_start)),
+        Figure("markers seen, all frames", share, "%", ">= 99", share >= 99, "covered ones count"),
+    ]
+
+
+@figure("tracking")
+def truth_that_is_known() -> list[Figure]:
+    """Errors against drawn dots, by amplitude and fault."""
+    figures = []
+    for case, found in known_truth().items():
+        limit = 0.10 if case.fault in ("flick", "occl") else 0.05 if case.amplitude == 6 else 0.08
+        name = f"known truth {case.amplitude:.0f} px {case.fault}, rms of seen"
+        ok = found.rms_seen <= limit and found.wrong == 0 and found.lost == 0
+        note = f"off by >= 10 px: {found.wrong}, lost: {found.lost}"
+        figures.append(Figure(name, float(found.rms_seen), "px", f"<= {limit}", ok, note))
+    return figures

@@ -1,0 +1,438 @@
+"""Failing workers: killed, leaving, raising or stopped processes and threads, a training without
+memory, held locks. Wall time.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from tests.app.tiny_packs import write_tiny_packs
+from tests.backend.devices.waiting import until
+from tests.backend.exchange.test_foreign import robomimic_file
+from tests.backend.rig.served import Backend, Served
+from tests.bench.children.failing_window import HOOKS, THREADS, WAYS, failed_s
+from tests.bench.registry import Figure, figure
+from touchdown.backend.bench.assembly import SimulatedBenchChoice
+from touchdown.backend.bench.emulated import EmulatedBench
+from touchdown.backend.config.method import TrainingSettings
+from touchdown.backend.core.faults import FaultError, InputError
+from touchdown.backend.core.files import lock_file
+from touchdown.backend.exchange.imports import read_foreign
+from touchdown.backend.jobs.execution import ProcessPool
+from touchdown.backend.jobs.job import JobContext, JobSpec, JobStore
+from touchdown.backend.learning.checkpoint import load_checkpoint
+from touchdown.backend.learning.job import TrainingEpoch, TrainingJob
+from touchdown.backend.learning.training_runs import TrainingProcess
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import SceneChoice
+
+ASKED, KILLS = 100, 20
+TOLD_S, GONE_S, FREE_MS = 0.5, 3.0, 10.0
+LIMIT_S = 180.0
+WINDOW = "tests.bench.children.failing_window"
+HOLDS = {
+    "robot": "from touchdown.backend.devices.melfa.sockets import ControllerLock; "
+    "it = ControllerLock('10.0.0.1', 10001)",
+    "dataset": "from touchdown.backend.core.files import lock_file; from pathlib import Path; "
+    "it = lock_file(Path('writer.lock'))",
+}
+
+
+@contextmanager
+def hooked() -> Iterator[Mapping[str, str]]:
+    """An environment whose interpreters fail on a signal, each in its way."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "sitecustomize.py").write_text(HOOKS)
+        paths = [folder, str(Path.cwd()), os.environ.get("PYTHONPATH", "")]
+        path = os.pathsep.join(filter(None, paths))
+        yield {**os.environ, "PYTHONPATH": path, "QT_QPA_PLATFORM": "offscreen"}
+
+
+def window(
+    environment: Mapping[str, str], *words: str, module: str = WINDOW, limit_s: float = LIMIT_S
+) -> dict[str, float | str]:
+    """Let a worker of a window fail in a process of its own; return what came of it."""
+    missed: dict[str, float | str] = {"told_s": limit_s, "closed_s": limit_s, "left": 0}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", module, *words], env=environment, capture_output=True, text=True,
+            timeout=limit_s, check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return {**missed, "named": "nothing"}
+    if done.returncode or not done.stdout:
+        return {**missed, "named": (done.stderr.strip().splitlines() or ["nothing"])[-1]}
+    found: dict[str, float | str] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+@figure("faults")
+def failing_workers() -> list[Figure]:
+    """Processes and threads that raise, leave, are killed, crash, stop or deadlock."""
+    found: dict[str, dict[str, float | str]] = {}
+    with hooked() as environment:
+        for way in WAYS:
+            found[f"training {way}"] = window(environment, "worker", "training", way)
+        for way in ("raises", "deadlock"):
+            found[f"bench {way}"] = window(environment, "worker", "bench", way)
+        before = os.environ.get("PYTHONPATH")
+        os.environ["PYTHONPATH"] = environment["PYTHONPATH"]
+        try:
+            found |= {f"rig {way}": rig(number) for way, number in WAYS.items()}
+        finally:
+            if before is None:
+                del os.environ["PYTHONPATH"]
+            else:
+                os.environ["PYTHONPATH"] = before
+    return [
+        worst(found, "told_s", "a failing worker is named after, worst", "s", TOLD_S),
+        worst(found, "closed_s", "everything is closed then after, worst", "s", GONE_S),
+        worst(found, "left", "processes left", "", 0.0),
+    ]
+
+
+def rig(number: signal.Signals) -> dict[str, float | str]:
+    """Let the rig fail while the arm moves; return what the backend made of it."""
+    served = Served()
+    backend = Backend(served.settings)
+    try:
+        backend.moving()
+        process = psutil.Process(backend.link.hello["pid"])
+        begun_s = time.monotonic()
+        os.kill(process.pid, number)
+        until(lambda: backend.interlock.latched)
+        told_s = time.monotonic() - failed_s(process.pid, begun_s)
+        named = backend.interlock.faults[0].code
+        begun_s = time.monotonic()
+        backend.close()
+        closed_s = time.monotonic() - begun_s
+    finally:
+        backend.close()
+        served.close()
+    return {"told_s": told_s, "named": named, "closed_s": closed_s, "left": process.is_running()}
+
+
+def worst(
+    found: Mapping[str, Mapping[str, float | str]], key: str, name: str, unit: str, most: float
+) -> Figure:
+    """Return the largest of one value over all workers and ways."""
+    values = {case: float(one[key]) for case, one in found.items()}
+    case = max(values, key=lambda one: values[one])
+    over = [f"{one} {value:.2f} ({found[one]['named']})" for one, value in values.items()
+            if value > most]  # fmt: skip
+    told = f"{case}; {len(values)} cases" + "".join(f"; {one}" for one in over)
+    return Figure(name, values[case], unit, f"<= {most:g}", values[case] <= most, told)
+
+
+@figure("faults")
+def quitting_asked_for_by_workers(asked: int = ASKED) -> list[Figure]:
+    """Each kind of thread asks for the end of the window: until its process is gone."""
+    took_s: list[tuple[float, str]] = []
+    for number in range(asked):
+        thread = THREADS[number % len(THREADS)]
+        with (
+            hooked() as environment,
+            subprocess.Popen(
+                [sys.executable, "-m", WINDOW, "quit", thread],
+                env=environment,
+                stdout=subprocess.PIPE,
+                text=True,
+            ) as child,
+        ):
+            assert child.stdout is not None
+            said = child.stdout.readline()
+            try:
+                child.wait(LIMIT_S)
+                took_s.append((time.monotonic() - float(said), thread))
+            except (subprocess.TimeoutExpired, ValueError):
+                child.kill()
+                took_s.append((LIMIT_S, thread))
+    in_time = sum(taken_s <= GONE_S for taken_s, _ in took_s)
+    slowest_s, thread = max(took_s)
+    told = f"slowest {slowest_s:.2f} s ({thread}); threads: {', '.join(THREADS)}"
+    name = "gone within 3 s of being asked by a worker"
+    return [Figure(name, f"{in_time} of {asked}", "", "all", in_time == asked, told)]
+
+
+@figure("faults")
+def locks_of_killed_programs() -> list[Figure]:
+    """From kill -9 of who holds the robot, or a dataset, until its lock can be taken.
+
+    A second program that is refused at the robot tries again every 20 ms by itself.
+    """
+    rows = []
+    for kind, code in HOLDS.items():
+        took_ms = [_freed_ms(code) for _ in range(KILLS)]
+        told = f"{KILLS} kills; median {sorted(took_ms)[KILLS // 2]:.1f} ms"
+        name, worst_ms = f"{kind} free after kill -9, worst", max(took_ms)
+        rows.append(Figure(name, worst_ms, "ms", "<= 10", worst_ms <= FREE_MS, told))
+    return rows
+
+
+def _freed_ms(code: str) -> float:
+    held = f"import sys, tempfile; tempfile.tempdir = '.'; {code}; print(1, flush=True); input()"
+    with tempfile.TemporaryDirectory() as folder:
+        command: Sequence[str] = [sys.executable, "-c", held]
+        with subprocess.Popen(
+            command, cwd=folder, env={**os.environ, "PYTHONPATH": str(Path.cwd())},
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        ) as child:  # fmt: skip
+            assert child.stdout is not None
+            child.stdout.readline()
+            (path,) = Path(folder).glob("*.lock")
+            assert not _taken(path)
+            pause, begun_s = threading.Event(), time.monotonic()
+            child.kill()
+            while not _taken(path):
+                pause.wait(0.0002)
+            return 1e3 * (time.monotonic() - begun_s)
+
+
+def _taken(path: Path) -> bool:
+    try:
+        os.close(lock_file(path))
+    except BlockingIOError:
+        return False
+    return True
+
+
+READS = ("raises", "leaves", "killed", "crashes", "stopped", "deadlock")
+SERVES = ("raises", "leaves", "killed", "crashes", "stopped")
+"""Its devices go on without the thread that waits for the next scene: a deadlock of that one is
+told with the next scene."""
+NAMES = {"BENCH-GONE", "BENCH-STILL"}
+NEXT_SCENE_S = 15.0
+BEGUN_S = 0.1
+"""Of its processor: a reader is done with a small file after some more."""
+Found = dict[str, float | str]
+
+
+def work(spec: JobSpec, _: JobContext) -> Mapping[str, Any]:
+    """Compute until there is a file that ends it."""
+    end = Path(str(spec.params["end"]))
+    while not end.exists():
+        sum(range(100_000))
+    return {}
+
+
+@contextmanager
+def failing_children() -> Iterator[None]:
+    """Let all interpreters that are started meanwhile fail on a signal, each in its way."""
+    before = os.environ.get("PYTHONPATH")
+    with hooked() as environment:
+        os.environ["PYTHONPATH"] = environment["PYTHONPATH"]
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ["PYTHONPATH"]
+            else:
+                os.environ["PYTHONPATH"] = before
+
+
+def strike(number: int, way: str, told: Callable[[], str]) -> Found:
+    """Let the process fail; return who was named, and how long after it had."""
+    asked_s = time.monotonic()
+    os.kill(number, WAYS[way])
+    until(told)
+    return {"told_s": time.monotonic() - failed_s(number, asked_s), "named": told()}
+
+
+def closed(found: Found, close: Callable[[], object], before: set[psutil.Process]) -> Found:
+    """Close what is left; add how long that took, and what is left even then."""
+    begun_s = time.monotonic()
+    close()
+    found["closed_s"] = time.monotonic() - begun_s
+    found["left"] = len(children() - before)
+    return found
+
+
+def children() -> set[psutil.Process]:
+    """Return the processes of this one."""
+    return set(psutil.Process().children(recursive=True))
+
+
+def emulated(way: str) -> Found:
+    """The process of the emulated bench, while a live session stands on it."""
+    before = children()
+    bench = EmulatedBench(SimulatedBenchChoice(preset="quiet"), keep=RecordingOptions(None))
+    try:
+        bench.session.prepare(SceneChoice())
+        bench.session.open()
+        (number,) = (p.pid for p in children() - before if "emulated_child" in p.cmdline()[-1])
+
+        def told() -> str:
+            codes = {fault.code for fault in bench.session.interlock.faults}
+            return ", ".join(codes & NAMES)
+
+        found = strike(number, way, told)
+    except BaseException:
+        bench.close()
+        raise
+    return closed(found, bench.close, before)
+
+
+def next_scene() -> Found:
+    """The thread that waits for the next scene deadlocks: what asking for that comes to."""
+    before = children()
+    bench = EmulatedBench(SimulatedBenchChoice(preset="quiet"), keep=RecordingOptions(None))
+    try:
+        bench.session.prepare(SceneChoice())
+        (child,) = (p for p in children() - before if "emulated_child" in p.cmdline()[-1])
+        os.kill(child.pid, WAYS["deadlock"])
+        until(lambda: failed_s(child.pid, 0.0))
+        asked_s, named = time.monotonic(), "nothing"
+        try:
+            bench.session.prepare(SceneChoice())
+        except FaultError as error:
+            named = error.fault.code
+        found: Found = {"told_s": time.monotonic() - asked_s, "named": named}
+        bench.session.prepare(SceneChoice())
+    finally:
+        begun_s = time.monotonic()
+        bench.close()
+    found["left"], found["closed_s"] = len(children() - before), time.monotonic() - begun_s
+    return found
+
+
+def reading(way: str) -> Found:
+    """The reader of a foreign file, as soon as it is at work."""
+    before, said = children(), list[str]()
+    with tempfile.TemporaryDirectory() as folder:
+        path = robomimic_file(Path(folder) / "demo.hdf5")
+
+        def read() -> None:
+            try:
+                list(read_foreign("robomimic", path))
+            except InputError as error:
+                said.append(error.what)
+
+        thread = threading.Thread(target=read)
+        thread.start()
+        until(lambda: children() - before)
+        (child,) = children() - before
+        until(lambda: child.cpu_times().user > BEGUN_S)
+        found = strike(child.pid, way, lambda: "".join(said))
+        return closed(found, thread.join, before)
+
+
+class Told(Exception):  # noqa: N818 - what Ctrl-C is for its operator
+    """Ends the wait for jobs as soon as something was told."""
+
+
+def pooled(way: str) -> Found:
+    """A worker of a pool, amid a job; whoever waits for it gives up when he is told."""
+    before, said = children(), list[str]()
+
+    def tell(text: str) -> None:
+        said.append(text)
+        raise Told
+
+    with tempfile.TemporaryDirectory() as folder:
+        end = Path(folder) / "end"
+        pool = ProcessPool({"work": work}, JobStore(Path(folder) / "store"), 1, tell)
+        job = JobSpec("work", {"end": str(end)})
+        pool.submit(job)
+        (worker,) = children() - before - trackers()
+        until(lambda: pool._workers.has_begun(job.id))
+        asked_s = time.monotonic()
+        os.kill(worker.pid, WAYS[way])
+        with suppress(Told):
+            said.extend(result.error.splitlines()[-1] for result in pool.finished())
+        told_s = time.monotonic() - failed_s(worker.pid, asked_s)
+        found: Found = {"told_s": told_s, "named": said[0]}
+        return closed(found, pool.close, before | trackers())
+
+
+def trackers() -> set[psutil.Process]:
+    """Return what the library keeps for the life of this process, beside its workers."""
+    return {one for one in children() if "resource_tracker" in " ".join(one.cmdline())}
+
+
+@figure("faults")
+def failing_children_without_a_window() -> list[Figure]:
+    """The emulated bench, the reader of an import and the workers of a pool, in every way."""
+    found: dict[str, Found] = {}
+    with failing_children():
+        found |= {f"import {way}": reading(way) for way in READS}
+        found |= {f"pool {way}": pooled(way) for way in WAYS}
+        found |= {f"emulated bench {way}": emulated(way) for way in SERVES}
+        later = {"next scene deadlock": next_scene()}
+    named = later["next scene deadlock"]["named"]
+    text = f"a scene that is never set is told after ({named})"
+    found |= {case: {**one, "told_s": 0.0} for case, one in later.items()}
+    return [
+        worst(later, "told_s", text, "s", NEXT_SCENE_S),
+        worst(found, "told_s", "a failing child is named after, worst", "s", TOLD_S),
+        worst(found, "closed_s", "everything is closed after it, worst", "s", GONE_S),
+        worst(found, "left", "processes left after it", "", 0.0),
+    ]
+
+
+EPOCHS = 6
+ROOM_BYTES = 65_536
+"""What a training may still take once its limit is set: less than a batch needs."""
+
+
+def out_of_memory(number: int) -> None:
+    """Let the process ``number`` take next to nothing more."""
+    taken = psutil.Process(number).memory_info().vms
+    resource.prlimit(number, resource.RLIMIT_AS, (taken // 2, taken // 2))
+    resource.prlimit(number, resource.RLIMIT_DATA, (ROOM_BYTES, ROOM_BYTES))
+
+
+def killed(number: int) -> None:
+    """Kill the process ``number``, as a system without memory does."""
+    os.kill(number, signal.SIGKILL)
+
+
+MEMORY_FAILURES: dict[str, Callable[[int], None]] = {
+    "no memory left": out_of_memory,
+    "killed": killed,
+}
+
+
+@figure("faults")
+def trainings_without_memory() -> list[Figure]:
+    """The limit of a training's memory is reached, or the system kills it; then it is resumed."""
+    broken, said = list[str](), list[str]()
+    for way, strike in MEMORY_FAILURES.items():
+        with tempfile.TemporaryDirectory() as name:
+            data, out = Path(name) / "packs", Path(name) / "pot.safetensors"
+            data.mkdir()
+            write_tiny_packs(data)
+            settings = TrainingSettings(hidden=256, layers=2, epochs=EPOCHS, batch=8)
+            job = TrainingJob(data=data, piece="pot", out=out, settings=settings)
+            epochs, code = 0, ""
+            try:
+                with TrainingProcess(job) as training:
+                    for report in training.reports():
+                        epochs += isinstance(report, TrainingEpoch)
+                        if epochs == 1 and isinstance(report, TrainingEpoch):
+                            strike(training.number)
+            except FaultError as error:
+                code = error.fault.code
+                said.append(error.fault.what)
+            if code != "TRAINING-DIED" or out.exists():
+                broken.append(f"{way}: {code or 'not told'} after {epochs} epochs")
+            with TrainingProcess(job.model_copy(update={"resume": True})) as training:
+                more = sum(isinstance(report, TrainingEpoch) for report in training.reports())
+            if not 0 < more < EPOCHS or load_checkpoint(out).card.piece != "pot":
+                broken.append(f"{way}: resumed with {more} epochs")
+    told = "; ".join([*broken, *said])
+    name = "trainings without memory or killed: not told, or not resumed"
+    return [Figure(name, len(broken), f"of {len(MEMORY_FAILURES)}", "0", not broken, told)]

@@ -17,10 +17,10 @@ BenchMode = Literal["", "simulated", "emulated", "hardware"]
 
 
 class BenchDescription(Settings):
-    """One bench; "" and None mean that nobody told.
+    """Description of one bench; "" and None mean unknown.
 
-    ``sha256`` names the sensors and the grasp: where they sit, how they scale, how stiff they are.
-    Noise, friction and spreads are no part of it: a model has to do with those as they come.
+    ``sha256`` identifies sensors and grasp: positions, scales and stiffness. Noise, friction and
+    spreads are not included.
     """
 
     mode: BenchMode = ""
@@ -32,7 +32,7 @@ class BenchDescription(Settings):
 
 
 def describe_simulation(settings: SimulationSettings) -> BenchDescription:
-    """Return the facts of a simulated bench."""
+    """Return the description of a simulated bench."""
     return BenchDescription(
         mode="simulated",
         sha256=sha256_of_json(_relevant_values(settings)),
@@ -43,12 +43,12 @@ def describe_simulation(settings: SimulationSettings) -> BenchDescription:
 
 
 def bench_sha256(settings: SimulationSettings) -> str:
-    """Return the SHA-256 of all values, noise and spreads too: it names a bench in every result."""
+    """Return the SHA-256 of all settings; it identifies the bench in every result."""
     return sha256_of_json(settings.model_dump(mode="json"))
 
 
 def wrist_frame(height_mm: float, yaw_rad: float) -> str:
-    """Name the frame of a wrench that is moved to the grasp pivot."""
+    """Return the name of the reference frame of the wrench."""
     turned = f", turned {yaw_rad:g} rad" if yaw_rad else ""
     return f"environment on tool, sensor {height_mm:g} mm above the grasp pivot{turned}"
 

@@ -1,6 +1,7 @@
-"""Settings of real devices that no public source confirms; a lab file overrides them.
+"""Settings of real devices; a lab file overrides them.
 
-Drivers and emulators read the same settings. ``docs/hardware.md`` lists each with its reason.
+No public source confirms the defaults. Drivers and emulators read the same settings.
+``docs/hardware.md`` lists each with its reason.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ CONTROL_NAMES: dict[str, tuple[str, ...]] = {
 
 
 class MonitorSettings(Settings):
-    """Real-time monitor of the controller; off while no data type number is known."""
+    """Real-time monitor of the controller; off without data type numbers."""
 
     port: Port = 12000
     type_force: U16 | None = None
@@ -128,7 +129,7 @@ class MelfaSettings(Settings):
     @classmethod
     def _three_different_bits(cls, bits: tuple[int, int, int]) -> tuple[int, int, int]:
         if sorted(bits) != [1, 2, 4]:
-            raise ValueError("name the bits 4, 2 and 1, each once")
+            raise ValueError("the bits must be 4, 2 and 1, each once")
         return bits
 
     @field_validator("force_variable_text")
@@ -137,9 +138,9 @@ class MelfaSettings(Settings):
         try:
             groups = re.compile(text).groups
         except re.error as error:
-            raise ValueError(f"no regular expression: {error}") from error
+            raise ValueError(f"not a regular expression: {error}") from error
         if groups != 1:
-            raise ValueError("needs exactly one group, around the six numbers")
+            raise ValueError("exactly one group, around the six numbers, is required")
         return text
 
 
@@ -163,7 +164,7 @@ class UrSettings(Settings):
 
 
 class WsgSettings(Settings):
-    """Gripper; the ranges count only if the gripper does not tell its own."""
+    """Gripper; the ranges apply only if the gripper does not report its own."""
 
     driver: Annotated[str, Field(min_length=1)] = "wsg"  # "wsg", or the name of an entry point
     protocol: Literal["binary", "gcl"] = "binary"
@@ -193,7 +194,7 @@ class WsgSettings(Settings):
 
 
 class ForceTorqueSettings(Settings):
-    """Which wrist sensor, and how it sits."""
+    """Make and mounting of the wrist sensor."""
 
     # "melfa", "dynpick", "leptrino", "ft300", "bota", "optoforce", "netft", "ur", or an entry
     # point.
@@ -240,7 +241,7 @@ class DynpickSettings(Settings):
 
 
 class OptoforceSettings(Settings):
-    """OptoForce and OnRobot HEX: both from the data sheet of the very sensor."""
+    """OptoForce and OnRobot HEX: both values from the data sheet of the individual sensor."""
 
     counts: Six | None = None
     capacity: Six | None = None
@@ -321,7 +322,7 @@ class LerobotSettings(Settings):
 
 
 class HardwareSettings(Settings):
-    """All of them, one table of the bench file per device."""
+    """All devices, one table of the lab file each."""
 
     melfa: MelfaSettings = MelfaSettings()
     ur: UrSettings = UrSettings()

@@ -1,8 +1,8 @@
 """The lab file: devices of a bench, their addresses, and the limits of motion and force.
 
-An emulated device answers on this computer; a real arm never does. The window shows the kind of
-bench that the file declares, so a file whose kind and addresses disagree is refused. Editing keeps
-comments and order, and reads the new file back before it replaces the old one.
+Emulated devices run on this computer; a real arm never does. The window shows the declared kind of
+bench, so a file whose kind and addresses disagree is refused. Editing keeps comments and order, and
+the new file is read back before it replaces the old one.
 """
 
 from __future__ import annotations
@@ -38,40 +38,40 @@ def require_matching_addresses(settings: HardwareSettings, kind: str, where: str
     for key, here in _addresses(settings):
         if kind == "emulated" and not here:
             raise InputError(
-                f"Bad value for 'kind': this bench is called emulated, but '{key}' is no place of "
-                "an emulated device.",
+                f"Bad value for 'kind': the bench is declared emulated, but '{key}' is not the "
+                "address of an emulated device.",
                 where,
-                f"Write kind = \"hardware\", or correct '{key}': a whole path, or 127.0.0.1.",
+                f"Write kind = \"hardware\", or correct '{key}': an absolute path, or 127.0.0.1.",
             )
         if kind == "hardware" and here and key == ARM_HOSTS.get(settings.melfa.driver):
             raise InputError(
-                "Bad value for 'kind': this bench is called hardware, but its arm answers on this "
-                "computer, as emulated ones do.",
+                "Bad value for 'kind': the bench is declared hardware, but its arm is on this "
+                "computer, like an emulated one.",
                 where,
                 f"Write kind = \"emulated\", or correct '{key}'.",
             )
 
 
 def _addresses(settings: HardwareSettings) -> Iterator[tuple[str, bool]]:
-    """Yield (key, whether it is a place on this computer that an emulated device can have)."""
+    """Yield (key, True if it is a possible address of an emulated device)."""
     if settings.melfa.driver == "ur":
         yield "ur.host", is_loopback(settings.ur.host)
     else:
         yield "melfa.host", is_loopback(settings.melfa.host)
     yield "wsg.host", is_loopback(settings.wsg.host)
-    # Without an address these two are at the controller of their arm.
+    # Without an address these two are read through the controller of their arm.
     if settings.ft.driver not in ("melfa", "ur") or settings.ft.address:
         yield "ft.address", _is_here(settings.ft.address)
     gelsight = settings.gelsight
     if gelsight.driver != "gelsight":
-        # Where cameras of other makes are, their drivers know.
+        # Addresses of other cameras are known to their drivers only.
         return
     filmed = bool(gelsight.left.file and gelsight.right.file)
     yield "gelsight.by_id", filmed or not _is_device(Path(gelsight.by_id))
 
 
 def is_loopback(host: str) -> bool:
-    """Whether ``host`` is this computer by the address that only it can reach."""
+    """Return True if ``host`` is a loopback address."""
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
@@ -86,7 +86,7 @@ def _is_here(address: str) -> bool:
     if not path.is_absolute():
         return False
     target = path.resolve()
-    # A link whose terminal is gone leads nowhere: then its own place decides.
+    # For a dangling link the path of the link itself decides.
     return _is_below(target, TERMINALS) or not _is_device(target)
 
 
@@ -106,9 +106,9 @@ LAB_FILE_KEYS = frozenset({"version", "kind", "melfa", "wsg", "ft", "gelsight"})
 
 
 class LimitSettings(Settings):
-    """Limits of motion and force in the bench frame; no command is changed to fit, it is refused.
+    """Limits of motion and force in the bench frame; commands beyond them are refused.
 
-    The workspace is the part of the box that is within ``reach_mm`` of its vertical axis.
+    The workspace is the part of the box within ``reach_mm`` of its vertical axis.
     """
 
     reach_mm: Positive = 150.0
@@ -162,7 +162,7 @@ ORDERED_LIMITS = (
 
 
 class MountingSettings(Settings):
-    """What hangs below the wrist sensor, and where the sensor sits."""
+    """Payload and position of the wrist sensor."""
 
     sensor_height_mm: Positive = 120.0  # sensor above the grasp pivot
     sensor_yaw_rad: Length = 0.0  # remaining yaw after ``ft.rotation``
@@ -172,7 +172,7 @@ class MountingSettings(Settings):
 
 
 class SerialNumbers(Settings):
-    """Who must answer; empty: whoever does. Cameras are found by ``gelsight.*.serial`` anyway."""
+    """Required serial numbers; empty: any. Cameras are identified by ``gelsight.*.serial``."""
 
     force_torque: str = ""
     gripper: str = ""
@@ -196,7 +196,7 @@ class LabSettings(HardwareSettings):
 
 @dataclass(frozen=True, slots=True)
 class Lab:
-    """A lab file as it was read."""
+    """A lab file and its settings."""
 
     path: Path
     settings: LabSettings
@@ -208,7 +208,7 @@ class Lab:
 
     @property
     def facts(self) -> BenchDescription:
-        """Return what the numbers of an observation depend on here."""
+        """Description of the bench, on which the numbers of an observation depend."""
         settings = self.settings
         mounting, gelsight, ft = settings.mounting, settings.gelsight, settings.ft
         scale = 0.5 * (gelsight.mm_per_px_x + gelsight.mm_per_px_y)
@@ -229,7 +229,7 @@ class Lab:
 
 
 def is_lab_file(path: Path) -> bool:
-    """Whether ``path`` names devices, not a simulated bench; raises ``InputError`` as reading."""
+    """Return True if ``path`` is a lab file, not a simulated bench; raises ``InputError``."""
     return bool(LAB_FILE_KEYS & read_toml(path).keys())
 
 
@@ -258,9 +258,9 @@ _SECTION = re.compile(r"\s*\[\s*([^\[\]]+?)\s*\]\s*(#.*)?$")
 
 
 def save_lab(path: Path, values: Mapping[str, LabValue]) -> bool:
-    """Set ``values`` by dotted key in the lab file ``path``; returns whether anything changed.
+    """Set ``values`` by dotted key in the lab file ``path``; return True if it changed.
 
-    Raises ``InputError``, and changes nothing, if the file could not be used with them.
+    Raises ``InputError``, without a change, if the result would not be a valid lab file.
     """
     before = path.read_text("utf-8") if read_toml(path) else ""
     after = edit_toml(before, values, str(path))
@@ -273,7 +273,7 @@ def save_lab(path: Path, values: Mapping[str, LabValue]) -> bool:
 
 
 def edit_toml(text: str, values: Mapping[str, LabValue], where: str) -> str:
-    """Return the TOML ``text`` with ``values`` set; raises ``InputError`` where it cannot be."""
+    """Return the TOML ``text`` with ``values`` set; raises ``InputError`` if not possible."""
     content = tomllib.loads(text)
     lines = text.splitlines()
     for key, value in values.items():
@@ -288,15 +288,15 @@ def edit_toml(text: str, values: Mapping[str, LabValue], where: str) -> str:
         same = False
     if not same:
         raise InputError(
-            "The file is written in a way that is not understood well enough to change it.",
+            "The layout of the file is not supported by the editor.",
             where,
-            f"Set {', '.join(values)} there by hand.",
+            f"Set {', '.join(values)} by hand.",
         )
     return after if after.strip() != text.strip() else text
 
 
 def _edit_line(lines: list[str], key: str, content: dict[str, Any]) -> list[str]:
-    """Return the lines with ``key`` as ``content`` has it: in its place, or in a new one."""
+    """Return the lines with ``key`` as in ``content``: replaced, or in a new line."""
     table, _, name = key.rpartition(".")
     while table:
         begin, end = _section(lines, table)
@@ -308,7 +308,7 @@ def _edit_line(lines: list[str], key: str, content: dict[str, Any]) -> list[str]
         begin, end = _section(lines, outer)
         if not any(re.match(_KEY.format(re.escape(inner)), line) for line in lines[begin:end]):
             break
-        # The table is written on one line: all of it is written again.
+        # An inline table is written again as a whole.
         table, name = outer, inner
     table, _, name = key.rpartition(".")
     written = f"{name} = {_toml(_get(content, key))}"
@@ -321,7 +321,7 @@ def _edit_line(lines: list[str], key: str, content: dict[str, Any]) -> list[str]
 
 
 def _section(lines: list[str], table: str) -> tuple[int, int]:
-    """Return where the lines of ``table`` begin and end; (0, 0) where it has no head."""
+    """Return begin and end of the lines of ``table``; (0, 0) without a header."""
     heads = [(at, match[1]) for at, line in enumerate(lines) if (match := _SECTION.match(line))]
     ends = [at for at, _ in heads[1:]] + [len(lines)]
     for (at, name), end in zip(heads, ends, strict=False):
@@ -331,7 +331,7 @@ def _section(lines: list[str], table: str) -> tuple[int, int]:
 
 
 def _comment(line: str) -> str:
-    """Return the comment behind a value, with the space before it; "" where there is none."""
+    """Return the comment after a value with its leading space, or ""."""
     quoted = re.sub(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'', lambda m: "_" * len(m[0]), line)
     at = quoted.find("#")
     return "" if at < 0 else line[len(quoted[:at].rstrip()) :]

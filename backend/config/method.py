@@ -1,4 +1,4 @@
-"""Constants of the method, each a named setting with its default and reason.
+"""Settings of the method.
 
 [P] is stated in the paper (Ota et al., arXiv 2309.14552); [U] is left open there and chosen here.
 """
@@ -28,7 +28,7 @@ StrategyName = Literal["paper", "fused", "zero-wrench", "pick-and-place"]
 
 
 class Settings(BaseModel):
-    """A frozen group of settings; an unknown key is an error, not a silent default."""
+    """A frozen group of settings; an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -71,7 +71,7 @@ class BeliefSettings(Settings):
 
 
 class StabilitySettings(Settings):
-    """Would the piece stand?"""
+    """Stability of the piece."""
 
     delta: Probability = 0.9  # A cell supports if its probability exceeds this [P]
     # Required signed distance of the centre of mass to the hull's edge [U]; 0 in the paper.
@@ -81,7 +81,7 @@ class StabilitySettings(Settings):
 
 
 class PolicySettings(Settings):
-    """Where to probe next."""
+    """Choice of the next probe."""
 
     longest_step_mm: Positive = 3.0  # longest shift [P]
     # Points whose mean is the target [U]: cells in the hull, confident cells, hull vertices.
@@ -92,14 +92,14 @@ class PolicySettings(Settings):
 
 
 class ZeroWrenchSettings(Settings):
-    """When the push turns nothing."""
+    """Strategy ``zero-wrench``: release where the push causes no moment."""
 
     # Release where the push acts within this distance of the centre of mass [U].
     release_mm: Positive = 1.0
 
 
 class TowerSettings(Settings):
-    """What the operator enters of a tower below the touched bottom."""
+    """Offsets of the bodies of a tower below the touched bottom, entered by the operator."""
 
     # Centre of each upper bottom relative to the one below it; empty: centred.
     offset_mm: tuple[tuple[float, float], ...] = ()
@@ -108,7 +108,7 @@ class TowerSettings(Settings):
 
 
 class FusedSettings(Settings):
-    """Support as a network fuses it from the signals of all probes."""
+    """Strategy ``fused``: a network fuses the signals of all probes."""
 
     weights: str = ""  # network file; empty for the shipped one
     # Largest probability at release that the support misses the centre of mass [U].
@@ -118,7 +118,7 @@ class FusedSettings(Settings):
 
 
 class ReleaseSettings(Settings):
-    """Letting go, as a lab would do it."""
+    """Release of the piece."""
 
     unload_n: Positive = 1.0  # press force after unloading, within 0.3 to 2 N
     settle_s: Positive = 0.2  # wait after unloading before the second slip check
@@ -128,7 +128,7 @@ class ReleaseSettings(Settings):
 
 
 class TrainingSettings(Settings):
-    """How a model is trained; the paper names only network and loss."""
+    """Training of a model; the paper states only network and loss."""
 
     modality: Literal["FT", "Tac", "FT+Tac"] = "FT+Tac"
     hidden: Annotated[int, Field(ge=1)] = 256  # units per LSTM layer [P]
@@ -152,7 +152,7 @@ class TrainingSettings(Settings):
 
 
 class CollectSettings(Settings):
-    """Collecting labelled probes: how long one grip lasts, and what a measured label is worth."""
+    """Collection of labelled probes: lengths of grips, and uncertainty of measured labels."""
 
     # Probes before the piece is put back and gripped again [U].
     probes_per_grip: Annotated[int, Field(ge=1)] = 50
@@ -175,7 +175,7 @@ class CollectSettings(Settings):
 
 
 class StackSettings(Settings):
-    """Everything the stacking loop depends on; recorded with every run."""
+    """Settings of the stacking loop; recorded with every run."""
 
     probe: ProbeSettings = ProbeSettings()
     belief: BeliefSettings = BeliefSettings()

@@ -44,7 +44,7 @@ class FaceSettings(Settings):
 
 
 class SupportSettings(Settings):
-    """Bottoms that are not fixed to the table, pressed or dragged by the piece."""
+    """Bottoms that are not fixed to the table."""
 
     rocks: bool = False  # bottoms tip about their edge when the press leaves their base
     slides: bool = False  # bottoms slide when the lateral force exceeds friction, and stay there
@@ -74,7 +74,7 @@ class TactileSettings(Settings):
 
 
 class WristSettings(Settings):
-    """Force/torque sensor and what hangs below it."""
+    """Force/torque sensor and its payload."""
 
     rate_hz: Positive = 1000.0
     height_mm: Positive = 120.0  # sensor above the grasp pivot
@@ -91,7 +91,7 @@ class WristSettings(Settings):
 
 
 class SpreadSettings(Settings):
-    """Standard deviations of the nuisances that are drawn anew per mounting, gripping or probe."""
+    """Standard deviations of the nuisances drawn per mounting, grip or probe."""
 
     gel: NonNegative = 0.10
     mu_grip: NonNegative = 0.10
@@ -107,7 +107,7 @@ class SpreadSettings(Settings):
 
 
 class SimulationSettings(Settings):
-    """The simulated bench; ``preset`` gives the defaults, every other key overrides it."""
+    """The simulated bench; ``preset`` gives the defaults, other keys override them."""
 
     preset: Preset = "mixed"
     cycle_us: Annotated[int, Field(gt=0)] = 10_000
@@ -125,7 +125,7 @@ class SimulationSettings(Settings):
     @model_validator(mode="before")
     @classmethod
     def _start_from_preset(cls, given: Any) -> Any:
-        """Lay the given keys over those of the named preset."""
+        """Merge the given keys into those of the preset."""
         if not isinstance(given, dict):
             return given
         preset = PRESETS.get(str(given.get("preset", "mixed")))
@@ -133,7 +133,7 @@ class SimulationSettings(Settings):
 
 
 def _frozen(name: str) -> dict[str, Any]:
-    """Return the values of a bench that is never changed again."""
+    """Return the values of a frozen bench."""
     return read_toml(Path(str(files("touchdown.resources"))) / "benches" / f"{name}.toml")
 
 
@@ -157,8 +157,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         },
         "spread": {"label_error_mm": 0.0, "print_offset_mm": 0.0},
     },
-    # Chosen so that the paper's method does here about as well as on its robot (docs/bench-v1.md).
-    # Frozen as bench-v1; these may still change.
+    # The paper's method performs here about as on its robot (docs/bench-v1.md); never changed.
     "bench-v1": _frozen("bench-v1"),
     "hard": {
         "mu_grip": 0.45,
@@ -192,9 +191,9 @@ PRESETS: dict[str, dict[str, Any]] = {
 
 
 def load_simulation(file: Path | None = None, preset: str | None = None) -> SimulationSettings:
-    """Return the settings of ``file`` (None: the defaults), laid over those of ``preset``.
+    """Return the settings of ``file`` (None: the defaults), merged into those of ``preset``.
 
-    A named ``preset`` replaces that of the file. Raises ``InputError``.
+    ``preset`` replaces the preset of the file. Raises ``InputError``.
     """
     content = {} if file is None else read_toml(file)
     if preset is not None:

@@ -33,7 +33,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         ) from error
     except UnicodeDecodeError as error:
         raise InputError(
-            "The file is not text, so it is no TOML.", str(path), "Name a text file in UTF-8."
+            "The file is not text in UTF-8.", str(path), "Give a TOML file."
         ) from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(
@@ -53,7 +53,7 @@ def parse_settings(model: type[Model], content: dict[str, Any], where: str) -> M
             raise InputError(
                 f"There is no setting '{key}'.",
                 where,
-                f"Write '{near}', if that is meant." if near else f"Take '{key}' out.",
+                f"Write '{near}' instead." if near else f"Remove '{key}'.",
             ) from error
         raise InputError(
             f"Bad value for '{key}': {first_error_message(error)}.", where, f"Correct '{key}'."
@@ -61,12 +61,12 @@ def parse_settings(model: type[Model], content: dict[str, Any], where: str) -> M
 
 
 def first_error_message(error: ValidationError) -> str:
-    """Return what is wrong first, in words."""
+    """Return the message of the first error."""
     return error.errors()[0]["msg"].removeprefix("Value error, ")
 
 
 def _nearest(model: type[BaseModel], place: tuple[int | str, ...]) -> str:
-    """Return the setting whose name is nearest to the unknown one at ``place``, "" if none is."""
+    """Return the known setting most similar to the unknown one at ``place``, or ""."""
     within: object = model
     for part in place[:-1]:
         known = within.model_fields if _is_model(within) else {}

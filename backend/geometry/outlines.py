@@ -1,11 +1,11 @@
 """Flat convex outlines of contact faces: overlap, grid points, and the true contact patch.
 
-An outline lives in its own face frame, origin at the centre of the face. Polygons are
+An outline is defined in its own face frame, origin at the centre of the face. Polygons are
 counter-clockwise. Overlaps are vectorised over edges and over batches of placements: the edge of an
-overlap consists of the parts of each outline inside the other. Each edge is cut to its stretch
-inside all half-planes of the other polygon (Cyrus and Beck 1978); area and distance follow from
-these pieces without ordering them. The true contact patch is the label of the method (Ota et al.
-2023, section III): a face point is in contact if it lies inside the outline of the surface below.
+overlap consists of the parts of each outline inside the other. Each edge is clipped to the
+half-planes of the other polygon (Cyrus and Beck 1978); area and distance follow from these segments
+without ordering them. The true contact patch is the label of the method (Ota et al. 2023, section
+III): a face point is in contact if it lies inside the outline of the surface below.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Outline:
     vertices_mm: tuple[Point, ...] = ()
 
     def contains(self, points_mm: ArrayLike, /) -> NDArray[np.bool_]:
-        """Return (...,) bool: which of the points (..., 2) mm lie inside or on the edge."""
+        """Return (...,) bool: True for points (..., 2) mm inside or on the edge."""
         points = np.asarray(points_mm, dtype=np.float64)
         if self.kind == "circle":
             reach = self.radius_mm + EDGE_TOLERANCE_MM
@@ -64,7 +64,7 @@ class Outline:
 
     @property
     def half_extents_mm(self) -> Point:
-        """Farthest reach from the centre along x and along y."""
+        """Half extents along x and y, from the centre."""
         if self.kind == "circle":
             return self.radius_mm, self.radius_mm
         return max(abs(x) for x, _ in self.vertices_mm), max(abs(y) for _, y in self.vertices_mm)
@@ -106,9 +106,9 @@ def edge_normals(polygon_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def inset_mm(outline: Outline, points_mm: FloatArray) -> FloatArray:
-    """Return (...,) how far points (..., 2) lie within the outline; negative outside.
+    """Return the distance (...,) of points (..., 2) to the nearest edge, negative outside.
 
-    The distance to the nearest edge; beside a corner that to the farther of its lines.
+    Beside a corner it is the distance to the farther of its two lines.
     """
     if outline.kind == "circle":
         return np.asarray(outline.radius_mm - np.hypot(points_mm[..., 0], points_mm[..., 1]))
@@ -143,7 +143,7 @@ def regular_polygon(sides: int, across_corners_mm: float, rotation_rad: float = 
 
 
 def convex_polygon(vertices_mm: tuple[Point, ...]) -> Outline:
-    """Return a convex polygon round the origin, corners in order.
+    """Return a convex polygon around the origin, corners in order.
 
     Raises ValueError if it has fewer than 3 corners, is clockwise, not strictly convex, or if the
     face centre (0, 0) is not inside.
@@ -157,10 +157,12 @@ def convex_polygon(vertices_mm: tuple[Point, ...]) -> Outline:
         first, second = (b[0] - a[0], b[1] - a[1]), (c[0] - b[0], c[1] - b[1])
         cross = first[0] * second[1] - first[1] * second[0]
         if not cross > EDGE_TOLERANCE_MM * (hypot(*first) + hypot(*second)):
-            raise ValueError("the corners must run counter-clockwise round a convex polygon")
+            raise ValueError(
+                "the corners must be in counter-clockwise order around a convex polygon"
+            )
         turn += np.arctan2(cross, first[0] * second[0] + first[1] * second[1])
     if turn > 3 * pi:
-        raise ValueError("the corners must run only once round the polygon")
+        raise ValueError("the corners must go around the polygon only once")
     outline = Outline("polygon", vertices_mm=tuple((float(x), float(y)) for x, y in vertices_mm))
     if not outline.contains((0.0, 0.0)):
         raise ValueError("the face centre (0, 0) must lie inside the polygon")
@@ -177,7 +179,7 @@ CLOSING_TOLERANCE_MM = 1e-5  # the edge of a true overlap closes within this and
 
 @dataclass(frozen=True, slots=True)
 class EdgeSegments:
-    """Pieces of edges: ``start_mm`` and ``end_mm`` (..., k, 2); ``kept`` (..., k) which exist."""
+    """Segments of edges: ``start_mm``, ``end_mm`` (..., k, 2); ``kept`` (..., k): they exist."""
 
     start_mm: FloatArray
     end_mm: FloatArray
@@ -194,7 +196,7 @@ def overlap_edges(first_mm: FloatArray, second_mm: FloatArray) -> EdgeSegments:
     start = np.concatenate([own.start_mm, other.start_mm], axis=-2)
     end = np.concatenate([own.end_mm, other.end_mm], axis=-2)
     kept = np.concatenate([own.kept, other.kept], axis=-1)
-    # Outlines that only touch leave pieces that do not close, or hardly any: no overlap then.
+    # Segments of outlines that only touch do not close, or are very short: no overlap.
     along = (end - start) * kept[..., None]
     gap, length = along.sum(axis=-2), np.hypot(along[..., 0], along[..., 1]).sum(axis=-1)
     closes = np.hypot(gap[..., 0], gap[..., 1]) < CLOSING_TOLERANCE_MM
@@ -203,10 +205,10 @@ def overlap_edges(first_mm: FloatArray, second_mm: FloatArray) -> EdgeSegments:
 
 
 def _perturbed(polygon_mm: FloatArray) -> FloatArray:
-    """Turn and shrink a polygon by a hair about its middle.
+    """Rotate and shrink a polygon by 1e-9 about its middle, so that no two edges coincide.
 
-    Outlines of equal pieces share edges exactly, and round-off would then keep a shared edge
-    twice or not at all. After the nudge no two edges coincide.
+    Outlines of equal pieces share edges exactly, and round-off would keep a shared edge twice or
+    not at all.
     """
     middle = polygon_mm.mean(axis=-2, keepdims=True)
     away = polygon_mm - middle
@@ -214,7 +216,7 @@ def _perturbed(polygon_mm: FloatArray) -> FloatArray:
 
 
 def _clip_edges(edges_of: FloatArray, within: FloatArray) -> EdgeSegments:
-    """Cut every edge of one polygon to its stretch inside the other."""
+    """Clip each edge of one polygon to the other."""
     start, normal = edge_normals(within)
     reach = (start * normal).sum(axis=-1)
     round_trip = np.concatenate([edges_of, edges_of[..., :1, :]], axis=-2)
@@ -223,7 +225,7 @@ def _clip_edges(edges_of: FloatArray, within: FloatArray) -> EdgeSegments:
     inside = depths.min(axis=-1) >= 0.0
     whole = inside[..., :-1] & inside[..., 1:]
     low, high = np.zeros(whole.shape), whole.astype(np.float64)
-    # Only the few edges that are neither inside nor behind one half-plane need the full cut.
+    # Only edges that are neither inside nor outside of one half-plane need full clipping.
     doubtful = (np.maximum(depth, after).min(axis=-1) >= 0.0) & ~whole
     low[doubtful], high[doubtful] = _clip_interval(depth[doubtful], after[doubtful])
     along = round_trip[..., 1:, :] - edges_of
@@ -233,7 +235,7 @@ def _clip_edges(edges_of: FloatArray, within: FloatArray) -> EdgeSegments:
 
 
 def _clip_interval(depth: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where (0..1) edges enter and leave all half-planes, from the depths of their ends."""
+    """Return entry and exit (0..1) of edges into all half-planes, from the depths of their ends."""
     drop = depth - after
     crossing = np.divide(depth, drop, out=np.zeros_like(depth), where=drop != 0.0)
     entry = np.where(drop < 0.0, crossing, 0.0).max(axis=-1)
@@ -249,7 +251,7 @@ def enclosed_area_mm2(cut: EdgeSegments) -> FloatArray:
 
 
 def polygon_edges(polygon_mm: FloatArray) -> EdgeSegments:
-    """Return the edges of a ccw polygon (k, 2) as pieces."""
+    """Return the edges of a ccw polygon (k, 2)."""
     end = np.roll(polygon_mm, -1, axis=-2)
     return EdgeSegments(polygon_mm, end, np.hypot(*np.moveaxis(end - polygon_mm, -1, 0)) > 0.0)
 
@@ -300,9 +302,9 @@ def face_points(outline: Outline, pitch_mm: float = 1.0) -> FloatArray:
 def true_patch(
     points_mm: FloatArray, offset_mm: ArrayLike, bottom: Outline, yaw_rad: float = 0.0
 ) -> NDArray[np.bool_]:
-    """Return (..., N): which face points touch when the face sits at ``offset_mm`` (..., 2).
+    """Return (..., N) bool: face points in contact with the face at ``offset_mm`` (..., 2).
 
-    ``yaw_rad`` turns the face about its centre; the bottom outline is that of frame ``O``.
+    ``yaw_rad`` rotates the face about its centre; the bottom outline is in frame ``O``.
     """
     offset = np.asarray(offset_mm, dtype=np.float64)
     return bottom.contains(rotated(points_mm, yaw_rad) + offset[..., None, :])
@@ -336,7 +338,7 @@ def overlap_area_mm2(
 
 
 def _circle_overlap_mm2(distance_mm: FloatArray, r: float, s: float) -> FloatArray:
-    """Return the common area of two circles of radius r and s mm, their centres apart."""
+    """Return the common area of circles of radius r and s mm."""
     apart = np.clip(distance_mm, abs(r - s), r + s)
     # Distance from each centre to the common chord; concentric equal circles share a diameter.
     near = np.divide(apart**2 + r**2 - s**2, 2 * apart, out=np.zeros_like(apart), where=apart > 0)

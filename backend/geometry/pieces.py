@@ -104,8 +104,7 @@ class PieceFile(Settings):
     """One piece: a top that can be grasped (``grip_height_mm``), a bottom, or both.
 
     ``face`` is the contact face: the underside of a grasped piece, the upper surface of a bottom.
-    ``opposite`` is the other end; a bottom without it has equal ends, a top without it carries
-    nothing.
+    ``opposite`` is the other end. Without it a bottom has equal ends, and nothing stands on a top.
     """
 
     title: Annotated[str, Field(min_length=1, max_length=60)]
@@ -258,7 +257,7 @@ def load_pieces(folder: Path | None = None) -> PieceLibrary:
 
 @cache
 def _shipped_pieces() -> Mapping[str, Piece]:
-    """Read the shipped files, once: they stay as they are while the program runs."""
+    """Read the shipped files once."""
     return _read_folder(Path(str(files("touchdown.resources"))) / "objects")
 
 
@@ -270,7 +269,7 @@ def read_piece(path: Path) -> Piece:
     """Read one piece file; raises ``InputError``."""
     if PIECE_NAME.fullmatch(path.stem) is None:
         raise InputError(
-            "A piece is named by its file: small letters, digits, '-' and '_'.",
+            "Names of piece files consist of small letters, digits, '-' and '_'.",
             str(path),
             "Rename the file.",
         )
@@ -279,14 +278,10 @@ def read_piece(path: Path) -> Piece:
     opposite = content.opposite.outline() if content.opposite else None
     grasped = content.grip_height_mm is not None
     carries = "bottom" in content.roles
-    upper, lower = (
-        (opposite or (face if carries else None), face)
-        if grasped
-        else (
-            face,
-            opposite or face,
-        )
-    )
+    if grasped:
+        upper, lower = opposite or (face if carries else None), face
+    else:
+        upper, lower = face, opposite or face
     return Piece(
         name=path.stem,
         title=content.title,
@@ -308,6 +303,6 @@ def read_piece(path: Path) -> Piece:
 
 
 def _digest(content: PieceFile) -> str:
-    """Hash what the piece is, whatever the order, comments and title of its file."""
+    """Return a hash independent of order, comments and title of the file."""
     facts = content.model_dump(mode="json", exclude={"title", "nominal"})
     return sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

@@ -1,7 +1,7 @@
 """Random sampling of start offsets and of leaning towers.
 
-The same seed gives the same start and the same tower in the tables, in the live simulated bench and
-in every test. Offsets are drawn uniformly and then accepted or rejected.
+The same seed gives the same start and tower in experiments, on the simulated bench and in tests.
+Offsets are drawn by rejection sampling.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ def draw_offset(
     count: int,
     min_overlap_mm2: float = MIN_OVERLAP_MM2,
 ) -> FloatArray:
-    """Return (count, 2) offsets in mm, uniform over all with enough overlap.
+    """Return (count, 2) offsets in mm, uniform over those with enough overlap.
 
-    Raises ``InputError`` if the two faces can hardly overlap that much.
+    Raises ``InputError`` if such offsets are too rare.
     """
     reach = np.add(face.half_extents_mm, bottom.half_extents_mm)
     found = np.empty((0, 2))
@@ -59,11 +59,11 @@ def draw_start(
     min_overlap_mm2: float = MIN_OVERLAP_MM2,
     margin_mm: float = START_MARGIN_MM,
 ) -> tuple[float, float]:
-    """Return an offset of ``piece`` from the topmost bottom at which the whole stack would fall.
+    """Return an offset of ``piece`` from the topmost bottom at which the stack would fall.
 
-    Uniform over offsets in mm (frame ``O``) with overlap of at least ``min_overlap_mm2`` and a
-    margin of the stack of at most ``margin_mm``. Raises ``InputError`` if the bottoms carry
-    nothing, do not stand by themselves, or no such offset is found.
+    Uniform over offsets in mm (frame ``O``) with an overlap of at least ``min_overlap_mm2`` and a
+    margin of the stack of at most ``margin_mm``. Raises ``InputError`` if the bottoms cannot carry
+    a piece, do not stand, or no such offset is found.
     """
     carrier = bottoms.bodies[-1]
     where = f"{piece.name} on {carrier.name}"
@@ -84,9 +84,9 @@ PLACEMENT_PITCH_MM = 2.0  # pitch of the grid on which a stable position is sear
 
 
 def draw_tower(rng: np.random.Generator, bottoms: Sequence[Piece]) -> Tower:
-    """Stand ``bottoms`` (bottom-up) on each other, the upper ones leaning; raises ``InputError``.
+    """Return a tower of ``bottoms`` (bottom-up), the upper ones displaced at random.
 
-    One bottom draws nothing. The tower need not stand.
+    The tower may be unstable. Raises ``InputError``.
     """
     tower = Tower((bottoms[0].body(),))
     for piece in bottoms[1:]:
@@ -98,7 +98,7 @@ def draw_tower(rng: np.random.Generator, bottoms: Sequence[Piece]) -> Tower:
 
 
 def can_be_placed(piece: Piece, tower: Tower) -> bool:
-    """Whether the tower stands, and would with ``piece`` at some place of a coarse grid."""
+    """Return True if the tower stands, also with ``piece`` at some position of a coarse grid."""
     if not judge_tower(tower).stands:
         return False
     carrier = tower.bodies[-1]

@@ -25,8 +25,8 @@ FLOOR = "table"
 class Body:
     """One placed body. ``lower`` and ``upper``: its flat ends; ``upper`` None carries nothing.
 
-    ``at_mm``: centre of its faces in the frame of the tower; ``yaw_rad`` turns it about that
-    centre. ``com_xy_mm`` is in the body's own frame. A ``fixed`` body cannot move.
+    ``at_mm``: centre of its faces in the frame of the tower; ``yaw_rad``: rotation about it.
+    ``com_xy_mm`` is in the body's own frame. A ``fixed`` body cannot move.
     """
 
     name: str
@@ -49,8 +49,10 @@ class Body:
 
 @dataclass(frozen=True, slots=True)
 class Tower:
-    """Bodies from the lowest up. Raises ``InputError`` if one above the lowest is fixed or one
-    below the topmost carries nothing, ValueError if there is none.
+    """Bodies from the lowest up.
+
+    Raises ``InputError`` if a body above the lowest is fixed, or one below the topmost has no upper
+    face; ValueError without bodies.
     """
 
     bodies: tuple[Body, ...]
@@ -80,9 +82,9 @@ class Tower:
 
 @dataclass(frozen=True, slots=True)
 class TowerVerdict:
-    """Signed margin of every interface, lowest first; ``inf`` where nothing can tip.
+    """Signed margin of each interface, lowest first.
 
-    ``-inf`` if two faces do not even overlap. ``interfaces``: in words, same order.
+    ``inf`` under a fixed body, ``-inf`` if two faces do not overlap. ``interfaces``: their names.
     """
 
     margins_mm: tuple[float, ...]
@@ -90,7 +92,7 @@ class TowerVerdict:
 
     @property
     def margin_mm(self) -> float:
-        """The smallest margin: it decides."""
+        """The smallest margin, which decides."""
         return min(self.margins_mm)
 
     @property
@@ -100,19 +102,19 @@ class TowerVerdict:
 
     @property
     def stands(self) -> bool:
-        """Whether the stack stands."""
+        """True if the stack stands."""
         return self.margin_mm > 0.0
 
     @property
     def too_close(self) -> bool:
-        """Whether the margin is too small to be scored either way."""
+        """True if the margin is too small to be scored either way."""
         return abs(self.margin_mm) < TOO_CLOSE_MM
 
 
 def judge_tower(tower: Tower, disturbance_mm: Point = (0.0, 0.0)) -> TowerVerdict:
-    """Judge every interface of ``tower``.
+    """Return the margin of each interface of ``tower``.
 
-    ``disturbance_mm``: kick of the opening fingers, as a shift of the top body's centre of mass.
+    ``disturbance_mm``: effect of the opening fingers, as a shift of the top body's centre of mass.
     """
     bodies = tower.bodies
     masses = np.array([body.mass_g for body in bodies])

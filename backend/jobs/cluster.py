@@ -15,7 +15,7 @@ JOBS_AHEAD = 2  # jobs submitted per worker thread, so that none is idle
 
 
 class DaskCluster:
-    """Runs jobs through ``dask.distributed``; the store must lie where all workers reach it."""
+    """Runs jobs through ``dask.distributed``; all workers must have access to the store."""
 
     def __init__(self, kinds: JobFunctions, store: JobStore, client: Any) -> None:
         self._kinds, self._store, self._client = kinds, store, client
@@ -40,12 +40,12 @@ class DaskCluster:
             ) from error
 
     def room(self) -> int:
-        """Return room for a few jobs per thread of the cluster."""
+        """Return the number of jobs to submit: a few per thread of the cluster."""
         threads = sum(int(n) for n in self._client.nthreads().values())
         return JOBS_AHEAD * max(1, threads) - len(self._running)
 
     def submit(self, spec: JobSpec) -> None:
-        """Hand the job to the scheduler, which tries again when a worker dies."""
+        """Submit the job; the scheduler repeats it if a worker dies."""
         future = self._client.submit(
             run_job, spec, self._kinds, self._store, key=f"{spec.kind}-{spec.id}", retries=2
         )
@@ -67,7 +67,7 @@ class DaskCluster:
         return results
 
     def close(self) -> None:
-        """Cancel what is under way and disconnect."""
+        """Cancel the running jobs and disconnect."""
         self._client.cancel(list(self._running))
         self._running.clear()
         self._client.close()

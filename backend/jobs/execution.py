@@ -27,7 +27,7 @@ JobStart = tuple[int, str]  # process id and id of the job that it starts ("" be
 
 
 class PoolWorkers:
-    """``pool`` makes a pool whose workers say here what they begin."""
+    """Worker processes of a pool, which report the jobs they start."""
 
     def __init__(self) -> None:
         self._context = multiprocessing.get_context("spawn")
@@ -41,7 +41,7 @@ class PoolWorkers:
 
     @contextmanager
     def starting(self) -> Iterator[None]:
-        """Take those that are spawned meanwhile for workers of this pool."""
+        """Register processes spawned in the block as workers of this pool."""
         before = set(multiprocessing.active_children())
         yield
         for process in set(multiprocessing.active_children()) - before:
@@ -49,14 +49,14 @@ class PoolWorkers:
                 self._note(process.pid, "")
 
     def has_begun(self, job: str) -> bool:
-        """Whether a worker has begun the job."""
+        """Return True if a worker has started the job."""
         self._take()
         return any(job == one for one, _ in self._jobs.values())
 
     def look(self, under_way: Collection[str]) -> tuple[dict[int, str], set[int]]:
-        """Return who stands still amid which of those jobs, and who of them does so since now.
+        """Return stalled workers with their jobs of ``under_way``, and the newly stalled ones.
 
-        One that stands still before its first job, which waits for it, is amid "".
+        A worker that is stalled before its first job has the job "".
         """
         self._take()
         begun = {job for job, _ in self._jobs.values()}
@@ -69,13 +69,13 @@ class PoolWorkers:
         return still, news
 
     def kill(self, numbers: Iterable[int]) -> None:
-        """End those processes now."""
+        """Kill these processes."""
         for number in numbers:
             with suppress(psutil.NoSuchProcess):
                 psutil.Process(number).kill()
 
     def end(self) -> None:
-        """Wait for all to end, for a while; afterwards none is there."""
+        """Wait for all workers to exit; kill the rest after a timeout."""
         there = []
         for number in self._jobs:
             with suppress(psutil.NoSuchProcess):
@@ -107,7 +107,7 @@ def run_in_worker(
     kinds: JobFunctions,
     store: JobStore,
 ) -> JobResult:
-    """Say that this worker begins the job, and do it."""
+    """Report the start of the job, and run it."""
     _job_starts[0].put((os.getpid(), spec.id))
     return run(spec, kinds, store)
 
@@ -117,19 +117,19 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 
 
 class Executor(Protocol):
-    """Takes jobs as long as it has room, and hands back finished ones."""
+    """Accepts jobs while it has room, and returns finished ones."""
 
     def room(self) -> int:
-        """Return how many more jobs it would start at once."""
+        """Return the number of jobs it would start at once."""
 
     def submit(self, spec: JobSpec) -> None:
         """Begin a job."""
 
     def finished(self) -> list[JobResult]:
-        """Wait for at least one of the begun jobs; at least one was begun."""
+        """Wait for at least one of the started jobs; at least one was started."""
 
     def close(self) -> None:
-        """Drop what was not begun, and let go of all workers."""
+        """Discard jobs that were not started, and release all workers."""
 
 
 class SerialExecutor:
@@ -152,16 +152,16 @@ class SerialExecutor:
         return [run_job(self._next.pop(), self._kinds, self._store)]
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Discard the waiting job."""
         self._next.clear()
 
 
 class ProcessPool:
     """Spawned processes of one thread each, at low priority.
 
-    When a worker is killed, the jobs that were under way are tried again in a new pool, at most
-    ``DEATHS`` times each; what was finished stays finished. ``tell`` hears of a worker that died or
-    stands still, within half a second; one that stands still is left to itself until ``close``.
+    When a worker dies, the running jobs are repeated in a new pool, at most ``MAX_WORKER_DEATHS``
+    times each. ``tell`` receives a message about a dead or stalled worker within half a second; a
+    stalled worker is killed only by ``close``.
     """
 
     def __init__(
@@ -178,11 +178,11 @@ class ProcessPool:
         self._pool = self._new_pool()
 
     def room(self) -> int:
-        """No more than there are workers: then a death concerns few jobs."""
+        """Return the number of idle workers."""
         return self._count - len(self._running)
 
     def submit(self, spec: JobSpec) -> None:
-        """Hand the job to a worker."""
+        """Submit the job to a worker."""
         try:
             future = self._submitted(spec)
         except BrokenProcessPool:
@@ -191,7 +191,7 @@ class ProcessPool:
         self._running[future] = spec
 
     def finished(self) -> list[JobResult]:
-        """Return the jobs that ended; those of a dead worker begin again."""
+        """Wait for finished jobs; jobs of a dead worker are started again."""
         while True:
             ended, _ = wait(self._running, POLL_S, return_when=FIRST_COMPLETED)
             results: list[JobResult] = []
@@ -202,16 +202,13 @@ class ProcessPool:
                     results.append(future.result())
                 except BrokenProcessPool:
                     orphans.append(spec)
-            self._look()
-            results += self._again(orphans)
+            self._report_stalled()
+            results += self._resubmit(orphans)
             if results:
                 return results
 
     def close(self) -> None:
-        """Finish the jobs under way, start none, end the workers; those that stand still at once.
-
-        Afterwards no process is left.
-        """
+        """Finish the running jobs, start no others, end all workers; kill stalled ones."""
         self._pool.shutdown(wait=False, cancel_futures=True)
         while any(
             self._workers.has_begun(self._running[future].id)
@@ -227,23 +224,23 @@ class ProcessPool:
         with _single_threaded(), self._workers.starting():
             return self._pool.submit(run_in_worker, run_job, spec, self._kinds, self._store)
 
-    def _look(self) -> None:
-        """Tell of workers that stand still amid a job."""
+    def _report_stalled(self) -> None:
+        """Report newly stalled workers."""
         under_way = {spec.id: spec.kind for spec in self._running.values()}
         still, news = self._workers.look(under_way)
         for number in news:
             kind = under_way.get(still[number])
-            amid = f"amid the job '{kind}'" if kind else "before its first job"
+            amid = f"in the job '{kind}'" if kind else "before its first job"
             self._tell(
-                f"A worker stands still {amid} (process {number}): nothing in it "
-                "wants to run. Let it go on, or end it: its job begins again then."
+                f"A worker is stalled {amid} (process {number}). "
+                "Resume the process, or end it: its job is then started again."
             )
 
-    def _again(self, orphans: list[JobSpec]) -> list[JobResult]:
+    def _resubmit(self, orphans: list[JobSpec]) -> list[JobResult]:
         lost: list[JobResult] = []
         if orphans:
             kinds = ", ".join(f"'{spec.kind}'" for spec in orphans)
-            self._tell(f"A worker died; under way were the jobs {kinds}.")
+            self._tell(f"A worker died while running the jobs {kinds}.")
         for spec in orphans:
             self._deaths[spec.id] += 1
             if self._deaths[spec.id] > MAX_WORKER_DEATHS:
@@ -260,10 +257,9 @@ class ProcessPool:
 
 @contextmanager
 def _single_threaded() -> Iterator[None]:
-    """Let workers that are spawned meanwhile use one thread for linear algebra.
+    """Workers spawned in the block use one thread for linear algebra.
 
-    The libraries read these variables once, as they load, and two threads beside another worker
-    cost more than they bring.
+    The libraries read these variables once, on import.
     """
     before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
@@ -280,10 +276,10 @@ def _single_threaded() -> Iterator[None]:
 def run_campaign(
     specs: Iterable[JobSpec], executor: Executor, store: JobStore
 ) -> Iterator[JobResult]:
-    """Yield each job as it ends: at once what is finished already, the rest in completion order.
+    """Yield each job when it ends: first those finished before, then in order of completion.
 
-    A job begins when those of its inputs that are jobs of the campaign are done. What depends on a
-    failed job fails with it. The executor is closed at the end, also when the reader stops early.
+    A job starts when its inputs among the jobs of the campaign are done. Jobs that depend on a
+    failed job fail too. The executor is closed at the end, also if the iteration stops early.
     """
     waiting = {spec.id: spec for spec in specs}
     ahead = set(waiting)
@@ -318,10 +314,12 @@ def run_campaign(
 def shard_of(specs: Sequence[JobSpec], index: int, count: int) -> list[JobSpec]:
     """Return part ``index`` (from 0) of ``count``, for array schedulers.
 
-    All ids are sorted and every ``count``-th is taken: each process finds its own part without
-    talking to the others. A job whose inputs belong to another part waits for a later call.
+    Every ``count``-th of the sorted ids is taken, so that processes need no communication. A job
+    whose inputs belong to another part is left for a later call.
     """
-    return [spec for k, spec in enumerate(sorted(specs, key=_id)) if k % count == index]
+    return [
+        spec for k, spec in enumerate(sorted(specs, key=lambda spec: spec.id)) if k % count == index
+    ]
 
 
 def parse_shard(text: str) -> tuple[int, int]:
@@ -329,7 +327,7 @@ def parse_shard(text: str) -> tuple[int, int]:
     index, slash, count = text.partition("/")
     if slash and index.isdecimal() and count.isdecimal() and int(index) < int(count):
         return int(index), int(count)
-    raise InputError(f"'{text}' names no part.", "--shard", "Give i/n with i from 0 to n - 1.")
+    raise InputError(f"'{text}' is not a part.", "--shard", "Give i/n with i from 0 to n - 1.")
 
 
 def independent_jobs(
@@ -344,10 +342,6 @@ def independent_jobs(
             return list(chosen.values())
         outside |= blocked
         chosen = {k: spec for k, spec in chosen.items() if k not in blocked}
-
-
-def _id(spec: JobSpec) -> str:
-    return spec.id
 
 
 def _ready_jobs(waiting: dict[str, JobSpec], ahead: set[str], room: int) -> list[JobSpec]:

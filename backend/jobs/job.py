@@ -26,10 +26,10 @@ ID_DIGITS = 32
 
 @dataclass(frozen=True)
 class JobSpec:
-    """What to do (``kind``), with which ``params`` (JSON values) and ``seed``, on which ``inputs``.
+    """Specification of a job: ``kind``, ``params`` (JSON values), ``seed`` and ``inputs``.
 
     ``inputs``: ids of the jobs, or hashes of the files, that the job reads. ``code``: version of
-    the program. None of it may be changed afterwards.
+    the program. Immutable.
     """
 
     kind: str
@@ -39,7 +39,7 @@ class JobSpec:
     code: str = ""
 
     def canonical(self) -> str:
-        """Return the one JSON text of this spec: keys sorted, no spaces, no NaN (ValueError)."""
+        """Return the canonical JSON text: sorted keys, no spaces, no NaN (ValueError)."""
         facts = {
             "kind": self.kind,
             "params": self.params,
@@ -74,7 +74,7 @@ _PART_SUFFIX = ".part"
 
 @dataclass(frozen=True, slots=True)
 class JobStore:
-    """Finished jobs below ``root``; any number of processes may write different jobs to it."""
+    """Finished jobs below ``root``; processes may write different jobs concurrently."""
 
     root: Path
 
@@ -83,11 +83,11 @@ class JobStore:
         return self.root / job_id
 
     def has(self, job_id: str) -> bool:
-        """Whether the job is finished."""
+        """Return True if the job is finished."""
         return (self.folder(job_id) / RESULT_FILE).is_file()
 
     def result(self, job_id: str) -> dict[str, Any]:
-        """Return what a finished job answered; raises ``InputError`` naming the damaged file."""
+        """Return the answer of a finished job; raises ``InputError`` naming a damaged file."""
         path = self.folder(job_id) / RESULT_FILE
         try:
             answer = json.loads(path.read_bytes())
@@ -99,10 +99,9 @@ class JobStore:
 
     @contextmanager
     def writing(self, spec: JobSpec) -> Iterator[Path]:
-        """Yield a folder for the job's files; ``finish`` it inside, else it is thrown away.
+        """Yield a folder for the job's files; it is deleted unless ``finish`` is called inside.
 
-        The folder carries the process in its name, so that two processes that do the same job by
-        accident do not disturb each other.
+        Its name contains the process id, so that two processes can run the same job.
         """
         part = self.root / f".{spec.id}.{os.getpid()}{_PART_SUFFIX}"
         shutil.rmtree(part, ignore_errors=True)
@@ -113,22 +112,22 @@ class JobStore:
             shutil.rmtree(part, ignore_errors=True)
 
     def finish(self, spec: JobSpec, part: Path, answer: Mapping[str, Any]) -> None:
-        """Give the folder ``part`` its spec and answer, and its final name."""
+        """Write spec and answer to the folder ``part`` and give it its final name."""
         write_atomically(part / SPEC_FILE, spec.canonical().encode())
         text = json.dumps(answer, sort_keys=True, allow_nan=False)
         write_atomically(part / RESULT_FILE, text.encode())
         try:
             part.rename(self.folder(spec.id))
         except OSError:
-            # Another process finished the same job first: its result is the same.
+            # Another process finished the same job first; its result is equal.
             if not self.has(spec.id):
                 raise
         sync_folder(self.root)
 
     def sweep(self) -> int:
-        """Delete what killed processes left half done; returns how much there was.
+        """Delete unfinished folders of killed processes; return their number.
 
-        Only while nobody writes to the store.
+        Call only while no process writes to the store.
         """
         left = list(self.root.glob(f".*{_PART_SUFFIX}"))
         for part in left:
@@ -138,7 +137,7 @@ class JobStore:
 
 @dataclass(frozen=True, slots=True)
 class JobContext:
-    """Where a job works: ``folder`` for files it leaves, ``store`` to read its inputs from."""
+    """Resources of a running job: ``folder`` for its files, ``store`` with its inputs."""
 
     folder: Path
     store: JobStore
@@ -152,7 +151,7 @@ JobFunctions = Mapping[str, JobFunction]
 
 @dataclass(frozen=True, slots=True)
 class JobResult:
-    """How a job ended; ``error`` says why it failed. Answers are read from the store."""
+    """End of a job; ``error``: reason of a failure. Answers are read from the store."""
 
     id: str
     kind: str
@@ -162,14 +161,16 @@ class JobResult:
 
 
 def run_job(spec: JobSpec, kinds: JobFunctions, store: JobStore) -> JobResult:
-    """Do the job unless it is done already; an error of its function is a failed result."""
+    """Run the job unless it is finished; an error of its function gives a failed result."""
     if store.has(spec.id):
         return JobResult(spec.id, spec.kind, "done")
     began_s = time.monotonic()
     try:
         if spec.kind not in kinds:
             known = ", ".join(sorted(kinds))
-            raise InputError(f"There is no job '{spec.kind}'.", spec.id, f"Use one of: {known}.")
+            raise InputError(
+                f"There is no job kind '{spec.kind}'.", spec.id, f"Use one of: {known}."
+            )
         with store.writing(spec) as folder:
             answer = kinds[spec.kind](spec, JobContext(folder, store))
             store.finish(spec, folder, answer)

@@ -97,7 +97,7 @@ def test_an_order_of_limits_that_makes_no_sense_names_both(tmp_path):
 
 
 def test_an_emulated_bench_cannot_call_itself_hardware(tmp_path):
-    with pytest.raises(InputError, match=r"called hardware.*arm answers on this computer"):
+    with pytest.raises(InputError, match=r"declared hardware.*arm is on this computer"):
         load_lab(written(tmp_path, HEAD.format(kind="hardware") + EMULATED))
 
 
@@ -114,7 +114,7 @@ def test_an_emulated_bench_cannot_call_itself_hardware(tmp_path):
 def test_no_real_device_is_called_emulated(tmp_path, given, real, key):
     text = HEAD.format(kind="emulated") + EMULATED
     assert load_lab(written(tmp_path, text)).facts.mode == "emulated"
-    with pytest.raises(InputError, match=re.escape(f"'{key}' is no place")):
+    with pytest.raises(InputError, match=re.escape(f"'{key}' is not the address")):
         load_lab(written(tmp_path, text.replace(given, real)))
 
 

@@ -73,5 +73,5 @@ def test_what_could_not_be_used_changes_nothing(path, values, key):
 
 def test_a_file_that_is_not_understood_is_left_to_its_author():
     strange = '"ft" = { "driver" = "bota" }\n'
-    with pytest.raises(InputError, match="not understood"):
+    with pytest.raises(InputError, match="not supported"):
         edit_toml(strange, {"ft.driver": "dynpick"}, "lab.toml")

@@ -60,7 +60,7 @@ def test_the_error_names_file_and_key(tmp_path, text, key):
     [
         ("[ft]\nrate = 3", "There is no setting 'ft.rate'.", "'ft.rate_hz'"),
         ("[gelsigt.left]", "There is no setting 'gelsigt'.", "'gelsight'"),
-        ("[ft]\nzzz = 3", "There is no setting 'ft.zzz'.", "Take 'ft.zzz' out."),
+        ("[ft]\nzzz = 3", "There is no setting 'ft.zzz'.", "Remove 'ft.zzz'."),
     ],
 )
 def test_a_setting_that_nobody_knows_is_called_so_with_the_nearest_one(tmp_path, text, said, fix):

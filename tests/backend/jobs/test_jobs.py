@@ -81,7 +81,7 @@ def test_a_failed_job_leaves_nothing_and_says_why(tmp_path: Path) -> None:
     assert result.state == "failed"
     assert "Never mind" in result.error
     assert list(tmp_path.iterdir()) == []
-    assert "no job 'unheard'" in run_job(JobSpec("unheard"), KINDS, store).error
+    assert "no job kind 'unheard'" in run_job(JobSpec("unheard"), KINDS, store).error
 
 
 def test_a_damaged_result_names_its_file(tmp_path: Path) -> None:

@@ -94,8 +94,7 @@ def patch_iou(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
     return float(np.sum(first & second)) / either if either else 1.0
 
 
-PAUSE_MS = 60_000
-"""A longer look is a pause, and counts as this much at most."""
+PAUSE_MS = 60_000  # a longer look is a pause, and counts as this much at most
 
 
 @dataclass(frozen=True, slots=True)

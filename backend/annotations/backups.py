@@ -18,11 +18,10 @@ from touchdown.backend.core import Fault, FaultError, InputError, make_folder, s
 
 STAMP = "%Y%m%dT%H%M%S%fZ"
 EVERY = timedelta(hours=1)
+# The newest of each of the last 24 hours, 14 days and 12 months that have any.
 KEPT = (("%Y%m%d%H", 24), ("%Y%m%d", 14), ("%Y%m", 12))
-"""The newest of each of the last 24 hours, 14 days and 12 months that have any."""
 
-Heads = dict[str, tuple[int, str]]
-"""Per site: number and hash of its newest operation."""
+Heads = dict[str, tuple[int, str]]  # per site: number and hash of its newest operation
 
 
 @dataclass(frozen=True, slots=True)

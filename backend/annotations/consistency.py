@@ -13,8 +13,8 @@ from touchdown.backend.annotations.database import Database
 from touchdown.backend.annotations.geometry_records import GeometryStore
 from touchdown.backend.annotations.operation_log import OperationJournal
 
+# A folder that changed later than this may change again within one tick of its time stamp.
 SETTLED_NS = 2_500_000_000
-"""A folder that changed later than this may change again within one tick of its time stamp."""
 WEEK_NS = 7 * 24 * 3600 * 1_000_000_000
 
 
@@ -85,8 +85,7 @@ def stamp_of(folder: Path) -> str:
 
 
 QUARANTINE = "quarantine"
-FULL_LINES = 5
-"""More findings of one kind than this are told in one sentence."""
+FULL_LINES = 5  # more findings of one kind than this are told in one sentence
 
 
 @dataclass(frozen=True, slots=True)

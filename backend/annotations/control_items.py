@@ -44,8 +44,8 @@ class ControlItemView:
     beside: str
 
 
+# A queue with gold in it, and how the gold is to be seen.
 Mixed = tuple[list[str], dict[str, ControlItemView]]
-"""A queue with gold in it, and how the gold is to be seen."""
 
 
 def with_control_items(

@@ -99,6 +99,9 @@ CREATE TABLE suggestion (
 ) WITHOUT ROWID;
 """
 
+# Of a run its folder is the truth, of a campaign its file: these say the same to queries. ``mark``
+# and ``read_bytes``: which state of the run's files the rows show. A campaign needs no rows of its
+# own: what is done of it is what its episodes are.
 RUNS = """
 CREATE TABLE run (
     uuid TEXT PRIMARY KEY, kind TEXT NOT NULL,
@@ -136,11 +139,6 @@ CREATE TABLE schema_migration (
     program TEXT NOT NULL
 ) WITHOUT ROWID;
 """
-"""Of a run its folder is the truth, of a campaign its file: these say the same to queries.
-
-``mark`` and ``read_bytes``: which state of the run's files the rows show. A campaign needs no rows
-of its own: what is done of it is what its episodes are.
-"""
 
 CHECKED = """
 CREATE TABLE checked_folder (
@@ -159,6 +157,8 @@ def _guards(table: str, key: str) -> str:
     )
 
 
+# Of each step on gold what the person sees after it, and where the episode is shown. ``shown_ns``
+# is always 0: it held an invented time of recording.
 APART = """
 CREATE TABLE apart (
     op_uuid TEXT NOT NULL REFERENCES op (op_uuid), episode TEXT NOT NULL, rev_uuid TEXT NOT NULL,
@@ -169,11 +169,8 @@ CREATE TABLE apart (
 );
 CREATE INDEX apart_episode ON apart (episode);
 """ + _guards("apart", "op_uuid = NEW.op_uuid AND episode = NEW.episode")
-"""Of each step on gold what the person sees after it, and where the episode is shown.
 
-``shown_ns`` is always 0: it held an invented time of recording.
-"""
-
+# The append-only tables of ``TABLES`` and what makes a row of them the same row.
 KEYS = {
     "op": "op_uuid = NEW.op_uuid OR (site = NEW.site AND seq = NEW.seq)",
     "label_rev": "rev_uuid = NEW.rev_uuid",
@@ -181,7 +178,6 @@ KEYS = {
     "opinion": "op_uuid = NEW.op_uuid AND episode = NEW.episode",
     "event": "id = NEW.id",
 }
-"""The append-only tables of ``TABLES`` and what makes a row of them the same row."""
 
 
 def statements() -> str:
@@ -191,8 +187,7 @@ def statements() -> str:
 
 
 NAME = "catalog.db"
-BUSY_MS = 2000
-"""Another program may hold the catalogue for so long."""
+BUSY_MS = 2000  # another program may hold the catalogue for so long
 LEAST_ROOM = 1_000_000
 Row = tuple[Any, ...]
 

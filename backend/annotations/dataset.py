@@ -429,8 +429,7 @@ def read_description(folder: Path) -> DatasetDescription:
         ) from error
 
 
-Progress = Callable[[int, int], bool]
-"""Gets (done, all) after each episode; False stops."""
+Progress = Callable[[int, int], bool]  # gets (done, all) after each episode; False stops
 
 
 @dataclass(frozen=True, slots=True)

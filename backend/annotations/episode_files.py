@@ -380,8 +380,8 @@ def file_sha256(path: Path) -> str:
 
 PACKS = "packs"
 MODE = "mass"
+# Simulated episodes that fail a check are drawn again before they are packed.
 GOOD = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
-"""Simulated episodes that fail a check are drawn again before they are packed."""
 RANDOM_BITS = 74
 
 

@@ -30,8 +30,8 @@ from touchdown.backend.geometry import (
 
 VERSION = 1
 GRID_UM = 1000
+# Rule 1: a face point touches if it lies inside the bottom outline or on its edge.
 INSIDE_OR_ON_EDGE = 1
-"""Rule 1: a face point touches if it lies inside the bottom outline or on its edge."""
 
 Record = dict[str, object]
 

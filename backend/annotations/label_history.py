@@ -38,8 +38,7 @@ from touchdown.backend.annotations.values import (
 )
 from touchdown.backend.core import FloatArray, InputError, RefusedError
 
-TOGETHER = 500
-"""So many episodes are asked for in one query."""
+TOGETHER = 500  # so many episodes are asked for in one query
 
 
 class LabelReader:
@@ -174,8 +173,8 @@ def _unknown(uuid: str) -> InputError:
     return InputError("There is no such episode.", uuid, "List the episodes of the dataset.")
 
 
+# Verbs that are no action of a person, so that no undo takes them back.
 NO_STEPS = ("record", "adopt", "import", "label.opinion")
-"""Verbs that are no action of a person, so that no undo takes them back."""
 
 
 @dataclass(slots=True)

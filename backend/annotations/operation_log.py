@@ -280,11 +280,11 @@ def as_operation(row: tuple[Any, ...]) -> Operation:
     )
 
 
+# Columns of ``as_revision``, from ``label_rev r JOIN op o USING (op_uuid)``.
 REVISION = (
     "r.rev_uuid, r.op_uuid, r.episode, r.parent, r.x_um, r.y_um, r.theta_mdeg, r.sigma_um,"
     " r.source, r.state, r.reason, r.verdict, r.geometry, r.note, o.actor, o.at_ns"
 )
-"""Columns of ``as_revision``, from ``label_rev r JOIN op o USING (op_uuid)``."""
 
 
 def as_revision(row: tuple[Any, ...]) -> Revision:

@@ -17,9 +17,9 @@ from touchdown.backend.annotations.database import Database
 from touchdown.backend.annotations.values import Label, Revision
 from touchdown.backend.core import InputError
 
+# ``doubt``: how much likelier the signals are a few mm away. ``duplicates``: how far the label
+# lies off those of the most alike signals, in what is usual among them.
 SCORES = ("doubt", "disagreement", "uncertainty", "duplicates")
-"""``doubt``: how much likelier the signals are a few mm away. ``duplicates``: how far the
-label lies off those of the most alike signals, in what is usual among them."""
 
 MODEL = "model:"
 
@@ -111,11 +111,9 @@ QueueName = Literal[
 ]
 QUEUES: tuple[QueueName, ...] = get_args(QueueName)
 
-AUDIT_SHARE = 0.05
-"""Share of the submitted and approved labels that a random audit looks at again."""
+AUDIT_SHARE = 0.05  # share of the submitted and approved labels that a random audit looks at again
 
-BIN_UM = 2000
-"""Coverage is counted in squares of this size, per pair of pieces."""
+BIN_UM = 2000  # coverage is counted in squares of this size, per pair of pieces
 
 
 def episode_queue(

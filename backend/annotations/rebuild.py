@@ -19,6 +19,7 @@ from touchdown.backend.annotations.storage import NotWritableError, WriterLock
 from touchdown.backend.core import InputError
 
 REBUILT = ".rebuilt.db"
+# Tables that follow from the files and the journal, by their columns (``adopted`` differs).
 COMPARED = {
     "op": "*",
     "label_rev": "*",
@@ -33,7 +34,6 @@ COMPARED = {
     " recorded_ns, piece, bottom, geometry, grip_id, mounting_id, person, mode, quality, accepted,"
     " keep_frames, state",
 }
-"""Tables that follow from the files and the journal, by their columns (``adopted`` differs)."""
 CARRIED = ("event", "score", "suggestion", "run", "param", "metric", "artifact", "schema_migration")
 GONE = "state IN ('missing', 'quarantined', 'damaged')"
 

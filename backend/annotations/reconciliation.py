@@ -37,11 +37,9 @@ from touchdown.backend.annotations.values import (
 )
 from touchdown.backend.core import Fault, InputError, write_atomically
 
-TAIL = 500
-"""At a start the newest operations of a chain are checked, by ``verify`` all of them."""
+TAIL = 500  # at a start the newest operations of a chain are checked, by ``verify`` all of them
 
-ChainPosition = tuple[int, str]
-"""Number and hash of an operation."""
+ChainPosition = tuple[int, str]  # number and hash of an operation
 
 
 def check_labels(where: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
@@ -205,6 +203,7 @@ def _broken(site: str, seq: int, what: str) -> ConsistencyProblem:
     return ConsistencyProblem("broken-chain", f"{site}/{seq}", said, locks=True)
 
 
+# What a crash may leave of files that are made again anyway.
 LEFT_OVERS = (
     ("cache", "*.tmp"),
     ("cache", ".*.part"),
@@ -216,11 +215,8 @@ LEFT_OVERS = (
     ("runs/*", ".*.part"),
     (".", ".rebuilt.db*"),
 )
-"""What a crash may leave of files that are made again anyway."""
-TOGETHER = 500
-"""Findings mended in one transaction: a disk that is not mounted makes thousands."""
-BUSY_S = 60.0
-"""A cache that changed this recently is not a left-over."""
+TOGETHER = 500  # findings mended in one transaction: a disk that is not mounted makes thousands
+BUSY_S = 60.0  # a cache that changed this recently is not a left-over
 
 
 def check_dataset(where: DatasetParts, *, whole: bool = False) -> Iterator[ConsistencyProblem]:

@@ -14,11 +14,10 @@ from touchdown.backend.annotations.operation_log import REVERSING
 from touchdown.backend.annotations.values import DELETED, FLAG, PROGRAM, SKIPPED, LabelState
 from touchdown.backend.core import InputError, RefusedError
 
+# Where an episode stands in the work: each is in exactly one.
 Stage = Literal["unlabelled", "review", "approved", "rejected", "conflicts", "deleted"]
-"""Where an episode stands in the work: each is in exactly one."""
 
-BY_PROGRAM = ("record", "adopt")
-"""Verbs whose revisions nobody is the author of."""
+BY_PROGRAM = ("record", "adopt")  # verbs whose revisions nobody is the author of
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +202,7 @@ def rebuild_heads(connection: sqlite3.Connection) -> None:
 
 Action = Literal["set", "accept", "approve", "reject"]
 
+# By the digits 1 to 9; the last one takes a text.
 REJECT_REASONS = (
     "slip in grasp",
     "tilt",
@@ -214,7 +214,6 @@ REJECT_REASONS = (
     "disturbed",
     "other",
 )
-"""By the digits 1 to 9; the last one takes a text."""
 
 MAX_NAME = 80
 

@@ -22,14 +22,14 @@ import psutil
 
 from touchdown.backend.core import InputError, lock_file
 
+# Error numbers of a disk that is full, for everybody or for this user.
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Error numbers of a disk that is full, for everybody or for this user."""
 LEAST_BYTES = 1_000_000_000
 LEAST_EPISODES = 100
+# A run that has begun pauses below this: catalogue and journals still need room.
 GO_ON_BYTES = 500_000_000
-"""A run that has begun pauses below this: catalogue and journals still need room."""
+# Size of an episode with JPEG pictures of real gels; simulated ones are smaller.
 EPISODE_BYTES = 3_700_000
-"""Size of an episode with JPEG pictures of real gels; simulated ones are smaller."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +80,7 @@ fuse.rclone fuse.s3fs glusterfs fuse.glusterfs ceph lustre gpfs beegfs 9p
 NETWORK = frozenset(_NETWORK.split())
 FAT = frozenset({"vfat", "msdos", "exfat", "fat", "fat32", "fuse.exfat"})
 
-Mounts = Sequence[tuple[str, str]]
-"""(mount point, type of file system)."""
+Mounts = Sequence[tuple[str, str]]  # (mount point, type of file system)
 
 
 def check_local_disk(folder: Path, mounts: Mounts | None = None) -> None:

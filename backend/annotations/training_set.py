@@ -35,10 +35,8 @@ from touchdown.backend.episodes import (
 )
 from touchdown.backend.geometry import Piece, face_points, load_pieces, true_patch
 
-FEATURES = 1
-"""Raised whenever the same file would give other numbers."""
-KEPT = 3
-"""So many caches stay, the newest first."""
+FEATURES = 1  # raised whenever the same file would give other numbers
+KEPT = 3  # so many caches stay, the newest first
 LISTED = ("episode", "sha256", "revision", "x_um", "y_um", "pair")
 SHAPE = (SAMPLES_PER_PROBE, CHANNELS)
 Width = Literal["float16", "float32"]
@@ -194,8 +192,8 @@ def _forget_old(folder: Path, used: Path) -> None:
             path.with_suffix(".json").unlink(missing_ok=True)
 
 
+# ``submitted`` adds labels that wait for review; ``drafts`` also what a simulated bench noted.
 LabelChoice = Literal["approved", "submitted", "drafts"]
-"""``submitted`` adds labels that wait for review; ``drafts`` also what a simulated bench noted."""
 LABEL_CHOICES: tuple[LabelChoice, ...] = get_args(LabelChoice)
 
 _QUERY = """

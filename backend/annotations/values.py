@@ -69,16 +69,16 @@ def is_uuid7(text: str) -> bool:
     return value.version == 7 and str(value) == text
 
 
+# ``commanded``, ``measured``, ``human`` or ``model:<sha256 of the weights>``; of several models
+# the hashes are joined by ``+``.
 Source = str
-"""``commanded``, ``measured``, ``human`` or ``model:<sha256 of the weights>``; of several models
-the hashes are joined by ``+``."""
 
 LabelState = Literal["unlabelled", "draft", "submitted", "approved", "rejected", "superseded"]
 Verdict = Literal["stable", "unstable", "unsure"]
 FileState = Literal["complete", "missing", "damaged", "quarantined"]
 
+# The actor of what no person did. It may store drafts, never submit or review them.
 PROGRAM = "program"
-"""The actor of what no person did. It may store drafts, never submit or review them."""
 
 FLAG, SKIPPED, DELETED = "flag", "skipped", "deleted"
 GEOMETRY_CHANGED = "geometry-changed"
@@ -290,8 +290,7 @@ class EpisodeFilter:
     limit: int | None = None
 
 
-FIRST = "0" * 64
-"""What the first operation of a site follows."""
+FIRST = "0" * 64  # what the first operation of a site follows
 
 HASHED = ("actor", "at_ns", "body", "lamport", "op_uuid", "seq", "site", "target_op", "verb")
 

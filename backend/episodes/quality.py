@@ -95,23 +95,18 @@ Kind = Literal[
 ]  # fmt: skip
 
 CONTACT_N = 1.0
+# A force off the line between the ticks before and after (undisturbed: 0.35 N, at the knee).
 JERK_N = 0.6
-"""A force off the line between the ticks before and after (undisturbed: 0.35 N, at the knee)."""
+# One marker pitch: beyond it a marker may have been taken for its neighbour (undisturbed: 20).
 SATURATED_PX = 31.0
-"""One marker pitch: beyond it a marker may have been taken for its neighbour (undisturbed: 20)."""
 LOST_MARKERS = 3
-DROPPED_FRAMES = 3
-"""Frames of 100 (undisturbed: 0.5 % are lost)."""
-LAG_S = 0.03
-"""Of the gel behind the force (undisturbed: 0.011 s)."""
+DROPPED_FRAMES = 3  # frames of 100 (undisturbed: 0.5 % are lost)
+LAG_S = 0.03  # of the gel behind the force (undisturbed: 0.011 s)
 SLIP_MM = 0.3
 TWIN_APART_MM = 5.0
-TWIN_SHARE = 0.25
-"""Twins are nearer than this share of the median distance to the nearest stranger."""
-FEWEST = 20
-"""Fewer episodes show nothing about a distribution."""
-RARE = 0.001
-"""A distribution so uneven by chance is not believed."""
+TWIN_SHARE = 0.25  # twins are nearer than this share of the median distance to the nearest stranger
+FEWEST = 20  # fewer episodes show nothing about a distribution
+RARE = 0.001  # a distribution so uneven by chance is not believed
 
 _RAMP = slice(8, 14)
 _HELD = slice(16, 20)

@@ -37,8 +37,8 @@ class TrainingRows:
     grip_id: tuple[str, ...]
     mounting_id: tuple[str, ...]
     labels: tuple[Mapping[str, object], ...]
+    # How ``observation[index]`` is read where it is on disk.
     fetch: Callable[[NDArray[np.int64]], NDArray[np.floating]] | None = None
-    """How ``observation[index]`` is read where it is on disk."""
 
     def inputs(self, index: NDArray[np.int64]) -> NDArray[np.float32]:
         """(len(index), 20, 258) float32: the observations at ``index``, in that order."""
@@ -196,8 +196,8 @@ def _mixed(where: Path, what: str) -> InputError:
 
 
 MIN_MOUNTINGS = 30
+# The cure where nothing was collected.
 SIMULATED = "of simulated probes make more ('touchdown simulate --episodes 2000')"
-"""The cure where nothing was collected."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,8 +25,7 @@ MARGIN_MM = 12.0
 SEEN = 2
 DECIMALS = 4
 MIN_IOU = 0.99
-EDGE_MM = 0.05
-"""One px: so much may the rounding of a polygon move its edge."""
+EDGE_MM = 0.05  # one px: so much may the rounding of a polygon move its edge
 MAX_BYTES = 1_000_000_000
 INK, PAPER = 60, 245
 

@@ -30,8 +30,7 @@ from touchdown.backend.exchange.query import (
 PARTIAL = ".partial"
 MARK = ".touchdown-export"
 SAMPLE = "sample"
-SAMPLED = 20
-"""So many episodes, evenly spread, have pictures where ``video`` is ``sample``."""
+SAMPLED = 20  # so many episodes, evenly spread, have pictures where ``video`` is ``sample``
 Video = Literal["sample", "all", "none"]
 ProgressCallback = Callable[[int], None]
 
@@ -59,8 +58,8 @@ class ExportJob:
             self.advance(done + 1)
 
 
+# Writes a format into an empty folder; returns how the values are coded, for the manifest.
 FormatWriter = Callable[[ExportJob, Path], Mapping[str, object]]
-"""Writes a format into an empty folder; returns how the values are coded, for the manifest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,8 +312,7 @@ def _disk_fault(error: OSError, part: Path) -> Fault:
     )
 
 
-TABLES = ("csv",)
-"""Formats that can hold the recorded signals as tables."""
+TABLES = ("csv",)  # formats that can hold the recorded signals as tables
 _MODULES: dict[str, tuple[str, bool, Video]] = {
     "lerobot": ("lerobot_v3", True, "sample"),
     "robomimic": ("robomimic", True, "none"),

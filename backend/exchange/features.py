@@ -34,16 +34,14 @@ def require_package(module: str) -> ModuleType:
 
 FPS = 10
 TICK_NS = 1_000_000_000 // FPS
-WINDOW = 100
-"""Wrench samples per tick: 1 kHz."""
+WINDOW = 100  # wrench samples per tick: 1 kHz
 MARKERS, FT, FT_WINDOW = "observation.markers", "observation.ft", "observation.ft_window"
 STATE, ACTION = "observation.state", "action"
 OFFSET, PATCH = "label.offset_mm", "label.patch"
 PICTURES = {"left": "observation.images.tac_left", "right": "observation.images.tac_right"}
+# What the action of an export is: the manifest says which.
 COMMANDED, MEASURED = "commanded", "measured"
-"""What the action of an export is: the manifest says which."""
-DEMOS = "demos.hdf5"
-"""The file of a robomimic export."""
+DEMOS = "demos.hdf5"  # the file of a robomimic export
 Values = NDArray[Any]
 
 

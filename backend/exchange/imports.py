@@ -72,8 +72,7 @@ from touchdown.backend.exchange.label_import import note_import
 from touchdown.backend.exchange.manifest import GEOMETRY, Manifest, read_manifest
 from touchdown.backend.geometry import load_pieces
 
-DEADLINE_S = 60.0
-"""So long may one episode take; the first one includes opening the file."""
+DEADLINE_S = 60.0  # so long may one episode take; the first one includes opening the file
 LOOK_S = 0.05
 
 
@@ -293,8 +292,8 @@ def _label(values: Mapping[str, NDArray[Any]]) -> Label:
 
 MODE = "imported"
 OWN_BITS, NUMBER_AT = 24, 48
+# The checks need signals that a foreign file does not have.
 TRUSTED = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
-"""The checks need signals that a foreign file does not have."""
 
 
 @dataclass(frozen=True, slots=True)

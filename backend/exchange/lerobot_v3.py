@@ -57,8 +57,7 @@ DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 COUNTERS = ("frame_index", "episode_index", "index", "task_index")
-STATS_EVERY = 5
-"""Every such picture goes into the statistics of pixels."""
+STATS_EVERY = 5  # every such picture goes into the statistics of pixels
 
 
 def write(job: ExportJob, folder: Path) -> Mapping[str, object]:

@@ -21,8 +21,8 @@ from touchdown.backend.exchange.features import (
     require_package,
 )
 
+# Of one array: more than any probe has, so a damaged shape is not allocated.
 MAX_VALUES = 50_000_000
-"""Of one array: more than any probe has, so a damaged shape is not allocated."""
 
 
 def read(source: Path) -> Iterator[ForeignEpisode]:

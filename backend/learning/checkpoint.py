@@ -30,10 +30,8 @@ from touchdown.backend.learning.inference import (
 MAX_WEIGHT_BYTES = 100_000_000
 MAX_CARD_BYTES = 1_000_000
 FIX = "Use the model that came with Touchdown, or train again with 'touchdown train'."
-STORED = (np.float32, np.float16)
-"""Types of weights on disk; in memory they are float32."""
-WHOLE = ("mean", "scale")
-"""In the units of the signals, as small as they come: never of 16 bits."""
+STORED = (np.float32, np.float16)  # types of weights on disk; in memory they are float32
+WHOLE = ("mean", "scale")  # in the units of the signals, as small as they come: never of 16 bits
 _PICKLES = (b"PK\x03\x04", b"\x80")
 Size = Annotated[int, Field(ge=1, le=100_000)]
 
@@ -61,8 +59,8 @@ class ModelCard(BaseModel):
     frames: int = SAMPLES_PER_PROBE
     resampling: str = "markers linear between frames, wrench mean of the 100 ms before the tick"
     normaliser: str = "tensors 'mean' and 'scale' of the weights"
+    # One probability per face point, or a single one that the piece would stand.
     answers: Literal["patch", "stability"] = "patch"
-    """One probability per face point, or a single one that the piece would stand."""
     piece: str
     geometry: str
     delta: float = 0.9
@@ -75,14 +73,12 @@ class ModelCard(BaseModel):
     program_version: str
     weights_sha256: str
     licence: str = "Apache-2.0"
-    simulated: bool = True
-    """Whether all training data came from a simulated bench."""
+    simulated: bool = True  # whether all training data came from a simulated bench
+    # The benches that the training data came from, as far as the data tell.
     benches: tuple[BenchDescription, ...] = ()
-    """The benches that the training data came from, as far as the data tell."""
-    grid_mm: float = 1.0
-    """Pitch of the face points."""
+    grid_mm: float = 1.0  # pitch of the face points
+    # Names the training set: every episode, its file, its label revision and its side.
     manifest_sha256: str = ""
-    """Names the training set: every episode, its file, its label revision and its side."""
 
 
 @dataclass(frozen=True, slots=True)

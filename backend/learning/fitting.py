@@ -153,8 +153,7 @@ def evaluate_model(
     return {**scores, ALL: score(probability, rows.patch, points_mm, delta)}
 
 
-DIVERGED_NATS = 2 * math.log(2)
-"""Twice the loss of always answering 0.5."""
+DIVERGED_NATS = 2 * math.log(2)  # twice the loss of always answering 0.5
 
 
 def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bool]) -> None:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from touchdown.backend.core import CHANNELS, MARKERS, TACTILE_CHANNELS, WRENCH_CHANNELS
 
 ARCH = "lstm-last-linear/1"
+# Allow-list: a checkpoint names one of these words, never something to import.
 ARCHITECTURES = (ARCH,)
-"""Allow-list: a checkpoint names one of these words, never something to import."""
 GATES = 4
 
 

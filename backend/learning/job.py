@@ -13,11 +13,11 @@ from touchdown.backend.annotations import LabelChoice
 from touchdown.backend.config import TrainingSettings
 from touchdown.backend.learning.metrics import ReliabilityBin
 
+# What computes: ``auto`` is the graphics processor if torch finds one, else the processor.
 DeviceName = Literal["auto", "cpu", "cuda"]
-"""What computes: ``auto`` is the graphics processor if torch finds one, else the processor."""
 DEVICES: tuple[DeviceName, ...] = ("auto", "cpu", "cuda")
+# More were never measured; the same on all machines that have them gives the same numbers.
 MOST_THREADS = 2
-"""More were never measured; the same on all machines that have them gives the same numbers."""
 
 
 def default_threads() -> int:
@@ -43,11 +43,11 @@ class TrainingJob(JobMessage):
     settings: TrainingSettings
     labels: LabelChoice = "approved"
     resume: bool = False
+    # Folder that takes the manifest of the training set and sample predictions, if any.
     keep: Path | None = None
-    """Folder that takes the manifest of the training set and sample predictions, if any."""
+    # More than one gain where as many cores are free, and wait for each other where they are not;
+    # other last digits than one thread gives.
     threads: Annotated[int, Field(ge=1, le=64)] = 1
-    """More than one gain where as many cores are free, and wait for each other where they are not;
-    other last digits than one thread gives."""
     device: DeviceName = "auto"
 
 

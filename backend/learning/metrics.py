@@ -21,8 +21,7 @@ from touchdown.backend.episodes import TrainingRows, patch_bits, patch_hex
 
 Bits = NDArray[np.bool_]
 Z_95 = 1.959964
-LEVEL = 0.5
-"""A point counts as predicted contact above this probability [U]."""
+LEVEL = 0.5  # a point counts as predicted contact above this probability [U]
 
 
 def iou(predicted: Bits, truth: Bits) -> float:
@@ -66,8 +65,8 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     return max(0.0, centre - half), min(1.0, centre + half)
 
 
+# Mean predicted probability, share of points truly in contact, number of points.
 ReliabilityBin = tuple[float, float, int]
-"""Mean predicted probability, share of points truly in contact, number of points."""
 
 
 def reliability(

@@ -20,8 +20,7 @@ from touchdown.backend.config import BenchDescription
 from touchdown.backend.core import InputError, sync_folder, write_atomically
 from touchdown.backend.learning.checkpoint import ModelCard, load_card, load_checkpoint, save_card
 
-HARDWARE_PROBES = 50
-"""A model trained on simulation alone needs so many evaluated hardware probes."""
+HARDWARE_PROBES = 50  # a model trained on simulation alone needs so many evaluated hardware probes
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +95,7 @@ def _short(value: object) -> str:
 
 
 HISTORY, EVALUATIONS, ENSEMBLES = "in-use.jsonl", "hardware.jsonl", "pre-label.jsonl"
-SHIPPED = ""
-"""Stands for the model that ships, where no other was ever put in use."""
+SHIPPED = ""  # stands for the model that ships, where no other was ever put in use
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 

@@ -137,8 +137,8 @@ def load_network(checkpoint: Checkpoint) -> PatchNet:
     return model.eval()
 
 
+# What is kept of a weight: mean gradient, mean square of it (as the weight), steps so far ().
 MOMENTS = ("exp_avg", "exp_avg_sq", "step")
-"""What is kept of a weight: mean gradient, mean square of it (as the weight), steps so far ()."""
 
 
 class Adam:
@@ -180,8 +180,7 @@ class Adam:
 
 
 CPU = torch.device("cpu")
-PART = 4096
-"""Episodes held in memory at once where all are gone through."""
+PART = 4096  # episodes held in memory at once where all are gone through
 
 
 @dataclass(frozen=True, slots=True)

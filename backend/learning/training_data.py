@@ -115,8 +115,7 @@ def _facts(path: Path) -> BenchDescription | None:
         return None
 
 
-FEW = 30
-"""A share measured on fewer episodes is uncertain by more than 0.18 (95 %)."""
+FEW = 30  # a share measured on fewer episodes is uncertain by more than 0.18 (95 %)
 
 
 @dataclass(frozen=True, slots=True)

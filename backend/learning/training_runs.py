@@ -56,9 +56,9 @@ from touchdown.backend.learning.job import (
 from touchdown.backend.learning.metrics import ReliabilityBin, calibration_error
 
 EXIT_WAIT_S = 10.0
+# Threads sleep while they wait for each other. Spinning, as is usual, two of them took 9 times the
+# processor time of one beside other work; asleep 1.04 times.
 IDLE_THREADS = {"OMP_WAIT_POLICY": "PASSIVE"}
-"""Threads sleep while they wait for each other. Spinning, as is usual, two of them took 9 times the
-processor time of one beside other work; asleep 1.04 times."""
 
 
 class TrainingProcess:
@@ -266,8 +266,8 @@ def _read_lines(path: Path, take: Callable[[Mapping[str, Any]], None]) -> None:
             continue
 
 
+# Fields of ``Epoch`` that are kept as metrics, a value per epoch.
 CURVES = ("train_loss", "validation_loss", "iou", "point_accuracy")
-"""Fields of ``Epoch`` that are kept as metrics, a value per epoch."""
 CALIBRATION = "calibration_error"
 
 

@@ -16,10 +16,9 @@ from touchdown.backend.config import BeliefSettings
 from touchdown.backend.core import BeliefMap, ContactPatch, FloatArray, InputError, read_only
 from touchdown.backend.placement.equilibrium import convex_hull, inside_hull
 
-SNAP = 1e-6
-"""Part of a pitch below which grids are taken to coincide."""
+SNAP = 1e-6  # part of a pitch below which grids are taken to coincide
+# A cell is covered only if at least this share of its bilinear weight lies on the face.
 LEAST_WEIGHT = 0.5
-"""A cell is covered only if at least this share of its bilinear weight lies on the face."""
 
 
 @dataclass(frozen=True, slots=True)

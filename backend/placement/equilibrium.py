@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from touchdown.backend.core import FloatArray, SupportKind, read_only
 from touchdown.backend.geometry import Outline, rotated, true_patch
 
-ON_EDGE_MM = 1e-9
-"""Rounding allowance of an edge: a point this far outside still lies on it."""
+ON_EDGE_MM = 1e-9  # rounding allowance of an edge: a point this far outside still lies on it
 
 Point = tuple[float, float]
 
@@ -97,8 +96,7 @@ def _turn(a: Point, b: Point, c: Point) -> float:
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-TOO_CLOSE_MM = 0.2
-"""Nearer to the edge than this nobody can say whether the piece stands."""
+TOO_CLOSE_MM = 0.2  # nearer to the edge than this nobody can say whether the piece stands
 
 _KINDS = (SupportKind.NONE, SupportKind.POINT, SupportKind.LINE)
 
@@ -163,11 +161,10 @@ def resting_contact(
     return RestingContact(placed, touching, hull, at, signed_margin_mm(hull, at), support)
 
 
+# Below this press force the quotient is noise (F/T offset 0.2 N): no centre is returned.
 LEAST_PRESS_N = 0.5
-"""Below this press force the quotient is noise (F/T offset 0.2 N): no centre is returned."""
 FIRST_TICK, LAST_TICKS = 0, slice(-4, None)
-LEAST_RISE_N = 2.0
-"""A press that gains less than this says nothing of where it acts."""
+LEAST_RISE_N = 2.0  # a press that gains less than this says nothing of where it acts
 
 
 def centre_of_pressure_mm(

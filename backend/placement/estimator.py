@@ -31,13 +31,11 @@ from touchdown.backend.learning import (
 )
 
 STEP_MM = 0.5
-CLIP = 0.02
-"""No point is trusted further than the belief map trusts it."""
+CLIP = 0.02  # no point is trusted further than the belief map trusts it
+# Neighbouring points err together: so many count as one. Smaller makes the uncertainty too small,
+# larger draws the mean to the centre (measured over five bottoms, 200 episodes each).
 CORRELATED_POINTS = 6.0
-"""Neighbouring points err together: so many count as one. Smaller makes the uncertainty too
-small, larger draws the mean to the centre (measured over five bottoms, 200 episodes each)."""
-NOTABLE_SIGMAS = 3.0
-"""Label and model differ notably beyond this many standard uncertainties."""
+NOTABLE_SIGMAS = 3.0  # label and model differ notably beyond this many standard uncertainties
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,17 +26,12 @@ from touchdown.backend.annotations import (
 from touchdown.backend.core import TACTILE_CHANNELS, FloatArray, InputError
 from touchdown.backend.placement.estimator import Ensemble, OffsetGrid
 
-ALIKE_FEWEST = 30
-"""Fewer episodes of a pair have nothing alike among them."""
-ALIKE = 40
-"""So many of the most alike signals say where the face should be."""
-ALIKE_RIDGE = 3.0
-"""Of the fit: signals are scaled alike, and labels should not follow their noise."""
+ALIKE_FEWEST = 30  # fewer episodes of a pair have nothing alike among them
+ALIKE = 40  # so many of the most alike signals say where the face should be
+ALIKE_RIDGE = 3.0  # of the fit: signals are scaled alike, and labels should not follow their noise
 ROUNDS = 3
-HELD = 2.0
-"""Labels so many deviations off count less in the fit: wrong ones are among them."""
-FLOOR_MM = 0.5
-"""What is not strange, however well the others agree."""
+HELD = 2.0  # labels so many deviations off count less in the fit: wrong ones are among them
+FLOOR_MM = 0.5  # what is not strange, however well the others agree
 PART = 500
 
 
@@ -85,17 +80,13 @@ def _off(
     return np.asarray(own / (usual + FLOOR_MM))
 
 
-DOUBT_FEWEST = 200
-"""Fewer episodes of a pair do not tell what is felt where."""
-PARTS = 10
-"""Principal parts of the estimated patch that are compared, beside the wrench."""
+DOUBT_FEWEST = 200  # fewer episodes of a pair do not tell what is felt where
+PARTS = 10  # principal parts of the estimated patch that are compared, beside the wrench
 SMOOTH_MM = 3.0
 DOUBT_RIDGE = 0.5
 FOLDS = 8
-NEAR = 80
-"""So many labels nearby tell the scatter."""
-MOST = 1500
-"""More episodes than this make the smooth function no better, only slower."""
+NEAR = 80  # so many labels nearby tell the scatter
+MOST = 1500  # more episodes than this make the smooth function no better, only slower
 CLIP = 0.01
 SHRINK = 0.1
 SHIFTS_MM = (1.0, 2.0, 3.0, 5.0)
@@ -206,8 +197,7 @@ def _shifts_mm() -> FloatArray:
     return np.concatenate([np.zeros((1, 2)), *(by * ring for by in SHIFTS_MM)])
 
 
-SETTLED_TICKS = 5
-"""The last 0.5 s of a press are compared: the load is constant there."""
+SETTLED_TICKS = 5  # the last 0.5 s of a press are compared: the load is constant there
 
 
 @dataclass(slots=True)

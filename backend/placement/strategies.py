@@ -53,14 +53,12 @@ from touchdown.backend.placement.policy import (
 from touchdown.backend.placement.support_tower import SupportTower, normal_draws
 
 XY = tuple[float, float]
-AROUND_MM = 10.0
-"""The middle is looked for so far around the point that is expected to lie deepest."""
+AROUND_MM = 10.0  # the middle is looked for so far around the point that is expected to lie deepest
+# Points so near the edge tell by how much the middle may be off: their inset moves with it.
 EDGE_MM = 4.0
-"""Points so near the edge tell by how much the middle may be off: their inset moves with it."""
 NUDGE_MM = 0.05
 REFINED = 4
-LEAST_SD_MM = 0.3
-"""Nothing is trusted to be nearer than this."""
+LEAST_SD_MM = 0.3  # nothing is trusted to be nearer than this
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,8 +250,7 @@ class PaperStrategy:
 NOTHING = "The signals are no numbers, or unlike all it learned from: giving up without a release."
 NO_CONTACT = "No contact was found"
 EVEN = 0.5
-FARTHEST_MM = 14.0
-"""Farther from the last probe the network was asked too seldom to be followed."""
+FARTHEST_MM = 14.0  # farther from the last probe the network was asked too seldom to be followed
 STEPS_MM = np.arange(-15.0, 15.0, 0.05)
 
 

@@ -19,8 +19,7 @@ from touchdown.backend.core import FloatArray, InputError
 from touchdown.backend.geometry import Body, Piece, inset_mm
 
 XY = tuple[float, float]
-DRAWS = 13
-"""Towers that are looked at in place of the one that nobody knows exactly."""
+DRAWS = 13  # towers that are looked at in place of the one that nobody knows exactly
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,10 +50,8 @@ class FusedCard(BaseModel):
     vector_order: str = VECTOR_ORDER
     ticks: tuple[int, ...] = TICKS
     answers: str = "how far a point lies within the support, mm: a mixture of normal distributions"
-    family: str = ""
-    """The pieces and bottoms that it was trained on, in words."""
-    left_out: tuple[str, ...] = ()
-    """Pieces and bottoms that nothing in the training resembles."""
+    family: str = ""  # the pieces and bottoms that it was trained on, in words
+    left_out: tuple[str, ...] = ()  # pieces and bottoms that nothing in the training resembles
     bench_sha256: str
     data_sha256: str
     seed: int

@@ -16,18 +16,13 @@ from numpy.typing import NDArray
 from touchdown.backend.core import GRID_COLS, GRID_ROWS, FloatArray
 
 Array = NDArray[np.float32]
-TICKS = (0, 1, 2, 4, 7, 10, 14, 19)
-"""Of the 20; the force grows over the first 15."""
-MODES = 4
-"""Typical marker fields of a finger."""
-SENSOR_MM = 120.0
-"""Force sensor above the grasp pivot."""
-GROWN = (3, 4, 5, 6, 7)
-"""Of the eight: where the growth since the first one acts."""
+TICKS = (0, 1, 2, 4, 7, 10, 14, 19)  # of the 20; the force grows over the first 15
+MODES = 4  # typical marker fields of a finger
+SENSOR_MM = 120.0  # force sensor above the grasp pivot
+GROWN = (3, 4, 5, 6, 7)  # of the eight: where the growth since the first one acts
 LEAST_N, FARTHEST_MM = 1.0, 30.0
 DIRECTIONS = 16
-LENGTH_MM = 10.0
-"""Unit of lengths in the network."""
+LENGTH_MM = 10.0  # unit of lengths in the network
 PIECE_INPUTS = DIRECTIONS + 3
 PROBE_INPUTS = len(TICKS) * (6 + 2 * MODES) + 2 * len(GROWN) + 4
 
@@ -149,10 +144,9 @@ def mirror_signals(
 
 
 ARCH: Final = "causal-attention-inset/1"
+# A point from the last probe and from the first one, and its distance from the last.
 POINT_INPUTS = 5
-"""A point from the last probe and from the first one, and its distance from the last."""
-OF_MIXTURE = 3
-"""Weight, mean and spread of each part."""
+OF_MIXTURE = 3  # weight, mean and spread of each part
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,9 +198,8 @@ def weight_shapes(shape: FusedShape) -> Mapping[str, tuple[int, ...]]:
     return arrays
 
 
+# Wrench and where it acts; marker fields; the probes before; mirror images of the training data.
 InputPart = Literal["wrench", "fields", "others", "mirrors"]
-"""Wrench and where it acts; marker fields; the probes before; mirror images of the training data.
-"""
 INPUT_PARTS: tuple[InputPart, ...] = get_args(InputPart)
 UNREAD = 1e30
 _WRENCH, _FIELDS, _ACTS = 6 * len(TICKS), 2 * MODES * len(TICKS), 2 * len(GROWN)

@@ -115,8 +115,7 @@ def checkpoint_arrays(net: FusedNet) -> dict[str, Tensor]:
     return {key.replace("/", "."): value.detach().cpu() for key, value in net.weights.items()}
 
 
-POINTS = 8
-"""Points asked for after each probe: the centre of mass, four near it, three anywhere."""
+POINTS = 8  # points asked for after each probe: the centre of mass, four near it, three anywhere
 NEAR_MM, ANYWHERE_MM = 2.5, 16.0
 MIRRORS = ((False, False), (True, False), (False, True), (True, True))
 FIRST_OF_FIELDS = AT_ONCE = 2000
@@ -132,8 +131,7 @@ class FusedTraining:
     learning_rate: float = 2e-3
     seed: int = 0
     shape: FusedShape = field(default_factory=FusedShape)
-    without: InputPart | None = None
-    """What an ablation leaves out."""
+    without: InputPart | None = None  # what an ablation leaves out
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""The application: window, bench link and workspaces of one run of the program."""
+"""The application: window, bench and workspaces of one run of the program."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from touchdown.app.shell import (
     USUAL,
     ActionRegistry,
     Appearance,
-    BenchLink,
     CloseConfirmation,
     CommandDialogs,
     DeviceChipsPresenter,
@@ -48,6 +47,7 @@ from touchdown.app.shell import (
 )
 from touchdown.app.tour import Tour, tour_stops
 from touchdown.app.workspaces import FIRST, Workspaces
+from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, EventQueue, TouchdownError
 from touchdown.widgets.base import EventPump, load_resources
 from touchdown.widgets.shell import CardText, FaultCards, PillState, TopBar, TourStop
@@ -57,11 +57,11 @@ class BenchLoader:
     """At most one bench on its way. ``take`` is called by the pump."""
 
     def __init__(self) -> None:
-        self._arrived: list[BenchLink | Exception] = []
-        self._make: Callable[[], BenchLink] | None = None
+        self._arrived: list[Session | Exception] = []
+        self._make: Callable[[], Session] | None = None
         self.waiting = False
 
-    def begin(self, make: Callable[[], BenchLink]) -> None:
+    def begin(self, make: Callable[[], Session]) -> None:
         """Build the bench; does nothing while one is on its way."""
         if self.waiting:
             return
@@ -75,15 +75,15 @@ class BenchLoader:
         self.begin(self._make)
         return True
 
-    def take(self) -> BenchLink | Exception | None:
+    def take(self) -> Session | Exception | None:
         """Return what arrived, or None."""
         if not self._arrived:
             return None
         self.waiting = False
         return self._arrived.pop()
 
-    def _build(self, make: Callable[[], BenchLink]) -> None:
-        arrived: BenchLink | Exception = RuntimeError("an error that nobody expected")
+    def _build(self, make: Callable[[], Session]) -> None:
+        arrived: Session | Exception = RuntimeError("an error that nobody expected")
         try:
             arrived = make()
         except (TouchdownError, OSError, ValueError, ImportError, RuntimeError) as error:
@@ -112,7 +112,7 @@ MOST_PARTS = 8
 class TouchdownApp(QObject):
     """Owns window, workspaces and pump. The bench arrives later, from a thread."""
 
-    link: BenchLink | None = None
+    bench: Session | None = None
     panels: BenchDialogs | None = None
     _servo: ServoSwitch | None = None
     _holds: Callable[[], bool] | None = None
@@ -175,27 +175,27 @@ class TouchdownApp(QObject):
 
     # -- life -------------------------------------------------------------------------------------
 
-    def connect_bench(self, make: Callable[[], BenchLink]) -> None:
+    def connect_bench(self, make: Callable[[], Session]) -> None:
         """Build the bench on a thread of its own; the window stays alive meanwhile."""
         self._show_connecting()
         self._arrival.begin(make)
 
-    def attach(self, link: BenchLink) -> None:
+    def attach(self, bench: Session) -> None:
         """Take a bench that is ready and show it."""
-        self.link = link
-        link.events.subscribe(self._mailbox)
-        self._chips = DeviceChipsPresenter(link, self.bar)
-        self.inspect = DeviceInspectorPresenter(link, self.bar, self.window)
-        self.workspaces.attach(link)
-        self.window.show_bench(bench_caption(link))
-        self.panels = BenchDialogs(link, self.theme, self.window, self.cards)
+        self.bench = bench
+        bench.events.subscribe(self._mailbox)
+        self._chips = DeviceChipsPresenter(bench, self.bar)
+        self.inspect = DeviceInspectorPresenter(bench, self.bar, self.window)
+        self.workspaces.attach(bench)
+        self.window.show_bench(bench_caption(bench))
+        self.panels = BenchDialogs(bench, self.theme, self.window, self.cards)
         self.panels.open_connect()
-        self._speed.attach(link)
-        self._servo = ServoSwitch(link, self.bar, self.cards)
-        link.open()
+        self._speed.attach(bench)
+        self._servo = ServoSwitch(bench, self.bar, self.cards)
+        bench.open()
         # Whoever has gone to another page meanwhile has begun to work.
         fresh = self.tour_due and not self.toured and self.window.front == FIRST
-        if fresh and link.simulated:
+        if fresh and bench.simulated:
             # Noted first: after a crash it must not take the page in front away from its user.
             self.toured = True
             self.remember()
@@ -216,10 +216,10 @@ class TouchdownApp(QObject):
         self._application.removeEventFilter(self._stop_key)
         self.remember()
         self.layouts.remember()
-        link, self.link = self.link, None
+        bench, self.bench = self.bench, None
         self.workspaces.close()
-        if link is not None:
-            link.close()
+        if bench is not None:
+            bench.close()
 
     def remember(self) -> None:
         """Write the settings as they are now; a disk that refuses becomes a card."""
@@ -250,7 +250,7 @@ class TouchdownApp(QObject):
     @property
     def pace(self) -> float:
         """Bench seconds per wall second; 0 without a bench."""
-        return self.link.pace if self.link is not None else 0.0
+        return self.bench.pace if self.bench is not None else 0.0
 
     def _place(self, ws: Workspace) -> Iterator[None]:
         if ws.pieces is not None:
@@ -265,21 +265,21 @@ class TouchdownApp(QObject):
             self.cards.show_card(CardText("SETTINGS", text, "", "", reset=False, notice=True))
 
     def _may_close(self) -> bool:
-        return self._closing.may_close(self.link)
+        return self._closing.may_close(self.bench)
 
     # -- orders -----------------------------------------------------------------------------------
 
     def stop(self) -> None:
         """Software stop: returns at once, legal in every state."""
-        if self.link is not None:
-            self.link.stop()
+        if self.bench is not None:
+            self.bench.stop()
             log.info("STOP by the operator")
             self.cards.show_card(stopped_card(time_of_day()))
 
     def reset(self) -> None:
         """Clear the latch and the cards."""
-        if self.link is not None:
-            self.link.reset()
+        if self.bench is not None:
+            self.bench.reset()
         self.cards.clear()
 
     def say(self, text: str, holds: Callable[[], bool] | None = None) -> None:
@@ -297,7 +297,7 @@ class TouchdownApp(QObject):
         coming.enter()
 
     def _moving(self) -> bool:
-        return self.link is not None and may_be_moving(self.link)
+        return self.bench is not None and may_be_moving(self.bench)
 
     def _commands(self) -> list[WindowCommand]:
         pages = [
@@ -345,7 +345,7 @@ class TouchdownApp(QObject):
     def _connect_again(self) -> None:
         if self.panels is not None:
             self.panels.open_connect()
-        elif self.link is None and self._arrival.again():
+        elif self.bench is None and self._arrival.again():
             self._show_connecting()
 
     def _reset_layout(self) -> None:
@@ -405,7 +405,7 @@ class TouchdownApp(QObject):
             parts[turn]()
 
     def _hushed(self) -> bool:
-        return self.link is not None and self.link.hush.on
+        return self.bench is not None and self.bench.hush.on
 
     def _pull(self) -> bool:
         arrived = self._arrival.take()
@@ -430,7 +430,7 @@ class TouchdownApp(QObject):
         if self.panels is not None:
             self.panels.calibrate.take(fact)
         log_event(fact)
-        show_event(fact, self.link, self.cards, self.say)
+        show_event(fact, self.bench, self.cards, self.say)
 
     def _show_connecting(self) -> None:
         self.bar.pill.show_state(PillState("CONNECTING", "ring", "blue", "preparing the bench"))
@@ -442,7 +442,7 @@ class TouchdownApp(QObject):
         self.cards.show_card(bench_failed_card(error, self._connect_again))
 
     def _draw_frame(self) -> None:
-        if self.link is None or self._chips is None:
+        if self.bench is None or self._chips is None:
             return
         if self._chips.draw():
             if self._servo is not None:
@@ -453,7 +453,7 @@ class TouchdownApp(QObject):
                 self.inspect.draw()
             if self.panels is not None:
                 self.panels.draw()
-            self._closing.draw(self.link)
+            self._closing.draw(self.bench)
             pace = f"{self.pace:.2f}\N{MULTIPLICATION SIGN} real time" if self.pace else ""
             self.window.show_right(pace)
-        self.bar.pill.show_state(pill_state(self.link))
+        self.bar.pill.show_state(pill_state(self.bench))

@@ -39,12 +39,12 @@ class Measurement(QObject):
 
     def _wait(self) -> None:
         """Begin two seconds after the bench is there and a run goes on."""
-        if self._main.link is None:
+        if self._main.bench is None:
             self._give_up_if_failed()
             return
         if self._warm_s == 0.0:
-            self._main.link.events.subscribe(self._take)
-            self._main.link.start(StackRequest(trials=TRIALS, seed=FIRST_SEED))
+            self._main.bench.events.subscribe(self._take)
+            self._main.bench.start(StackRequest(trials=TRIALS, seed=FIRST_SEED))
             self._warm_s = time.perf_counter() + 2.0
         if time.perf_counter() < self._warm_s:
             return

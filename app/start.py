@@ -16,13 +16,13 @@ from touchdown.app.application import TouchdownApp
 from touchdown.app.benchmark import Measurement
 from touchdown.app.review import ReviewWorkspace
 from touchdown.app.shell import (
-    BenchLink,
     ErrorBox,
     exit_after_timeout,
     install_error_hooks,
     log_to,
     settings_path,
 )
+from touchdown.backend.bench import Session
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import calibrations_folder, data_folder, models_folder
 
@@ -83,7 +83,7 @@ def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
 
 def open_simulated_bench(
     settings: Path | None = None, disturbances: tuple[str, ...] = ()
-) -> BenchLink:
+) -> Session:
     """Build the simulated bench with a first scene to look at (on the connecting thread).
 
     ``disturbances``: texts such as ``force_torque:stop@30``, in seconds of the bench clock.
@@ -109,7 +109,7 @@ def open_simulated_bench(
     return session
 
 
-def open_bench(file: Path | None, disturbances: tuple[str, ...] = ()) -> BenchLink:
+def open_bench(file: Path | None, disturbances: tuple[str, ...] = ()) -> Session:
     """Build the bench of a file: a lab's devices, not yet connected, or a simulated bench.
 
     Raises ``InputError`` for ``disturbances`` of a lab's devices.
@@ -160,10 +160,10 @@ class _WindowGrab(QObject):
         self._replay, self._starts = args.replay is not None, args.page in (None, "stack")
 
     def _started(self) -> None:
-        if self._main.link is None and not self._replay and not self._main.cards.codes:
+        if self._main.bench is None and not self._replay and not self._main.cards.codes:
             return
         self._timer.stop()
-        if self._main.link is not None and not self._replay and self._starts:
+        if self._main.bench is not None and not self._replay and self._starts:
             self._main.actions.action("stack.start").trigger()
         QTimer.singleShot(self._wait_ms, self._main, self._save)
 

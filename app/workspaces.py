@@ -11,9 +11,15 @@ from shiboken6 import isValid
 from touchdown.app.collect import CollectWorkspace
 from touchdown.app.operate import OperateWorkspace
 from touchdown.app.review import ReviewWorkspace
-from touchdown.app.shell import BenchLink, Memory, Workspace, WorkspaceContext, ignored_words
+from touchdown.app.shell import (
+    Memory,
+    Workspace,
+    WorkspaceContext,
+    ignored_words,
+)
 from touchdown.app.stack import StackWorkspace
 from touchdown.app.train import TrainWorkspace
+from touchdown.backend.bench import Session
 from touchdown.backend.core import Event
 
 WORKSPACES: tuple[Callable[[WorkspaceContext], Workspace], ...] = (
@@ -53,7 +59,7 @@ class Workspaces(Mapping[str, Workspace]):
         self._begun: dict[str, Iterator[None]] = {}
         self._ahead: QTimer | None = None
         self._waiting = ("", "")
-        self._link: BenchLink | None = None
+        self._bench: Session | None = None
         self._facts: list[Event] = []
 
     def __getitem__(self, name: str) -> Workspace:
@@ -108,11 +114,11 @@ class Workspaces(Mapping[str, Workspace]):
 
     # -- to all that have a page; the others hear of it when theirs is made ------------------------
 
-    def attach(self, link: BenchLink) -> None:
+    def attach(self, bench: Session) -> None:
         """Take a bench that is ready."""
-        self._link = link
+        self._bench = bench
         for ws in self.ready:
-            ws.attach(link)
+            ws.attach(bench)
 
     def take(self, fact: Event) -> None:
         """Take one fact of the bench."""
@@ -167,8 +173,8 @@ class Workspaces(Mapping[str, Workspace]):
         ws.show_waiting(*self._waiting)
         if ws.name in self._remembered:
             self._warn(ignored_words(ws.recall(self._remembered[ws.name])))
-        if self._link is not None:
-            ws.attach(self._link)
+        if self._bench is not None:
+            ws.attach(self._bench)
         for fact in self._facts:
             ws.take(fact)
         if not self.missing:

@@ -16,7 +16,12 @@ from touchdown.app.calibrate.sheet import (
     CalibrationView,
     PlaceForm,
 )
-from touchdown.app.shell import BenchLink, is_run_active, refusal_card, start_obstacle
+from touchdown.app.shell import (
+    is_run_active,
+    refusal_card,
+    start_obstacle,
+)
+from touchdown.backend.bench import Session
 from touchdown.backend.calibration import (
     CALIBRATION_KINDS,
     CALIBRATION_NAMES,
@@ -109,14 +114,14 @@ class CalibratePresenter:
 
     def __init__(
         self,
-        link: BenchLink,
+        bench: Session,
         theme: Theme,
         window: QWidget,
         cards: FaultCards,
         person: Callable[[], str] = getpass.getuser,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._link, self._theme, self._window, self._cards = link, theme, window, cards
+        self._bench, self._theme, self._window, self._cards = bench, theme, window, cards
         self._person, self._now_s = person, now_s
         self.sheet: CalibrateSheet | None = None
         self._chosen: CalibrationName = CALIBRATION_NAMES[0]
@@ -130,7 +135,7 @@ class CalibratePresenter:
     def open(self) -> None:
         """Show the wizard."""
         if self.sheet is None:
-            catalogue = self._link.catalogue
+            catalogue = self._bench.catalogue
             self.sheet = CalibrateSheet(
                 self._window,
                 self._theme,
@@ -139,7 +144,7 @@ class CalibratePresenter:
             )
             self.sheet.calibration_chosen.connect(self._choose)
             self.sheet.measure_requested.connect(self._measure)
-            self.sheet.cancel_requested.connect(lambda: self._link.engine.cancel())
+            self.sheet.cancel_requested.connect(lambda: self._bench.engine.cancel())
             self.sheet.accept_requested.connect(self._accept)
         self._read_s = float("-inf")
         self.draw(at_once=True)
@@ -148,8 +153,8 @@ class CalibratePresenter:
 
     def _usual(self) -> CalibrateRequest:
         """Return what the form begins with."""
-        usual, on_bench = CalibrateRequest("board"), self._link.usual
-        if self._link.simulated:
+        usual, on_bench = CalibrateRequest("board"), self._bench.usual
+        if self._bench.simulated:
             return usual
         return replace(usual, piece=on_bench.piece, bottom=on_bench.bottoms[-1])
 
@@ -168,7 +173,7 @@ class CalibratePresenter:
             self._measured[self._running] = fact
             self._said.pop(self._running, None)
         elif isinstance(fact, HandOverAwaited) and self.sheet is not None:
-            answer = self._link.answer
+            answer = self._bench.answer
             self.sheet.question.ask(
                 hand_over_message(fact), "End the run", "Done", lambda: answer(True)
             )
@@ -203,7 +208,7 @@ class CalibratePresenter:
         if self.sheet is None:
             return
         try:
-            self._link.start(self.sheet.form.request(self._chosen))
+            self._bench.start(self.sheet.form.request(self._chosen))
         except RefusedError as error:
             self._cards.show_card(refusal_card(error, _clock()))
             return
@@ -216,11 +221,11 @@ class CalibratePresenter:
         self.draw(at_once=True)
 
     def _accept(self) -> None:
-        found, store = self._measured.get(self._chosen), self._link.calibrations
+        found, store = self._measured.get(self._chosen), self._bench.calibrations
         if found is None or store is None:
             return
         try:
-            path = accept_calibration(store, found, self._link.devices, self._person())
+            path = accept_calibration(store, found, self._bench.devices, self._person())
         except RefusedError as error:
             self._cards.show_card(refusal_card(error, _clock()))
         except InputError as error:
@@ -240,16 +245,16 @@ class CalibratePresenter:
     # -- showing ----------------------------------------------------------------------------------
 
     def _read_standings(self) -> None:
-        self._read_s, store = self._now_s(), self._link.calibrations
+        self._read_s, store = self._now_s(), self._bench.calibrations
         if store is not None:
-            names = device_names(self._link.devices)
+            names = device_names(self._bench.devices)
             self._standings = {what: store.standing(what, names) for what in CALIBRATION_NAMES}
 
     def _look(self) -> CalibrationView:
-        what, active = self._chosen, is_run_active(self._link)
+        what, active = self._chosen, is_run_active(self._bench)
         found = None if self._running == what else self._measured.get(what)
         mine = self._running == what
-        why = NO_STORE if self._link.calibrations is None else start_obstacle(self._link)
+        why = NO_STORE if self._bench.calibrations is None else start_obstacle(self._bench)
         return CalibrationView(
             rows=tuple(self._row(each) for each in CALIBRATION_NAMES),
             chosen=CALIBRATION_NAMES.index(what),
@@ -303,7 +308,7 @@ class CalibratePresenter:
             return NO_STORE, ""
         if standing.condition != "valid" or standing.record is None:
             # Only hardware must have them.
-            needed = standing.condition != "missing" or self._link.facts.mode == "hardware"
+            needed = standing.condition != "missing" or self._bench.facts.mode == "hardware"
             return standing.why[:1].upper() + standing.why[1:], "bad" if needed else ""
         file = standing.record.file
         left = validity_text(standing.record.days_left(datetime.now(UTC)))
@@ -311,14 +316,14 @@ class CalibratePresenter:
         return f"{file.residual:.2g} of {file.limit:g} {file.unit}, holds {left}{also}", "good"
 
     def _live(self) -> str:
-        minus, now_s = "\N{MINUS SIGN}", self._link.clock_s()
-        window = self._link.wrench.window(now_s - 0.1, now_s)
+        minus, now_s = "\N{MINUS SIGN}", self._bench.clock_s()
+        window = self._bench.wrench.window(now_s - 0.1, now_s)
         if not len(window.t_s):
             return "The wrist sensor is silent."
         force, moment = window.values[:, :3].mean(axis=0), window.values[:, 3:].mean(axis=0)
         text = "F " + "  ".join(f"{v:+.2f}" for v in force) + " N     T "
         text += "  ".join(f"{v:+.3f}" for v in moment) + " N\N{MIDDLE DOT}m"
-        arm = self._link.devices.get("arm")
+        arm = self._bench.devices.get("arm")
         try:
             _, at = cast("Arm", arm).poses.latest(now_s, 1.0)
         except (StaleSampleError, AttributeError):
@@ -327,14 +332,14 @@ class CalibratePresenter:
         return text.replace("-", minus)
 
     def _draw_fingers(self, sheet: CalibrateSheet) -> None:
-        now_s = self._link.clock_s()
+        now_s = self._bench.clock_s()
         for finger in FINGERS:
-            frame, view = self._link.frames[finger].newest(), sheet.fingers[finger]
+            frame, view = self._bench.frames[finger].newest(), sheet.fingers[finger]
             if frame is None:
                 continue
             age_s = now_s - frame.t_s
             view.show_age(Age.FRESH if age_s < FRESH_S else Age.STALE, age_s, "No new picture.")
-            view.show_frame(frame, self._link.fields[finger].newest())
+            view.show_frame(frame, self._bench.fields[finger].newest())
 
 
 def _figure(found: CalibrationMeasured | None) -> str:

@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QVBoxLayout, QW
 
 from touchdown.app.collect.origin import OriginCheckNote, residual_text
 from touchdown.app.collect.probes import SIGNALS
-from touchdown.app.shell import BenchLink
+from touchdown.backend.bench import Session
 from touchdown.backend.core import FINGERS, Finger, StaleSampleError
 from touchdown.backend.devices import Arm
 from touchdown.widgets.base import Age, CaptionedView, Panel, Theme, ui_font
@@ -193,13 +193,13 @@ class OriginField:
             y.setValue(y.value() + self.note.residual_mm[1])
             self.show_note(self.note.taken())
 
-    def set_here(self, link: BenchLink | None) -> None:
+    def set_here(self, bench: Session | None) -> None:
         """Set it to where the arm is now: the operator jogged it over the centre of the bottom."""
-        arm = None if link is None else link.devices.get("arm")
-        if link is None or arm is None:
+        arm = None if bench is None else bench.devices.get("arm")
+        if bench is None or arm is None:
             return
         try:
-            _, pose_mm = cast("Arm", arm).poses.latest(link.clock_s(), AGE_S)
+            _, pose_mm = cast("Arm", arm).poses.latest(bench.clock_s(), AGE_S)
         except StaleSampleError:
             return
         for field, value_mm in zip(self._target.origin, pose_mm.tolist(), strict=False):

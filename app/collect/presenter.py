@@ -19,8 +19,13 @@ from touchdown.app.collect.requests import (
     collect_request,
     probe_text,
 )
-from touchdown.app.shell import ACTIVE_STATES, BenchLink, SaveWorker, refusal_card
+from touchdown.app.shell import (
+    ACTIVE_STATES,
+    SaveWorker,
+    refusal_card,
+)
 from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, check_person
+from touchdown.backend.bench import Session
 from touchdown.backend.core import (
     CampaignBegan,
     DecisionAwaited,
@@ -252,7 +257,7 @@ class CollectPresenter:
         self.probes = ProbesPresenter(page, reader, catalogue, self._failed)
         self.origin = OriginField(page.target)
         self.person = ""
-        self.link: BenchLink | None = None
+        self.bench: Session | None = None
         self._asking = self._mine = False
         self._asked: HandOverAwaited | MountingAwaited | None = None
         self._campaign, self._go_on = "", ""
@@ -271,12 +276,12 @@ class CollectPresenter:
         """The dataset that is open."""
         return self.probes.dataset
 
-    def attach(self, link: BenchLink) -> None:
+    def attach(self, bench: Session) -> None:
         """Take a bench; it collects into the dataset that is open."""
-        self.link = link
-        link.dataset = self.dataset
-        if not link.simulated:
-            self._show_pair(link.usual.piece, link.usual.bottoms[-1])
+        self.bench = bench
+        bench.dataset = self.dataset
+        if not bench.simulated:
+            self._show_pair(bench.usual.piece, bench.usual.bottoms[-1])
 
     def take_dataset(self, dataset: Dataset, *, read: bool) -> None:
         """Take the dataset that was opened; ``read`` what it holds of the pair, if it is seen.
@@ -284,8 +289,8 @@ class CollectPresenter:
         Ten thousand probes take five seconds, in which every turn of the window waits.
         """
         self.probes.dataset = dataset
-        if self.link is not None:
-            self.link.dataset = dataset
+        if self.bench is not None:
+            self.bench.dataset = dataset
         self._read_campaign()
         if read:
             self.choose_pair()
@@ -307,7 +312,7 @@ class CollectPresenter:
             self._begin(collect_request(self._page.target.form(), self.person))
 
     def go_on(self) -> None:
-        """Go on with the newest campaign, or say that its mounting is as it was."""
+        """Continue the newest campaign, or say that its mounting is as it was."""
         if isinstance(self._asked, MountingAwaited):
             self._answer(False)
         elif self._campaign:
@@ -315,13 +320,13 @@ class CollectPresenter:
             self._begin(collect_request(form, self.person, campaign=self._campaign))
 
     def _answer(self, yes: bool) -> None:
-        if self.link is not None:
+        if self.bench is not None:
             self._asked = None
-            self.link.answer(yes)
+            self.bench.answer(yes)
 
     def _begin(self, request: CollectRequest) -> None:
-        link = self.link
-        if link is None or link.status().state in ACTIVE_STATES:
+        bench = self.bench
+        if bench is None or bench.status().state in ACTIVE_STATES:
             return
         if not request.person:
             # The line below the button says so; here the name can be typed at once.
@@ -329,8 +334,8 @@ class CollectPresenter:
             return
         try:
             check_person(request.person)
-            link.dataset = self.dataset
-            link.start(request)
+            bench.dataset = self.dataset
+            bench.start(request)
         except RefusedError as error:
             self._refused(error)
         except InputError as error:
@@ -340,10 +345,10 @@ class CollectPresenter:
 
     def lift(self) -> None:
         """Rise off what is below, so that something can be started."""
-        if self.link is None or self.link.hand is None:
+        if self.bench is None or self.bench.hand is None:
             return
         try:
-            self.link.hand.jog.step("z", "XYZ", LIFT_MM, LIFT_MM_S)
+            self.bench.hand.jog.step("z", "XYZ", LIFT_MM, LIFT_MM_S)
         except RefusedError as error:
             self._refused(error)
 
@@ -352,17 +357,17 @@ class CollectPresenter:
 
     def pause_or_resume(self) -> None:
         """Pause at the next safe place, or go on."""
-        if self.link is None or not self._mine:
+        if self.bench is None or not self._mine:
             return
-        if self.link.status().state in (RunState.PAUSED, RunState.PAUSING):
-            self.link.engine.resume()
+        if self.bench.status().state in (RunState.PAUSED, RunState.PAUSING):
+            self.bench.engine.resume()
         else:
-            self.link.engine.pause()
+            self.bench.engine.pause()
 
     def end(self) -> None:
         """End the run in an orderly way; the campaign can go on later."""
-        if self.link is not None and self._mine:
-            self.link.engine.cancel()
+        if self.bench is not None and self._mine:
+            self.bench.engine.cancel()
 
     def decide(self, decision: EpisodeDecision) -> None:
         """Say what becomes of the probe that is shown: the chosen one, else the last."""
@@ -371,9 +376,9 @@ class CollectPresenter:
             return
         if decision not in self._words(held).allowed:
             return
-        if self._mine and uuid == self.probes.last and self.link is not None:
+        if self._mine and uuid == self.probes.last and self.bench is not None:
             self._asking = False
-            self.link.decide(decision)
+            self.bench.decide(decision)
         else:
             dataset, person = self.dataset, self.person
             self._reader.submit(
@@ -384,7 +389,7 @@ class CollectPresenter:
         self.probes.restyle()
 
     def _decided_beside(self, held: ProbeRecord) -> None:
-        """Have the bar and *Go on* follow a decision that is in the dataset by now."""
+        """Have the bar and *Continue* follow a decision that is in the dataset by now."""
         self.probes.put(held)
         if self._mine:
             self._progress.stored(held.entry)
@@ -395,7 +400,7 @@ class CollectPresenter:
     def set_origin_here(self) -> None:
         """Take the place of the arm as the origin."""
         if self._buttons is not None and not self._buttons.end:
-            self.origin.set_here(self.link)
+            self.origin.set_here(self.bench)
 
     def take_origin(self) -> None:
         """Add the residual of the last check to the origin in the form."""
@@ -490,7 +495,7 @@ class CollectPresenter:
             plan, left = found
             what = "1 probe is" if left == 1 else f"{left} probes are"
             self._campaign = plan.uuid if left else ""
-            self._go_on = f"Go on with {plan.piece} on {plan.bottom}: {what} left" if left else ""
+            self._go_on = f"Continue {plan.piece} on {plan.bottom}: {what} left" if left else ""
             target = self._page.target
             came = plan.count - left - len(plan.skipped)
             target.show_progress(came, plan.count, target.eta.text())
@@ -508,7 +513,7 @@ class CollectPresenter:
     def draw(self) -> None:
         """Show what changed."""
         now = CampaignState(self.person, self.dataset, self._mine, self._go_on, self._asked)
-        wanted = campaign_buttons(self.link, now)
+        wanted = campaign_buttons(self.bench, now)
         if wanted != self._buttons:
             self._buttons = wanted
             focused = QApplication.focusWidget()

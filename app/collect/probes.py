@@ -12,7 +12,12 @@ from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter
 from touchdown.backend.core import EpisodeQuality, FloatArray, InputError
 from touchdown.backend.episodes import Coverage, ExaminedEpisode, count_coverage
 from touchdown.backend.geometry import Outline
-from touchdown.backend.runs import Signals, counts_for_coverage, last_signals, read_probe_summary
+from touchdown.backend.runs import (
+    SignalExcerpt,
+    counts_for_coverage,
+    last_signal_excerpt,
+    read_probe_summary,
+)
 from touchdown.widgets.lists import EpisodeTableRow
 from touchdown.widgets.plots import Bins, DistributionScene, reach_of
 
@@ -38,7 +43,7 @@ class ProbeRecord:
     offset_mm: tuple[float, float]
     commanded_mm: tuple[float, float] | None = None
     seen: ExaminedEpisode | None = None
-    signals: Signals | None = None
+    signals: SignalExcerpt | None = None
 
     @property
     def counts(self) -> bool:
@@ -60,7 +65,7 @@ def read_probe(dataset: Dataset, entry: EpisodeEntry, *, signals: bool) -> Probe
         held,
         commanded_mm=found.commanded_mm,
         seen=found.examined,
-        signals=last_signals(found.examined.observation),
+        signals=last_signal_excerpt(found.examined.observation),
     )
 
 

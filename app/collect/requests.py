@@ -8,11 +8,15 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from touchdown.app.collect.probes import ProbeRecord, displacement_text, quality_text, read_probe
-from touchdown.app.shell import ACTIVE_STATES, BenchLink, start_obstacle
+from touchdown.app.shell import (
+    ACTIVE_STATES,
+    start_obstacle,
+)
 from touchdown.backend.annotations import Dataset
+from touchdown.backend.bench import Session
 from touchdown.backend.core import EpisodeDecision, HandOverAwaited, MountingAwaited
 from touchdown.backend.runs import (
-    DECIDED,
+    DECISION_WORDS,
     CollectRequest,
     Pattern,
     RunState,
@@ -98,7 +102,7 @@ def apply_decision(
     elif decision == "keep":
         labels.restore(person, uuid)
     else:
-        labels.delete(person, uuid, DECIDED[decision])
+        labels.delete(person, uuid, DECISION_WORDS[decision])
     return read_probe(dataset, dataset.entry(uuid), signals=True)
 
 
@@ -120,11 +124,11 @@ class CampaignState:
     asked: HandOverAwaited | MountingAwaited | None
 
 
-def campaign_buttons(link: BenchLink | None, now: CampaignState) -> TargetButtons:
+def campaign_buttons(bench: Session | None, now: CampaignState) -> TargetButtons:
     """Return which buttons may be pressed."""
-    state = RunState.IDLE if link is None else link.status().state
+    state = RunState.IDLE if bench is None else bench.status().state
     active = state in ACTIVE_STATES
-    why = campaign_obstacle(link, now)
+    why = campaign_obstacle(bench, now)
     paused = state in (RunState.PAUSED, RunState.PAUSING)
     return TargetButtons(
         start=not why and not active,
@@ -133,7 +137,7 @@ def campaign_buttons(link: BenchLink | None, now: CampaignState) -> TargetButton
         paused=paused,
         go_on=now.go_on,
         why_not=why,
-        in_contact=not active and _in_contact(link),
+        in_contact=not active and _in_contact(bench),
         ask=_open_question(now) if active else "",
         answers=ANSWERS if active and isinstance(now.asked, MountingAwaited) else None,
         form=not (now.mine and active),
@@ -146,14 +150,14 @@ def _open_question(now: CampaignState) -> str:
     return "" if now.asked is None else hand_over_message(now.asked)
 
 
-def campaign_obstacle(link: BenchLink | None, now: CampaignState) -> str:
+def campaign_obstacle(bench: Session | None, now: CampaignState) -> str:
     """Return why nothing can be started, "" if it can, or if the campaign runs."""
-    if link is None or not link.devices:
+    if bench is None or not bench.devices:
         return "The bench is being prepared"
-    if link.status().state in ACTIVE_STATES:
+    if bench.status().state in ACTIVE_STATES:
         return "" if now.mine else "A run is going on"
-    if why := start_obstacle(link):
-        return "In contact: lift first" if _in_contact(link) else why
+    if why := start_obstacle(bench):
+        return "In contact: lift first" if _in_contact(bench) else why
     if not now.person:
         return "Say who collects: give your name above (Ctrl+U)"
     if now.dataset is None:
@@ -161,12 +165,12 @@ def campaign_obstacle(link: BenchLink | None, now: CampaignState) -> str:
     return "" if now.dataset.writable else "The dataset is open for reading only"
 
 
-def _in_contact(link: BenchLink | None) -> bool:
+def _in_contact(bench: Session | None) -> bool:
     return (
-        link is not None
-        and link.hand is not None
-        and not link.interlock.latched
-        and bool(link.hand.pressing_n)
+        bench is not None
+        and bench.hand is not None
+        and not bench.interlock.latched
+        and bool(bench.hand.pressing_n)
     )
 
 

@@ -11,7 +11,6 @@ from touchdown.app.collect.presenter import CollectPresenter
 from touchdown.app.collect.requests import remembered_table, remembered_target_form
 from touchdown.app.label import HalvesPage, LabelWorkspace
 from touchdown.app.shell import (
-    BenchLink,
     LivePresenter,
     LiveViews,
     Memory,
@@ -23,6 +22,7 @@ from touchdown.app.shell import (
     portable_key,
 )
 from touchdown.backend.annotations import DESCRIPTION, Dataset
+from touchdown.backend.bench import Session
 from touchdown.backend.core import EpisodeDecision, Event
 from touchdown.backend.geometry import load_pieces
 from touchdown.widgets.forms import TargetForm
@@ -81,7 +81,7 @@ class CollectWorkspace(Workspace):
         self._desk = desk
         self.label = LabelWorkspace(desk)
         self.live: LivePresenter | None = None
-        self._link: BenchLink | None = None
+        self._bench: Session | None = None
         self._told_keys = False
         self._looked_at: Dataset | None = None
         """The dataset as it is looked at before anybody is named; nothing is written to it."""
@@ -122,13 +122,13 @@ class CollectWorkspace(Workspace):
 
     # -- life -------------------------------------------------------------------------------------
 
-    def attach(self, link: BenchLink) -> None:
+    def attach(self, bench: Session) -> None:
         """Show this bench."""
-        self._link, page = link, self.collect_page
+        self._bench, page = bench, self.collect_page
         self.live = LivePresenter(
-            link, LiveViews(page.tactile, page.captions, page.force, page.moment)
+            bench, LiveViews(page.tactile, page.captions, page.force, page.moment)
         )
-        self.presenter.attach(link)
+        self.presenter.attach(bench)
         self.parts = (
             self.live.draw_left, self.live.draw_right, self.live.draw_wrench,
             self.live.draw_headers, self.presenter.draw, self.presenter.draw_maps,
@@ -200,9 +200,9 @@ class CollectWorkspace(Workspace):
 
     def close(self) -> None:
         """End the bench first: what it still records belongs into the dataset that closes here."""
-        if self._link is not None:
-            self._link.close()
-            self._link.dataset = None
+        if self._bench is not None:
+            self._bench.close()
+            self._bench.dataset = None
         self._stop_looking()
         self.reader.close()
         self.label.close()
@@ -294,7 +294,7 @@ class CollectWorkspace(Workspace):
     def _commands(self) -> tuple[WindowCommand, ...]:
         return (
             self._act("start", "Start, or keep and next", "F5", lambda p: p.start()),
-            self._act("go-on", "Go on with the last campaign", "Shift+F5", lambda p: p.go_on()),
+            self._act("go-on", "Continue the last campaign", "Shift+F5", lambda p: p.go_on()),
             self._act("pause", "Pause or resume", "P", lambda p: p.pause_or_resume()),
             self._act("keep", "Keep the probe", "Return", lambda p: p.decide("keep")),
             self._act("discard-probe", "Discard the probe", "Backspace",

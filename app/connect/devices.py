@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.app.shell import BenchLink
+from touchdown.backend.bench import Session
 from touchdown.backend.config import LabSettings, load_lab, save_lab
 from touchdown.backend.core import InputError
 from touchdown.widgets.base import label, rule, set_property
@@ -180,8 +180,8 @@ FIELDS = (
 class DevicesPresenter:
     """Keeps one form; made where the bench comes from a lab file."""
 
-    def __init__(self, link: BenchLink, window: QWidget) -> None:
-        self._path, self._window = Path(link.limits_source), window
+    def __init__(self, bench: Session, window: QWidget) -> None:
+        self._path, self._window = Path(bench.limits_source), window
         self._settings: LabSettings | None = None
         self._found: Mapping[str, list[str]] = {}
         self.sheet: DevicesSheet | None = None

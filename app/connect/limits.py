@@ -19,7 +19,11 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.app.shell import BenchLink, QuestionRow, refusal_card
+from touchdown.app.shell import (
+    QuestionRow,
+    refusal_card,
+)
+from touchdown.backend.bench import Session
 from touchdown.backend.config import LimitSettings
 from touchdown.backend.core import InputError, RefusedError
 from touchdown.backend.devices import Limits
@@ -188,13 +192,13 @@ class LimitsPresenter:
 
     def __init__(
         self,
-        link: BenchLink,
+        bench: Session,
         window: QWidget,
         cards: FaultCards,
         person: Callable[[], str] = getpass.getuser,
     ) -> None:
-        self._link, self._window, self._cards, self._person = link, window, cards, person
-        self._first = link.interlock.limits
+        self._bench, self._window, self._cards, self._person = bench, window, cards, person
+        self._first = bench.interlock.limits
         self._said = ""
         self.sheet: LimitsSheet | None = None
 
@@ -208,18 +212,18 @@ class LimitsPresenter:
 
     def _show(self) -> None:
         assert self.sheet is not None
-        source = self._said or f"From {self._link.limits_source}."
-        self.sheet.show_rows(limit_rows(self._link.interlock.limits), source)
+        source = self._said or f"From {self._bench.limits_source}."
+        self.sheet.show_rows(limit_rows(self._bench.interlock.limits), source)
 
     def _offer(self, values: Mapping[str, float]) -> str:
         """Ask whether to take ``values``; return why they cannot be taken, "" if they can."""
-        held = asdict(self._link.interlock.limits)
+        held = asdict(self._bench.interlock.limits)
         try:
             settings = LimitSettings(**{n: entered_limit(n, v, held[n]) for n, v in values.items()})
             wanted = Limits(**settings.model_dump())
         except ValidationError as error:
             return limit_problem(error)
-        pairs = changed_limits(self._link.interlock.limits, wanted)
+        pairs = changed_limits(self._bench.interlock.limits, wanted)
         if not pairs:
             return "Nothing is changed."
         told = "; ".join(
@@ -237,7 +241,7 @@ class LimitsPresenter:
     def _take(self, wanted: Limits) -> None:
         at, person = f"{datetime.now():%H:%M:%S}", self._person()
         try:
-            self._link.change_limits(wanted, person)
+            self._bench.change_limits(wanted, person)
         except RefusedError as error:
             self._cards.show_card(refusal_card(error, at))
         except InputError as error:
@@ -248,7 +252,7 @@ class LimitsPresenter:
             self._cards.pass_on()
             same = wanted == self._first
             self._said = (
-                "" if same else (f"From {self._link.limits_source}, changed at {at} by {person}.")
+                "" if same else (f"From {self._bench.limits_source}, changed at {at} by {person}.")
             )
         self._show()
 

@@ -12,7 +12,11 @@ from touchdown.app.calibrate import CalibratePresenter
 from touchdown.app.connect.devices import DevicesPresenter
 from touchdown.app.connect.limits import LimitsPresenter
 from touchdown.app.connect.sheet import ConnectSheet, ConnectView, DeviceRowView
-from touchdown.app.shell import BenchLink, is_run_active, refusal_card
+from touchdown.app.shell import (
+    is_run_active,
+    refusal_card,
+)
+from touchdown.backend.bench import Session
 from touchdown.backend.core import RefusedError
 from touchdown.backend.devices import CONNECTION_STEPS
 from touchdown.backend.rig import BenchConnection, DeviceStatus
@@ -30,15 +34,15 @@ class ConnectPresenter:
 
     def __init__(
         self,
-        link: BenchLink,
+        bench: Session,
         connection: BenchConnection,
         window: QWidget,
         cards: FaultCards,
         limits: LimitsPresenter,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._link, self._connection, self._cards, self._now_s = link, connection, cards, now_s
-        self.devices = DevicesPresenter(link, window)
+        self._bench, self._connection, self._cards, self._now_s = bench, connection, cards, now_s
+        self.devices = DevicesPresenter(bench, window)
         self.sheet = sheet = ConnectSheet(window, CONNECTION_STEPS)
         sheet.connect_requested.connect(self._connect)
         sheet.cancel_requested.connect(connection.cancel)
@@ -74,7 +78,7 @@ class ConnectPresenter:
         self._ordered(lambda: self._begin(()))
 
     def _begin(self, names: tuple[str, ...]) -> None:
-        if self._link.interlock.stopped_by:
+        if self._bench.interlock.stopped_by:
             raise RefusedError("NOT-RESET", "The bench is stopped: press Reset, then connect.")
         self._connection.begin(names)
 
@@ -83,7 +87,7 @@ class ConnectPresenter:
 
     def _leave(self, names: tuple[str, ...]) -> None:
         # Without one of its devices nothing may move.
-        self._link.leave_scene()
+        self._bench.leave_scene()
         self._connection.disconnect(names)
 
     def _row(self, index: int) -> None:
@@ -98,7 +102,7 @@ class ConnectPresenter:
                 "Homing moves the jaws to their end. Are they empty?",
                 "Not yet",
                 "Home the gripper",
-                lambda: self._ordered(self._link.home_gripper),
+                lambda: self._ordered(self._bench.home_gripper),
             )
         elif needs == "acknowledge":
             self.sheet.question.ask(
@@ -119,11 +123,11 @@ class ConnectPresenter:
 
     def _look(self) -> ConnectView:
         connection, lines = self._connection, self._connection.lines()
-        can = not is_run_active(self._link)
+        can = not is_run_active(self._bench)
         rows = tuple(device_row(line, can=can and not connection.busy) for line in lines)
-        kind = "emulated bench" if self._link.facts.mode == "emulated" else "real devices"
+        kind = "emulated bench" if self._bench.facts.mode == "emulated" else "real devices"
         return ConnectView(
-            f"{self._link.name} ({kind})", self._text(lines), rows, connection.busy, can
+            f"{self._bench.name} ({kind})", self._text(lines), rows, connection.busy, can
         )
 
     def _text(self, lines: tuple[DeviceStatus, ...]) -> str:
@@ -173,12 +177,12 @@ def _at(line: DeviceStatus) -> str:
 class BenchDialogs:
     """Made with the bench; devices that are connected by hand are asked for at once."""
 
-    def __init__(self, link: BenchLink, theme: Theme, window: QWidget, cards: FaultCards) -> None:
-        self.calibrate = CalibratePresenter(link, theme, window, cards)
-        self.limits = LimitsPresenter(link, window, cards)
+    def __init__(self, bench: Session, theme: Theme, window: QWidget, cards: FaultCards) -> None:
+        self.calibrate = CalibratePresenter(bench, theme, window, cards)
+        self.limits = LimitsPresenter(bench, window, cards)
         self.connect: ConnectPresenter | None = None
-        if link.connection is not None:
-            self.connect = ConnectPresenter(link, link.connection, window, cards, self.limits)
+        if bench.connection is not None:
+            self.connect = ConnectPresenter(bench, bench.connection, window, cards, self.limits)
 
     def open_connect(self) -> bool:
         """Show the Connect panel, or connect, or cancel; False where there is none."""

@@ -14,13 +14,13 @@ from PySide6.QtWidgets import QApplication, QWidget
 
 from touchdown.app.operate.page import OperatePage
 from touchdown.app.shell import (
-    BenchLink,
     is_run_active,
     is_typing,
     log,
     missing_scene_reason,
     refusal_card,
 )
+from touchdown.backend.bench import Session
 from touchdown.backend.core import (
     LEVEL_TOLERANCE_RAD,
     FaultError,
@@ -68,17 +68,17 @@ class ManualControlPresenter:
 
     def __init__(
         self,
-        link: BenchLink,
+        bench: Session,
         page: OperatePage,
         cards: FaultCards,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._link, self._page, self._cards, self._now_s = link, page, cards, now_s
+        self._bench, self._page, self._cards, self._now_s = bench, page, cards, now_s
         self._hold = self._sequence = 0
         self._drawn_s = float("-inf")
         self._drawn_pads: tuple[str, ...] = ()
-        hand, shown = link.hand, link.catalogue
-        page.scene.setVisible(link.simulated)
+        hand, shown = bench.hand, bench.catalogue
+        page.scene.setVisible(bench.simulated)
         page.scene.show_catalogue(
             [(name, shown.piece(name).title) for name in shown.tops],
             [(name, shown.piece(name).title) for name in shown.bottoms],
@@ -93,7 +93,7 @@ class ManualControlPresenter:
         if self._sequence == 0:
             self._hold += 1
         self._sequence += 1
-        order = JogOrder(self._hold, self._sequence, self._link.clock_s(), _axis(what),
+        order = JogOrder(self._hold, self._sequence, self._bench.clock_s(), _axis(what),
                          self._frame(), _sign(what) * self._speed())  # fmt: skip
         return self._ordered(lambda hand: hand.jog.renew(order))
 
@@ -101,8 +101,8 @@ class ManualControlPresenter:
         """End the hold; the cause goes to the log."""
         self._sequence = 0
         log.info("jog %d ended: %s", self._hold, cause)
-        if self._link.hand is not None:
-            self._link.hand.jog.end(self._hold)
+        if self._bench.hand is not None:
+            self._bench.hand.jog.end(self._hold)
 
     def step(self, what: str) -> None:
         """Move by one step."""
@@ -142,13 +142,13 @@ class ManualControlPresenter:
     def set_scene(self, piece: str, bottom: str) -> None:
         """Set the simulated bench anew; a held piece goes back to its place as well."""
         request = SetRequest(SceneChoice(piece, (bottom,)))
-        self._ordered(lambda _hand: self._link.start(request))
+        self._ordered(lambda _hand: self._bench.start(request))
 
     def _open_anyway(self) -> None:
         self._ordered(lambda hand: hand.open(confirmed=True))
 
     def _ordered(self, order: Callable[[ManualControl], None]) -> bool:
-        hand = self._link.hand
+        hand = self._bench.hand
         if hand is None:
             return False
         try:
@@ -185,39 +185,39 @@ class ManualControlPresenter:
 
     def why_not(self) -> str:
         """Return why nothing may be moved by hand now, "" if it may."""
-        if self._link.hand is None:
-            return missing_scene_reason(self._link) or "The bench is being prepared"
-        if self._link.interlock.latched:
+        if self._bench.hand is None:
+            return missing_scene_reason(self._bench) or "The bench is being prepared"
+        if self._bench.interlock.latched:
             return "Press Reset first"
-        if not self._link.hand.powered:
+        if not self._bench.hand.powered:
             return "The servo is off: hold Servo in the top bar for 1 s"
-        return "A run is going on" if is_run_active(self._link) else ""
+        return "A run is going on" if is_run_active(self._bench) else ""
 
     def _look(self) -> PoseView:
-        arm, hand = self._link.devices.get("arm"), self._link.hand
+        arm, hand = self._bench.devices.get("arm"), self._bench.hand
         if arm is None or hand is None:
             return PoseView()
         try:
-            t_s, _ = _arm(arm).poses.latest(self._link.clock_s(), float("inf"))
+            t_s, _ = _arm(arm).poses.latest(self._bench.clock_s(), float("inf"))
             pose = _arm(arm).pose(float("inf"))
             text = self._pose_text(_arm(arm), pose)
             rooms = hand.jog.rooms(self._frame())
         except (StaleSampleError, RefusedError):
             return PoseView()
         slow = hand.jog.state.slow
-        recovering, turned = self._link.interlock.recovering, rotation_angle_rad(pose) > 0.0
+        recovering, turned = self._bench.interlock.recovering, rotation_angle_rad(pose) > 0.0
         note = "Recovery: jog away from contact" if recovering else self._contact(hand)
-        note = note or self._link.interlock.degraded
+        note = note or self._bench.interlock.degraded
         warn = bool(note)
         if not note and rotation_angle_rad(pose) > LEVEL_TOLERANCE_RAD:
             turned_deg = math.degrees(rotation_angle_rad(pose))
             note = f"Turned by {turned_deg:.1f}\N{DEGREE SIGN}: level it to probe"
         if not note and any(room.why == "TURN-LOW" for room in rooms.values()):
-            clear_mm = self._link.interlock.limits.turn_clear_mm
+            clear_mm = self._bench.interlock.limits.turn_clear_mm
             note = f"To turn, the face must be {clear_mm:.0f} mm off the surface: jog +Z"
         if slow and hand.jog.state.order is not None:
             note = f"{self._jog_speed(hand)}: {slow}"
-        age_s = max(self._link.clock_s() - t_s, 0.0)
+        age_s = max(self._bench.clock_s() - t_s, 0.0)
         said = tuple((what, _room_words(what, room)) for what, room in rooms.items())
         return PoseView(text, age_s, said, note, warn=warn, turned=turned)
 
@@ -240,12 +240,12 @@ class ManualControlPresenter:
         return f"{state.speed:.1f} mm/s"
 
     def _contact(self, hand: ManualControl) -> str:
-        if is_run_active(self._link) or not hand.pressing_n:
+        if is_run_active(self._bench) or not hand.pressing_n:
             return ""
         return f"In contact with {hand.pressing_n:.1f} N: jog +Z to lift before you start a run"
 
     def _draw_gripper(self) -> None:
-        status, hand = self._grip_status(), self._link.hand
+        status, hand = self._grip_status(), self._bench.hand
         if status is not None and hand is not None:
             moving = hand.active and not hand.jog.active
             self._page.gripper.show_status(
@@ -253,7 +253,7 @@ class ManualControlPresenter:
             )
 
     def _grip_status(self) -> GripStatus | None:
-        device = self._link.devices.get("gripper")
+        device = self._bench.devices.get("gripper")
         return None if device is None else _gripper(device).status()
 
     def _frame(self) -> Frame:

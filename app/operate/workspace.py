@@ -8,7 +8,6 @@ from datetime import datetime
 from touchdown.app.operate.jogging import PACES, ROWS, JogKeyFilter, ManualControlPresenter
 from touchdown.app.operate.page import OperatePage
 from touchdown.app.shell import (
-    BenchLink,
     LivePresenter,
     LiveViews,
     Memory,
@@ -24,6 +23,7 @@ from touchdown.app.shell import (
     start_obstacle,
     unprobed_scene,
 )
+from touchdown.backend.bench import Session
 from touchdown.backend.config import ProbeSettings
 from touchdown.backend.core import (
     EpisodeRecorded,
@@ -46,20 +46,20 @@ PHASES = ("grip", "reference", "approach", "press", "hold", "lift")
 class SingleProbePresenter:
     """Starts a probe and tells how it went."""
 
-    def __init__(self, link: BenchLink, panel: ProbePanel, cards: FaultCards) -> None:
-        self._link, self._panel, self._cards = link, panel, cards
+    def __init__(self, bench: Session, panel: ProbePanel, cards: FaultCards) -> None:
+        self._bench, self._panel, self._cards = bench, panel, cards
         self._mine = False
         self._felt: list[str] = []
-        self._piece, self._model = link.usual.piece, link.model
+        self._piece, self._model = bench.usual.piece, bench.model
         panel.values.setText(values_text(ProbeSettings()))
         self.show_model()
 
     def start(self) -> None:
         """Probe once."""
-        if is_run_active(self._link):
+        if is_run_active(self._bench):
             return
         try:
-            self._link.start(ProbeRequest())
+            self._bench.start(ProbeRequest())
         except RefusedError as error:
             self._cards.show_card(refusal_card(error, f"{datetime.now():%H:%M:%S}"))
         except InputError as error:
@@ -70,11 +70,11 @@ class SingleProbePresenter:
     def cancel(self) -> None:
         """End the probe in an orderly way."""
         if self._mine:
-            self._link.engine.cancel()
+            self._bench.engine.cancel()
 
     def show_model(self) -> None:
         """Say which model reads the next probe: that of the scene, if another was promoted."""
-        words = scene_model_caption(self._model, self._piece, simulated=self._link.simulated)
+        words = scene_model_caption(self._model, self._piece, simulated=self._bench.simulated)
         self._panel.show_model(f"Model: {words.short}", words.full)
 
     def take(self, fact: Event) -> None:
@@ -100,17 +100,17 @@ class SingleProbePresenter:
 
     def draw(self) -> None:
         """Enable what is allowed now."""
-        active = is_run_active(self._link)
-        why = "" if active else start_obstacle(self._link)
+        active = is_run_active(self._bench)
+        why = "" if active else start_obstacle(self._bench)
         if active and not self._mine:
             why = "A run is going on"
         self._panel.show_buttons(
             probe=not active and not why, cancel=active and self._mine, why=why
         )
-        if self._link.model is not self._model:
-            self._model = self._link.model
+        if self._bench.model is not self._model:
+            self._model = self._bench.model
             self.show_model()
-        self._panel.detail.setText(self._link.status().phase if active and self._mine else "")
+        self._panel.detail.setText(self._bench.status().phase if active and self._mine else "")
 
     def _note_episode(self, fact: EpisodeRecorded) -> None:
         episode = fact.episode
@@ -154,7 +154,7 @@ class OperateWorkspace(Workspace):
         self.live: LivePresenter | None = None
         self.hand: ManualControlPresenter | None = None
         self.probe: SingleProbePresenter | None = None
-        self._link: BenchLink | None = None
+        self._bench: Session | None = None
         self._story, self._shown = RunStory(), -1
         self.commands = self._commands()
 
@@ -180,14 +180,14 @@ class OperateWorkspace(Workspace):
         self.columns = self.pieces = self.page.columns
         self.keys = JogKeyFilter(self.page, self.page.jog)
 
-    def attach(self, link: BenchLink) -> None:
+    def attach(self, bench: Session) -> None:
         """Show this bench."""
         page = self.page
-        self._link = link
+        self._bench = bench
         views = LiveViews(page.tactile, page.captions, page.force, page.moment)
-        self.live = LivePresenter(link, views)
-        self.hand = ManualControlPresenter(link, page, self._desk.cards)
-        self.probe = SingleProbePresenter(link, page.probe, self._desk.cards)
+        self.live = LivePresenter(bench, views)
+        self.hand = ManualControlPresenter(bench, page, self._desk.cards)
+        self.probe = SingleProbePresenter(bench, page.probe, self._desk.cards)
         self.parts = (
             self.live.draw_left, self.live.draw_right, self.live.draw_wrench,
             self.live.draw_headers, self.hand.draw, self.probe.draw, self._draw_belief,
@@ -348,14 +348,14 @@ class OperateWorkspace(Workspace):
             self.live.paused = paused
 
     def _draw_belief(self) -> None:
-        if self._shown == self._story.version or self._link is None:
+        if self._shown == self._story.version or self._bench is None:
             return
         self._shown, trial = self._story.version, self._story.trial
         if trial is None or not trial.probes:
             self.page.belief.show_scene(NO_RUN if trial is None else unprobed_scene(trial))
             self.page.belief_panel.detail.setText("")
             return
-        face, bottom = face_outlines(self._link.catalogue, self._story.head)
+        face, bottom = face_outlines(self._bench.catalogue, self._story.head)
         scene = belief_scene(trial, len(trial.probes) - 1, face, bottom)
         self.page.belief.show_scene(scene)
         self.page.legend.show_truth(scene.truth is not None)

@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from touchdown.app.shell import (
         actions,
         activity,
-        bench_link,
         bench_text,
         cards,
         datasets,

@@ -10,7 +10,6 @@ from .activity import is_run_active as is_run_active
 from .activity import may_be_moving as may_be_moving
 from .activity import missing_scene_reason as missing_scene_reason
 from .activity import start_obstacle as start_obstacle
-from .bench_link import BenchLink as BenchLink
 from .bench_text import QuestionRow as QuestionRow
 from .bench_text import bench_caption as bench_caption
 from .bench_text import run_model_caption as run_model_caption
@@ -83,7 +82,6 @@ __all__ = [
     "USUAL",
     "ActionRegistry",
     "Appearance",
-    "BenchLink",
     "CloseConfirmation",
     "CommandDialogs",
     "DeviceChipsPresenter",

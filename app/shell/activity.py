@@ -8,7 +8,7 @@ from functools import partial
 from PySide6.QtCore import QPoint
 from PySide6.QtWidgets import QWidget
 
-from touchdown.app.shell.bench_link import BenchLink
+from touchdown.backend.bench import Session
 from touchdown.backend.core import FaultError, Refused, Said
 from touchdown.backend.devices import NAMES, Device, RobotMode
 from touchdown.backend.rig import reconnect
@@ -24,43 +24,43 @@ ACTIVE_STATES = frozenset(
 MOVING_STATES = ACTIVE_STATES - {RunState.PAUSED}
 
 
-def is_run_active(link: BenchLink) -> bool:
+def is_run_active(bench: Session) -> bool:
     """Whether a run is active."""
-    return link.status().state in ACTIVE_STATES
+    return bench.status().state in ACTIVE_STATES
 
 
-def may_be_moving(link: BenchLink) -> bool:
+def may_be_moving(bench: Session) -> bool:
     """Whether something may be moving (Space then means STOP)."""
-    status = link.status()
+    status = bench.status()
     if status.state in MOVING_STATES and status.awaiting is None and not status.asks:
         return True
-    arm = link.devices.get("arm")
+    arm = bench.devices.get("arm")
     mode = getattr(arm, "status", None)
     return mode is not None and mode().robot_mode is RobotMode.MOVING
 
 
-def missing_scene_reason(link: BenchLink) -> str:
+def missing_scene_reason(bench: Session) -> str:
     """Return why there is no scene to move in, "" where that does not matter."""
-    if link.connection is not None:
-        if link.connection.busy:
+    if bench.connection is not None:
+        if bench.connection.busy:
             return "The devices are being connected"
         return "Connect the bench first (Ctrl+L)"
-    return "" if link.devices else "The bench is being prepared"
+    return "" if bench.devices else "The bench is being prepared"
 
 
-def start_obstacle(link: BenchLink) -> str:
+def start_obstacle(bench: Session) -> str:
     """Return why no run may start although none is active, "" if one may."""
-    if link.interlock.latched:
+    if bench.interlock.latched:
         return "Press Reset first"
-    if link.hand is None and missing_scene_reason(link):
-        return missing_scene_reason(link)
-    if link.hand is not None and not link.hand.powered:
+    if bench.hand is None and missing_scene_reason(bench):
+        return missing_scene_reason(bench)
+    if bench.hand is not None and not bench.hand.powered:
         return "The servo is off: hold Servo in the top bar for 1 s"
-    if link.hand is not None and link.hand.pressing_n:
+    if bench.hand is not None and bench.hand.pressing_n:
         return "In contact: lift first (jog +Z in Operate)"
-    for degraded in link.degraded:
+    for degraded in bench.degraded:
         # What is over sooner would only make the buttons flicker: an order is refused in words.
-        if link.clock_s() - degraded.since_s > DEGRADED_DELAY_S:
+        if bench.clock_s() - degraded.since_s > DEGRADED_DELAY_S:
             return f"The {NAMES[degraded.device]} is {degraded.how}: check it first"
     return ""
 
@@ -71,8 +71,8 @@ RECONNECT_S = 5.0
 class DeviceInspectorPresenter:
     """Keeps one inspector; it follows the device that was clicked last."""
 
-    def __init__(self, link: BenchLink, bar: TopBar, window: QWidget) -> None:
-        self._link, self._bar, self._window = link, bar, window
+    def __init__(self, bench: Session, bar: TopBar, window: QWidget) -> None:
+        self._bench, self._bar, self._window = bench, bar, window
         self._titles = dict(CHIPS)
         self.sheet: DeviceInspector | None = None
         self._connecting = False
@@ -81,7 +81,7 @@ class DeviceInspectorPresenter:
 
     def open(self, key: str) -> None:
         """Show the inspector of a device below its chip."""
-        device = self._link.devices.get(key)
+        device = self._bench.devices.get(key)
         if device is None:
             return
         if self.sheet is None:
@@ -92,19 +92,19 @@ class DeviceInspectorPresenter:
 
     def reconnect(self) -> None:
         """Connect the shown device anew, on a thread: a cable may take seconds to answer."""
-        device = None if self.sheet is None else self._link.devices.get(self.sheet.key)
-        connection = self._link.connection
-        if device is not None and connection is not None and not is_run_active(self._link):
+        device = None if self.sheet is None else self._bench.devices.get(self.sheet.key)
+        connection = self._bench.connection
+        if device is not None and connection is not None and not is_run_active(self._bench):
             if not connection.busy:
                 connection.begin((device.name,))
-        elif device is not None and not self._connecting and not is_run_active(self._link):
+        elif device is not None and not self._connecting and not is_run_active(self._bench):
             self._connecting = True
             threading.Thread(
                 target=self._reconnect, args=(device,), name="reconnect", daemon=True
             ).start()
 
     def _reconnect(self, device: Device) -> None:
-        now_s, publish = self._link.clock_s(), self._link.events.publish
+        now_s, publish = self._bench.clock_s(), self._bench.events.publish
         try:
             reconnect(device, RECONNECT_S, threading.Event())
         except FaultError as error:
@@ -118,14 +118,14 @@ class DeviceInspectorPresenter:
         """Show the present values while it is open."""
         if self.sheet is None or not self.sheet.isVisible():
             return
-        self.sheet.reconnect.setEnabled(not self._connecting and not is_run_active(self._link))
-        device = self._link.devices.get(self.sheet.key)
+        self.sheet.reconnect.setEnabled(not self._connecting and not is_run_active(self._bench))
+        device = self._bench.devices.get(self.sheet.key)
         if device is not None:
             self.sheet.show_rows(self._rows(device))
 
     def _rows(self, device: Device) -> list[tuple[str, str]]:
         """Return the rows of a device; of the wrist sensor its drift as well."""
-        drift = self._link.drift if device.name == "force_torque" else None
+        drift = self._bench.drift if device.name == "force_torque" else None
         told = [] if drift is None else [("drift in air", drift.words().removeprefix("drift "))]
         return [*inspector_rows(device), *told]
 

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton
 
-from touchdown.app.shell.bench_link import BenchLink
-from touchdown.backend.bench import model_in_use, shipped_model
+from touchdown.backend.bench import (
+    Session,
+    model_in_use,
+    shipped_model,
+)
 from touchdown.backend.core import InputError
 from touchdown.backend.learning import ModelCard, ModelRegistry, load_card
 from touchdown.backend.learning.fused import shipped_fused
@@ -28,9 +31,9 @@ class BenchCaption:
     """Small second line of the pill; "" with hardware."""
 
 
-def bench_caption(link: BenchLink) -> BenchCaption:
-    """Return what to call the bench of ``link``, by the facts that its recordings carry too."""
-    mode = link.facts.mode
+def bench_caption(bench: Session) -> BenchCaption:
+    """Return what to call the bench of ``bench``, by the facts that its recordings carry too."""
+    mode = bench.facts.mode
     if mode == "simulated":
         return BenchCaption(
             "Touchdown (SIMULATED)",
@@ -41,15 +44,15 @@ def bench_caption(link: BenchLink) -> BenchCaption:
         )
     if mode == "emulated":
         return BenchCaption(
-            f"Touchdown (EMULATED: {link.name})",
+            f"Touchdown (EMULATED: {bench.name})",
             "EMULATED BENCH",
             "Real drivers and wires, emulated devices: no hardware moves.",
             True,
             "emulated",
         )
     return BenchCaption(
-        f"Touchdown ({link.name})",
-        link.name,
+        f"Touchdown ({bench.name})",
+        bench.name,
         "Real devices: the arm of this lab moves.",
         False,
         "",

@@ -10,8 +10,8 @@ from datetime import datetime
 from typing import Protocol
 
 from touchdown.app.shell.activity import is_run_active, start_obstacle
-from touchdown.app.shell.bench_link import BenchLink
 from touchdown.app.shell.errors import log
+from touchdown.backend.bench import Session
 from touchdown.backend.core import (
     Event,
     Fault,
@@ -83,7 +83,7 @@ def log_event(fact: Event) -> None:
         log.info("refused %s: %s", fact.reason, fact.text)
 
 
-def show_event(fact: Event, link: BenchLink | None, cards: FaultCards, say: ShowStatus) -> None:
+def show_event(fact: Event, bench: Session | None, cards: FaultCards, say: ShowStatus) -> None:
     """Show a fact to the operator, if it is one that the frame tells."""
     if isinstance(fact, PhaseEntered | RunFinished):
         cards.clear(cards.obstacles)
@@ -93,9 +93,9 @@ def show_event(fact: Event, link: BenchLink | None, cards: FaultCards, say: Show
         cards.show_card(refusal_card(RefusedError(fact.reason, fact.text), time_of_day()))
     elif isinstance(fact, FaultsReset):
         cards.clear()
-        why = "" if link is None else start_obstacle(link)
-        if link is not None and why:
-            say(f"{why}.", lambda: start_obstacle(link) == why)
+        why = "" if bench is None else start_obstacle(bench)
+        if bench is not None and why:
+            say(f"{why}.", lambda: start_obstacle(bench) == why)
     elif isinstance(fact, Paused | Noticed):
         waits = isinstance(fact, Paused)
         card = fault_card(fact.fault, time_of_day())
@@ -148,30 +148,30 @@ class CloseConfirmation:
         self._asked: CardQuestion | None = None
         self.allowed = False
 
-    def may_close(self, link: BenchLink | None) -> bool:
+    def may_close(self, bench: Session | None) -> bool:
         """Return whether nothing is left alone; else ask."""
-        question = None if self.allowed or link is None else self._question(link)
+        question = None if self.allowed or bench is None else self._question(bench)
         if question is None:
             return True
         self._ask(question)
         return False
 
-    def draw(self, link: BenchLink) -> None:
+    def draw(self, bench: Session) -> None:
         """Keep the question true while it stands: what it asks about may have ended meanwhile."""
         if self._asked is None or self._cards.asks is not self._asked:
             return
-        now = self._question(link) or CardQuestion(
+        now = self._question(bench) or CardQuestion(
             ENDED_QUESTION, (("Stay", _stay), ("Close", self._close_now))
         )
         if now.text != self._asked.text:
             self._ask(now)
 
-    def _question(self, link: BenchLink) -> CardQuestion | None:
-        if is_run_active(link):
+    def _question(self, bench: Session) -> CardQuestion | None:
+        if is_run_active(bench):
             what, stay = "A run is active and a piece may be held.", "Keep running"
-        elif link.hand is not None and link.hand.active:
-            what, stay = "The bench is being moved by hand.", "Go on"
-        elif link.hand is not None and link.hand.holding:
+        elif bench.hand is not None and bench.hand.active:
+            what, stay = "The bench is being moved by hand.", "Continue"
+        elif bench.hand is not None and bench.hand.holding:
             answers = (("Stay", _stay), ("Close, keep the grip", self._stop_and_close))
             return CardQuestion("A piece is held. Close the window?", answers)
         else:

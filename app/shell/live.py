@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
 
-from touchdown.app.shell.bench_link import BenchLink
 from touchdown.app.shell.top_bar import lost_samples_text
+from touchdown.backend.bench import Session
 from touchdown.backend.core import FINGERS, Finger, MarkerField, TactileFrame
 from touchdown.backend.devices import DeviceState
 from touchdown.widgets.base import Age, CaptionedView, Columns, Freshness, Panel, Theme
@@ -34,9 +34,9 @@ class LivePresenter:
     """Moves the newest samples of a bench into the views of one page."""
 
     def __init__(
-        self, link: BenchLink, views: LiveViews, now_s: Callable[[], float] = time.monotonic
+        self, bench: Session, views: LiveViews, now_s: Callable[[], float] = time.monotonic
     ) -> None:
-        self._link, self._views, self._now_s = link, views, now_s
+        self._bench, self._views, self._now_s = bench, views, now_s
         self._fresh = {finger: Freshness() for finger in FINGERS}
         self._wrench_fresh = Freshness()
         self._wrench_cursor = 0
@@ -55,7 +55,7 @@ class LivePresenter:
         self._draw_finger("right")
 
     def _draw_finger(self, finger: Finger) -> None:
-        view, stream = self._views.tactile[finger], self._link.frames[finger]
+        view, stream = self._views.tactile[finger], self._bench.frames[finger]
         if not view.isVisible():
             return
         fresh, now_s = self._fresh[finger], self._now_s()
@@ -71,13 +71,13 @@ class LivePresenter:
 
     def _field_of(self, finger: Finger, frame: TactileFrame) -> MarkerField | None:
         """Return the field that was tracked in this frame, else the newest one."""
-        stream = self._link.fields[finger]
+        stream = self._bench.fields[finger]
         same = stream.between(frame.t_s, frame.t_s)
         return same[-1] if same else stream.newest()
 
     def draw_wrench(self) -> None:
         """Feed the traces."""
-        views, stream, now_s = self._views, self._link.wrench, self._now_s()
+        views, stream, now_s = self._views, self._bench.wrench, self._now_s()
         if not views.force.isVisible():
             return
         if self._wrench_fresh.note(stream.count, now_s) and not self.paused:
@@ -87,7 +87,7 @@ class LivePresenter:
             plot.show_age(age, age_s, "The force/torque sensor has not sent a sample.")
 
     def _feed(self) -> None:
-        samples = self._link.wrench.since(self._wrench_cursor)
+        samples = self._bench.wrench.since(self._wrench_cursor)
         self._wrench_cursor = samples.cursor
         if len(samples.t_s):
             self._views.force.add(samples.t_s, samples.values[:, :3])
@@ -108,7 +108,7 @@ class LivePresenter:
         self._headers_s = now_s
         for finger in FINGERS:
             self._show_header(finger)
-        drift = self._link.drift
+        drift = self._bench.drift
         self._views.force.show_note("" if drift is None else drift.words())
         for plot in (self._views.force, self._views.moment):
             plot.setAccessibleDescription(plot.summary())
@@ -116,7 +116,7 @@ class LivePresenter:
     def _show_header(self, finger: Finger) -> None:
         panel, device = (
             self._views.panels[finger],
-            self._link.devices.get(f"tactile_{finger}"),
+            self._bench.devices.get(f"tactile_{finger}"),
         )
         seen, total = self._views.tactile[finger].seen()
         if device is None or total == 0:
@@ -128,7 +128,7 @@ class LivePresenter:
         panel.detail.setText(f"{seen}/{total}, {health.rate_hz:.1f} Hz")
 
     def _why_silent(self, finger: Finger) -> str:
-        device = self._link.devices.get(f"tactile_{finger}")
+        device = self._bench.devices.get(f"tactile_{finger}")
         if device is None:
             return "The bench is being prepared."
         if device.state is not DeviceState.READY:

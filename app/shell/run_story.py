@@ -29,7 +29,7 @@ from touchdown.backend.core import (
     TrialStarted,
 )
 from touchdown.backend.geometry import PieceLibrary, edges_to_polygon, overlap_edges
-from touchdown.backend.runs import excusing_fault
+from touchdown.backend.runs import excluding_fault
 from touchdown.widgets.views import BeliefScene, Score
 
 Offset = tuple[float, float]
@@ -63,7 +63,7 @@ class TrialStory:
     @property
     def excuse(self) -> str:
         """The device fault that keeps the trial out of the success rate, "" if it counts."""
-        return "" if self.finished is None else excusing_fault(self.finished, self.phase)
+        return "" if self.finished is None else excluding_fault(self.finished, self.phase)
 
     def path(self, upto: int) -> tuple[Offset, ...]:
         """Offsets of the first ``upto`` probes."""

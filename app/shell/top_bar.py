@@ -6,10 +6,10 @@ import math
 import time
 from collections.abc import Callable
 
-from touchdown.app.shell.bench_link import BenchLink
 from touchdown.app.shell.bench_text import bench_caption
 from touchdown.app.shell.cards import refusal_card, time_of_day
 from touchdown.app.shell.workspace import WindowCommand
+from touchdown.backend.bench import Session
 from touchdown.backend.core import RefusedError
 from touchdown.backend.devices import (
     Arm,
@@ -51,40 +51,40 @@ SHOWS_DEGRADED = (RunState.IDLE, RunState.PREPARING, RunState.RUNNING)
 """A run that pauses or ends says so; by then its card names the sensor."""
 
 
-def pill_state(link: BenchLink) -> PillState:
+def pill_state(bench: Session) -> PillState:
     """Return what the pill shows for this bench now."""
-    note = bench_caption(link).note
-    if not link.devices:
+    note = bench_caption(bench).note
+    if not bench.devices:
         return PillState("NO DEVICES", "ring", "grey", note)
-    if link.still_s >= STILL_S and link.status().state is not RunState.PREPARING:
-        return PillState("STILL", "bang", "yellow", f"no step for {link.still_s:.0f} s")
-    if link.interlock.latched:
-        if link.interlock.faults:
+    if bench.still_s >= STILL_S and bench.status().state is not RunState.PREPARING:
+        return PillState("STILL", "bang", "yellow", f"no step for {bench.still_s:.0f} s")
+    if bench.interlock.latched:
+        if bench.interlock.faults:
             return PillState("FAULT", "square", "red", "press Reset")
         return PillState("STOPPED", "square", "blue", "press Reset")
-    if link.connection is not None and (standing := _standing(link.connection)):
+    if bench.connection is not None and (standing := _standing(bench.connection)):
         return standing
-    if link.hand is not None and not link.hand.powered:
+    if bench.hand is not None and not bench.hand.powered:
         return PillState("NOT READY", "triangle", "blue", "switch the servo on")
-    by_hand = _by_hand(link)
+    by_hand = _by_hand(bench)
     if by_hand:
         return PillState("JOG", "play", "green", by_hand)
-    if link.hand is not None and link.interlock.recovering:
+    if bench.hand is not None and bench.interlock.recovering:
         return PillState("RECOVERY", "diamond", "yellow", "jog away from contact")
-    status = link.status()
+    status = bench.status()
     asks = status.asks if status.state is RunState.RUNNING else ""
     if status.awaiting is not None or asks:
         return PillState("YOUR TURN", "triangle", "blue", asks or "approve or decline")
-    return _sensed(link, status) or _of_run(note, status)
+    return _sensed(bench, status) or _of_run(note, status)
 
 
-def _sensed(link: BenchLink, status: RunStatus) -> PillState | None:
+def _sensed(bench: Session, status: RunStatus) -> PillState | None:
     """Return what the sensors say of the bench, None if there is nothing to say."""
-    degraded = link.degraded
+    degraded = bench.degraded
     if status.state in SHOWS_DEGRADED and degraded:
-        return PillState("DEGRADED", "bang", "yellow", _which(degraded, link.clock_s()))
-    if status.state is RunState.IDLE and link.hand is not None and link.hand.pressing_n:
-        note = f"{link.hand.pressing_n:.0f} N: lift, jog +Z"
+        return PillState("DEGRADED", "bang", "yellow", _which(degraded, bench.clock_s()))
+    if status.state is RunState.IDLE and bench.hand is not None and bench.hand.pressing_n:
+        note = f"{bench.hand.pressing_n:.0f} N: lift, jog +Z"
         return PillState("IN CONTACT", "diamond", "yellow", note)
     return None
 
@@ -114,11 +114,11 @@ def _standing(connection: BenchConnection) -> PillState | None:
     return None
 
 
-def _by_hand(link: BenchLink) -> str:
+def _by_hand(bench: Session) -> str:
     """Return what moves by hand, "" if nothing does."""
-    if link.hand is None or not link.hand.jog.active:
+    if bench.hand is None or not bench.hand.jog.active:
         return ""
-    state = link.hand.jog.state
+    state = bench.hand.jog.state
     if state.order is None:
         return "one step"
     order, speed = state.order, f"{state.speed:.0f} mm/s"
@@ -148,9 +148,9 @@ class DeviceChipsPresenter:
     """Shows what the devices say of themselves, four times a second."""
 
     def __init__(
-        self, link: BenchLink, bar: TopBar, now_s: Callable[[], float] = time.monotonic
+        self, bench: Session, bar: TopBar, now_s: Callable[[], float] = time.monotonic
     ) -> None:
-        self._link, self._bar, self._now_s = link, bar, now_s
+        self._bench, self._bar, self._now_s = bench, bar, now_s
         self._fresh = {key: Freshness() for key, _ in CHIPS}
         self._drawn_s = float("-inf")
 
@@ -160,8 +160,8 @@ class DeviceChipsPresenter:
         if now_s - self._drawn_s < PERIOD_S:
             return False
         self._drawn_s = now_s
-        devices = self._link.devices
-        degraded = {one.device: one for one in self._link.degraded}
+        devices = self._bench.devices
+        degraded = {one.device: one for one in self._bench.degraded}
         for key, _ in CHIPS:
             device = devices.get(key)
             if device is not None:
@@ -175,7 +175,7 @@ class DeviceChipsPresenter:
 
     def _hardware_stop(self, safety: SafetyMode) -> str:
         """Return what is known of it: that it stopped the arm is told, that it is free is not."""
-        if self._link.simulated:
+        if self._bench.simulated:
             return "none"
         return "active" if safety is SafetyMode.HW_STOP else "unknown"
 
@@ -183,7 +183,7 @@ class DeviceChipsPresenter:
         self, key: str, device: Device, now_s: float, degraded: DegradedDevice | None
     ) -> ChipValue:
         health, fresh = device.health, self._fresh[key]
-        drift = self._link.drift if key == "force_torque" else None
+        drift = self._bench.drift if key == "force_torque" else None
         fresh.note(health.received, now_s)
         state: ChipState = _STATES[device.state]
         age = fresh.judge(now_s)
@@ -192,7 +192,7 @@ class DeviceChipsPresenter:
             detail = f"stale {fresh.age_s(now_s):.1f} s"
         elif state == "ready" and degraded is not None:
             state = "degraded"
-            lasted_s = self._link.clock_s() - degraded.since_s
+            lasted_s = self._bench.clock_s() - degraded.since_s
             figure = f"{health.rate_hz:.0f} Hz" if degraded.how == "slow" else f"{lasted_s:.1f} s"
             detail = f"{degraded.how} {figure}"
         elif state == "ready" and drift is not None and drift.named:
@@ -237,24 +237,24 @@ class SpeedOverride:
 
     def __init__(self, bar: TopBar, say: Callable[[str], None]) -> None:
         self._bar, self._say = bar, say
-        self._link: BenchLink | None = None
+        self._bench: Session | None = None
         bar.override.valueChanged.connect(self._choose)
         self.commands = (
             WindowCommand("slower", "Slower: speed override down", "Ctrl+Alt+-", self._slower),
             WindowCommand("faster", "Faster: speed override up", "Ctrl+Alt++", self._faster),
         )
 
-    def attach(self, link: BenchLink) -> None:
+    def attach(self, bench: Session) -> None:
         """Show the override of this bench; hardware starts slowly."""
-        self._link = None
-        if not link.simulated:
-            link.interlock.override_speed(START_PERCENT / 100)
-        self._bar.override.setValue(round(100 * link.interlock.override))
-        self._link = link
+        self._bench = None
+        if not bench.simulated:
+            bench.interlock.override_speed(START_PERCENT / 100)
+        self._bar.override.setValue(round(100 * bench.interlock.override))
+        self._bench = bench
 
     def _choose(self, percent: int) -> None:
-        if self._link is not None:
-            self._link.interlock.override_speed(percent / 100)
+        if self._bench is not None:
+            self._bench.interlock.override_speed(percent / 100)
             self._say(f"Speed override {percent} %.")
 
     def _slower(self) -> None:
@@ -267,20 +267,20 @@ class SpeedOverride:
 class ServoSwitch:
     """Carries the operator's wish to the arm, and shows how its motors are."""
 
-    def __init__(self, link: BenchLink, bar: TopBar, cards: FaultCards) -> None:
-        self._link, self._bar, self._cards = link, bar, cards
+    def __init__(self, bench: Session, bar: TopBar, cards: FaultCards) -> None:
+        self._bench, self._bar, self._cards = bench, bar, cards
         bar.servo.ordered = self._switch
 
     def draw(self) -> None:
         """Show whether the motors are on, off, or unknown."""
-        hand = self._link.hand
+        hand = self._bench.hand
         if hand is None:
             self._bar.servo.show_state(None)
         else:
             self._bar.servo.show_state(hand.powered, busy=hand.switching)
 
     def _switch(self, on: bool) -> None:
-        hand = self._link.hand
+        hand = self._bench.hand
         if hand is None:
             return
         try:

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from PySide6.QtWidgets import QWidget
 
-from touchdown.app.shell.bench_link import BenchLink
+from touchdown.backend.bench import Session
 from touchdown.backend.core import Event
 from touchdown.widgets.base import Columns, Theme
 from touchdown.widgets.shell import FaultCards
@@ -90,7 +90,7 @@ class Workspace:
         """Make the page, in pieces of some ms; called once, before anything below."""
         yield
 
-    def attach(self, link: BenchLink) -> None:
+    def attach(self, bench: Session) -> None:
         """Take a bench that is ready."""
 
     def take(self, fact: Event) -> None:

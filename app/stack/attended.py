@@ -6,8 +6,12 @@ from pathlib import Path
 
 from PySide6.QtWidgets import QFileDialog
 
-from touchdown.app.shell import BenchLink, MainThreadQueue, SaveWorker
+from touchdown.app.shell import (
+    MainThreadQueue,
+    SaveWorker,
+)
 from touchdown.app.stack.page import StackPage
+from touchdown.backend.bench import Session
 from touchdown.backend.core import (
     Event,
     HandOverAwaited,
@@ -23,7 +27,12 @@ from touchdown.backend.core import (
     TrialFinished,
     TrialStarted,
 )
-from touchdown.backend.runs import KINDS, hand_over_message, keep_photo, scene_to_set_message
+from touchdown.backend.runs import (
+    PHOTO_SUFFIXES,
+    hand_over_message,
+    keep_photo,
+    scene_to_set_message,
+)
 from touchdown.widgets.shell import CardText, FaultCards
 from touchdown.widgets.views import OffsetScene, TrialPrompt
 
@@ -34,8 +43,8 @@ _OVER = PhaseEntered | Released | TrialStarted | TrialFinished | RunFinished
 class OperatorPromptsPresenter:
     """Shows one question at a time; the answer goes to the run."""
 
-    def __init__(self, link: BenchLink, page: StackPage, cards: FaultCards) -> None:
-        self._link, self._page, self._cards = link, page, cards
+    def __init__(self, bench: Session, page: StackPage, cards: FaultCards) -> None:
+        self._bench, self._page, self._cards = bench, page, cards
         self._asked: TrialPrompt | None = None
         self._mine = False
         self._post = MainThreadQueue(page)
@@ -73,7 +82,7 @@ class OperatorPromptsPresenter:
         """Say whether the scene is set, or the hand there."""
         if self._asked is not None and self._asked.proposed is None:
             self._ask(None)
-            self._link.answer(yes)
+            self._bench.answer(yes)
 
     def see(self, outcome: Outcome) -> None:
         """Press the button of an outcome."""
@@ -84,7 +93,7 @@ class OperatorPromptsPresenter:
         """Say what became of the piece."""
         if self._asked is not None and self._asked.proposed is not None:
             self._ask(None)
-            self._link.gate.see(outcome, reason)
+            self._bench.gate.see(outcome, reason)
 
     def ask_photo(self) -> None:
         """Let the operator choose a picture of this trial."""
@@ -92,14 +101,14 @@ class OperatorPromptsPresenter:
             return
         dialog = QFileDialog(self._page, "Picture of this trial")
         dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
-        dialog.setNameFilter(f"Pictures ({' '.join('*' + kind for kind in KINDS)})")
+        dialog.setNameFilter(f"Pictures ({' '.join('*' + kind for kind in PHOTO_SUFFIXES)})")
         dialog.fileSelected.connect(lambda name: self.add_photo(Path(name)))
         dialog.finished.connect(dialog.deleteLater)
         dialog.open()
 
     def add_photo(self, source: Path) -> None:
         """Keep a picture of this trial beside the journal of its run."""
-        run, trial = self._link.run_folder, self._link.status().trial
+        run, trial = self._bench.run_folder, self._bench.status().trial
         if self._files is None:
             self._files = SaveWorker(self._post, "photos")
 
@@ -107,7 +116,7 @@ class OperatorPromptsPresenter:
             if run is None:
                 raise InputError("This run is not kept.", str(source), "Name a folder for runs.")
             path = keep_photo(run, trial, source)
-            self._link.events.publish(PhotoKept(self._link.clock_s(), trial, path.name))
+            self._bench.events.publish(PhotoKept(self._bench.clock_s(), trial, path.name))
             return path.name
 
         self._files.submit(work, self._page.trial.detail.setText, self._refused)
@@ -127,7 +136,7 @@ class OperatorPromptsPresenter:
         self._page.show_trial(look)
 
     def _scene(self, asked: SetUpAwaited) -> OffsetScene:
-        catalogue = self._link.catalogue
+        catalogue = self._bench.catalogue
         face = catalogue.piece(asked.piece).face.polygon(96)
         bottom = catalogue.piece(asked.bottom.split("+")[-1]).face.polygon(96)
         return OffsetScene(bottom, face, asked.start_mm, names=(asked.bottom, asked.piece))

@@ -10,7 +10,6 @@ from typing import get_args
 from PySide6.QtWidgets import QWidget
 
 from touchdown.app.shell import (
-    BenchLink,
     RunStory,
     TrialStory,
     belief_scene,
@@ -19,6 +18,7 @@ from touchdown.app.shell import (
     run_score,
     start_obstacle,
 )
+from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, Outcome, RunStarted, TrialFinished
 from touchdown.backend.runs import StackRequest, StrategyChoice
 from touchdown.widgets.base import Theme
@@ -93,12 +93,12 @@ class ComparisonPresenter:
 
     def __init__(
         self,
-        link: BenchLink,
+        bench: Session,
         theme: Theme,
         request: Callable[[], StackRequest],
         start: Callable[[StackRequest], bool],
     ) -> None:
-        self._link, self._theme, self._request, self._start = link, theme, request, start
+        self._bench, self._theme, self._request, self._start = bench, theme, request, start
         self._rivals = StrategyRuns()
         self._question: StackRequest | None = None
         self._pair: tuple[StrategyChoice, StrategyChoice] = ("paper", BLIND)
@@ -118,7 +118,7 @@ class ComparisonPresenter:
             )
         if not self._waiting:
             self._question = self._request()
-            rivals = _other_strategies(simulated=self._link.simulated)
+            rivals = _other_strategies(simulated=self._bench.simulated)
             self._pair = compared_strategies(self._question)
             if self._pair[1] not in dict(rivals):
                 self._pair = "paper", strategy_by_name(rivals[0][0]) or "paper"
@@ -129,28 +129,28 @@ class ComparisonPresenter:
 
     def run_missing(self) -> None:
         """Run each strategy that has not answered yet, one after the other."""
-        if self._question is not None and not self._waiting and not is_run_active(self._link):
+        if self._question is not None and not self._waiting and not is_run_active(self._bench):
             missing = self._missing(self._question)
             self._waiting = missing or list(self._pair)
             self._next()
 
     def draw(self) -> None:
         """Go on with the next strategy; show what changed."""
-        if self._waiting and not is_run_active(self._link):
+        if self._waiting and not is_run_active(self._bench):
             self._next()
         if self.sheet is None or not self.sheet.isVisible() or self._question is None:
             return
         question = stack_question(self._question)
         stories = [self._rivals.story(question, strategy) for strategy in self._pair]
         versions = tuple(None if story is None else story.version for story in stories)
-        active = is_run_active(self._link)
+        active = is_run_active(self._bench)
         drawn = (
             question,
             self._pair,
             versions,
             self.sheet.trial.value(),
             active,
-            self._link.interlock.latched,
+            self._bench.interlock.latched,
         )
         if drawn == self._drawn:
             return
@@ -201,7 +201,7 @@ class ComparisonPresenter:
         text = "" if active else "Run both" if len(missing) == 2 else "Run the other one"
         if not missing:
             text = "" if active else "Run both again"
-        sheet.show_run(text, "" if active else start_obstacle(self._link))
+        sheet.show_run(text, "" if active else start_obstacle(self._bench))
 
     def _look(self, title: str, story: RunStory | None, trials: int, at: int) -> StrategyResult:
         if story is None:
@@ -221,7 +221,7 @@ class ComparisonPresenter:
         felt = [k for k, look in enumerate(trial.probes) if look.belief is not None]
         if not felt:
             return NO_MAP
-        return belief_scene(trial, felt[-1], *face_outlines(self._link.catalogue, story.head))
+        return belief_scene(trial, felt[-1], *face_outlines(self._bench.catalogue, story.head))
 
     def _compare_with(self, name: str) -> None:
         """Put another strategy on the right; what it answered in this session is shown at once."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from touchdown.app.shell import (
     ACTIVE_STATES,
-    BenchLink,
     ProbeStory,
     RunStory,
     TrialStory,
@@ -18,6 +17,7 @@ from touchdown.app.shell import (
 )
 from touchdown.app.stack.comparison import strategy_by_name
 from touchdown.app.stack.page import StackPage
+from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, InputError, Outcome, RefusedError, TrialFinished
 from touchdown.backend.runs import DecisionMode, RunState, RunStatus, StackRequest
 from touchdown.widgets.forms import RunButtons, RunForm
@@ -47,8 +47,8 @@ RELEASED = frozenset({Outcome.PLACED, Outcome.FELL, Outcome.KNOCKED_OVER})
 class StackPresenter:
     """Holds the story of the present run and shows it."""
 
-    def __init__(self, link: BenchLink, page: StackPage, cards: FaultCards) -> None:
-        self._link, self._page, self._cards = link, page, cards
+    def __init__(self, bench: Session, page: StackPage, cards: FaultCards) -> None:
+        self._bench, self._page, self._cards = bench, page, cards
         self.story = RunStory()
         self._pieces = (self._draw_decision, self._draw_map, self._draw_strip, self._draw_score)
         self._shown_versions = [-1] * len(self._pieces)
@@ -63,16 +63,16 @@ class StackPresenter:
 
     def start(self) -> None:
         """Begin the run that is filled in."""
-        if not is_run_active(self._link):
+        if not is_run_active(self._bench):
             self.show_model()
             self.begin(stack_request(self._page.run.form()))
 
     def begin(self, request: StackRequest) -> bool:
         """Begin a run; False, with a card, if it is refused."""
         try:
-            self._link.start(request)
+            self._bench.start(request)
         except RefusedError as error:
-            latched = self._link.interlock.latched
+            latched = self._bench.interlock.latched
             self._cards.show_card(CardText(error.reason, "The run was not started.", error.detail,
                                            "", reset=latched, passing=not latched))  # fmt: skip
         except InputError as error:
@@ -85,24 +85,24 @@ class StackPresenter:
 
     def pause_or_resume(self) -> None:
         """Pause, or go on."""
-        if self._link.status().state in (RunState.PAUSED, RunState.PAUSING):
-            self._link.engine.resume()
+        if self._bench.status().state in (RunState.PAUSED, RunState.PAUSING):
+            self._bench.engine.resume()
         else:
-            self._link.engine.pause()
+            self._bench.engine.pause()
 
     def cancel(self) -> None:
         """End the run in an orderly way."""
-        self._link.engine.cancel()
+        self._bench.engine.cancel()
 
     def approve(self) -> None:
         """Carry out the move that waits."""
-        if self._link.status().awaiting is not None:
-            self._link.answer(True)
+        if self._bench.status().awaiting is not None:
+            self._bench.answer(True)
 
     def decline(self) -> None:
         """Do not carry it out."""
-        if self._link.status().awaiting is not None:
-            self._link.answer(False)
+        if self._bench.status().awaiting is not None:
+            self._bench.answer(False)
 
     def choose(self, index: int) -> None:
         """Look back at a probe; the newest one follows the run again."""
@@ -129,7 +129,7 @@ class StackPresenter:
 
     def draw(self) -> None:
         """Show what changed, one part of the page a call: Qt lays out and paints each anew."""
-        status = self._link.status()
+        status = self._bench.status()
         self._draw_buttons(status)
         if status.awaiting is not None and self._shown_versions[0] != self.story.version:
             # Whoever is asked sees what is asked about, however late the other parts come.
@@ -150,7 +150,7 @@ class StackPresenter:
 
     def _draw_buttons(self, status: RunStatus) -> None:
         active = status.state in ACTIVE_STATES
-        why = "" if active else start_obstacle(self._link)
+        why = "" if active else start_obstacle(self._bench)
         buttons = RunButtons(
             start=not why and not active,
             pause=status.state in (RunState.RUNNING, RunState.PAUSING, RunState.PAUSED),
@@ -172,7 +172,7 @@ class StackPresenter:
         self._page.decision.keep_room(self._page.run.form().mode != "auto")
         if status.awaiting is not None and self._has_heard(status):
             kind = status.awaiting.kind
-            asking = {"release": "Release here?", "shift": "Take this step?"}.get(kind, "Go on?")
+            asking = {"release": "Release here?", "shift": "Take this step?"}.get(kind, "Continue?")
             if self._page.run.form().mode == "step":
                 button = "Next step  N"
         if asking != self._asking:
@@ -203,8 +203,8 @@ class StackPresenter:
             text = self._decision(trial.probes[self._index(trial)])
         elif trial is not None and trial.finished is not None:
             text = self._ended(trial.finished)
-        elif self._link.status().asks:
-            asks = f"{self._link.status().asks.capitalize()}."
+        elif self._bench.status().asks:
+            asks = f"{self._bench.status().asks.capitalize()}."
             text = DecisionText("Your turn", "", "", asks)
         elif trial is not None and self._state in HELD_UP:
             title, follows = HELD_UP[self._state]
@@ -271,7 +271,7 @@ class StackPresenter:
             "good" if placed else "bad",
             margin,
             done.reason,
-            TRUE if self._link.simulated else ESTIMATED,
+            TRUE if self._bench.simulated else ESTIMATED,
         )
 
     def _scene(self, index: int) -> BeliefScene:
@@ -283,7 +283,7 @@ class StackPresenter:
         if kept is None or kept[0] is not look:
             kept = (
                 look,
-                belief_scene(trial, index, *face_outlines(self._link.catalogue, self.story.head)),
+                belief_scene(trial, index, *face_outlines(self._bench.catalogue, self.story.head)),
             )
             self._scenes[key] = kept
         return kept[1]

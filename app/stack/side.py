@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from touchdown.app.shell import BenchLink
+from touchdown.backend.bench import Session
 from touchdown.backend.core import (
     Event,
     Fall,
@@ -44,12 +44,12 @@ class SideViewPresenter:
 
     def __init__(
         self,
-        link: BenchLink,
+        bench: Session,
         view: SideView,
         panel: Panel,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._link, self._view, self._panel, self._now_s = link, view, panel, now_s
+        self._bench, self._view, self._panel, self._now_s = bench, view, panel, now_s
         self._piece: Piece | None = None
         self._bottoms: tuple[SideBody, ...] = ()
         self._table_mm, self._names = 0.0, ""
@@ -120,16 +120,16 @@ class SideViewPresenter:
 
     def _known(self, name: str) -> Piece | None:
         try:
-            return self._link.catalogue.piece(name)
+            return self._bench.catalogue.piece(name)
         except InputError:
             return None
 
     def _hand(self) -> tuple[float, float] | None:
-        device = self._link.devices.get("arm")
+        device = self._bench.devices.get("arm")
         if device is None:
             return None
         try:
-            _, pose = _arm(device).poses.latest(self._link.clock_s(), math.inf)
+            _, pose = _arm(device).poses.latest(self._bench.clock_s(), math.inf)
         except StaleSampleError:
             return None
         return round(float(pose[0]), 2), round(float(pose[2]), 2)
@@ -147,7 +147,7 @@ class SideViewPresenter:
 
     def _turn(self) -> Quaternion:
         """Return by how much the hand is rotated from straight down."""
-        device = self._link.devices.get("arm")
+        device = self._bench.devices.get("arm")
         if device is None:
             return UPRIGHT
         try:
@@ -162,7 +162,7 @@ class SideViewPresenter:
         return round(math.cos(0.5 * angle), 4), x, y, z
 
     def _jaws(self) -> float:
-        device = self._link.devices.get("gripper")
+        device = self._bench.devices.get("gripper")
         if device is None or self._piece is None:
             return 0.0
         return max(0.5 * _gripper(device).status().width_mm, 0.5 * self._piece.width_mm)

@@ -7,7 +7,6 @@ from dataclasses import asdict, fields, replace
 from functools import partial
 
 from touchdown.app.shell import (
-    BenchLink,
     LivePresenter,
     LiveViews,
     Memory,
@@ -20,6 +19,7 @@ from touchdown.app.stack.comparison import ComparisonPresenter
 from touchdown.app.stack.page import StackPage
 from touchdown.app.stack.presenter import StackPresenter, stack_request
 from touchdown.app.stack.side import SideViewPresenter
+from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, Outcome
 from touchdown.backend.runs import SceneChoice
 from touchdown.widgets.forms import RunForm
@@ -106,23 +106,23 @@ class StackWorkspace(Workspace):
         yield
         self.columns = self.pieces = page.columns
 
-    def attach(self, link: BenchLink) -> None:
+    def attach(self, bench: Session) -> None:
         """Show this bench."""
-        page, shown = self.page, link.catalogue
+        page, shown = self.page, bench.catalogue
         views = LiveViews(page.tactile, page.tactile_panels, page.force, page.moment)
-        self.live = LivePresenter(link, views)
-        self.presenter = StackPresenter(link, page, self._desk.cards)
-        self.side = SideViewPresenter(link, page.side, page.side_panel)
-        self.attended = OperatorPromptsPresenter(link, page, self._desk.cards)
+        self.live = LivePresenter(bench, views)
+        self.presenter = StackPresenter(bench, page, self._desk.cards)
+        self.side = SideViewPresenter(bench, page.side, page.side_panel)
+        self.attended = OperatorPromptsPresenter(bench, page, self._desk.cards)
         self.comparison = ComparisonPresenter(
-            link, self._desk.theme, lambda: stack_request(page.run.form()), self.presenter.begin
+            bench, self._desk.theme, lambda: stack_request(page.run.form()), self.presenter.begin
         )
         page.run.show_catalogue(
             [(name, shown.piece(name).title) for name in shown.tops],
             [(name, shown.piece(name).title) for name in shown.bottoms],
         )
-        page.run.show_devices(not link.simulated)
-        page.run.show_form(self._form if link.simulated else careful_form(self._form, link.usual))
+        page.run.show_devices(not bench.simulated)
+        page.run.show_form(self._form if bench.simulated else careful_form(self._form, bench.usual))
         page.decision.show_text(NOTHING_YET)
         self.presenter.show_model()
         page.run.chosen.connect(self.presenter.show_model)

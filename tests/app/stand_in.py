@@ -106,7 +106,7 @@ class StandInEngine:
 
 
 class StandInBench:
-    """Satisfies ``touchdown.app.shell.bench_link.BenchLink``."""
+    """Satisfies ``touchdown.backend.bench.Session``."""
 
     simulated = True
     facts = BenchDescription(mode="simulated")

@@ -51,7 +51,7 @@ def test_a_page_that_comes_late_knows_bench_facts_and_why_there_was_none(main):
     bench.tell_trial(1)
     settle(main)
     late = main.workspaces["operate"]
-    assert main.workspaces["collect"].presenter.link is bench
+    assert main.workspaces["collect"].presenter.bench is bench
     assert late.live is not None
     assert late._story.trial.trial == 1
     main.workspaces["train"], main.workspaces["review"]

@@ -44,7 +44,7 @@ class Day:
 
     def until(self, done, steps=8000):
         """Let bench time pass until ``done``."""
-        session = self.main.link.session
+        session = self.main.bench.session
         for count in range(steps):
             session.engine.tick()
             session.advance()
@@ -61,7 +61,7 @@ class Day:
         self._qtbot.waitUntil(lambda: self.main.pump.tick() or done(), timeout=120_000)
 
     def idle(self):
-        return self.main.link.status().state is RunState.IDLE
+        return self.main.bench.status().state is RunState.IDLE
 
 
 @pytest.fixture
@@ -111,19 +111,19 @@ def connect(day, tmp_path):
         return SteppedSession(session)
 
     day.main.connect_bench(make)
-    day.wait(lambda: day.main.link is not None)
+    day.wait(lambda: day.main.bench is not None)
     day.until(lambda: day.main.bar.pill.state.word == "READY")
 
 
 def jog_and_probe(day, page):
     day.press(KEY.Key_1, CTRL)
-    arm = day.main.link.devices["arm"]
+    arm = day.main.bench.devices["arm"]
     before_mm = arm.pose(1.0).z_mm
     for _ in range(4):
         day.press(KEY.Key_BracketRight)
     day.until(page.jog.pads["+z"].isEnabled)
     QTest.mouseClick(page.jog.pads["+z"], Qt.MouseButton.LeftButton)
-    day.until(lambda: not day.main.link.hand.active)
+    day.until(lambda: not day.main.bench.hand.active)
     assert arm.pose(1.0).z_mm == pytest.approx(before_mm + 5.0, abs=0.1)
     day.press(KEY.Key_F5)
     day.until(lambda: day.idle() and "largest Fz" in page.probe.result.text())

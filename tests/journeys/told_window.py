@@ -40,7 +40,7 @@ class Told:
     def bench(self, settings=None, disturbances=()):
         """Build the bench as the window does; free moves are fast."""
         self.session = live_bench(settings, disturbances)
-        self.session._settings = brisk_method()
+        self.session.method = brisk_method()
         return self.session
 
     def listen(self):

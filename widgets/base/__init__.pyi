@@ -8,11 +8,14 @@ from .panel import Columns as Columns
 from .panel import ElidedLabel as ElidedLabel
 from .panel import Panel as Panel
 from .panel import ScrollingNote as ScrollingNote
+from .panel import add_items as add_items
 from .panel import compact_combo_box as compact_combo_box
 from .panel import flat_button as flat_button
+from .panel import hbox as hbox
 from .panel import label as label
 from .panel import rule as rule
 from .panel import set_property as set_property
+from .panel import vbox as vbox
 from .rows import ROOT as ROOT
 from .rows import ModelIndex as ModelIndex
 from .rows import RowList as RowList
@@ -58,12 +61,14 @@ __all__ = [
     "ThemeName",
     "Tokens",
     "WrappedItemDelegate",
+    "add_items",
     "blend",
     "colour_table",
     "compact_combo_box",
     "draw_elided_line",
     "fit_icon",
     "flat_button",
+    "hbox",
     "icon",
     "label",
     "load_resources",
@@ -72,4 +77,5 @@ __all__ = [
     "scroll_into_view",
     "set_property",
     "ui_font",
+    "vbox",
 ]

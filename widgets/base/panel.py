@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from PySide6.QtCore import QEvent, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QKeyEvent, QPainter, QPaintEvent, QResizeEvent
 from PySide6.QtWidgets import (
+    QBoxLayout,
     QComboBox,
     QFrame,
     QHBoxLayout,
     QLabel,
+    QLayout,
     QScrollArea,
     QSizePolicy,
     QSplitter,
@@ -22,6 +25,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+_Box = TypeVar("_Box", bound=QBoxLayout)
 GAP_PX, NUDGE_PX = 8, 16
 LEAST_SHARE = 0.02
 
@@ -238,15 +242,9 @@ class Panel(QFrame):
         self._title = label(title, "title")
         self.detail = ElidedLabel("small")
         self.detail.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        header = QHBoxLayout()
-        header.addStrut(HEADER_PX)
-        header.addWidget(self._title)
-        header.addWidget(self.detail, 1)
-        self.header = header
-        self.column = QVBoxLayout(self)
-        self.column.setContentsMargins(10, 2, 10, 10)
-        self.column.setSpacing(6)
-        self.column.addLayout(header)
+        self.header = hbox(self._title, (self.detail, 1))
+        self.header.addStrut(HEADER_PX)
+        self.column = vbox(self.header, parent=self, margins=(10, 2, 10, 10), spacing=6)
         if body is not None:
             self.column.addWidget(body, 1)
 
@@ -264,14 +262,53 @@ class CaptionedView(QWidget):
         super().__init__()
         self.detail = ElidedLabel("small")
         self.detail.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        line = QHBoxLayout()
-        line.addWidget(label(title, "muted"))
-        line.addWidget(self.detail, 1)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(4)
-        column.addLayout(line)
-        column.addWidget(body, 1)
+        line = hbox(label(title, "muted"), (self.detail, 1))
+        vbox(line, (body, 1), parent=self, margins=(0, 0, 0, 0), spacing=4)
+
+
+Margins = tuple[int, int, int, int]
+Item = QWidget | QLayout | int | tuple[QWidget | QLayout, int]
+
+
+def hbox(
+    *items: Item,
+    parent: QWidget | None = None,
+    margins: Margins | None = None,
+    spacing: int | None = None,
+) -> QHBoxLayout:
+    """Return a row of widgets and layouts; ``(item, n)`` sets a stretch, ``n`` alone adds one."""
+    return _fill(QHBoxLayout() if parent is None else QHBoxLayout(parent), items, margins, spacing)
+
+
+def vbox(
+    *items: Item,
+    parent: QWidget | None = None,
+    margins: Margins | None = None,
+    spacing: int | None = None,
+) -> QVBoxLayout:
+    """Return a column of widgets and layouts, with items as in ``hbox``."""
+    return _fill(QVBoxLayout() if parent is None else QVBoxLayout(parent), items, margins, spacing)
+
+
+def add_items(box: QBoxLayout, *items: Item) -> None:
+    """Append items to a row or column, with items as in ``hbox``."""
+    _fill(box, items, None, None)
+
+
+def _fill(box: _Box, items: Sequence[Item], margins: Margins | None, spacing: int | None) -> _Box:
+    if margins is not None:
+        box.setContentsMargins(*margins)
+    if spacing is not None:
+        box.setSpacing(spacing)
+    for item in items:
+        part, stretch = item if isinstance(item, tuple) else (item, 0)
+        if isinstance(part, int):
+            box.addStretch(part)
+        elif isinstance(part, QWidget):
+            box.addWidget(part, stretch)
+        else:
+            box.addLayout(part, stretch)
+    return box
 
 
 def label(text: str, role: str = "", *, wrap: bool = False) -> QLabel:

@@ -11,7 +11,6 @@ from PySide6.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
     QGridLayout,
-    QHBoxLayout,
     QProgressBar,
     QPushButton,
     QSizePolicy,
@@ -19,7 +18,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import Panel, Theme, label
+from touchdown.widgets.base import Panel, Theme, add_items, hbox, label
 from touchdown.widgets.forms.fields import (
     draw_run_icons,
     field_label,
@@ -210,26 +209,12 @@ class TargetPanel(Panel):
             if not isinstance(field, QCheckBox | QPushButton):
                 field.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         let_shrink(self.piece, self.bottom, self.pattern)
-        buttons = QHBoxLayout()
-        for button in (self.go_on, self.pause, self.end):
-            buttons.addWidget(button, 1)
-        origins = QHBoxLayout()
-        origins.addWidget(self.here, 3)
-        origins.addWidget(self.take, 2)
-        self.column.insertLayout(1, form)
-        self.column.addLayout(origins)
-        for widget in (
+        add_items(
+            self.column, form, hbox((self.here, 3), (self.take, 2)),
             self.residual, self.check_origin, self.hand_over, self.ask, self.start,
-        ):  # fmt: skip
-            self.column.addWidget(widget)
-        waiting = QHBoxLayout()
-        waiting.addWidget(self.why_not, 1)
-        waiting.addWidget(self.lift)
-        self.column.addLayout(waiting)
-        self.column.addLayout(buttons)
-        self.column.addWidget(self.bar)
-        self.column.addWidget(self.eta)
-        self.column.addStretch(1)
+            hbox((self.why_not, 1), self.lift),
+            hbox((self.go_on, 1), (self.pause, 1), (self.end, 1)), self.bar, self.eta, 1,
+        )  # fmt: skip
 
     def show_catalogue(
         self, pieces: Sequence[tuple[str, str]], bottoms: Sequence[tuple[str, str]]

@@ -12,15 +12,13 @@ from PySide6.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
     QGridLayout,
-    QHBoxLayout,
     QPushButton,
     QSizePolicy,
     QSlider,
-    QVBoxLayout,
     QWidget,
 )
 
-from touchdown.widgets.base import ElidedLabel, Panel, label, set_property
+from touchdown.widgets.base import ElidedLabel, Panel, add_items, hbox, label, set_property, vbox
 from touchdown.widgets.forms.fields import field_label, inset_spin_boxes
 from touchdown.widgets.forms.hold_button import HoldButton, HoldState
 
@@ -115,19 +113,9 @@ class JogPace(QWidget):
         self.speed.setValue(value)
 
     def _arrange(self) -> None:
-        steps, speed = QHBoxLayout(), QHBoxLayout()
-        steps.setSpacing(4)
-        for button in self.steps:
-            steps.addWidget(button, 1)
-        steps.addWidget(self._unit)
-        speed.addWidget(field_label("Speed", self.speed))
-        speed.addWidget(self._slider, 1)
-        speed.addWidget(self.speed)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(6)
-        column.addLayout(steps)
-        column.addLayout(speed)
+        steps = hbox(*((button, 1) for button in self.steps), self._unit, spacing=4)
+        speed = hbox(field_label("Speed", self.speed), (self._slider, 1), self.speed)
+        vbox(steps, speed, parent=self, margins=(0, 0, 0, 0), spacing=6)
 
 
 MINUS, DEGREE = "\N{MINUS SIGN}", "\N{DEGREE SIGN}"
@@ -344,12 +332,7 @@ class JogPad(Panel):
         self.turn.toggled.connect(self._show_frame)
 
     def _arrange(self) -> None:
-        self.header.addWidget(self.level)
-        self.header.addWidget(self.keys)
-        top = QHBoxLayout()
-        top.addWidget(self._pose, 1)
-        top.addWidget(self.turn)
-        top.addWidget(self.frame)
+        add_items(self.header, self.level, self.keys)
         pads = QGridLayout(self._field)
         pads.setSpacing(4)
         for what, row, column in (*MOVES, *TURNS, *JOINT_PADS):
@@ -359,17 +342,11 @@ class JogPad(Panel):
         for column in range(4):
             pads.setColumnStretch(column, 1)
         pads.setContentsMargins(0, 2, 0, 2)
-        middle = QHBoxLayout()
-        middle.addStretch(1)
-        middle.addWidget(self._field, 1000)
-        middle.addStretch(1)
-        self.column.addLayout(top)
-        self.column.addLayout(middle, 1000)
-        self.column.addWidget(self.pace)
         self._note.setWordWrap(True)
         self._note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        self.column.addWidget(self._note)
-        self.column.addStretch(1)
+        top = hbox((self._pose, 1), self.turn, self.frame)
+        middle = hbox(1, (self._field, 1000), 1)
+        add_items(self.column, top, (middle, 1000), self.pace, self._note, 1)
 
 
 class _Pad(HoldButton):

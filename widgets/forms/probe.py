@@ -10,13 +10,21 @@ from PySide6.QtGui import QFontMetrics, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import (
     QDoubleSpinBox,
     QGridLayout,
-    QHBoxLayout,
     QPushButton,
     QSizePolicy,
     QWidget,
 )
 
-from touchdown.widgets.base import ElidedLabel, Panel, Theme, label, set_property, ui_font
+from touchdown.widgets.base import (
+    ElidedLabel,
+    Panel,
+    Theme,
+    add_items,
+    hbox,
+    label,
+    set_property,
+    ui_font,
+)
 from touchdown.widgets.forms.fields import field_label, inset_spin_boxes
 
 PADDING = 3  # width added to a phase name, in letters
@@ -90,14 +98,8 @@ class ProbePanel(Panel):
         self.cancel.setToolTip("End the run: lift the arm, keep the grip")
         self.probe.clicked.connect(on_probe)
         self.cancel.clicked.connect(on_cancel)
-        row = QHBoxLayout()
-        row.addWidget(self.probe, 2)
-        row.addWidget(self.cancel, 1)
-        self.column.addWidget(self.values)
-        self.column.addWidget(self.model)
-        self.column.addWidget(self.strip)
-        self.column.addWidget(self.result)
-        self.column.addLayout(row)
+        row = hbox((self.probe, 2), (self.cancel, 1))
+        add_items(self.column, self.values, self.model, self.strip, self.result, row)
 
     def show_model(self, short: str, full: str) -> None:
         """Show the model in use; the tool tip has the details."""
@@ -162,9 +164,7 @@ class LastProbePanel(Panel):
             self.buttons[name] = button
             row, column, span = (0, 3 * at, 3) if at < 2 else (1, 2 * (at - 2), 2)
             grid.addWidget(button, row, column, 1, span)
-        for widget in (self.verdict, self.where, self.words):
-            self.column.addWidget(widget)
-        self.column.addLayout(grid)
+        add_items(self.column, self.verdict, self.where, self.words, grid)
         self.show_words(ProbeText("No probe yet"))
 
     def show_words(self, words: ProbeText) -> None:
@@ -230,13 +230,10 @@ class GripperPanel(Panel):
             button.setAccessibleName(f"{button.text()} the gripper")
             button.setToolTip(tip)
             button.clicked.connect(slot)
-        row = QHBoxLayout()
-        row.addWidget(field_label("Force", self.force))
-        row.addWidget(self.force, 1)
-        row.addWidget(self.grip, 1)
-        row.addWidget(self.open, 1)
-        self.column.addWidget(self.figures)
-        self.column.addLayout(row)
+        row = hbox(
+            field_label("Force", self.force), (self.force, 1), (self.grip, 1), (self.open, 1)
+        )
+        add_items(self.column, self.figures, row)
 
     def show_status(self, width_mm: float, force_n: float, *, holding: bool, moving: bool) -> None:
         """Show width, force per finger and state."""

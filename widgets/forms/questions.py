@@ -10,14 +10,12 @@ from PySide6.QtWidgets import (
     QDialog,
     QFrame,
     QGridLayout,
-    QHBoxLayout,
     QLineEdit,
     QPushButton,
-    QVBoxLayout,
     QWidget,
 )
 
-from touchdown.widgets.base import label, scroll_into_view
+from touchdown.widgets.base import hbox, label, scroll_into_view, vbox
 
 COLUMNS = 3
 LONG = 18  # answers longer than this, in letters, are laid out two to a row
@@ -42,10 +40,7 @@ class ChoiceBar(QFrame):
         self._grid = QGridLayout()
         self._grid.setHorizontalSpacing(8)
         self._grid.setVerticalSpacing(6)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(14, 10, 14, 12)
-        column.addWidget(self._title)
-        column.addLayout(self._grid)
+        vbox(self._title, self._grid, parent=self, margins=(14, 10, 14, 12))
         self._choices: dict[str, str] = {}
         self._offered: list[str] = []
         self._marked = 0
@@ -197,16 +192,9 @@ class NameDialog(QDialog):
         self.save.clicked.connect(self._try)
         close.clicked.connect(self.close)
         self.field.textChanged.connect(self._say)
-        row = QHBoxLayout()
-        row.addStretch(1)
-        row.addWidget(close)
-        row.addWidget(self.save)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(18, 14, 18, 14)
-        column.setSpacing(10)
-        for widget in (self.head, self.field, self.said):
-            column.addWidget(widget)
-        column.addLayout(row)
+        row = hbox(1, close, self.save)
+        vbox(self.head, self.field, self.said, row, parent=self, margins=(18, 14, 18, 14),
+             spacing=10)  # fmt: skip
 
     def ask(self, what: str, taken: Sequence[str], take: Callable[[str], str]) -> None:
         """Ask for ``what``; warns that a name in ``taken`` will be replaced."""

@@ -10,13 +10,12 @@ from PySide6.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
     QGridLayout,
-    QHBoxLayout,
     QPushButton,
     QSizePolicy,
     QSpinBox,
 )
 
-from touchdown.widgets.base import ElidedLabel, Panel, Theme
+from touchdown.widgets.base import ElidedLabel, Panel, Theme, add_items, hbox
 from touchdown.widgets.forms.fields import (
     draw_run_icons,
     field_label,
@@ -149,13 +148,9 @@ class RunPanel(Panel):
         for row, (text, field) in ((4, ("Strategy", self._strategy)), (6, ("Mode", self._mode))):
             form.addWidget(field_label(text, field), row, 0)
             form.addWidget(field, row, 1, 1, 3)
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.pause, 1)
-        buttons.addWidget(self.cancel, 1)
         self.column.addLayout(form)
         self.column.addSpacing(2)
-        self.column.addWidget(self.start)
-        self.column.addLayout(buttons)
+        add_items(self.column, self.start, hbox((self.pause, 1), (self.cancel, 1)))
         for one in (self._piece, self._bottom, self._under, self._strategy, self._mode):
             one.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
             let_shrink(one)
@@ -235,7 +230,6 @@ class ScenePanel(Panel):
         self._on_set = on_set
         self.piece, self.bottom = QComboBox(), QComboBox()
         self.set = QPushButton("Set")
-        row = QHBoxLayout()
         for combo, name, tip in (
             (self.piece, "Piece", "Piece between the jaws"),
             (self.bottom, "Bottom", "Body below the piece"),
@@ -243,12 +237,10 @@ class ScenePanel(Panel):
             combo.setAccessibleName(name)
             combo.setToolTip(tip)
             let_shrink(combo, letters=6)
-            row.addWidget(combo, 1)
         self.set.setAccessibleName("Set the bench")
         self.set.setToolTip("Reset both to their places on the simulated bench (Ctrl+N)")
         self.set.clicked.connect(self.ask)
-        row.addWidget(self.set)
-        self.column.addLayout(row)
+        self.column.addLayout(hbox((self.piece, 1), (self.bottom, 1), self.set))
 
     def show_catalogue(self, pieces: Entries, bottoms: Entries, chosen: tuple[str, str]) -> None:
         """Set the entries and select ``chosen`` (piece, bottom)."""

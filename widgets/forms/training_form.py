@@ -11,14 +11,13 @@ from PySide6.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
     QGridLayout,
-    QHBoxLayout,
     QPushButton,
     QSizePolicy,
     QSpinBox,
     QToolButton,
 )
 
-from touchdown.widgets.base import Panel, Theme
+from touchdown.widgets.base import Panel, Theme, add_items, hbox
 from touchdown.widgets.forms.fields import (
     draw_run_icons,
     field_label,
@@ -131,12 +130,8 @@ class TrainingFormPanel(Panel):
         form.setVerticalSpacing(5)
         form.setColumnStretch(1, 1)
         form.setColumnStretch(3, 1)
-        where = QHBoxLayout()
-        where.setSpacing(4)
-        where.addWidget(self.data, 1)
-        where.addWidget(self.folder)
         form.addWidget(field_label("Data", self.data), 0, 0)
-        form.addLayout(where, 0, 1, 1, 3)
+        form.addLayout(hbox((self.data, 1), self.folder, spacing=4), 0, 1, 1, 3)
         rows = (("Labels", self.labels), ("Piece", self.piece), ("Sees", self.modality))
         for row, (text, field) in enumerate(rows, start=1):
             form.addWidget(field_label(text, field), row, 0)
@@ -146,13 +141,8 @@ class TrainingFormPanel(Panel):
         self.detail.setToolTip("A face point above this probability is support (delta)")
         self.header.addWidget(self.defaults)
         # One row, to leave room for the table of the split.
-        buttons = QHBoxLayout()
-        buttons.setSpacing(4)
-        buttons.addWidget(self.start, 1)
-        buttons.addWidget(self.cancel)
-        buttons.addWidget(self.resume)
-        self.column.addLayout(form)
-        self.column.addLayout(buttons)
+        buttons = hbox((self.start, 1), self.cancel, self.resume, spacing=4)
+        add_items(self.column, form, buttons)
         self.folder.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Ignored)
         for one in (self.data, self.labels, self.piece, self.modality):
             one.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)

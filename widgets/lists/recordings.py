@@ -9,11 +9,9 @@ from typing import Any
 from PySide6.QtCore import QAbstractListModel, QModelIndex, QRectF, QSize, Qt
 from PySide6.QtGui import QFontMetrics, QKeyEvent, QPainter, QPen
 from PySide6.QtWidgets import (
-    QHBoxLayout,
     QListWidget,
     QPushButton,
     QStyleOptionViewItem,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -25,8 +23,10 @@ from touchdown.widgets.base import (
     Theme,
     WrappedItemDelegate,
     draw_elided_line,
+    hbox,
     label,
     ui_font,
+    vbox,
 )
 
 PAD_X, PAD_Y = 8, 5
@@ -304,14 +304,8 @@ class HistoryList(QWidget):
         self.restore = QPushButton("Restore")
         self.restore.setToolTip("Make a new version with the content of the chosen one")
         self.count = label("", "small")
-        foot = QHBoxLayout()
-        foot.addWidget(self.count, 1)
-        foot.addWidget(self.restore)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(6)
-        column.addWidget(self.list, 1)
-        column.addLayout(foot)
+        foot = hbox((self.count, 1), self.restore)
+        vbox((self.list, 1), foot, parent=self, margins=(0, 0, 0, 0), spacing=6)
         self.list.currentRowChanged.connect(self._choose)
         self.restore.clicked.connect(self._restore_chosen)
         self.show_rows([])

@@ -243,16 +243,19 @@ def draw_mm_grid(painter: QPainter, area: PlotArea, theme: Theme, count: int = 6
     height = painter.fontMetrics().height()
     step = nice_step(area.x1 - area.x0, count)
     for value in ticks(area.x0, area.x1, count):
-        x, y = area.x(value), area.y(value)
+        x = area.x(value)
         painter.setPen(QPen(t.colour("grid"), 1))
         painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))
+        painter.setPen(t.colour("muted"))
+        painter.drawText(QRectF(x - 30, rect.bottom() + 3, 60, height),
+                         int(Qt.AlignmentFlag.AlignHCenter), tick_text(value, step))  # fmt: skip
+    for value in ticks(area.y0, area.y1, count):
+        y = area.y(value)
+        painter.setPen(QPen(t.colour("grid"), 1))
         painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
         painter.setPen(t.colour("muted"))
-        text = tick_text(value, step)
-        painter.drawText(QRectF(x - 30, rect.bottom() + 3, 60, height),
-                         int(Qt.AlignmentFlag.AlignHCenter), text)  # fmt: skip
         painter.drawText(QRectF(rect.left() - 46, y - height / 2, 41, height),
-                         int(Qt.AlignmentFlag.AlignRight), text)  # fmt: skip
+                         int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))  # fmt: skip
     corner = rect.adjusted(6, 4, -6, -4)
     low, right = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignRight
     painter.drawText(corner, int(low | right), "x (mm)")

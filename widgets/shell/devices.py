@@ -11,15 +11,13 @@ from PySide6.QtGui import QColor, QFontMetrics, QKeyEvent, QMouseEvent, QPainter
 from PySide6.QtWidgets import (
     QDialog,
     QGridLayout,
-    QHBoxLayout,
     QLabel,
     QPushButton,
     QSizePolicy,
-    QVBoxLayout,
     QWidget,
 )
 
-from touchdown.widgets.base import Theme, Tokens, label, rule, ui_font
+from touchdown.widgets.base import Theme, Tokens, hbox, label, rule, ui_font, vbox
 from touchdown.widgets.shell.state import Colour, Shape, draw_shape
 
 ChipState = Literal["ready", "connecting", "degraded", "stale", "fault", "closed"]
@@ -181,18 +179,9 @@ class DeviceInspector(QDialog):
         self._values: dict[str, QLabel] = {}
         self._close = QPushButton("Close")
         self._close.clicked.connect(self.close)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(18, 14, 18, 14)
-        column.setSpacing(10)
-        column.addWidget(self._head)
-        column.addLayout(self._grid)
-        column.addStretch(1)
-        column.addWidget(rule())
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.reconnect)
-        buttons.addStretch(1)
-        buttons.addWidget(self._close)
-        column.addLayout(buttons)
+        buttons = hbox(self.reconnect, 1, self._close)
+        vbox(self._head, self._grid, 1, rule(), buttons, parent=self, margins=(18, 14, 18, 14),
+             spacing=10)  # fmt: skip
         self.setMinimumWidth(300)
 
     def open_at(self, key: str, title: str, rows: Rows, below: QPoint) -> None:

@@ -9,15 +9,13 @@ from PySide6.QtCore import QEvent, QObject
 from PySide6.QtGui import QGuiApplication
 from PySide6.QtWidgets import (
     QFrame,
-    QHBoxLayout,
     QPlainTextEdit,
     QPushButton,
     QSizePolicy,
-    QVBoxLayout,
     QWidget,
 )
 
-from touchdown.widgets.base import ElidedLabel, label, scroll_into_view, set_property
+from touchdown.widgets.base import ElidedLabel, hbox, label, scroll_into_view, set_property, vbox
 
 MAX_CARDS = 4
 STOPPED = "STOPPED"  # code of the card of a stop, always on top
@@ -109,19 +107,13 @@ class FaultCard(QFrame):
         return f"{t.what} {t.consequence} {t.next_step} [{t.code}]"
 
     def _arrange(self) -> None:
-        words = QVBoxLayout()
-        words.setSpacing(2)
-        words.addWidget(self._title)
+        words = vbox(self._title, spacing=2)
         then = f"{self.text.consequence} {self.text.next_step}".strip()
         if then:
             words.addWidget(label(then, wrap=True))
         words.addWidget(self._foot)
-        row = QHBoxLayout()
-        row.addLayout(words, 1)
-        row.addWidget(self.more)
-        row.addWidget(self.fold)
-        row.addWidget(self._button("Details", self._toggle))
-        row.addWidget(self._button("Copy", self._copy))
+        details = self._button("Details", self._toggle)
+        row = hbox((words, 1), self.more, self.fold, details, self._button("Copy", self._copy))
         if self.text.offer is not None:
             offer = self._button(self.text.offer[0], self._accept)
             offer.setProperty("role", "primary")
@@ -132,10 +124,7 @@ class FaultCard(QFrame):
             end.setProperty("role", "reset")
             end.setToolTip("Clear the latched faults and the stop. Nothing starts to move.")
         row.addWidget(end)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(12, 8, 10, 8)
-        column.addLayout(row)
-        column.addWidget(self._details)
+        vbox(row, self._details, parent=self, margins=(12, 8, 10, 8))
 
     def _button(self, text: str, slot: Callable[[], None]) -> QPushButton:
         button = QPushButton(text)
@@ -175,11 +164,7 @@ class FoldedCards(QFrame):
             button.setProperty("low", "yes")
         self.show_all.clicked.connect(on_show)
         self.reset.clicked.connect(on_reset)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(8, 0, 0, 0)
-        row.addWidget(self._words, 1)
-        for button in (self.show_all, self.reset):
-            row.addWidget(button)
+        hbox((self._words, 1), self.show_all, self.reset, parent=self, margins=(8, 0, 0, 0))
         self.hide()
 
     def show_first(self, text: CardText, count: int) -> None:
@@ -218,9 +203,7 @@ class FaultCards(QWidget):
         self._unfolded = False
         self.folded = False  # True while the cards are one line in the foot of the window
         self.strip = FoldedCards(self, self._unfold_line, on_reset)
-        self._column = QVBoxLayout(self)
-        self._column.setContentsMargins(10, 8, 10, 0)
-        self._column.setSpacing(6)
+        self._column = vbox(parent=self, margins=(10, 8, 10, 0), spacing=6)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
         self.hide()
 
@@ -263,8 +246,7 @@ class FaultCards(QWidget):
         self.withdraw()
         frame = QFrame()
         frame.setProperty("role", "question")
-        row = QHBoxLayout(frame)
-        row.addWidget(label(question.text, "title", wrap=True), 1)
+        row = hbox((label(question.text, "title", wrap=True), 1), parent=frame)
         for text, action in question.answers:
             answer = _AnswerButton(text, self.withdraw, action)
             answer.setAccessibleName(f"{text}: {question.text}")
@@ -358,11 +340,7 @@ class UnsavedBanner(QFrame):
         self.setAccessibleName("Unsaved label")
         self.text = label("", wrap=True)
         self.again, self.discard = QPushButton("Save again (Enter)"), QPushButton("Discard (Esc)")
-        row = QHBoxLayout(self)
-        row.setContentsMargins(12, 8, 10, 8)
-        row.addWidget(self.text, 1)
-        row.addWidget(self.again)
-        row.addWidget(self.discard)
+        hbox((self.text, 1), self.again, self.discard, parent=self, margins=(12, 8, 10, 8))
         self.again.clicked.connect(again)
         self.discard.clicked.connect(discard)
         self.hide()

@@ -12,7 +12,6 @@ from PySide6.QtWidgets import (
     QDialog,
     QFrame,
     QGridLayout,
-    QHBoxLayout,
     QLineEdit,
     QListWidget,
     QListWidgetItem,
@@ -21,11 +20,10 @@ from PySide6.QtWidgets import (
     QStyle,
     QStyledItemDelegate,
     QStyleOptionViewItem,
-    QVBoxLayout,
     QWidget,
 )
 
-from touchdown.widgets.base import label, rule
+from touchdown.widgets.base import hbox, label, rule, vbox
 
 SHOWN = 200
 NAME, CHOICE = Qt.ItemDataRole.UserRole, Qt.ItemDataRole.UserRole + 1
@@ -129,11 +127,7 @@ class CommandPalette(QDialog):
         self.field.textChanged.connect(self._filter)
         self.list.itemClicked.connect(self._clicked)
         self.field.installEventFilter(self)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(12, 12, 12, 12)
-        column.setSpacing(8)
-        column.addWidget(self.field)
-        column.addWidget(self.list, 1)
+        vbox(self.field, (self.list, 1), parent=self, margins=(12, 12, 12, 12), spacing=8)
 
     def open_with(self, choices: Sequence[PaletteEntry]) -> None:
         """Show all of ``choices`` with an empty field."""
@@ -219,11 +213,7 @@ class KeySheet(QDialog):
         self._scroll.setAccessibleName("Keyboard shortcuts")
         close = QPushButton("Close")
         close.clicked.connect(self.close)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(20, 16, 20, 16)
-        column.setSpacing(12)
-        column.addWidget(self._scroll, 1)
-        column.addWidget(rule())
+        column = vbox((self._scroll, 1), rule(), parent=self, margins=(20, 16, 20, 16), spacing=12)
         column.addWidget(close, 0, Qt.AlignmentFlag.AlignRight)
 
     def show_rows(self, rows: Sequence[Row]) -> None:
@@ -233,10 +223,8 @@ class KeySheet(QDialog):
         em = self.fontMetrics().height()
         columns = 2 if 2 * COLUMN_EM * em < self._window.width() else 1
         body = QWidget()
-        row = QHBoxLayout(body)
-        row.setSpacing(round(1.5 * em))
-        for part in _shared_out(groups, columns):
-            row.addLayout(_table(part), 1)
+        tables = [(_table(part), 1) for part in _shared_out(groups, columns)]
+        hbox(*tables, parent=body, spacing=round(1.5 * em))
         self._scroll.setWidget(body)
         most = self._window.height() - round(TOP_EM * em)
         high = body.heightForWidth(columns * COLUMN_EM * em) + 110
@@ -294,16 +282,8 @@ class KeyDialog(QDialog):
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         none.clicked.connect(self._take_none)
         close.clicked.connect(self.close)
-        row = QHBoxLayout()
-        row.addStretch(1)
-        row.addWidget(none)
-        row.addWidget(close)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(18, 14, 18, 14)
-        column.setSpacing(10)
-        column.addWidget(self.head)
-        column.addWidget(self.said)
-        column.addLayout(row)
+        row = hbox(1, none, close)
+        vbox(self.head, self.said, row, parent=self, margins=(18, 14, 18, 14), spacing=10)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
 
     def ask(self, text: str, key: str, change: Callable[[str], str]) -> None:

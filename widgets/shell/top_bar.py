@@ -8,7 +8,6 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, QTimer
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF, QResizeEvent
 from PySide6.QtWidgets import (
     QFrame,
-    QHBoxLayout,
     QPushButton,
     QSizePolicy,
     QSpinBox,
@@ -16,7 +15,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import Theme, fit_icon, icon, label, ui_font
+from touchdown.widgets.base import Theme, fit_icon, hbox, icon, label, ui_font, vbox
 from touchdown.widgets.shell.devices import DeviceChip
 from touchdown.widgets.shell.state import StatePill
 
@@ -174,30 +173,19 @@ class TopBar(QFrame):
         self._arrange()
 
     def _arrange(self) -> None:
-        column = QVBoxLayout(self)
-        column.setContentsMargins(MARGIN, 7, MARGIN, 7)
-        column.setSpacing(6)
-        row = self._row = QHBoxLayout()
-        row.setSpacing(GAP)
-        row.addWidget(self.pill)
-        row.addLayout(_two(self._robot, self._safety))
-        row.addStretch(1)
-        row.addLayout(_two(self._estop_title, self._estop))
-        row.addWidget(self.stop)
-        column.addLayout(row)
+        modes = _two(self._robot, self._safety)
+        estop = _two(self._estop_title, self._estop)
+        self._row = hbox(self.pill, modes, 1, estop, self.stop, spacing=GAP)
         self._devices = QWidget()
-        chips = QHBoxLayout(self._devices)
-        chips.setContentsMargins(0, 0, 0, 0)
-        chips.setSpacing(CHIP_GAP)
-        for chip in self.chips.values():
-            chips.addWidget(chip)
+        chips = hbox(*self.chips.values(), parent=self._devices, margins=(0, 0, 0, 0),
+                     spacing=CHIP_GAP)  # fmt: skip
         chips.addSpacing(GAP - CHIP_GAP)
         chips.addLayout(_two(self._override_title, self.override))
         chips.addSpacing(GAP - CHIP_GAP)
         chips.addLayout(_two(self._servo_title, self.servo))
-        row.insertWidget(2, self._devices)
-        self._second = QHBoxLayout()
-        column.addLayout(self._second)
+        self._row.insertWidget(2, self._devices)
+        self._second = hbox()
+        vbox(self._row, self._second, parent=self, margins=(MARGIN, 7, MARGIN, 7), spacing=6)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
     def minimumSizeHint(self) -> QSize:
@@ -265,10 +253,4 @@ class TopBar(QFrame):
 
 
 def _two(upper: QWidget, lower: QWidget) -> QVBoxLayout:
-    column = QVBoxLayout()
-    column.setSpacing(0)
-    column.addStretch(1)
-    column.addWidget(upper)
-    column.addWidget(lower)
-    column.addStretch(1)
-    return column
+    return vbox(1, upper, lower, 1, spacing=0)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from PySide6.QtCore import QEvent, QPoint, QRect, QSize, Qt
 from PySide6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QPen, QRegion
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QPushButton, QWidget
 
-from touchdown.widgets.base import Theme, label
+from touchdown.widgets.base import Theme, hbox, label, vbox
 
 DIM = 110
 MARGIN_PX, RING_PX = 12, 4
@@ -80,17 +80,8 @@ class TourCard(QFrame):
         self.next.clicked.connect(lambda: turn(1))
         self.end.clicked.connect(end)
         self.end.setToolTip("Start it again from the palette: Ctrl+K, tour (Esc)")
-        row = QHBoxLayout()
-        row.addWidget(self.count)
-        row.addStretch(1)
-        for button in (self.end, self.back, self.next):
-            row.addWidget(button)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(14, 10, 12, 12)
-        column.setSpacing(8)
-        for words in (self.title, self.text):
-            column.addWidget(words)
-        column.addLayout(row)
+        row = hbox(self.count, 1, self.end, self.back, self.next)
+        vbox(self.title, self.text, row, parent=self, margins=(14, 10, 12, 12), spacing=8)
         self.hide()
 
     def show_stop(self, stop: TourStop, at: int, count: int) -> None:

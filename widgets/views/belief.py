@@ -23,7 +23,7 @@ from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import BeliefMap, FloatArray, Stability
 from touchdown.widgets.base import MapName, Theme, map_colours, ui_font
-from touchdown.widgets.plots import PlotArea, draw_message, nice_step, tick_text, ticks
+from touchdown.widgets.plots import PlotArea, draw_message, draw_mm_grid
 
 ENTRIES = (
     ("plus", "centre of mass"),
@@ -334,10 +334,12 @@ class BeliefView(QWidget):
         return PlotArea(QRectF(x, y, side, side), cx - half, cx + half, cy - half, cy + half)
 
     def _draw(self, painter: QPainter) -> None:
-        area, t = self.area(), self._theme.tokens
-        painter.fillRect(area.rect, t.colour("bg"))
-        if not self._thumbnail:
-            self._draw_axes(painter, area)
+        area = self.area()
+        if self._thumbnail:
+            painter.fillRect(area.rect, self._theme.tokens.colour("bg"))
+        else:
+            painter.setFont(ui_font(self._theme.scale, 0.85))
+            draw_mm_grid(painter, area, self._theme)
         belief = self.scene.belief
         if belief is None:
             if not self._thumbnail:
@@ -364,30 +366,6 @@ class BeliefView(QWidget):
         target = QRectF(QPointF(area.x(x0), area.y(y1)), QPointF(area.x(x1), area.y(y0)))
         painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform, False)
         painter.drawImage(target, image)
-
-    def _draw_axes(self, painter: QPainter, area: PlotArea) -> None:
-        t, rect = self._theme.tokens, area.rect
-        painter.setFont(ui_font(self._theme.scale, 0.85))
-        height = painter.fontMetrics().height()
-        step = nice_step(area.x1 - area.x0, 6)
-        for value in ticks(area.x0, area.x1, 6):
-            x, text = area.x(value), tick_text(value, step)
-            painter.setPen(QPen(t.colour("grid"), 1))
-            painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))
-            painter.setPen(t.colour("muted"))
-            painter.drawText(QRectF(x - 30, rect.bottom() + 3, 60, height),
-                             int(Qt.AlignmentFlag.AlignHCenter), text)  # fmt: skip
-        for value in ticks(area.y0, area.y1, 6):
-            y, text = area.y(value), tick_text(value, step)
-            painter.setPen(QPen(t.colour("grid"), 1))
-            painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
-            painter.setPen(t.colour("muted"))
-            box = QRectF(rect.left() - 46, y - height / 2, 40, height)
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), text)
-        corner = rect.adjusted(6, 4, -6, -4)
-        low, right = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignRight
-        painter.drawText(corner, int(low | right), "x (mm)")
-        painter.drawText(corner, int(Qt.AlignmentFlag.AlignLeft), "y (mm)")
 
     def _draw_colour_bar(self, painter: QPainter, area: PlotArea) -> None:
         t, rect = self._theme.tokens, area.rect

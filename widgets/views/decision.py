@@ -11,15 +11,13 @@ from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import (
     QFrame,
     QGridLayout,
-    QHBoxLayout,
     QLineEdit,
     QPushButton,
-    QVBoxLayout,
     QWidget,
 )
 
 from touchdown.backend.core import Outcome, PlaceAction, Stability, SupportKind
-from touchdown.widgets.base import Panel, Theme, label, set_property
+from touchdown.widgets.base import Panel, Theme, add_items, hbox, label, set_property, vbox
 from touchdown.widgets.views.offset import OffsetScene, OffsetView
 
 OUTCOMES: tuple[tuple[Outcome, str, str], ...] = (
@@ -113,11 +111,7 @@ class TrialPanel(Panel):
             self.judged.emit(outcome, reason)
 
     def _arrange(self) -> None:
-        ready = QHBoxLayout(self._ready)
-        ready.setContentsMargins(0, 0, 0, 0)
-        ready.addStretch(1)
-        ready.addWidget(self.no)
-        ready.addWidget(self.yes)
+        hbox(1, self.no, self.yes, parent=self._ready, margins=(0, 0, 0, 0))
         judging = QGridLayout(self._judging)
         judging.setContentsMargins(0, 0, 0, 0)
         judging.setSpacing(6)
@@ -126,10 +120,7 @@ class TrialPanel(Panel):
             judging.addWidget(self.outcomes[outcome], 0, column)
         judging.addWidget(self.reason, 1, 0, 1, 3)
         judging.addWidget(self.photo, 1, 3)
-        self.column.addWidget(self.text)
-        self.column.addWidget(self.picture, 1)
-        self.column.addWidget(self._ready)
-        self.column.addWidget(self._judging)
+        add_items(self.column, self.text, (self.picture, 1), self._ready, self._judging)
 
     def _wire(self) -> None:
         self.yes.clicked.connect(lambda: self.answered.emit(True))
@@ -224,23 +215,13 @@ class DecisionPanel(QFrame):
         self.show_question("")
 
     def _arrange(self) -> None:
-        top = QHBoxLayout()
-        top.addWidget(self._verdict)
-        top.addStretch(1)
+        top = hbox(self._verdict, 1)
         top.addWidget(self._caption, 0, Qt.AlignmentFlag.AlignBottom)
         top.addWidget(self._margin)
-        asking = QHBoxLayout(self._asking)
-        asking.setContentsMargins(0, 0, 0, 0)
         self._ask_text = label("", "title", wrap=True)
-        asking.addWidget(self._ask_text, 1)
-        asking.addWidget(self.decline)
-        asking.addWidget(self.approve)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(12, 8, 12, 8)
-        column.setSpacing(4)
-        column.addLayout(top)
-        column.addWidget(self._text)
-        column.addWidget(self._asking)
+        hbox((self._ask_text, 1), self.decline, self.approve, parent=self._asking,
+             margins=(0, 0, 0, 0))  # fmt: skip
+        vbox(top, self._text, self._asking, parent=self, margins=(12, 8, 12, 8), spacing=4)
 
     def show_text(self, text: DecisionText) -> None:
         """Show a decision."""

@@ -7,10 +7,20 @@ from collections.abc import Callable
 
 from PySide6.QtCore import QRectF, QSize, Qt
 from PySide6.QtGui import QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QResizeEvent
-from PySide6.QtWidgets import QBoxLayout, QScrollArea, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QBoxLayout, QScrollArea, QSizePolicy, QWidget
 
 from touchdown.backend.core import Stability
-from touchdown.widgets.base import MAPS, MapName, Panel, Theme, compact_combo_box, label, rule
+from touchdown.widgets.base import (
+    MAPS,
+    MapName,
+    Panel,
+    Theme,
+    add_items,
+    compact_combo_box,
+    label,
+    rule,
+    vbox,
+)
 from touchdown.widgets.plots import draw_message
 from touchdown.widgets.views.belief import BeliefLegend, BeliefScene, BeliefView, describe_scene
 from touchdown.widgets.views.decision import signed_mm
@@ -31,9 +41,7 @@ class Thumbnail(QWidget):
         self.view.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.caption = label("", "small")
         self.caption.setAlignment(Qt.AlignmentFlag.AlignHCenter)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(4, 4, 4, 2)
-        column.setSpacing(1)
+        column = vbox(parent=self, margins=(4, 4, 4, 2), spacing=1)
         column.addWidget(self.view, 0, Qt.AlignmentFlag.AlignHCenter)
         column.addWidget(self.caption, 0, Qt.AlignmentFlag.AlignHCenter)
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
@@ -92,9 +100,7 @@ class ProbeStrip(QWidget):
         self._scroll.setWidgetResizable(True)
         self._scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._scroll.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addWidget(self._scroll)
+        vbox(self._scroll, parent=self, margins=(0, 0, 0, 0))
         self._scroll.hide()
         self.setAccessibleName("Probes of this trial")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
@@ -193,16 +199,11 @@ class MapAndStrip(QWidget):
     def __init__(self, view: BeliefView, legend: BeliefLegend, strip: ProbeStrip) -> None:
         super().__init__()
         self._view, self._legend, self._strip, self._line = view, legend, strip, rule()
-        self._views = QVBoxLayout()
-        self._views.setSpacing(6)
-        self._views.addWidget(view, 1)
-        self._views.addWidget(legend)
+        self._views = vbox((view, 1), legend, spacing=6)
         self._box = QBoxLayout(QBoxLayout.Direction.TopToBottom, self)
         self._box.setContentsMargins(0, 0, 0, 0)
         self._box.setSpacing(6)
-        self._box.addLayout(self._views, 1)
-        self._box.addWidget(self._line)
-        self._box.addWidget(strip)
+        add_items(self._box, (self._views, 1), self._line, strip)
 
     @property
     def beside(self) -> bool:
@@ -238,8 +239,7 @@ class BeliefPanel(Panel):
         super().__init__(title)
         self.view, self.legend, self._strip = BeliefView(theme), BeliefLegend(theme), strip
         if strip is None:
-            self.column.addWidget(self.view, 1)
-            self.column.addWidget(self.legend)
+            add_items(self.column, (self.view, 1), self.legend)
         else:
             self.column.addWidget(MapAndStrip(self.view, self.legend, strip), 1)
         self.maps = compact_combo_box(list(MAPS), "Colour map of the belief")

@@ -12,7 +12,6 @@ from PySide6.QtWidgets import (
     QAbstractItemView,
     QDialog,
     QFrame,
-    QHBoxLayout,
     QHeaderView,
     QLabel,
     QListWidget,
@@ -23,11 +22,18 @@ from PySide6.QtWidgets import (
     QStyleOptionViewItem,
     QTableWidget,
     QTableWidgetItem,
-    QVBoxLayout,
     QWidget,
 )
 
-from touchdown.widgets.base import ElidedLabel, Theme, WrappedItemDelegate, label, ui_font
+from touchdown.widgets.base import (
+    ElidedLabel,
+    Theme,
+    WrappedItemDelegate,
+    hbox,
+    label,
+    ui_font,
+    vbox,
+)
 
 GAP = 10
 PARTS_PX = 220
@@ -41,9 +47,7 @@ class PictureCard(QWidget):
         self.picture = QLabel()
         self.picture.setFixedSize(size)
         self.picture.setAccessibleName(name)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(4)
+        column = vbox(parent=self, margins=(0, 0, 0, 0), spacing=4)
         if title:
             column.addWidget(label(title, "muted"))
         column.addWidget(self.picture)
@@ -130,22 +134,10 @@ class ReportSheet(QDialog):
     def _arrange(self) -> None:
         close = _button("Close", "")
         close.clicked.connect(self.close)
-        top, middle, foot = QHBoxLayout(), QHBoxLayout(), QHBoxLayout()
-        top.addWidget(self.head, 1)
-        top.addWidget(self.banner, 1)
-        middle.setSpacing(GAP)
-        middle.addWidget(self.parts)
-        middle.addWidget(self.room, 1)
-        foot.addWidget(self.trace, 1)
-        for button in (self.folder, self.browser, self.other, close):
-            foot.addWidget(button)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(14, 12, 14, 12)
-        column.setSpacing(8)
-        column.addLayout(top)
-        column.addWidget(self.file)
-        column.addLayout(middle, 1)
-        column.addLayout(foot)
+        top = hbox((self.head, 1), (self.banner, 1))
+        middle = hbox(self.parts, (self.room, 1), spacing=GAP)
+        foot = hbox((self.trace, 1), self.folder, self.browser, self.other, close)
+        vbox(top, self.file, (middle, 1), foot, parent=self, margins=(14, 12, 14, 12), spacing=8)
 
     def open_large(self) -> None:
         """Show the sheet over most of its window."""
@@ -170,12 +162,7 @@ class ReportSheet(QDialog):
         """Show one part from its top."""
         body = QWidget()
         body.setObjectName("frame")
-        column = QVBoxLayout(body)
-        column.setContentsMargins(2, 0, GAP, 0)
-        column.setSpacing(GAP)
-        for widget in widgets:
-            column.addWidget(widget)
-        column.addStretch(1)
+        vbox(*widgets, 1, parent=body, margins=(2, 0, GAP, 0), spacing=GAP)
         self.room.setWidget(body)
         self.room.verticalScrollBar().setValue(0)
 

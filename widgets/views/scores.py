@@ -10,16 +10,14 @@ from PySide6.QtGui import QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import (
     QComboBox,
     QDialog,
-    QHBoxLayout,
     QPushButton,
     QSizePolicy,
     QSpinBox,
-    QVBoxLayout,
     QWidget,
 )
 
 from touchdown.backend.core import Outcome
-from touchdown.widgets.base import Panel, Theme, label, set_property
+from touchdown.widgets.base import Panel, Theme, add_items, hbox, label, set_property, vbox
 from touchdown.widgets.forms import field_label, inset_spin_boxes, set_entries
 from touchdown.widgets.views.belief import BeliefScene, BeliefView
 
@@ -119,14 +117,9 @@ class ScorePanel(Panel):
         self._rate = label("", "small")
         self._marks = OutcomeMarks(theme)
         self._last = label("", "small", wrap=True)
-        self.column.addWidget(self._count)
-        self.column.addWidget(self._marks)
-        self.column.addWidget(self._rate)
-        self.column.addWidget(self._last)
         self._void = label("", "small", wrap=True)
         self._void.hide()
-        self.column.addWidget(self._void)
-        self.column.addStretch(1)
+        add_items(self.column, self._count, self._marks, self._rate, self._last, self._void, 1)
         self.show_score(Score((), 0, None))
 
     def show_score(self, score: Score) -> None:
@@ -200,9 +193,7 @@ class StrategyPanel(Panel):
         self.rate = label("", "small", wrap=True)
         self.trial = label("", wrap=True)
         self.belief = BeliefView(theme)
-        for widget in (self.count, self.marks, self.rate, self.trial):
-            self.column.addWidget(widget)
-        self.column.addWidget(self.belief, 1)
+        add_items(self.column, self.count, self.marks, self.rate, self.trial, (self.belief, 1))
 
     def show_look(self, look: StrategyResult) -> None:
         """Show the result of a strategy."""
@@ -257,25 +248,13 @@ class ComparisonSheet(QDialog):
     def _arrange(self) -> None:
         close = QPushButton("Close")
         close.clicked.connect(self.close)
-        top, columns = QHBoxLayout(), QHBoxLayout()
-        top.addWidget(self.head, 1)
-        top.addWidget(field_label("Against", self.against))
-        top.addWidget(self.against)
-        top.addWidget(field_label("Trial", self.trial))
-        top.addWidget(self.trial)
-        columns.setSpacing(8)
-        for panel in self.panels:
-            columns.addWidget(panel, 1)
-        foot = QHBoxLayout()
-        foot.addStretch(1)
-        foot.addWidget(close)
-        foot.addWidget(self.run)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(14, 12, 14, 12)
-        column.setSpacing(8)
-        column.addLayout(top)
-        column.addLayout(columns, 1)
-        column.addLayout(foot)
+        top = hbox(
+            (self.head, 1), field_label("Against", self.against), self.against,
+            field_label("Trial", self.trial), self.trial,
+        )  # fmt: skip
+        columns = hbox(*((panel, 1) for panel in self.panels), spacing=8)
+        foot = hbox(1, close, self.run)
+        vbox(top, (columns, 1), foot, parent=self, margins=(14, 12, 14, 12), spacing=8)
 
     def offer(self, rivals: Sequence[tuple[str, str]], chosen: str) -> None:
         """Set the (key, title) strategies for the right side and select one."""

@@ -1,0 +1,116 @@
+"""The toy wrist sensor of docs/adding-a-device.md works as the page says."""
+
+import ast
+import re
+import sys
+import threading
+import time
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import touchdown.backend.devices as devices
+from tests.backend.devices import test_force_torque_contract as contract
+from touchdown.backend.__main__ import main
+from touchdown.backend.bench.emulator_registry import bench_toml, emulate
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices import registry
+from touchdown.backend.devices.discovery import choices
+from touchdown.backend.devices.factories import make_force_torque
+from touchdown.backend.emulation.serving import EmulationChoice
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "adding-a-device.md").read_text("utf-8")
+FILES = dict(re.findall(r"^`(\w+\.pyi?)`:\n\n```py\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE))
+(LINE,) = re.findall(r"```py\n(Make\(.*?\)),\n```", PAGE, re.DOTALL)
+CLAUSES = [
+    contract.test_it_delivers_what_the_sensor_feels_in_order_at_its_rate,
+    contract.test_garbage_is_refused_counted_and_overcome,
+    contract.test_a_frozen_sensor_gives_no_measurement,
+    contract.test_the_end_of_the_range_is_a_fault_and_no_number,
+    contract.test_unplugged_it_is_a_fault_and_plugged_in_again_it_heals,
+    contract.test_connecting_can_be_cancelled_and_closing_twice_is_allowed,
+]
+
+
+@pytest.fixture(autouse=True)
+def toy(tmp_path, monkeypatch):
+    """Put the folder of the page beside the shipped makes and add its line to the registry."""
+    folder = tmp_path / "makes" / "toy"
+    folder.mkdir(parents=True)
+    for name, code in FILES.items():
+        (folder / name).write_text(code, "utf-8")
+    monkeypatch.setattr(devices, "__path__", [*devices.__path__, str(folder.parent)])
+    kind, name, *exports = map(ast.literal_eval, ast.parse(LINE, mode="eval").body.args)
+    make = registry.Make(kind, name, *exports)
+    monkeypatch.setattr(registry, "MAKES", (*registry.MAKES, make))
+    yield make
+    for module in [m for m in sys.modules if m.startswith("touchdown.backend.devices.toy")]:
+        del sys.modules[module]
+    vars(devices).pop("toy", None)
+
+
+def test_the_page_has_every_file_of_a_make():
+    assert set(FILES) == {"protocol.py", "driver.py", "emulator.py", "__init__.py", "__init__.pyi"}
+
+
+@pytest.mark.parametrize("clause", CLAUSES, ids=lambda clause: clause.__name__[5:])
+def test_it_keeps_the_contract_of_wrist_sensors(clause, tmp_path):
+    wired = contract.Wired("toy", tmp_path)
+    try:
+        clause(wired)
+    finally:
+        wired.close()
+
+
+def test_over_a_loopback_port_driver_and_emulator_agree():
+    emulation = emulate(EmulationChoice("toy", port=0, wrench=lambda now_s: (1, 2, 3, 4, 0.5, 0.6)))
+    settings = HardwareSettings.model_validate(tomllib.loads(bench_toml(emulation.bench)))
+    assert settings.ft.address.startswith("socket://127.0.0.1:")
+    driver = make_force_torque(settings, time.monotonic)
+    emulation.start()
+    try:
+        driver.connect(5.0, threading.Event())
+        assert driver.identity.maker == "Toys"
+        # Equal samples count as stuck after the fifth: the first ones are the measurement.
+        assert tuple(driver.samples.since(0).values[0]) == (1, 2, 3, 4, 0.5, 0.6)
+    finally:
+        driver.close()
+        emulation.close()
+
+
+def test_in_place_of_another_sensor_it_is_named():
+    emulation = emulate(EmulationChoice("toy", port=0))
+    sensor = emulation.fronts[0]._device
+    sensor.receive(time.monotonic(), b"start\n")
+    emulation.start()
+    tables = {"ft": {"driver": "leptrino", "address": emulation.fronts[0].url}}
+    driver = make_force_torque(HardwareSettings.model_validate(tables), time.monotonic)
+    try:
+        with pytest.raises(FaultError, match="a toy force/torque sensor"):
+            driver.connect(2.0, threading.Event())
+    finally:
+        driver.close()
+        emulation.close()
+
+
+def test_the_command_line_and_the_device_wizard_offer_it(toy, tmp_path, capsys):
+    assert main(["emulate", "toy", "--for", "0.1"]) == 0
+    assert 'driver = "toy"' in capsys.readouterr().out
+    assert "toy" in choices(HardwareSettings(), tmp_path)["ft.driver"]
+
+
+@pytest.mark.parametrize("make", registry.MAKES, ids=lambda make: f"{make.kind} {make.name}")
+def test_every_registered_export_exists(make):
+    assert callable(make.load(make.driver))
+    assert not make.emulator or callable(make.load(make.emulator))
+    for signature in make.load(make.signatures) if make.signatures else ():
+        assert signature.decoder().feed(b"") == []
+
+
+def test_names_are_unique_in_their_kind_and_as_emulators():
+    names = [(make.kind, make.name) for make in registry.MAKES]
+    assert len(set(names)) == len(names)
+    emulated = [make for make in registry.MAKES if make.emulator]
+    assert len(registry.emulated_makes()) == len(emulated)

@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class AgreementLimits:
-    """Mean difference of two raters, its standard deviation (n - 1) and the 95 % limits."""
+    """Mean difference of two raters, its standard deviation (n - 1) and 95 % limits."""
 
     mean: float
     deviation: float
@@ -31,7 +31,7 @@ class AgreementLimits:
 
 
 def agreement_limits(first: ArrayLike, second: ArrayLike) -> AgreementLimits:
-    """Return bias and limits of agreement of ``first`` minus ``second``, (n,) each."""
+    """Return bias and 95 % limits of agreement of ``first`` minus ``second``, (n,) each."""
     d = np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64)
     mean = float(d.mean()) if d.size else math.nan
     deviation = float(d.std(ddof=1)) if d.size > 1 else math.nan
@@ -40,7 +40,7 @@ def agreement_limits(first: ArrayLike, second: ArrayLike) -> AgreementLimits:
 
 
 def intraclass_correlation(ratings: ArrayLike) -> float:
-    """ICC(2,1): two-way random effects, absolute agreement, one rater; ``ratings`` (n, k)."""
+    """Return ICC(2,1) of ``ratings`` (n, k): two-way random effects, absolute agreement."""
     x = np.asarray(ratings, dtype=np.float64)
     n, k = x.shape
     if n < 2 or k < 2:
@@ -55,7 +55,7 @@ def intraclass_correlation(ratings: ArrayLike) -> float:
 
 
 def cohen_kappa(first: Sequence[Hashable], second: Sequence[Hashable]) -> float:
-    """Cohen's kappa of two raters who named the same n items."""
+    """Return Cohen's kappa of two raters who classified the same n items."""
     n = len(first)
     if not n or n != len(second):
         return math.nan
@@ -66,7 +66,7 @@ def cohen_kappa(first: Sequence[Hashable], second: Sequence[Hashable]) -> float:
 
 
 def krippendorff_alpha(items: Sequence[Sequence[Hashable]]) -> float:
-    """Krippendorff's alpha, nominal; per item the answers given, of any number of raters."""
+    """Return nominal Krippendorff's alpha; each item holds the answers of its raters."""
     pairs: Counter[tuple[Hashable, Hashable]] = Counter()
     for answers in items:
         for pair in permutations(answers, 2):
@@ -83,23 +83,23 @@ def krippendorff_alpha(items: Sequence[Sequence[Hashable]]) -> float:
 
 
 def rms_mm(first_mm: ArrayLike, second_mm: ArrayLike) -> float:
-    """Root of the mean squared distance of two sets of offsets (n, 2)."""
+    """Return the root mean square distance of two sets of offsets (n, 2)."""
     d = np.asarray(first_mm, dtype=np.float64) - np.asarray(second_mm, dtype=np.float64)
     return float(np.sqrt((d**2).sum(axis=-1).mean())) if d.size else math.nan
 
 
 def patch_iou(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
-    """Overlap of two patches (N,) of one face; 1 where both are empty."""
+    """Return the intersection over union of two patches (N,); 1 if both are empty."""
     either = int(np.sum(first | second))
     return float(np.sum(first & second)) / either if either else 1.0
 
 
-PAUSE_MS = 60_000  # a longer look is a pause, and counts as this much at most
+PAUSE_MS = 60_000  # times above this count as a pause and are clipped
 
 
 @dataclass(frozen=True, slots=True)
 class LabellerAnswer:
-    """What one person last said of one episode."""
+    """Latest answer of one person for one episode."""
 
     episode: str
     geometry: str
@@ -111,10 +111,10 @@ class LabellerAnswer:
 
 @dataclass(frozen=True, slots=True)
 class AgreementReport:
-    """Figures of the first person minus the second; NaN where there is too little.
+    """Agreement of two persons, first minus second; NaN where the data do not suffice.
 
-    ``drift_mm`` (x, y): mean difference in the later half minus that in the earlier one.
-    ``seconds``: median time of each per answer, where it was measured.
+    ``drift_mm`` (x, y): mean difference in the second half of the episodes minus that in the first.
+    ``seconds``: median time per answer of each person, where it was measured.
     """
 
     episodes: int
@@ -132,7 +132,7 @@ class AgreementReport:
 
 @dataclass(frozen=True, slots=True)
 class SuggestionBias:
-    """What a suggestion in sight does: answers made blind minus those made with it shown."""
+    """Effect of a visible suggestion: blind answers minus answers with the suggestion shown."""
 
     episodes: int
     x_mm: AgreementLimits
@@ -140,7 +140,7 @@ class SuggestionBias:
 
 
 def suggestion_bias(database: Database, people: Sequence[str]) -> SuggestionBias:
-    """Return blind minus shown over the episodes that were answered both ways, by whomever."""
+    """Return the bias over the episodes that were answered both blind and with a suggestion."""
     blind: dict[str, Label] = {}
     shown: dict[str, Label] = {}
     for person in people:
@@ -158,9 +158,9 @@ def suggestion_bias(database: Database, people: Sequence[str]) -> SuggestionBias
 def read_answers(
     database: Database, person: str, *, blind: bool | None = None
 ) -> dict[str, LabellerAnswer]:
-    """Return the last answer of ``person`` for each episode: set, accepted, or an opinion.
+    """Return the latest answer of ``person`` for each episode: set, accepted, or an opinion.
 
-    ``blind``: only those known to be made without (True) or with (False) a suggestion in sight.
+    ``blind``: only answers given without (True) or with (False) a suggestion in sight.
     """
     sql = """
     SELECT episode, geometry, x_um, y_um, theta_mdeg, sigma_um, verdict,
@@ -192,17 +192,17 @@ def read_answers(
 def compare_labellers(
     database: Database, geometry: GeometryStore, first: str, second: str
 ) -> AgreementReport:
-    """Return the figures of agreement of two persons."""
+    """Return the agreement of two persons."""
     return _compared(geometry, read_answers(database, first), read_answers(database, second))
 
 
 def compare_with_control_items(
     database: Database, geometry: GeometryStore, person: str
 ) -> AgreementReport:
-    """Return how the opinions of ``person`` compare with the approved labels of these episodes.
+    """Compare the opinions of ``person`` with the approved labels of the same episodes.
 
-    Of the times only the person's are known. An opinion without displacement counts among the
-    episodes and in no other figure.
+    Times are known for the person only. An opinion without offset counts as an episode and enters
+    no other figure.
     """
     sql = """
     SELECT p.episode, r.geometry, p.x_um, p.y_um, p.theta_mdeg, p.sigma_um, p.verdict,
@@ -226,7 +226,6 @@ def compare_with_control_items(
 def _compared(
     geometry: GeometryStore, one: dict[str, LabellerAnswer], two: dict[str, LabellerAnswer]
 ) -> AgreementReport:
-    """Return the figures of the answers ``one`` minus ``two``."""
     both = [uuid for uuid in one if uuid in two]
     pairs = [(one[u], two[u]) for u in both if one[u].label.is_set and two[u].label.is_set]
     a = np.array([x.label.offset_mm for x, _ in pairs], dtype=np.float64).reshape(-1, 2)

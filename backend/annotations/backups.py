@@ -18,7 +18,7 @@ from touchdown.backend.core import Fault, FaultError, InputError, make_folder, s
 
 STAMP = "%Y%m%dT%H%M%S%fZ"
 EVERY = timedelta(hours=1)
-# The newest of each of the last 24 hours, 14 days and 12 months that have any.
+# Retention: the newest copy of each of the last 24 hours, 14 days and 12 months.
 KEPT = (("%Y%m%d%H", 24), ("%Y%m%d", 14), ("%Y%m", 12))
 
 Heads = dict[str, tuple[int, str]]  # per site: number and hash of its newest operation
@@ -26,14 +26,14 @@ Heads = dict[str, tuple[int, str]]  # per site: number and hash of its newest op
 
 @dataclass(frozen=True, slots=True)
 class Backup:
-    """One copy and when it was made (UTC)."""
+    """One backup of the catalogue and its time (UTC)."""
 
     path: Path
     made: datetime
 
 
 def list_backups(folder: Path) -> list[Backup]:
-    """Return the copies in ``folder``, the newest first."""
+    """Return the backups in ``folder``, newest first."""
     found = []
     for path in folder.glob("catalog-*.db"):
         try:
@@ -45,7 +45,7 @@ def list_backups(folder: Path) -> list[Backup]:
 
 
 def surplus_backups(backups: Iterable[Backup]) -> list[Backup]:
-    """Return the copies that retention no longer asks for."""
+    """Return the backups that the retention rule no longer keeps."""
     ordered = sorted(backups, key=lambda backup: backup.made, reverse=True)
     wanted: set[Path] = set()
     for form, count in KEPT:
@@ -57,9 +57,9 @@ def surplus_backups(backups: Iterable[Backup]) -> list[Backup]:
 
 
 def check_backup(path: Path) -> Heads:
-    """Open a copy, let SQLite check all of it and return its heads; ``InputError`` if it is bad."""
+    """Check a backup with SQLite and return its heads; raises ``InputError`` if it is damaged."""
     try:
-        # Immutable: nobody writes a finished copy, and no -wal and -shm appear beside it.
+        # Immutable: a finished copy is never written, so no -wal or -shm file is needed.
         address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
         with closing(sqlite3.connect(address, uri=True)) as connection:
             (verdict,) = connection.execute("PRAGMA integrity_check").fetchone()
@@ -72,7 +72,7 @@ def check_backup(path: Path) -> Heads:
 
 
 class BackupStore:
-    """The copies of one open catalogue."""
+    """Backups of one open catalogue."""
 
     def __init__(
         self,
@@ -87,17 +87,17 @@ class BackupStore:
 
     @property
     def age(self) -> timedelta | None:
-        """Time since the newest copy; None if there is none."""
+        """Time since the newest backup; None if there is none."""
         return None if self._last is None else self._now() - self._last
 
     def newest(self) -> Path | None:
-        """Return the newest copy, None if there is none."""
+        """Return the newest backup, None if there is none."""
         return next((backup.path for backup in list_backups(self._folder)), None)
 
     def make(self, reason: str) -> Path:
-        """Copy, verify, name and prune; raises ``FaultError`` if the copy is not good.
+        """Copy, verify and name the catalogue, then prune old backups.
 
-        The catalogue stays usable meanwhile for readers; writers wait.
+        Readers continue during the copy; writers wait. Raises ``FaultError`` if the copy fails.
         """
         made = self._now()
         path = self._folder / f"catalog-{made.strftime(STAMP)}.db"
@@ -119,15 +119,15 @@ class BackupStore:
         return path
 
     def hourly(self) -> Path | None:
-        """Make a copy if labels changed and the newest copy is an hour old."""
+        """Make a backup if labels changed and the newest one is older than an hour."""
         age = self.age
-        # A copy from the future is one of a clock that was set back since.
+        # A backup dated in the future was made before the clock was set back.
         if age is not None and timedelta(0) <= age < EVERY:
             return None
         return self.if_changed("hourly")
 
     def if_changed(self, reason: str) -> Path | None:
-        """Make a copy unless the newest one has all operations."""
+        """Make a backup unless the newest one contains all operations."""
         if self._saved is None:
             self._saved = self._newest_heads()
         return self.make(reason) if self._heads() != self._saved else None
@@ -161,10 +161,10 @@ class BackupStore:
 
 
 def restore_backup(dataset: Path, backup: Path) -> Path | None:
-    """Put ``backup`` in the place of the catalogue; return where the old one went.
+    """Replace the catalogue by ``backup``; return the new path of the old catalogue.
 
-    Nobody may have the dataset open. The next open replays the journal, so that no label is lost.
-    Raises ``InputError`` for a bad copy.
+    The dataset must not be open. The next opening replays the journal, so no label is lost. Raises
+    ``InputError`` for a damaged backup.
     """
     check_backup(backup)
     part = dataset / f".{NAME}.tmp"
@@ -174,7 +174,7 @@ def restore_backup(dataset: Path, backup: Path) -> Path | None:
 
 
 def put_in_place(dataset: Path, part: Path) -> Path | None:
-    """Make the complete file ``part`` the catalogue; return where the old one went, if any."""
+    """Make the complete file ``part`` the catalogue; return the new path of the old one, if any."""
     stamp = datetime.now(UTC).strftime(STAMP)
     old, aside = dataset / NAME, dataset / QUARANTINE / f"catalog-{stamp}.db"
     with _explained(dataset):
@@ -183,7 +183,7 @@ def put_in_place(dataset: Path, part: Path) -> Path | None:
         kept = old.exists()
         make_folder(aside.parent)
         for suffix in ("-shm", "-wal", ""):
-            # The WAL belongs to the old file: left behind, it would be played into the new one.
+            # The WAL belongs to the old file; SQLite would replay it into the new one.
             place = dataset / f"{NAME}{suffix}"
             if place.exists():
                 place.replace(aside.with_name(f"{aside.name}{suffix}"))

@@ -13,14 +13,14 @@ from touchdown.backend.annotations.database import Database
 from touchdown.backend.annotations.geometry_records import GeometryStore
 from touchdown.backend.annotations.operation_log import OperationJournal
 
-# A folder that changed later than this may change again within one tick of its time stamp.
+# A folder that changed within one tick of its time stamp may change again unnoticed.
 SETTLED_NS = 2_500_000_000
 WEEK_NS = 7 * 24 * 3600 * 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class FolderState:
-    """How a folder looked, how many rows belong to it, and when its files were looked at (UTC)."""
+    """State of a folder, number of its rows, and time of its last check (UTC)."""
 
     stamp: str
     rows: int
@@ -29,13 +29,13 @@ class FolderState:
 
 @dataclass(slots=True)
 class CheckedFolders:
-    """What is known of the folders below ``raw``, by name relative to the dataset."""
+    """Folders below ``raw`` that were found in order, by name relative to the dataset."""
 
     looks: dict[str, FolderState] = field(default_factory=dict)
 
     @classmethod
     def take(cls, database: Database) -> CheckedFolders:
-        """Return what the last close left, and leave nothing behind."""
+        """Return the state saved by the last ``keep`` and delete it."""
         rows = database.rows("SELECT path, stamp, rows, at_ns FROM checked_folder")
         if rows:
             with database.transaction() as connection:
@@ -43,7 +43,7 @@ class CheckedFolders:
         return cls({path: FolderState(*look) for path, *look in rows})
 
     def keep(self, database: Database) -> None:
-        """Leave it for the next start; folders that changed since then do not match any more."""
+        """Save the state for the next opening. Folders that change later no longer match."""
         if self.looks:
             rows = [(name, k.stamp, k.rows, k.at_ns) for name, k in self.looks.items()]
             with database.transaction() as connection:
@@ -52,7 +52,7 @@ class CheckedFolders:
                 )
 
     def unchanged(self, dataset: Path) -> dict[str, int]:
-        """Return the folders that look as they did, with their numbers of rows."""
+        """Return the unchanged folders with their numbers of rows."""
         now_ns = time.time_ns()
         return {
             name: look.rows
@@ -61,20 +61,20 @@ class CheckedFolders:
         }
 
     def remember(self, name: str, stamp: str, rows: int, at_ns: int) -> None:
-        """Note that a folder was in order; ``stamp`` and ``at_ns`` from before it was read."""
+        """Record a folder as checked; ``stamp`` and ``at_ns`` were taken before reading it."""
         if stamp and at_ns - int(stamp.split(":")[-1]) > SETTLED_NS:
             self.looks[name] = FolderState(stamp, rows, at_ns)
 
     def forget(self, names: set[str]) -> None:
-        """Drop what is known of ``names``."""
+        """Remove ``names``."""
         for name in names:
             self.looks.pop(name, None)
 
 
 def stamp_of(folder: Path) -> str:
-    """Return what changes whenever a file of ``folder`` comes or goes; "" if there is none.
+    """Return a stamp that changes when a file of ``folder`` comes or goes; "" if it is missing.
 
-    The later of its two times stands last. The inode tells a folder from a copy put in its place.
+    The later of its two times comes last. The inode distinguishes the folder from a copy.
     """
     try:
         found = folder.stat()
@@ -85,14 +85,14 @@ def stamp_of(folder: Path) -> str:
 
 
 QUARANTINE = "quarantine"
-FULL_LINES = 5  # more findings of one kind than this are told in one sentence
+FULL_LINES = 5  # above this number, findings of one kind are summarised
 
 
 @dataclass(frozen=True, slots=True)
 class DatasetParts:
-    """The parts of a dataset that a check needs; ``site``: the chain it writes.
+    """Parts of a dataset that checks and repairs use; ``site``: hash chain of this copy.
 
-    ``checked``: folders that a start need not look at again, brought up to date by a check.
+    ``checked``: folders that need no check at the next opening; a check updates it.
     """
 
     folder: Path
@@ -104,7 +104,7 @@ class DatasetParts:
 
     @property
     def quarantine(self) -> Path:
-        """Folder of what a crash or damage left."""
+        """Folder of files that a crash left behind or that are damaged."""
         return self.folder / QUARANTINE
 
     def name(self, path: Path) -> str:
@@ -117,11 +117,11 @@ Repair = Callable[[sqlite3.Connection], None]
 
 @dataclass(frozen=True, slots=True)
 class ConsistencyProblem:
-    """One thing out of order.
+    """One problem found by a check.
 
-    ``kind`` becomes the verb of an event, ``target`` its subject; ``said`` is a sentence for
-    people. ``mend`` is None where only a person can decide: such a finding is told once, unless it
-    ``locks`` the labels, which is told at every start.
+    ``kind`` becomes the verb of an event, ``target`` its subject; ``message`` is a sentence for
+    users. ``repair`` is None if a person has to decide: such a problem is reported once. A problem
+    that ``locks`` the labels is reported at every opening.
     """
 
     kind: str
@@ -132,7 +132,7 @@ class ConsistencyProblem:
 
 
 def problem_lines(findings: Iterable[ConsistencyProblem]) -> tuple[str, ...]:
-    """Return one line per finding, or per kind of which there are many."""
+    """Return one line per problem, or per kind with many problems."""
     listed = list(findings)
     counts = Counter(finding.kind for finding in listed)
     lines = [f.said for f in listed if counts[f.kind] <= FULL_LINES]

@@ -35,16 +35,16 @@ BLOCK = CONTROL_ITEM_EVERY - 1
 
 @dataclass(frozen=True, slots=True)
 class ControlItemView:
-    """How a gold episode is to be seen: the label it was recorded with, and where.
+    """Presentation of a control item: the label as recorded, and its position in the queue.
 
-    ``beside`` is the episode of the queue that it follows, "" if it is the first.
+    ``beside``: the episode of the queue before it, "" if it comes first.
     """
 
     recorded: Revision
     beside: str
 
 
-# A queue with gold in it, and how the gold is to be seen.
+# Queue with control items, and their views by episode.
 Mixed = tuple[list[str], dict[str, ControlItemView]]
 
 
@@ -52,7 +52,7 @@ def with_control_items(
     dataset: Dataset, person: str, order: Sequence[str], entries: Mapping[str, EpisodeEntry],
     seed: int = 0,
 ) -> Mixed:  # fmt: skip
-    """Return what ``person`` is to label, gold among it; what they left of it comes again."""
+    """Return the queue of ``person`` with control items, unfinished ones included."""
     waiting = dataset.queue("gold", person, seed=seed)
     steps = dataset.labels.left_apart(person)
     begun = {uuid: steps[uuid] for uuid in waiting if uuid in steps and uuid in entries}
@@ -67,11 +67,11 @@ def with_control_items(
 def mix_control_items(
     order: Sequence[str], gold: Sequence[str], begun: Mapping[str, ControlItemStep] | None = None
 ) -> list[str]:
-    """Return ``order`` with one of ``gold`` at some place of every 19 of them, while there are any.
+    """Return ``order`` with one of ``gold`` inserted per block of 19 episodes.
 
-    The places follow from the ids: the same queue is mixed in the same way again. What of the gold
-    was ``begun`` stands where it stood then, and behind the rest if it was skipped, however few are
-    left; a skipped part of ``order`` begins where the ids, which rise, fall.
+    Positions derive from the ids, so the same queue gives the same mix. Control items in ``begun``
+    keep their former position, or move to the end if they were skipped. The skipped part of
+    ``order`` starts where the rising ids fall.
     """
     known, there = begun or {}, set(order)
     places = defaultdict[int, list[str]](list)
@@ -92,7 +92,7 @@ def mix_control_items(
 
 
 def preceding(order: Sequence[str], ordinary: set[str]) -> dict[str, str]:
-    """Return the ordinary episode before each other one, "" if there is none."""
+    """Return the ordinary episode before each control item, "" if there is none."""
     found, before = dict[str, str](), ""
     for uuid in order:
         if uuid in ordinary:
@@ -103,39 +103,40 @@ def preceding(order: Sequence[str], ordinary: set[str]) -> dict[str, str]:
 
 
 class ControlItemLabels:
-    """The labels of a sitting; gold is kept apart from the rest, and ``of`` is where they part.
+    """Labels of one annotation session; ``of`` keeps control items apart from the others.
 
-    Not for several threads at once: the saves of a sitting are made one after the other.
+    Not thread-safe: a session saves one label after the other.
     """
 
     def __init__(self, book: LabelStore) -> None:
         self._book, self._gold = book, _ControlItems(book)
 
     def begin(self, person: str, gold: Mapping[str, ControlItemView]) -> None:
-        """Take the gold of a queue of ``person``."""
+        """Set the control items in the queue of ``person``."""
         self._gold.begin(person, gold)
 
     def hides(self, uuid: str) -> bool:
-        """Whether an episode is gold."""
+        """Return True if an episode is a control item of the session."""
         return uuid in self._gold.shown
 
     def of(self, uuid: str) -> LabelStore | _ControlItems:
-        """Return where the label of an episode is seen and changed: both do what a page asks for.
+        """Return the object that reads and changes the label of an episode.
 
-        ``LabelBook`` says what each does. A decision about gold is an opinion, of rejected or
-        deleted gold one without displacement. Undo and redo are those of ``LabelBook`` for both.
+        Both objects have the same methods. A decision about a control item is stored as an opinion;
+        a rejected or deleted control item gives one without offset. Undo and redo are those of
+        ``LabelStore`` for both.
         """
         return self._gold if self.hides(uuid) else self._book
 
     def entry(self, entry: EpisodeEntry) -> EpisodeEntry:
-        """Return the entry as it is to be seen."""
+        """Return the entry as the page shows it."""
         if not self.hides(entry.uuid):
             return entry
         now = self._gold.now(entry.uuid)
         return replace(entry, state=now.version.state, conflict=False, deleted=bool(now.deleted))
 
     def log(self, *, text: str = "", limit: int = 500) -> list[Operation]:
-        """Return the log, newest first, without what others did to gold that is in the queue."""
+        """Return the log, newest first, without others' operations on control items."""
         return [op for op in self._book.log(text=text, limit=limit) if not self._tells(op)]
 
     def _tells(self, operation: Operation) -> bool:
@@ -146,7 +147,7 @@ class ControlItemLabels:
 
 
 class _ControlItems:
-    """The gold of one person: what they did to it, none of which is in the labels."""
+    """Control items of one person. Their answers are not stored as labels."""
 
     def __init__(self, book: LabelStore) -> None:
         self._book = book
@@ -157,7 +158,7 @@ class _ControlItems:
         self.person, self.shown = person, dict(gold)
 
     def now(self, uuid: str) -> ControlItemStep:
-        """Return what the person sees of an episode."""
+        """Return the entry as the person sees it."""
         return self._steps(uuid)[-1]
 
     def head(self, uuid: str) -> Revision:
@@ -230,10 +231,8 @@ class _ControlItems:
         if self.now(uuid).deleted != reason:
             self._mark(person, "delete", uuid, deleted=reason)
 
-    # Inside
-
     def _steps(self, uuid: str) -> list[ControlItemStep]:
-        """Return what the person saw of an episode, from its recording on."""
+        """Return the revisions of an episode as the person saw them, recording first."""
         shown = self.shown[uuid]
         begun = ControlItemStep(shown.recorded, beside=shown.beside)
         return [begun, *self._book.steps_apart(self.person, uuid)]
@@ -250,7 +249,7 @@ class _ControlItems:
     def _after(
         self, action: Action, uuid: str, person: str, state: LabelState | None = None
     ) -> LabelState:
-        """Return the state that an ordinary label would come to, or refuse as it would."""
+        """Return the state an ordinary label would get; raises ``RefusedError`` as it would."""
         return review.state_after(action, self._standing(uuid, state), person)
 
     def _said(

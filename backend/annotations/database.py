@@ -99,9 +99,9 @@ CREATE TABLE suggestion (
 ) WITHOUT ROWID;
 """
 
-# Of a run its folder is the truth, of a campaign its file: these say the same to queries. ``mark``
-# and ``read_bytes``: which state of the run's files the rows show. A campaign needs no rows of its
-# own: what is done of it is what its episodes are.
+# The folder of a run and the file of a campaign hold the data; these tables serve queries. ``mark``
+# and ``read_bytes`` tell which state of the run's files the rows reflect. The progress of a
+# campaign follows from its episodes.
 RUNS = """
 CREATE TABLE run (
     uuid TEXT PRIMARY KEY, kind TEXT NOT NULL,
@@ -157,8 +157,8 @@ def _guards(table: str, key: str) -> str:
     )
 
 
-# Of each step on gold what the person sees after it, and where the episode is shown. ``shown_ns``
-# is always 0: it held an invented time of recording.
+# Steps on control items: the label as the person sees it, and its position in the queue.
+# ``shown_ns`` is always 0; older versions stored a synthetic recording time.
 APART = """
 CREATE TABLE apart (
     op_uuid TEXT NOT NULL REFERENCES op (op_uuid), episode TEXT NOT NULL, rev_uuid TEXT NOT NULL,
@@ -170,7 +170,7 @@ CREATE TABLE apart (
 CREATE INDEX apart_episode ON apart (episode);
 """ + _guards("apart", "op_uuid = NEW.op_uuid AND episode = NEW.episode")
 
-# The append-only tables of ``TABLES`` and what makes a row of them the same row.
+# Append-only tables of ``TABLES``, with the condition for equal rows.
 KEYS = {
     "op": "op_uuid = NEW.op_uuid OR (site = NEW.site AND seq = NEW.seq)",
     "label_rev": "rev_uuid = NEW.rev_uuid",
@@ -181,19 +181,19 @@ KEYS = {
 
 
 def statements() -> str:
-    """Return everything a new catalogue needs."""
+    """Return the SQL that creates an empty catalogue."""
     guards = "".join(_guards(table, key) for table, key in KEYS.items())
     return TABLES + guards + RUNS + CHECKED + APART
 
 
 NAME = "catalog.db"
-BUSY_MS = 2000  # another program may hold the catalogue for so long
+BUSY_MS = 2000  # longest wait for a lock held by another program
 LEAST_ROOM = 1_000_000
 Row = tuple[Any, ...]
 
 
 class Database:
-    """Rows of one catalogue, shared by threads: every call takes the lock for its own length.
+    """Connection to one catalogue. Thread-safe: each call holds the lock while it runs.
 
     Commits are durable when ``transaction`` ends (WAL, synchronous FULL).
     """
@@ -204,10 +204,10 @@ class Database:
 
     @classmethod
     def open(cls, path: Path, *, write: bool) -> Database:
-        """Open or (to write) make the catalogue ``path``.
+        """Open the catalogue ``path``; create it if ``write`` is set.
 
-        A catalogue of a newer program opens for reading only (``writable`` is False). Raises
-        ``InputError`` for a file that is no catalogue, is of an older schema, or is not there.
+        A catalogue of a newer version opens for reading only (``writable`` is False). Raises
+        ``InputError`` if the file is missing, is not a catalogue or has an older schema.
         """
         if not write and not path.is_file():
             raise InputError("There is no catalogue.", str(path), "Name the folder of a dataset.")
@@ -231,14 +231,15 @@ class Database:
 
     @property
     def schema_version(self) -> int:
-        """Number of the schema of the file."""
+        """Schema number of the file."""
         return int(self.one("PRAGMA user_version")[0])
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """All or nothing, durable at the end; raises ``FaultError`` if the disk refuses.
+        """Run one atomic transaction, durable at the end.
 
-        Raises ``RefusedError`` where the catalogue was opened for reading only.
+        Raises ``FaultError`` if the disk fails, ``RefusedError`` if the catalogue is open for
+        reading only.
         """
         if not self.writable:
             raise RefusedError("read-only", "The dataset is open for reading only.")
@@ -259,7 +260,7 @@ class Database:
 
     @contextmanager
     def reading(self) -> Iterator[sqlite3.Connection]:
-        """Several queries that see one state."""
+        """Run several queries on one consistent state."""
         with self._lock:
             yield self._connection
 
@@ -282,7 +283,7 @@ class Database:
         return row
 
     def copy_to(self, target: Path) -> None:
-        """Write a consistent copy to ``target``, with what is still in the WAL."""
+        """Write a consistent copy to ``target``, including the WAL."""
         copy = sqlite3.connect(target)
         try:
             with self._lock:
@@ -291,7 +292,7 @@ class Database:
             copy.close()
 
     def close(self) -> None:
-        """Close the connection; closing twice does no harm."""
+        """Close the connection. A second call has no effect."""
         with self._lock:
             self._connection.close()
 
@@ -299,7 +300,7 @@ class Database:
 def add_event(
     connection: sqlite3.Connection, actor: str, verb: str, target: str, body: object = None
 ) -> None:
-    """Append to the audit what is no operation on labels; ``body`` is kept as JSON."""
+    """Append an event that is not a label operation to the audit; ``body`` is stored as JSON."""
     text = canonical_json({} if body is None else body).decode("utf-8")
     connection.execute(
         "INSERT INTO event (at_ns, actor, verb, target, body) VALUES (?, ?, ?, ?, ?)",
@@ -320,14 +321,13 @@ def _connect(path: Path, mode: str) -> sqlite3.Connection:
         connection.execute(f"PRAGMA busy_timeout = {BUSY_MS}")
         connection.execute("PRAGMA foreign_keys = ON")
         connection.execute("PRAGMA synchronous = FULL")
-    except sqlite3.Error:  # The first look at the file: it may be no catalogue at all.
+    except sqlite3.Error:  # first access: the file may not be a catalogue
         connection.close()
         raise
     return connection
 
 
 def _looking(path: Path) -> str:
-    """Return how SQLite may look at a catalogue: beside a WAL it makes files, if it can."""
     if os.access(path.parent, os.W_OK):
         return "ro"
     wal = path.with_name(f"{path.name}-wal")
@@ -337,7 +337,7 @@ def _looking(path: Path) -> str:
             str(path),
             "Copy the dataset to a disk that can be written, and open it there.",
         )
-    # Nobody can write it: it may be read without the files that writers would need.
+    # A read-only folder: open it without the files that writers need.
     return "ro&immutable=1"
 
 
@@ -354,13 +354,13 @@ def _examine(connection: sqlite3.Connection, path: Path) -> int:
         raise InputError(
             f"The catalogue is of schema {version}, before the first release.",
             str(path),
-            "'touchdown dataset rebuild --replace' makes it anew from files and journal.",
+            "'touchdown dataset rebuild --replace' rebuilds it from files and journal.",
         )
     return version
 
 
 def _create(connection: sqlite3.Connection) -> None:
-    # Set outside the transaction, where alone SQLite allows it.
+    # SQLite allows this outside a transaction only.
     connection.execute("PRAGMA journal_mode = WAL")
     script = (
         f"BEGIN IMMEDIATE;\n{statements()}"
@@ -371,7 +371,6 @@ def _create(connection: sqlite3.Connection) -> None:
 
 
 def _unopened(path: Path, error: sqlite3.Error) -> InputError:
-    """Return why a catalogue does not open; SQLite needs some room even to read."""
     if shutil.disk_usage(path.parent).free < LEAST_ROOM:
         return InputError(
             f"The catalogue cannot be opened, as its disk is full: {error}.",
@@ -381,7 +380,7 @@ def _unopened(path: Path, error: sqlite3.Error) -> InputError:
     return InputError(
         f"The catalogue cannot be opened: {error}.",
         str(path),
-        "Check the folder; 'touchdown dataset rebuild' makes it anew from files and journal.",
+        "Check the folder; 'touchdown dataset rebuild' rebuilds it from files and journal.",
     )
 
 

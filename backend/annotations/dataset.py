@@ -1,7 +1,4 @@
-"""One dataset folder, as used by window, campaign and command line.
-
-Includes the quality check of a whole dataset, a job that runs pair by pair.
-"""
+"""Dataset folder: recording, reading, labels, merge and quality check of its episodes."""
 
 from __future__ import annotations
 
@@ -76,10 +73,10 @@ DESCRIPTION = "dataset.json"
 
 @dataclass(frozen=True, slots=True)
 class DatasetDescription:
-    """``dataset.json``: what the dataset is. ``site``: the chain that this copy of it writes.
+    """Content of ``dataset.json``. ``site``: hash chain that this copy of the dataset writes.
 
-    ``home``: computer and folder where the site was begun. A copy elsewhere begins its own, so
-    that two copies never continue one chain in two ways.
+    ``home``: computer and folder where the site was created. A copy in another place starts its own
+    site, so two copies never continue the same chain.
     """
 
     uuid: str
@@ -217,14 +214,14 @@ class Dataset:
 
     @property
     def store(self) -> DatasetParts:
-        """The parts that checks and repairs work on."""
+        """Parts that checks and repairs use."""
         site = self.description.site
         return DatasetParts(
             self.folder, self.database, self.journal, self.geometry, site, self._checked
         )
 
     def _back_up(self, make: Callable[[], object]) -> None:
-        """Make a copy where one is due; a copy that fails never fails what it follows."""
+        """Run a backup; a failure is kept in ``backup_trouble`` and never raised."""
         if not self.writable:
             return
         try:
@@ -234,15 +231,16 @@ class Dataset:
             self.backup_trouble = str(error)
 
     def back_up_for(self, reason: str) -> Path | None:
-        """Make sure that a checked copy holds every operation; returns it (None: no operation yet).
+        """Make sure that a verified backup holds every operation; return its path.
 
-        Raises ``FaultError`` if it cannot be made: then do not do what it was for.
+        None if there is no operation yet. Raises ``FaultError`` if the backup fails: the action
+        ``reason`` must then not be done.
         """
         return self.backups.if_changed(reason) or self.backups.newest()
 
     @property
     def writable(self) -> bool:
-        """Whether this dataset may be written here."""
+        """True if this object may write the dataset."""
         return self.database.writable
 
     def record(
@@ -254,9 +252,9 @@ class Dataset:
         context: EpisodeContext,
         keep_frames: KeepFrames = "jpeg95_444",
     ) -> EpisodeEntry:
-        """Make ``episode`` and its first label durable; returns when both are.
+        """Store ``episode`` and its first label; both are durable on return.
 
-        Raises ``FaultError`` if the disk refuses: the caller still holds the episode.
+        Raises ``FaultError`` if the disk fails; the episode can then be recorded again.
         """
         self.labels.refuse_if_frozen()
         episode = episode_index.with_uuid(episode)
@@ -285,7 +283,7 @@ class Dataset:
         return episode_index.find_episodes(self.database, wanted or EpisodeFilter())
 
     def path(self, uuid: str) -> Path:
-        """Return the file of an episode; of a packed one its pack, which holds no pictures."""
+        """Return the file of an episode, or the pack that contains it."""
         return self.folder / self.entry(uuid).path
 
     def read(self, uuid: str) -> Episode:
@@ -312,7 +310,7 @@ class Dataset:
         return read_episode(self.path(uuid)) if packed is None else packed
 
     def film(self, uuid: str) -> CompressedEpisode:
-        """Read an episode for looking at it, pictures still compressed; a packed one has none."""
+        """Read an episode with compressed images; an episode in a pack has none."""
         packed = self._packed(uuid)
         return (
             read_compressed_episode(self.path(uuid)) if packed is None else without_images(packed)
@@ -327,25 +325,25 @@ class Dataset:
         return replace(read_packed(path, (offset, length)), episode_id=uuid)
 
     def patch(self, uuid: str) -> TruePatch:
-        """Return the true patch of the label that holds, derived from the geometry."""
+        """Return the true patch of the valid label, derived from the geometry."""
         head = self.labels.head(uuid)
         return self.geometry.patch(head.geometry, head.label)
 
     def queue(
         self, name: str, person: str, *, seed: int = 0, limit: int | None = None
     ) -> list[str]:
-        """Return the episodes that ``person`` should see next, in order (``queues.queue``)."""
+        """Return the episodes of a review queue for ``person``, in order."""
         return queues.episode_queue(self.database, name, person, seed=seed, limit=limit)
 
     def counts(self) -> dict[str, int]:
-        """Return how many episodes are unlabelled, in review, approved, rejected, ..."""
+        """Return the number of episodes per stage: unlabelled, review, approved, rejected, ..."""
         return queues.stage_counts(self.database)
 
     def merge(self, person: str, other: Path) -> MergeReport:
-        """Bring in labels and episodes of another copy, which stays as it is.
+        """Merge labels and episodes of another copy of this dataset; that copy is not changed.
 
-        Files first, rows and operations second. Raises ``InputError`` for another dataset, or a
-        chain of labels that is broken or does not fit, ``FaultError`` if the disk refuses.
+        Files are copied before rows and operations. Raises ``InputError`` for another dataset or a
+        broken chain of labels, ``FaultError`` if the disk fails.
         """
         name = check_person(person)
         with Dataset.open(other, create=False, write=False) as theirs:
@@ -373,19 +371,19 @@ class Dataset:
         return done
 
     def compare(self, first: str, second: str) -> AgreementReport:
-        """Return how far the answers of two persons agree."""
+        """Return the agreement of two persons."""
         return compare_labellers(self.database, self.geometry, first, second)
 
     def people(self) -> list[str]:
-        """Return the names of all who ever acted here."""
+        """Return the names of all persons who changed labels."""
         return self.labels.people()
 
     def close(self) -> None:
-        """Back up, close the catalogue and let others write; closing twice does no harm."""
+        """Back up, close the catalogue and release the lock. A second call has no effect."""
         if self._lock is not None:
             self._back_up(partial(self.backups.if_changed, "close"))
             with suppress(FaultError, RefusedError):
-                # Without it the next start takes longer, and that is all.
+                # Without it the next opening checks every folder.
                 self._checked.keep(self.database)
         self.database.close()
         if self._lock is not None:
@@ -400,7 +398,7 @@ class Dataset:
 
 
 def _describe(folder: Path) -> DatasetDescription:
-    """Return the description, made or moved to a new site where that is due."""
+    """Return the description; create it, or start a new site if the folder was moved."""
     home = f"{socket.gethostname()}:{folder.resolve()}"
     path = folder / DESCRIPTION
     if not path.is_file():
@@ -418,7 +416,7 @@ def _describe(folder: Path) -> DatasetDescription:
 
 
 def read_description(folder: Path) -> DatasetDescription:
-    """Return what ``dataset.json`` says; raises ``InputError`` if it cannot be read."""
+    """Read ``dataset.json``; raises ``InputError`` if it cannot be read."""
     path = folder / DESCRIPTION
     try:
         content = json.loads(path.read_text("utf-8"))
@@ -429,12 +427,12 @@ def read_description(folder: Path) -> DatasetDescription:
         ) from error
 
 
-Progress = Callable[[int, int], bool]  # gets (done, all) after each episode; False stops
+Progress = Callable[[int, int], bool]  # called with (done, total) after each episode; False stops
 
 
 @dataclass(frozen=True, slots=True)
 class QualityReport:
-    """``findings`` of the ``looked`` episodes, of ``count`` that the dataset has."""
+    """``findings`` of the ``looked`` examined episodes, out of ``count``."""
 
     findings: tuple[QualityIssue, ...]
     looked: int
@@ -442,9 +440,9 @@ class QualityReport:
 
 
 def check_dataset_quality(dataset: Dataset, progress: Progress) -> QualityReport:
-    """Examine every episode that is not deleted; stopped early, what was read until then.
+    """Examine every episode that is not deleted, until ``progress`` returns False.
 
-    Distribution and twins are judged pair by pair. Episodes that cannot be read are findings.
+    Distribution and duplicates are checked per pair of pieces. Unreadable episodes are findings.
     """
     entries = [entry for entry in dataset.episodes() if entry.file_state == "complete"]
     pairs: dict[tuple[str, str], list[ExaminedEpisode]] = defaultdict(list)
@@ -467,7 +465,7 @@ def check_dataset_quality(dataset: Dataset, progress: Progress) -> QualityReport
 def iter_observations(
     dataset: Dataset, entries: Iterable[EpisodeEntry]
 ) -> Iterator[tuple[EpisodeEntry, NDArray[np.float32] | InputError]]:
-    """Yield what the model sees of each episode, (20, 258), or why it cannot be read."""
+    """Yield the observation (20, 258) of each episode, or the error if it cannot be read."""
     sql = "SELECT uuid, chunk_off, chunk_len FROM episode WHERE chunk_off IS NOT NULL"
     chunks = {uuid: (offset, length) for uuid, offset, length in dataset.database.rows(sql)}
     for entry in entries:
@@ -486,7 +484,7 @@ def _observation(path: Path, chunk: tuple[int, int] | None) -> NDArray[np.float3
 def _named(
     finding: QualityIssue, pair: tuple[str, str], rows: list[ExaminedEpisode]
 ) -> QualityIssue:
-    """Name the pair where a finding is of all its episodes."""
+    """Add the name of the pair to a finding that concerns all its episodes."""
     if finding.episodes:
         return finding
     uuids = tuple(row.uuid for row in rows)
@@ -494,7 +492,7 @@ def _named(
 
 
 def _divided(dataset: Dataset, entries: list[EpisodeEntry]) -> Iterator[QualityIssue]:
-    """Yield each pair of a series that tags put on both sides of a split."""
+    """Yield the pairs of a series that tags put on both sides of the split."""
     tagged = tagged_sides(dataset.database)
     if not tagged:
         return

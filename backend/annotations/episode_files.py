@@ -1,6 +1,6 @@
-"""Consistency of episode and pack files with the index: adopt, mark, salvage, set aside.
+"""Consistency of episode and pack files with the index: adopt, mark, salvage, quarantine.
 
-No file is deleted that holds data. Each chunk of a pack is one episode of the dataset.
+No file that holds data is deleted. Each chunk of a pack is one episode of the dataset.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ PART = ".part"
 
 
 class EpisodeFileRow(NamedTuple):
-    """What the catalogue says of one file (a named tuple: a hundred thousand are made at once)."""
+    """Catalogue row of one file; a named tuple, as there are many."""
 
     uuid: str
     path: str
@@ -50,7 +50,7 @@ class EpisodeFileRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CompleteFile:
-    """A file that was read whole: everything its row needs."""
+    """Content of a complete file, as needed for its row."""
 
     path: Path
     uuid: str
@@ -60,9 +60,9 @@ class CompleteFile:
 
 
 def check_episode_files(where: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
-    """Yield what is out of order below ``raw``; ``whole`` compares every hash, too.
+    """Yield the problems below ``raw``; ``whole`` also compares every hash.
 
-    Folders that are known to be in order, and look as they did, are passed over unless ``whole``.
+    Folders that were checked before and did not change are skipped unless ``whole``.
     """
     now_ns = time.time_ns()
     known = {} if whole else where.checked.unchanged(where.folder)
@@ -79,7 +79,7 @@ def check_episode_files(where: DatasetParts, *, whole: bool) -> Iterator[Consist
         disorder.add(folder)
         yield finding
     counts = Counter(row.path.rpartition("/")[0] for row in rows)
-    # One that has folders in it is always looked into.
+    # Folders with subfolders are always read.
     outer = {name.rpartition("/")[0] for name in names}
     for name in set(folders) - disorder - outer:
         where.checked.remember(name, stamps[name], counts[name], now_ns)
@@ -88,15 +88,15 @@ def check_episode_files(where: DatasetParts, *, whole: bool) -> Iterator[Consist
 def _folder_rows(
     where: DatasetParts, known: Mapping[str, int], folders: set[str]
 ) -> list[EpisodeFileRow] | None:
-    """Return the rows of ``folders``, or of all where nothing is ``known``.
+    """Return the rows of ``folders``, or all rows if no folder is ``known``.
 
-    None if they and those of the known folders are not all there are: none must be passed over.
+    None if they and the rows of the known folders are not complete: then no folder may be skipped.
     """
     sql = "SELECT uuid, path, bytes, sha256, state FROM episode WHERE kind = 'file'"
     if not known:
         return [EpisodeFileRow._make(row) for row in where.database.rows(sql)]
-    # '0' follows '/'. Of a folder's own files alone: those further below have one of their own.
-    # Asked of the index by path first, and of the rows then: most folders have none to read.
+    # Files of the folder itself, without its subfolders; '0' follows '/' in the sort order. The
+    # index on paths is searched first, since most folders have no rows.
     sql += (
         " AND uuid IN (SELECT uuid FROM episode WHERE path >= ? || '/' AND path < ? || '0'"
         " AND NOT instr(substr(path, ?), '/'))"
@@ -106,7 +106,7 @@ def _folder_rows(
         for name in sorted(folders)
         for row in where.database.rows(sql, (name, name, len(name) + 2))
     ]
-    # Not by kind, which is in no index: what is not in a pack is a file.
+    # ``kind`` has no index: everything outside of packs is a file.
     count_sql = "SELECT count(*) FROM episode WHERE NOT (path >= 'packs/' AND path < 'packs0')"
     (count,) = where.database.one(count_sql)
     return rows if count == len(rows) + sum(known.values()) else None
@@ -115,7 +115,7 @@ def _folder_rows(
 def _compare_files(
     where: DatasetParts, folders: Sequence[str], rows: Sequence[EpisodeFileRow], *, whole: bool
 ) -> Iterator[tuple[ConsistencyProblem, str]]:
-    """Yield findings, each with the folder that it is about."""
+    """Yield problems, each with the folder that it concerns."""
     by_path = {row.path: row for row in rows}
     index = _RowIndex(where, {row.uuid: row for row in rows})
     found: set[str] = set()
@@ -142,7 +142,7 @@ def _compare_files(
 
 
 class _RowIndex(dict[str, EpisodeFileRow]):
-    """Rows by uuid; those that were not read before are looked up."""
+    """Rows by uuid; rows that were not preloaded are queried."""
 
     def __init__(self, where: DatasetParts, rows: Mapping[str, EpisodeFileRow]) -> None:
         super().__init__(rows)
@@ -160,7 +160,7 @@ class _RowIndex(dict[str, EpisodeFileRow]):
 
 
 def _folders(where: DatasetParts, name: str, known: Mapping[str, int]) -> Iterator[str]:
-    """Yield ``name`` and all folders below, in order; none is looked for below a known one."""
+    """Yield ``name`` and all folders below it, in order; known folders are not entered."""
     if not (where.folder / name).is_dir():
         return
     yield name
@@ -175,7 +175,7 @@ def _folders(where: DatasetParts, name: str, known: Mapping[str, int]) -> Iterat
 def _files(folder: Path, name: str) -> Iterator[tuple[str, int]]:
     """Yield episode files and leftovers in ``folder``, called ``name``, with their sizes.
 
-    Texts, not paths: a hundred thousand paths take longer to make than to read from the disk.
+    Yields texts: constructing 100,000 ``Path`` objects takes longer than reading the folder.
     """
     with os.scandir(folder) as entries:
         listed = sorted(entries, key=lambda entry: entry.name)
@@ -225,7 +225,7 @@ def _unknown(where: DatasetParts, path: Path, by_uuid: _RowIndex) -> Iterator[Co
 
 
 def read_complete(path: Path) -> CompleteFile:
-    """Read an episode file whole, all checksums included; ``InputError`` if it is no such file."""
+    """Read an episode file with all checksums; raises ``InputError`` if it is incomplete."""
     contents = read_whole(path)
     messages = contents.messages.get(LABEL.name, [])
     if "episode" not in contents.metadata or not messages:
@@ -246,7 +246,7 @@ def read_complete(path: Path) -> CompleteFile:
 
 
 def label_of(message: Mapping[str, Any]) -> Label:
-    """Return the label of a label message; raises ``ValueError`` unless it is in whole numbers."""
+    """Return the label of a label message; raises ``ValueError`` unless all values are integers."""
     values = [message.get(name) for name in ("x_um", "y_um", "theta_mdeg", "sigma_um")]
     if any(value is not None and type(value) is not int for value in values):
         raise ValueError("its label is not in whole µm and mdeg")
@@ -254,7 +254,7 @@ def label_of(message: Mapping[str, Any]) -> Label:
 
 
 def adopt_file(connection: sqlite3.Connection, where: DatasetParts, complete: CompleteFile) -> None:
-    """Enter the row of a complete file, and its first label unless the log has one already."""
+    """Insert the row of a complete file, and its first label if the log has none."""
     args = (complete.message, complete.quality, complete.keep_frames, complete.path, where.folder)
     row = {**episode_index.episode_row(*args), "adopted": 1}
     has_label = "SELECT 1 FROM label_rev WHERE episode = ? LIMIT 1"
@@ -268,7 +268,7 @@ def adopt_file(connection: sqlite3.Connection, where: DatasetParts, complete: Co
 
 
 def _double(where: DatasetParts, path: Path, row: EpisodeFileRow) -> ConsistencyProblem:
-    """Two files have one uuid: the one that the row's hash names stays."""
+    """Handle two files with one uuid: the file with the hash of the row stays."""
     kept = where.folder / row.path
     if file_sha256(path) != row.sha256 or (kept.exists() and file_sha256(kept) == row.sha256):
         said = f"{where.name(path)} is a second file of episode {row.uuid}: moved to quarantine."
@@ -301,7 +301,7 @@ def _torn_file(where: DatasetParts, path: Path, row: EpisodeFileRow | None) -> C
 def _left_over(
     where: DatasetParts, part: Path, by_path: dict[str, EpisodeFileRow]
 ) -> Iterator[ConsistencyProblem]:
-    """Yield what to do with ``.<episode>.mcap.part``."""
+    """Yield the repair of a leftover ``.<episode>.mcap.part``."""
     final = part.with_name(part.name.removeprefix(".").removesuffix(PART))
     row = by_path.get(where.name(final))
     if part.stat().st_size == 0:
@@ -337,7 +337,7 @@ def _is_reported(target: Path, part: Path) -> bool:
 
 
 def quarantine_file(where: DatasetParts, path: Path) -> Path:
-    """Move a file to the quarantine under a free name; returns where it is."""
+    """Move a file to the quarantine under a free name; return its new path."""
     make_folder(where.quarantine)
     target, number = where.quarantine / path.name, 1
     while target.exists():
@@ -361,7 +361,7 @@ def _state(row: EpisodeFileRow, state: str, said: str) -> ConsistencyProblem:
 
 
 def is_readable(path: Path) -> bool:
-    """Whether all checksums of an MCAP file are right."""
+    """Return True if all checksums of an MCAP file are right."""
     try:
         read_whole(path)
     except InputError:
@@ -380,14 +380,14 @@ def file_sha256(path: Path) -> str:
 
 PACKS = "packs"
 MODE = "mass"
-# Simulated episodes that fail a check are drawn again before they are packed.
+# Simulated episodes that fail a check are redrawn before they are packed.
 GOOD = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
 RANDOM_BITS = 74
 
 
 @dataclass(frozen=True, slots=True)
 class PackEntry:
-    """One episode of a pack: its id, where it stands, and its label message."""
+    """One episode of a pack: id, position and label message."""
 
     uuid: str
     chunk: StoredChunk
@@ -395,7 +395,7 @@ class PackEntry:
 
 
 def check_packs(where: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
-    """Yield what is out of order in the folder ``packs``; ``whole`` reads every chunk again."""
+    """Yield the problems of the folder ``packs``; ``whole`` reads every chunk again."""
     folder = where.folder / PACKS
     known = _known_packs(where)
     found: set[str] = set()
@@ -432,7 +432,7 @@ def read_pack_chunks(path: Path) -> Iterator[PackEntry]:
 
 
 def read_packed(path: Path, chunk: tuple[int, int]) -> Episode:
-    """Read one episode of a pack: what the model sees and the commanded offset, no recording."""
+    """Read one episode of a pack: observation and commanded offset, without recording."""
     group = read_chunk(path, *chunk)
     with input_errors(path):
         label = unpack_json(group.messages[LABEL.name][0])
@@ -442,7 +442,7 @@ def read_packed(path: Path, chunk: tuple[int, int]) -> Episode:
 
 
 def packed_uuid(chunk: StoredChunk) -> str:
-    """Return the id of a packed episode: from its content, at the beginning of time."""
+    """Return the id of a packed episode, derived from its content."""
     return uuid7_from_parts(0, int(chunk.sha256, 16) >> (256 - RANDOM_BITS))
 
 
@@ -455,9 +455,9 @@ def _known_packs(where: DatasetParts) -> dict[str, int]:
 def _compare_pack(
     where: DatasetParts, path: Path, listed: list[PackEntry], found: set[str]
 ) -> Iterator[ConsistencyProblem]:
-    """Yield what to do with a complete pack that is new, or not as it was.
+    """Yield the repair of a complete pack that is new or was changed.
 
-    The former name of a renamed pack joins ``found``.
+    The former name of a renamed pack is added to ``found``.
     """
     name = where.name(path)
     marks = ", ".join("?" * len(listed))
@@ -487,7 +487,7 @@ def _compare_pack(
 def enter_pack(
     connection: sqlite3.Connection, where: DatasetParts, path: Path, listed: list[PackEntry]
 ) -> None:
-    """Enter rows and first labels of packed episodes, as one operation; known ones are moved."""
+    """Insert rows and first labels of packed episodes as one operation; known ones are moved."""
     catalogue = load_pieces()
     name, size = where.name(path), path.stat()
     series = uuid7_from_parts(0, int(listed[0].chunk.sha256[:16], 16))
@@ -547,7 +547,7 @@ def _packed_row(
 def _pair(
     where: DatasetParts, catalogue: PieceLibrary, label: Mapping[str, Any], path: Path
 ) -> str:
-    """Store the geometry that a packed label was computed with; returns the hash of the pair."""
+    """Store the geometry of a packed label; return the hash of the pair."""
     piece, bottom = catalogue.piece(label["piece"]), catalogue.piece(label["bottom"])
     if piece.sha256 != label["geometry"]:
         raise InputError(
@@ -583,7 +583,7 @@ def _missing_pack(where: DatasetParts, name: str) -> Iterator[ConsistencyProblem
 
         def mend(connection: sqlite3.Connection) -> None:
             _mark(connection, uuids, "missing")
-            # Of no size, so that it is read again when it comes back.
+            # size 0, so that the pack is read again when it comes back
             values = (json.dumps({"pack": name, "bytes": 0}), uuids[0])
             sql = "UPDATE series SET bench = ? WHERE uuid = (SELECT series FROM episode"
             connection.execute(f"{sql} WHERE uuid = ?)", values)

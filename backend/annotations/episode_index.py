@@ -1,7 +1,7 @@
-"""Index of episodes: durable recording, listing by filters, campaigns, split tags.
+"""Index of episodes: durable recording, queries by filter, campaigns, split tags.
 
-Recording writes the file first, the row second, the journal last, so that every crash leaves a
-state that can be recovered.
+Recording writes the file first, the row second and the journal last, so the state after a crash can
+always be recovered.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ TABLES = "episode e JOIN label_head h ON h.episode = e.uuid"
 def label_message(
     episode: Episode, label: Label, source: Source, context: EpisodeContext, recorded_ns: int
 ) -> dict[str, object]:
-    """Return the label message of an episode file: everything its row needs, for adoption."""
+    """Return the label message of an episode file, with everything its row needs."""
     return {
         "episode": episode.episode_id,
         "x_um": label.x_um,
@@ -73,7 +73,7 @@ def label_message(
 def episode_row(
     message: Mapping[str, Any], quality: EpisodeQuality, keep_frames: str, path: Path, root: Path
 ) -> dict[str, Any]:
-    """Return the row of a complete episode file ``path`` below ``root`` from its label message."""
+    """Return the row of the complete episode file ``path`` below ``root``."""
     content = path.read_bytes()
     names = ("series", "campaign", "plan_item", "piece", "bottom", "geometry", "grip_id")
     return {
@@ -96,7 +96,7 @@ def episode_row(
 
 
 def insert_episode(connection: sqlite3.Connection, row: Mapping[str, Any]) -> None:
-    """Insert one row; raises ``sqlite3.IntegrityError`` if the uuid is there already."""
+    """Insert one row; raises ``sqlite3.IntegrityError`` if the uuid exists."""
     names = ", ".join(row)
     values = ", ".join(f":{name}" for name in row)
     connection.execute(f"INSERT INTO episode ({names}) VALUES ({values})", row)  # noqa: S608
@@ -153,7 +153,7 @@ def _conditions(wanted: EpisodeFilter) -> tuple[str, list[Any]]:
     if wanted.states:
         terms.append(f"h.state IN ({', '.join('?' * len(wanted.states))})")
         values += wanted.states
-    # Few episodes bear a mark: start from those, not from all.
+    # Few episodes have a mark, so the query starts from the marks.
     for name in filter(None, (FLAG if wanted.flagged else None, wanted.tag)):
         terms.append("e.uuid IN (SELECT episode FROM mark WHERE name = ? AND present)")
         values.append(name)
@@ -170,14 +170,14 @@ RAW = "raw"
 
 @dataclass(frozen=True, slots=True)
 class WrittenEpisode:
-    """An episode file that is complete and durable, and the row that describes it."""
+    """A complete and durable episode file, with the row that describes it."""
 
     path: Path
     row: Mapping[str, Any]
 
 
 def with_uuid(episode: Episode) -> Episode:
-    """Return the episode under an id of the dataset; its former id goes to its metadata."""
+    """Return the episode with an id of the dataset; its former id moves to the metadata."""
     if is_uuid7(episode.episode_id):
         return episode
     pairs = (*episode.metadata, ("recorded_as", episode.episode_id))
@@ -191,10 +191,10 @@ def write_episode_file(
     context: EpisodeContext,
     keep_frames: KeepFrames,
 ) -> WrittenEpisode:
-    """Write the episode file, read it back and give it its name; raises ``FaultError``.
+    """Write the episode file, verify it and give it its final name; raises ``FaultError``.
 
-    A disk that refuses is tried once more with a new file (never a second sync of the same one:
-    the system may have dropped its pages already); a full disk is not.
+    After a write error the file is written once more under a new name, unless the disk is full. The
+    same file is never synced twice, since the system may have dropped its pages.
     """
     path = root / RAW / context.series / f"{episode.episode_id}.mcap"
     bench = {"mode": context.mode, "seed": "" if context.seed is None else str(context.seed)}
@@ -217,7 +217,7 @@ def enter_episode(
     content: LabelContent,
     verb: str,
 ) -> Operation:
-    """Enter row, operation, first revision and head, within the caller's transaction.
+    """Insert row, operation, first revision and head within the caller's transaction.
 
     ``verb``: ``record``, or ``adopt`` for a file found on disk.
     """
@@ -244,7 +244,7 @@ def _not_recorded(error: OSError) -> Fault:
 
 @dataclass(frozen=True, slots=True)
 class CampaignEntry:
-    """One campaign: items done (accepted and not deleted) and all its episodes. Times are UTC."""
+    """One campaign: completed items (accepted, not deleted) and all episodes. Times are UTC."""
 
     uuid: str
     piece: str
@@ -256,7 +256,7 @@ class CampaignEntry:
 
 
 def items_deleted(database: Database, campaign: str, reason: str) -> set[int]:
-    """Return the items of a campaign with an episode that was deleted for this very reason."""
+    """Return the items of a campaign with an episode deleted for exactly this reason."""
     sql = (
         "SELECT e.plan_item FROM episode e JOIN mark m ON m.episode = e.uuid"
         " WHERE e.campaign = ? AND e.plan_item IS NOT NULL AND m.name = ? AND m.present"
@@ -266,7 +266,7 @@ def items_deleted(database: Database, campaign: str, reason: str) -> set[int]:
 
 
 def list_campaigns(database: Database) -> list[CampaignEntry]:
-    """Return the campaigns that have episodes, the newest last."""
+    """Return the campaigns that have episodes, newest last."""
     sql = "SELECT uuid, piece, bottom, began_ns, last_ns, episodes, done FROM campaign"
     return [CampaignEntry(*row) for row in database.rows(f"{sql} ORDER BY began_ns")]
 

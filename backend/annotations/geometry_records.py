@@ -1,6 +1,6 @@
 """Immutable geometry records (face, grid, pair), named by their hash.
 
-True contact patches derive from them.
+True contact patches are derived from them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from touchdown.backend.geometry import (
 
 VERSION = 1
 GRID_UM = 1000
-# Rule 1: a face point touches if it lies inside the bottom outline or on its edge.
+# Rule 1: a face point is in contact if it lies inside the bottom outline or on its edge.
 INSIDE_OR_ON_EDGE = 1
 
 Record = dict[str, object]
@@ -38,10 +38,10 @@ Record = dict[str, object]
 
 @dataclass(frozen=True, slots=True)
 class TruePatch:
-    """Which points of the face touch, by geometry and label.
+    """Face points in contact, from geometry and label.
 
-    ``points_mm`` (N, 2) in the face frame; ``touching`` (N,) bool; ``centre_mm``: projection of
-    the centre of mass on the face.
+    ``points_mm`` (N, 2) in the face frame; ``touching`` (N,) bool; ``centre_mm``: projection of the
+    centre of mass on the face.
     """
 
     points_mm: FloatArray
@@ -51,7 +51,7 @@ class TruePatch:
 
 @dataclass(frozen=True)
 class Pair:
-    """Geometry of a grasped face over a bottom face."""
+    """Geometry of a grasped face above a bottom face."""
 
     sha256: str
     face: Outline
@@ -68,7 +68,7 @@ class Pair:
 
 
 def face_record(outline: Outline, com_xy_mm: Point = (0.0, 0.0)) -> Record:
-    """Return the record of a face; ``com_xy_mm``: centre of mass beside the face's centre."""
+    """Return the record of a face; ``com_xy_mm``: centre of mass relative to the face's centre."""
     record: Record = {"kind": "face", "v": VERSION, "com_um": [_um(value) for value in com_xy_mm]}
     if outline.kind == "circle":
         return record | {"shape": "circle", "d_um": _um(2 * outline.radius_mm)}
@@ -82,7 +82,7 @@ def grid_record(pitch_um: int = GRID_UM) -> Record:
 
 
 def pair_records(piece: Piece, bottom: Piece) -> dict[str, Record]:
-    """Return the records of ``piece`` over ``bottom`` by hash; the pair itself comes last."""
+    """Return the records of ``piece`` above ``bottom`` by hash; the pair comes last."""
     parts = [face_record(piece.face, piece.com_xy_mm), face_record(bottom.face), grid_record()]
     face, below, grid = (content_hash(part) for part in parts)
     pair: Record = {"kind": "pair", "v": VERSION, "rule": INSIDE_OR_ON_EDGE}
@@ -91,7 +91,7 @@ def pair_records(piece: Piece, bottom: Piece) -> dict[str, Record]:
 
 
 class GeometryStore:
-    """The folder ``geometry`` of a dataset. Reading is memoised: a record never changes."""
+    """Folder ``geometry`` of a dataset. Reads are cached, since records never change."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -99,7 +99,7 @@ class GeometryStore:
         self._pair = lru_cache(maxsize=256)(self._load_pair)
 
     def store_pair(self, piece: Piece, bottom: Piece) -> str:
-        """Write the records of a pair, as far as they are new; returns the hash of the pair."""
+        """Write the missing records of a pair; return the hash of the pair."""
         records = pair_records(piece, bottom)
         for name, record in records.items():
             path = self.folder / f"{name}.json"
@@ -108,11 +108,11 @@ class GeometryStore:
         return list(records)[-1]
 
     def pair(self, sha256: str) -> Pair:
-        """Return a pair by its hash; raises ``InputError`` if it is missing or was changed."""
+        """Return a pair by its hash; raises ``InputError`` if it is missing or changed."""
         return self._pair(sha256)
 
     def patch(self, sha256: str, label: Label) -> TruePatch:
-        """Return the true patch of ``label`` with the pair ``sha256``; no offset, no contact."""
+        """Return the true patch of ``label`` for the pair ``sha256``; empty without offset."""
         return self._patch(sha256, label)
 
     def read(self, sha256: str) -> Mapping[str, Any]:

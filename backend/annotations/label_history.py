@@ -1,6 +1,6 @@
 """History of the labels: heads, marks, log entries, undo and redo stacks.
 
-Undo and redo are recomputed from the log: they survive restarts and have no limit.
+Undo and redo are computed from the log, so they survive a restart and have no limit.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ from touchdown.backend.annotations.values import (
 )
 from touchdown.backend.core import FloatArray, InputError, RefusedError
 
-TOGETHER = 500  # so many episodes are asked for in one query
+TOGETHER = 500  # episodes per query
 
 
 class LabelReader:
-    """Reads the labels of one dataset."""
+    """Read access to the labels of one dataset."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
     def head(self, uuid: str) -> Revision:
-        """Return the revision that holds; raises ``InputError`` if there is no such episode."""
+        """Return the valid revision; raises ``InputError`` if there is no such episode."""
         row = self._database.first(
             f"SELECT {REVISION} FROM label_head h JOIN label_rev r USING (rev_uuid)"  # noqa: S608
             " JOIN op o USING (op_uuid) WHERE h.episode = ?",
@@ -59,7 +59,7 @@ class LabelReader:
         return as_revision(row)
 
     def offsets_mm(self, uuids: Sequence[str]) -> FloatArray:
-        """Return (n, 2) displacements of the heads of known episodes, NaN where there is none."""
+        """Return the offsets (n, 2) of the valid revisions; NaN without offset."""
         found: dict[str, tuple[float, float]] = {}
         for start in range(0, len(uuids), TOGETHER):
             some = uuids[start : start + TOGETHER]
@@ -75,9 +75,9 @@ class LabelReader:
         return np.array(places, dtype=np.float64).reshape(-1, 2)
 
     def history(self, uuid: str) -> list[Revision]:
-        """Return all revisions of an episode, oldest first, the branches of a merge included.
+        """Return all revisions of an episode, oldest first, including branches of a merge.
 
-        An approved revision that a later approved one replaced reads ``superseded``.
+        An approved revision that a later approved one replaced has the state ``superseded``.
         """
         rows = self._database.rows(
             f"SELECT {REVISION} FROM label_rev r JOIN op o USING (op_uuid)"  # noqa: S608
@@ -92,33 +92,33 @@ class LabelReader:
         return [replace(r, state="superseded") if r.rev_uuid in old else r for r in found]
 
     def standing(self, uuid: str) -> ReviewStatus:
-        """Return what decides which actions an episode allows."""
+        """Return the review status of an episode, which determines the permitted actions."""
         with self._database.reading() as connection:
             return read_review_status(connection, uuid)
 
     def conflicting(self, uuid: str) -> list[Revision]:
-        """Return the leaves of an episode, the head last; more than one is a conflict."""
+        """Return the leaves of an episode, head last; more than one leaf is a conflict."""
         with self._database.reading() as connection:
             leaves = review.leaves_of(*review.read_nodes(connection, uuid))
             return [read_revision(connection, leaf.rev_uuid) for leaf in leaves]
 
     def marks(self, uuid: str) -> dict[str, str]:
-        """Return the marks on an episode (flag, deleted, tags) and the note of each."""
+        """Return the marks of an episode (flag, deleted, tags) with their notes."""
         sql = "SELECT name, note FROM mark WHERE episode = ? AND present ORDER BY name"
         return dict(self._database.rows(sql, (uuid,)))
 
     def steps_apart(self, person: str, uuid: str) -> list[ControlItemStep]:
-        """Return what ``person`` did to an episode as gold, oldest first."""
+        """Return the steps of ``person`` on one control item, oldest first."""
         with self._database.reading() as connection:
             return operation_log.read_steps(connection, person, uuid)
 
     def left_apart(self, person: str) -> dict[str, ControlItemStep]:
-        """Return what ``person`` did last to each episode that was gold to them."""
+        """Return the latest step of ``person`` on each control item."""
         with self._database.reading() as connection:
             return operation_log.last_steps(connection, person)
 
     def counting(self, uuid: str) -> Revision | None:
-        """Return the approved revision that training uses, or None."""
+        """Return the approved revision used for training, or None."""
         row = self._database.first(
             "SELECT counting FROM label_head WHERE episode = ? AND NOT conflict AND NOT deleted",
             (uuid,),
@@ -130,7 +130,7 @@ class LabelReader:
 
     def log(self, *, actor: str | None = None, episode: str | None = None,
             text: str = "", limit: int = 500) -> list[Operation]:  # fmt: skip
-        """Return operations, newest first: of one person, on one episode, holding ``text``."""
+        """Return operations, newest first, filtered by person, episode or ``text``."""
         terms, values = ["1"], list[object]()
         if actor is not None:
             terms.append("actor = ?")
@@ -146,17 +146,17 @@ class LabelReader:
         return [as_operation(row) for row in rows]
 
     def people(self) -> list[str]:
-        """Return the names of all who acted."""
+        """Return the names of all persons who changed labels."""
         return [name for (name,) in self._database.rows("SELECT DISTINCT actor FROM op ORDER BY 1")]
 
     def chain_heads(self) -> dict[str, str]:
-        """Return the newest hash of every site, for backups, manifests and training runs."""
+        """Return the newest hash per site, for backups, manifests and training runs."""
         with self._database.reading() as connection:
             return {site: digest for site, (_, digest) in newest_operations(connection).items()}
 
 
 def read_review_status(connection: sqlite3.Connection, uuid: str) -> ReviewStatus:
-    """Return what decides about actions; raises ``InputError`` if there is no such episode."""
+    """Return the review status; raises ``InputError`` if there is no such episode."""
     row = connection.execute(
         "SELECT state, authors, counting, conflict, deleted FROM label_head WHERE episode = ?",
         (uuid,),
@@ -173,19 +173,19 @@ def _unknown(uuid: str) -> InputError:
     return InputError("There is no such episode.", uuid, "List the episodes of the dataset.")
 
 
-# Verbs that are no action of a person, so that no undo takes them back.
+# Verbs of operations by the program, which cannot be undone.
 NO_STEPS = ("record", "adopt", "import", "label.opinion")
 
 
 @dataclass(slots=True)
 class UndoStacks:
-    """Operations of one person that can be undone, and undos that can be redone; last on top."""
+    """Operations of one person to undo, and undo operations to redo; the latest on top."""
 
     undo: list[str] = field(default_factory=list)
     redo: list[str] = field(default_factory=list)
 
     def apply(self, op_uuid: str, verb: str, target: str | None) -> None:
-        """Take note of the next operation of the person."""
+        """Update the stacks with the next operation of the person."""
         if verb in NO_STEPS:
             return
         if verb == "undo":
@@ -200,13 +200,13 @@ class UndoStacks:
 
     @staticmethod
     def _move(target: str | None, stack: list[str]) -> None:
-        # After a merge the operations of two sites interleave: it need not be the topmost.
+        # After a merge the operations of two sites interleave: it may not be the topmost.
         if target in stack:
             stack.remove(str(target))
 
 
 def read_undo_stacks(connection: sqlite3.Connection, person: str) -> UndoStacks:
-    """Return the stacks of ``person`` from the whole log."""
+    """Return the stacks of ``person``, computed from the whole log."""
     stacks = UndoStacks()
     rows = connection.execute(
         "SELECT op_uuid, verb, target_op FROM op WHERE actor = ? ORDER BY lamport, site, seq",
@@ -218,10 +218,10 @@ def read_undo_stacks(connection: sqlite3.Connection, person: str) -> UndoStacks:
 
 
 def inverse_draft(connection: sqlite3.Connection, operation: Operation) -> OperationDraft:
-    """Return what takes ``operation`` back.
+    """Return the draft that reverts ``operation``.
 
-    Raises ``RefusedError``, naming who, if anybody changed one of its episodes since. A change
-    that was itself undone is none.
+    Raises ``RefusedError`` with the name of a person who changed one of its episodes since. A
+    change that was itself undone does not count.
     """
     draft = OperationDraft()
     body: Mapping[str, Any] = operation.body
@@ -234,7 +234,7 @@ def inverse_draft(connection: sqlite3.Connection, operation: Operation) -> Opera
     for rev_uuid in body["closes"]:
         retired = read_revision(connection, rev_uuid)
         draft.add_copy(_following(retired, retired), rev_uuid)
-    # Of several leaves the one that led before has to lead again: ids decide, and they rise.
+    # The former head has to be the head again: the leaf of the greatest id wins, and ids rise.
     if body["closes"]:
         _renumber(connection, draft)
     for mark in body.get("marks", ()):
@@ -245,14 +245,14 @@ def inverse_draft(connection: sqlite3.Connection, operation: Operation) -> Opera
 
 
 class _EpisodeHistory:
-    """The revisions of one episode, and what its leaves stand for."""
+    """Revisions of one episode, and the originals behind its leaves."""
 
     def __init__(self, nodes: list[RevisionNode], closed: Iterable[str]) -> None:
         self.by_id = {node.rev_uuid: node for node in nodes}
         self.leaves = {self.original(leaf): leaf for leaf in leaves_of(nodes, closed)}
 
     def original(self, node: RevisionNode) -> str | None:
-        """Return the revision that ``node`` brought back, or itself; None for the very start."""
+        """Return the revision that ``node`` restored, or itself; None for the first one."""
         while node.verb in REVERSING:
             if node.copy_of is None:
                 return None
@@ -276,7 +276,7 @@ def _take_back(
     for key, node in expected.items():
         leaf = story.leaves[key].rev_uuid
         if node.verb in REVERSING and node.copy_of == node.parent:
-            # It had reopened a retired revision: retire that again.
+            # It had reopened a closed revision: close it again.
             draft.closes.append(leaf)
             continue
         now = read_revision(connection, leaf)
@@ -294,7 +294,7 @@ def _following(parent: Revision, said: Revision) -> dict[str, Any]:
 
 
 def _renumber(connection: sqlite3.Connection, draft: OperationDraft) -> None:
-    """Give the copies of ``draft`` new ids, rising in the order of what they copy."""
+    """Give the copies of ``draft`` new ids in the order of their sources."""
     revs, copies = draft.revs, draft.copies
     revs.sort(key=lambda rev: _order(connection, copies[rev["rev_uuid"]]))
     draft.revs, draft.copies = [], {}

@@ -1,4 +1,4 @@
-"""Editing of the labels of a dataset, one by one or in bulk, each change one undoable operation.
+"""Editing of labels, one by one or in bulk. Each change is one operation that can be undone.
 
 A bulk change is previewed first, then applied as one operation.
 """
@@ -51,7 +51,7 @@ from touchdown.backend.core import InputError, RefusedError, SharedLock
 
 @dataclass(frozen=True, slots=True)
 class ShiftOrigin:
-    """The origin of the bottom was wrong: add this to every offset."""
+    """Correct the origin of the bottom: add this vector to every offset."""
 
     dx_um: int
     dy_um: int
@@ -59,14 +59,14 @@ class ShiftOrigin:
 
 @dataclass(frozen=True, slots=True)
 class RotateFrame:
-    """The axes of the bottom were turned: turn every offset (and rotation) counter-clockwise."""
+    """Correct the axes of the bottom: rotate every offset (and rotation) counter-clockwise."""
 
     angle_mdeg: int
 
 
 @dataclass(frozen=True, slots=True)
 class MoveGeometry:
-    """A dimension was corrected: labels with the pair ``old`` refer to the pair ``new``."""
+    """Correct a dimension: labels of the pair ``old`` refer to the pair ``new``."""
 
     old: str
     new: str
@@ -74,7 +74,7 @@ class MoveGeometry:
 
 @dataclass(frozen=True, slots=True)
 class SetState:
-    """Accept, approve or reject (with a ``reason``) as they are."""
+    """Accept, approve or reject (with a ``reason``) labels without changing them."""
 
     action: Action
     reason: str = ""
@@ -85,7 +85,7 @@ BulkChange = ShiftOrigin | RotateFrame | MoveGeometry | SetState
 
 @dataclass(frozen=True, slots=True)
 class BulkChangeRow:
-    """One label as it is and as it would be."""
+    """One label before and after a bulk change."""
 
     before: Revision
     after: LabelContent
@@ -93,15 +93,15 @@ class BulkChangeRow:
 
     @property
     def episode(self) -> str:
-        """Whose label it is."""
+        """Id of the episode."""
         return self.before.episode
 
 
 @dataclass(frozen=True, slots=True)
 class BulkPreview:
-    """What a change would do: ``rows`` change, ``refused`` (episode, reason) do not.
+    """Effect of a bulk change: ``rows`` to change, ``refused`` pairs (episode, reason).
 
-    It holds the heads it has seen: applying it is refused once one of them has changed.
+    It stores the heads it was computed from; applying it is refused once one of them has changed.
     """
 
     change: BulkChange
@@ -110,7 +110,7 @@ class BulkPreview:
 
     @property
     def token(self) -> str:
-        """Hash of the change and the heads seen."""
+        """Hash of the change and of the heads."""
         seen = [row.before.rev_uuid for row in self.rows]
         return content_hash({"seen": seen, "change": {"kind": type(self.change).__name__}
                              | asdict(self.change)})  # fmt: skip
@@ -124,7 +124,7 @@ def preview_bulk_change(
     *,
     four_eyes: bool,
 ) -> BulkPreview:
-    """Return what ``change`` would do to the heads of ``uuids``; nothing is written."""
+    """Return the effect of ``change`` on the heads of ``uuids``; nothing is written."""
     if isinstance(change, SetState) and change.action == "set":
         raise InputError("A state cannot be 'set'.", "action", "Use accept, approve or reject.")
     rows, refused = [], []
@@ -150,7 +150,7 @@ def fill_bulk_draft(
     *,
     four_eyes: bool,
 ) -> None:
-    """Put what was previewed into ``draft``; raises ``RefusedError`` if a label changed since."""
+    """Add the previewed changes to ``draft``; raises ``RefusedError`` if a label changed since."""
     changed = []
     for row in wanted.rows:
         head, standing = _head(connection, row.episode), read_review_status(connection, row.episode)
@@ -196,7 +196,7 @@ def _corrected(head: Revision, change: ShiftOrigin | RotateFrame | MoveGeometry)
     if isinstance(change, MoveGeometry):
         if head.geometry != change.old:
             raise RefusedError("other geometry", "It belongs to another geometry.")
-        # What is rejected stays so: a corrected dimension is no reason to use it again.
+        # Rejected labels stay rejected when a dimension is corrected.
         keeps = head.state in ("unlabelled", "rejected")
         return BulkChangeRow(
             head, replace(said, geometry=change.new), head.state if keeps else "draft"
@@ -224,10 +224,10 @@ def _moved(label: Label, change: ShiftOrigin | RotateFrame) -> Label:
 
 
 class LabelStore(LabelReader):
-    """Labels of one dataset. ``site``: the chain that new operations continue.
+    """Labels of one dataset. ``site``: hash chain that new operations continue.
 
-    ``four_eyes``: nobody reviews what they wrote. ``frozen``: why nothing may be changed ("" if it
-    may); set where the chain of hashes is broken.
+    ``four_eyes``: nobody may review their own work. ``frozen``: reason why labels are read-only,
+    set if the hash chain is broken; "" if they can be changed.
     """
 
     def __init__(self, database: Database, journal: OperationJournal, site: str) -> None:
@@ -241,8 +241,6 @@ class LabelStore(LabelReader):
         self.after_commit: Callable[[], None] = lambda: None
         self.before_bulk: Callable[[], None] = lambda: None
 
-    # One episode
-
     def set(
         self,
         person: str,
@@ -253,10 +251,10 @@ class LabelStore(LabelReader):
         verdict: Verdict | None = None,
         note: str | None = None,
     ) -> Revision:
-        """Write a draft. ``source`` None: ``human`` if the offset changed, else as it was.
+        """Write a draft; writes nothing if nothing changed.
 
-        ``verdict`` and ``note`` None: as they were. Nothing changed: nothing is written. Another's
-        draft or rejected label has to be taken over first.
+        ``source`` None: ``human`` if the offset changed, else unchanged. ``verdict`` and ``note``
+        None: unchanged. A draft or rejected label of another person has to be taken over first.
         """
         with self._act(person, "label.set") as (connection, draft, name):
             head, standing = _look(connection, uuid)
@@ -276,7 +274,7 @@ class LabelStore(LabelReader):
         verdict: Verdict | None = None,
         looked: AnswerContext | None = None,
     ) -> Revision:
-        """Submit a draft for review; with a ``label`` that differs, set and submit it in one."""
+        """Submit a draft for review; a differing ``label`` is set in the same operation."""
         with self._act(person, "label.accept_next", looked) as (connection, draft, name):
             head, standing = _look(connection, uuid)
             wanted = _edited(head, label or head.label, source, verdict, None)
@@ -288,7 +286,7 @@ class LabelStore(LabelReader):
         return self.head(uuid)
 
     def take_over(self, person: str, uuid: str) -> Revision:
-        """Make another's draft or rejected label a draft of ``person``, as it is."""
+        """Turn a draft or rejected label of another person into a draft of ``person``."""
         with self._act(person, "label.take_over") as (connection, draft, name):
             head, standing = _look(connection, uuid)
             review.check_open(standing)
@@ -304,7 +302,7 @@ class LabelStore(LabelReader):
     def reject(
         self, person: str, uuid: str, reason: str, *, looked: AnswerContext | None = None
     ) -> Revision:
-        """Reject a label with a reason; it goes back to its author."""
+        """Reject a label with a reason; it returns to its author."""
         if not reason.strip():
             raise InputError(
                 "A rejection needs a reason.", uuid, f"For instance: {', '.join(REJECT_REASONS)}."
@@ -328,9 +326,9 @@ class LabelStore(LabelReader):
         return self.head(uuid)
 
     def resolve(self, person: str, uuid: str, rev_uuid: str) -> Revision:
-        """End a conflict: ``rev_uuid``, one of the leaves, holds and the others are closed.
+        """End a conflict: the leaf ``rev_uuid`` becomes valid, the others are closed.
 
-        With four eyes nobody lets an approval of their own work win over another review.
+        With ``four_eyes``, a person cannot prefer an approval of their own work to another review.
         """
         with self._act(person, "resolve") as (connection, draft, name):
             nodes, closed = heads.read_nodes(connection, uuid)
@@ -353,9 +351,9 @@ class LabelStore(LabelReader):
         verdict: Verdict | None = None,
         looked: AnswerContext | None = None,
     ) -> None:
-        """Keep what ``person`` would have answered, for figures of agreement; no label changes.
+        """Store an answer of ``person`` for agreement figures; no label changes.
 
-        The latest answer counts; it is no step of undo.
+        The latest answer counts. An opinion cannot be undone.
         """
         with self._act(person, "label.opinion", looked) as (connection, draft, _):
             read_review_status(connection, uuid)
@@ -364,13 +362,13 @@ class LabelStore(LabelReader):
     def keep_apart(
         self, person: str, verb: str, step: ControlItemStep, *, looked: AnswerContext | None = None
     ) -> None:
-        """Keep what ``person`` did to gold: a step of undo like any other, but in no label."""
+        """Store a step on a control item; it can be undone but changes no label."""
         with self._act(person, verb, looked) as (connection, draft, _):
             read_review_status(connection, step.version.episode)
             operation_log.add_step(draft, step)
 
     def restore_revision(self, person: str, uuid: str, rev_uuid: str) -> Revision:
-        """Write an old revision again, as a draft with its own source."""
+        """Write an old revision again as a draft with its original source."""
         with self._database.reading() as connection:
             old = read_revision(connection, rev_uuid)
         if old.episode != uuid:
@@ -379,16 +377,14 @@ class LabelStore(LabelReader):
             person, uuid, old.label, source=old.source, verdict=old.verdict, note=old.note
         )
 
-    # Many episodes
-
     def preview(self, person: str, uuids: Iterable[str], change: BulkChange) -> BulkPreview:
-        """Return what ``change`` would do to these episodes; nothing is written."""
+        """Return the effect of ``change`` on these episodes; nothing is written."""
         name = check_person(person)
         with self._database.reading() as connection:
             return preview_bulk_change(connection, uuids, change, name, four_eyes=self.four_eyes)
 
     def bulk(self, person: str, wanted: BulkPreview) -> int:
-        """Do what was previewed, as one operation; returns how many labels changed.
+        """Apply a previewed change as one operation; return the number of changed labels.
 
         Raises ``RefusedError`` and changes nothing if one of the labels changed since.
         """
@@ -397,10 +393,8 @@ class LabelStore(LabelReader):
             fill_bulk_draft(connection, draft, wanted, name, four_eyes=self.four_eyes)
         return len(wanted.rows)
 
-    # Marks
-
     def skip(self, person: str, uuid: str) -> None:
-        """Put an episode behind all others of its queue."""
+        """Move an episode to the end of its queue."""
         self._mark(person, "skip", uuid, SKIPPED, present=True)
 
     def flag(self, person: str, uuid: str, present: bool = True, note: str = "") -> None:
@@ -408,19 +402,19 @@ class LabelStore(LabelReader):
         self._mark(person, "flag", uuid, FLAG, present=present, note=note)
 
     def tag(self, person: str, uuid: str, name: str, present: bool = True) -> None:
-        """Set or remove a tag (any word but those of the catalogue itself)."""
+        """Set or remove a tag (any word that the catalogue does not use itself)."""
         if not name.strip() or name in (FLAG, SKIPPED, DELETED):
             raise InputError("This cannot be a tag.", repr(name), "Choose another word.")
         self._mark(person, "tag", uuid, name.strip(), present=present)
 
     def delete(self, person: str, uuid: str, reason: str) -> None:
-        """Hide an episode, with a reason; its file and history stay."""
+        """Hide an episode, with a reason; its file and history are kept."""
         if not reason.strip():
             raise InputError("A deletion needs a reason.", uuid, "Say why in a few words.")
         self._mark(person, "delete", uuid, DELETED, present=True, note=reason.strip())
 
     def restore(self, person: str, uuid: str, reason: str = "") -> None:
-        """Bring a deleted episode back."""
+        """Restore a deleted episode."""
         self._mark(person, "restore", uuid, DELETED, present=False, note=reason.strip())
 
     def _mark(self, person: str, verb: str, uuid: str, name: str, *,
@@ -433,25 +427,23 @@ class LabelStore(LabelReader):
             if mark["present"] != mark["was"] or mark["note"] != mark["was_note"]:
                 draft.marks.append(mark)
 
-    # Undo
-
     def can_undo(self, person: str) -> bool:
-        """Whether ``person`` has an action to undo."""
+        """Return True if ``person`` has an action to undo."""
         return bool(self._stack(person).undo)
 
     def can_redo(self, person: str) -> bool:
-        """Whether ``person`` has an undo to take back."""
+        """Return True if ``person`` has an undo to revert."""
         return bool(self._stack(person).redo)
 
     def undo(self, person: str) -> Operation | None:
-        """Take back the last action of ``person``; None if there is none.
+        """Undo the latest action of ``person``; None if there is none.
 
-        Raises ``RefusedError`` naming who changed the label since.
+        Raises ``RefusedError`` with the name of a person who changed the label since.
         """
         return self._reverse(person, "undo", self._stack(person).undo)
 
     def redo(self, person: str) -> Operation | None:
-        """Take back the last undo of ``person``; None if there is none."""
+        """Revert the latest undo of ``person``; None if there is none."""
         return self._reverse(person, "redo", self._stack(person).redo)
 
     def _reverse(self, person: str, verb: str, stack: Sequence[str]) -> Operation | None:
@@ -474,17 +466,15 @@ class LabelStore(LabelReader):
             return self._stacks[person]
 
     def take_stock(self) -> None:
-        """Follow operations that came from elsewhere (a merge): undo, redo and all journals."""
+        """Read operations added by a merge: update undo, redo and all journals."""
         sites = self._database.rows("SELECT DISTINCT site FROM op")
         with self._lock:
             self._stacks.clear()
             self._follow(*(site for (site,) in sites))
 
-    # Writing
-
     @contextmanager
     def commit(self) -> Iterator[sqlite3.Connection]:
-        """One transaction on the log; the journal follows it. For the parts of the catalogue."""
+        """Run one transaction on the log and write the journal after it."""
         self.refuse_if_frozen()
         with self._lock:
             with self._database.transaction() as connection:
@@ -493,7 +483,7 @@ class LabelStore(LabelReader):
         self.after_commit()
 
     def refuse_if_frozen(self) -> None:
-        """Raise ``RefusedError`` where the log may not be continued."""
+        """Raise ``RefusedError`` if the labels are read-only."""
         if self.frozen:
             raise RefusedError("labels are read-only", self.frozen)
 
@@ -504,7 +494,7 @@ class LabelStore(LabelReader):
                     self._journal.catch_up(connection, site)
             self.journal_trouble = ""
         except OSError as error:
-            # The operation is safe in the catalogue; the next append writes what is missing.
+            # The operation is stored in the catalogue; the next append completes the journal.
             self.journal_trouble = f"The journal of labels lags behind: {error}."
 
     @contextmanager
@@ -557,6 +547,6 @@ def _edited(head: Revision, label: Label, source: Source | None, verdict: Verdic
 
 
 def _following(head: Revision, said: Revision, state: LabelState) -> dict[str, Any]:
-    """Return the revision after ``head`` that says what ``said`` says."""
+    """Return the revision after ``head`` with the content ``said``."""
     reason = said.reason if state == "rejected" else None
     return new_revision(head.episode, head.rev_uuid, LabelContent.of(said), state, reason)

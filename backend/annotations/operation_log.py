@@ -1,7 +1,7 @@
 """Append-only log of label operations, in the database and as JSON lines.
 
-The lines are in ``labels/<site>.jsonl``. Other tables derive from the log. Work on control items is
-logged apart from labels.
+The JSON lines are in ``labels/<site>.jsonl``. All other label tables derive from the log. Work on
+control items is stored apart from labels.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ REVERSING = ("undo", "redo")
 
 
 class EpisodeMark(TypedDict):
-    """A word put on an episode or taken off, and what was there before.
+    """A mark set on or removed from an episode, with the previous state.
 
-    ``owner``: the operation whose mark it is, None for the one that writes it; an undo gives it
-    back to the one before ("" if there was none).
+    ``owner``: the operation that owns the mark, None for the one that writes it. An undo returns it
+    to the previous owner ("" if there was none).
     """
 
     episode: str
@@ -53,9 +53,10 @@ class EpisodeMark(TypedDict):
 
 @dataclass(slots=True)
 class OperationDraft:
-    """What one action is about to write. ``copies``: whose content a revision writes again.
+    """Content of an operation before it is written.
 
-    ``apart``: steps on gold, which are in no label.
+    ``copies``: source revision of each revision that repeats another one. ``apart``: steps on
+    control items, which are in no label.
     """
 
     revs: list[dict[str, Any]] = field(default_factory=list)
@@ -68,12 +69,12 @@ class OperationDraft:
     extra: dict[str, object] = field(default_factory=dict)
 
     def add_copy(self, revision: dict[str, Any], source: str) -> None:
-        """Write ``revision``, whose content is that of the revision ``source``."""
+        """Add ``revision``, which repeats the content of the revision ``source``."""
         self.revs.append(revision)
         self.copies[revision["rev_uuid"]] = source
 
     def body(self) -> dict[str, object]:
-        """Return the body of the operation; empty optional parts are left out."""
+        """Return the body of the operation without empty optional parts."""
         body: dict[str, object] = {"closes": list(self.closes), "revs": list(self.revs)}
         for name in ("marks", "copies", "reviews", "opinions", "apart"):
             if getattr(self, name):
@@ -88,7 +89,7 @@ def new_revision(
     state: LabelState,
     reason: str | None = None,
 ) -> dict[str, Any]:
-    """Return the columns of a new revision as they stand in the body of its operation."""
+    """Return the columns of a new revision, as written to the body of its operation."""
     label = content.label
     return {
         "rev_uuid": uuid7(),
@@ -115,9 +116,9 @@ def append_operation(
     draft: OperationDraft,
     target_op: str | None = None,
 ) -> tuple[Operation, set[str]]:
-    """Make the next operation of ``site`` and store it, within the caller's transaction.
+    """Create and store the next operation of ``site`` within the caller's transaction.
 
-    Returns it and the episodes whose heads to refresh.
+    Returns it and the episodes whose heads have to be refreshed.
     """
     last = connection.execute(
         "SELECT seq, hash FROM op WHERE site = ? ORDER BY seq DESC LIMIT 1", (site,)
@@ -142,10 +143,10 @@ def append_operation(
 
 
 def store_operation(connection: sqlite3.Connection, operation: Operation) -> set[str]:
-    """Insert ``operation`` and what it says; return the episodes whose heads to refresh.
+    """Insert ``operation`` and its content; return the episodes whose heads to refresh.
 
-    What it refers to must be there: store in the order of (lamport, site, seq). Raises
-    ``sqlite3.IntegrityError`` if it is there already, or its site has another of that number.
+    Operations have to be stored in the order of (lamport, site, seq). Raises
+    ``sqlite3.IntegrityError`` if it exists already, or if its site has another one of that number.
     """
     connection.execute(
         f"INSERT INTO op ({COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",  # noqa: S608
@@ -220,7 +221,7 @@ def _episode_of(connection: sqlite3.Connection, rev_uuid: str) -> set[str]:
 def _store_mark(
     connection: sqlite3.Connection, operation: Operation, mark: Mapping[str, Any]
 ) -> None:
-    # The mark of the greatest (lamport, site) stays, so that the order of arrival does not matter.
+    # The mark of the greatest (lamport, site) wins, so the order of arrival does not matter.
     connection.execute(
         "INSERT INTO mark VALUES (?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO UPDATE SET"
         " present = excluded.present, note = excluded.note, op_uuid = excluded.op_uuid,"
@@ -242,7 +243,7 @@ def _store_mark(
 def read_mark(
     connection: sqlite3.Connection, episode: str, name: str, *, present: bool, note: str = ""
 ) -> EpisodeMark:
-    """Return the mark for the body of an operation, with what was there before."""
+    """Return a mark for the body of an operation, with the previous state."""
     row = connection.execute(
         "SELECT present, note, owner FROM mark WHERE episode = ? AND name = ?", (episode, name)
     ).fetchone()
@@ -262,7 +263,7 @@ def read_mark(
 def read_operations(
     connection: sqlite3.Connection, where: str = "", values: Iterable[object] = ()
 ) -> list[Operation]:
-    """Return operations in (lamport, site, seq) order; ``where`` is a constant SQL condition."""
+    """Return operations ordered by (lamport, site, seq); ``where`` is a constant SQL condition."""
     condition = f"WHERE {where}" if where else ""
     rows = connection.execute(
         f"SELECT {COLUMNS} FROM op {condition} ORDER BY lamport, site, seq",  # noqa: S608
@@ -298,7 +299,7 @@ def as_revision(row: tuple[Any, ...]) -> Revision:
 
 
 def read_revision(connection: sqlite3.Connection, rev_uuid: str) -> Revision:
-    """Return one revision as written."""
+    """Return one revision."""
     row = connection.execute(
         f"SELECT {REVISION} FROM label_rev r JOIN op o USING (op_uuid)"  # noqa: S608
         " WHERE r.rev_uuid = ?",
@@ -309,7 +310,7 @@ def read_revision(connection: sqlite3.Connection, rev_uuid: str) -> Revision:
 
 def newest_operations(connection: sqlite3.Connection) -> dict[str, tuple[int, str]]:
     """Return number and hash of the newest operation per site."""
-    # From site to site by the index: GROUP BY would pass over every operation.
+    # Skip scan over the index; GROUP BY would read every operation.
     rows = connection.execute(
         "WITH RECURSIVE s(site) AS (SELECT min(site) FROM op UNION ALL"
         " SELECT (SELECT min(op.site) FROM op WHERE op.site > s.site) FROM s"
@@ -325,7 +326,7 @@ FIELDS = tuple(field.name for field in fields(Operation))
 
 
 class OperationJournal:
-    """The journals of one dataset, one file per site."""
+    """Journals of one dataset, one file per site."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -336,9 +337,9 @@ class OperationJournal:
         return self.folder / f"{site}.jsonl"
 
     def catch_up(self, connection: sqlite3.Connection, site: str) -> int:
-        """Append what the catalogue has and the journal of ``site`` has not; returns how many.
+        """Append the operations that the journal of ``site`` lacks; return their number.
 
-        A torn last line is cut off first. Raises ``OSError`` if the disk refuses.
+        An incomplete last line is removed first. Raises ``OSError`` if the disk fails.
         """
         path = self.path(site)
         last = self._written.get(site)
@@ -346,7 +347,7 @@ class OperationJournal:
             last = _mend(path)
         missing = read_operations(connection, "site = ? AND seq > ?", (site, last))
         if missing:
-            # Unknown until written: a failure half-way makes the next call look again.
+            # Unknown until written, so that the next call looks again after a failure.
             self._written.pop(site, None)
             _append(path, missing)
         self._written[site] = missing[-1].seq if missing else last
@@ -354,9 +355,9 @@ class OperationJournal:
 
 
 def read_journal(path: Path) -> Iterator[Operation]:
-    """Yield the operations of a journal; a torn last line is passed over.
+    """Yield the operations of a journal, without an incomplete last line.
 
-    Raises ``ValueError`` naming the line for any other damage.
+    Raises ``ValueError`` with the line number for any other damage.
     """
     for number, line in enumerate(path.read_bytes().splitlines(keepends=True), start=1):
         if not line.endswith(b"\n"):
@@ -381,12 +382,12 @@ def _append(path: Path, operations: list[Operation]) -> None:
 
 
 def _as_line(operation: Operation) -> dict[str, object]:
-    # Not ``asdict``: it copies the body of a bulk operation value by value.
+    # not ``asdict``, which copies the body of a bulk operation
     return {name: getattr(operation, name) for name in FIELDS}
 
 
 def _mend(path: Path) -> int:
-    """Cut a torn last line off; return the last sequence number in the file (0 if none)."""
+    """Remove an incomplete last line; return the last sequence number (0 if none)."""
     if not path.exists():
         return 0
     start, tail = read_tail(path)
@@ -401,7 +402,7 @@ def _mend(path: Path) -> int:
 
 
 def read_tail(path: Path) -> tuple[int, bytes]:
-    """Return the end of a file with its last whole line at least, and where that begins."""
+    """Return the end of a file with its last complete line, and the offset where it begins."""
     size, length = path.stat().st_size, TAIL_BYTES
     with path.open("rb") as file:
         while True:
@@ -431,13 +432,13 @@ _IN_ORDER = " ORDER BY o.lamport, o.site, o.seq"
 
 
 def read_steps(connection: sqlite3.Connection, person: str, uuid: str) -> list[ControlItemStep]:
-    """Return the steps of ``person`` on one episode, oldest first."""
+    """Return the steps of ``person`` on one control item, oldest first."""
     rows = connection.execute(f"{_STEPS} AND r.episode = ?{_IN_ORDER}", (person, uuid))
     return list(_steps(rows))
 
 
 def last_steps(connection: sqlite3.Connection, person: str) -> dict[str, ControlItemStep]:
-    """Return what ``person`` sees of each gold episode that they did anything to."""
+    """Return the latest step of ``person`` on each control item."""
     rows = connection.execute(_STEPS + _IN_ORDER, (person,))
     return {step.version.episode: step for step in _steps(rows)}
 
@@ -449,7 +450,7 @@ def _steps(rows: sqlite3.Cursor) -> Iterator[ControlItemStep]:
 
 
 def recorded_label(connection: sqlite3.Connection, uuid: str) -> Revision:
-    """Return the label that an episode was recorded with."""
+    """Return the first label of an episode."""
     row = connection.execute(
         f"SELECT {REVISION} FROM label_rev r JOIN op o USING (op_uuid)"  # noqa: S608
         " WHERE r.episode = ? ORDER BY o.lamport, o.site, r.rev_uuid LIMIT 1",
@@ -459,7 +460,7 @@ def recorded_label(connection: sqlite3.Connection, uuid: str) -> Revision:
 
 
 def add_step(draft: OperationDraft, step: ControlItemStep) -> None:
-    """Write a step; what is decided by it is an opinion as well."""
+    """Add a step on a control item; a decision is also stored as an opinion."""
     r = step.version
     draft.apart.append({
         "episode": r.episode, "rev_uuid": r.rev_uuid, "parent": r.parent, **asdict(r.label),
@@ -474,7 +475,7 @@ def add_step(draft: OperationDraft, step: ControlItemStep) -> None:
 def take_back_step(
     connection: sqlite3.Connection, draft: OperationDraft, operation: Operation, uuid: str
 ) -> None:
-    """Write the step that takes one of ``operation`` back; an opinion goes or comes with it."""
+    """Add the step that reverts ``operation``; its opinion is added or removed as well."""
     steps = read_steps(connection, operation.actor, uuid)
     at = [step.version.op_uuid for step in steps].index(operation.op_uuid)
     done, now = steps[at], steps[-1]
@@ -495,7 +496,7 @@ def take_back_step(
 
 
 def _looked(connection: sqlite3.Connection, step: ControlItemStep) -> dict[str, object]:
-    """Return how the person had come to the answer of a step."""
+    """Return time and blindness of the answer of a step."""
     seen_ms, blind = connection.execute(
         "SELECT json_extract(body, '$.seen_ms'), json_extract(body, '$.blind') FROM op"
         " WHERE op_uuid = ?",

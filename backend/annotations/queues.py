@@ -1,4 +1,4 @@
-"""Review queues: ordered lists of episodes, reproducible from the same labels and scores.
+"""Review queues: ordered lists of episodes, reproducible from labels and scores.
 
 Scores are computed by a job about episodes; models also suggest offsets.
 """
@@ -17,8 +17,8 @@ from touchdown.backend.annotations.database import Database
 from touchdown.backend.annotations.values import Label, Revision
 from touchdown.backend.core import InputError
 
-# ``doubt``: how much likelier the signals are a few mm away. ``duplicates``: how far the label
-# lies off those of the most alike signals, in what is usual among them.
+# ``doubt``: increase of the likelihood of the signals a few mm away. ``duplicates``: distance of
+# the label to those of the most similar signals, relative to the usual distance.
 SCORES = ("doubt", "disagreement", "uncertainty", "duplicates")
 
 MODEL = "model:"
@@ -26,7 +26,7 @@ MODEL = "model:"
 
 @dataclass(frozen=True, slots=True)
 class Suggestion:
-    """The offset a model would give; ``source`` is ``model:<sha256 of its weights>``."""
+    """Offset predicted by a model; ``source`` is ``model:<sha256 of its weights>``."""
 
     label: Label
     source: str
@@ -40,7 +40,7 @@ class ScoreStore:
         self._database = database
 
     def put(self, name: str, values: Mapping[str, float], model: str) -> None:
-        """Store a score for many episodes, as computed for their present labels by ``model``."""
+        """Store a score of many episodes, computed by ``model`` for their present labels."""
         if name not in SCORES:
             raise InputError(f"There is no score '{name}'.", "score", f"Use {', '.join(SCORES)}.")
         now = time.time_ns()
@@ -57,14 +57,14 @@ class ScoreStore:
         return dict(self._database.rows("SELECT name, value FROM score WHERE episode = ?", (uuid,)))
 
     def of_revision(self, name: str, uuid: str) -> tuple[str, float] | None:
-        """Return a score with the revision for which it was computed, None without one."""
+        """Return a score and the revision it was computed for, None if there is none."""
         row = self._database.first(
             "SELECT rev_uuid, value FROM score WHERE name = ? AND episode = ?", (name, uuid)
         )
         return None if row is None else (str(row[0]), float(row[1]))
 
     def suggest(self, labels: Mapping[str, Label], model: str) -> None:
-        """Store the offsets that ``model`` (hash of its weights) gives, with their sigma."""
+        """Store the offsets predicted by ``model`` (hash of its weights), with their sigma."""
         now = time.time_ns()
         rows = [
             (uuid, label.x_um, label.y_um, label.theta_mdeg, label.sigma_um, model, now)
@@ -76,7 +76,7 @@ class ScoreStore:
             )
 
     def suggestion(self, uuid: str) -> Suggestion | None:
-        """Return what a model suggests for an episode, or None."""
+        """Return the suggestion of a model for an episode, or None."""
         row = self._database.first(
             "SELECT x_um, y_um, theta_mdeg, sigma_um, model, at_ns FROM suggestion"
             " WHERE episode = ?",
@@ -86,7 +86,7 @@ class ScoreStore:
 
 
 def disagreement(head: Revision, suggestion: Suggestion) -> float | None:
-    """Return the distance of label and suggestion in standard uncertainties; None without both."""
+    """Return the distance of label and suggestion in standard uncertainties, or None."""
     a, b = head.label, suggestion.label
     if a.x_um is None or a.y_um is None or b.x_um is None or b.y_um is None:
         return None
@@ -111,7 +111,7 @@ QueueName = Literal[
 ]
 QUEUES: tuple[QueueName, ...] = get_args(QueueName)
 
-AUDIT_SHARE = 0.05  # share of the submitted and approved labels that a random audit looks at again
+AUDIT_SHARE = 0.05  # share of submitted and approved labels in a random audit
 
 BIN_UM = 2000  # coverage is counted in squares of this size, per pair of pieces
 
@@ -119,17 +119,17 @@ BIN_UM = 2000  # coverage is counted in squares of this size, per pair of pieces
 def episode_queue(
     database: Database, name: str, person: str, *, seed: int = 0, limit: int | None = None
 ) -> list[str]:
-    """Return episodes in the order in which ``person`` should see them; deleted ones in none.
+    """Return the episodes of a queue for ``person``, in order, without deleted ones.
 
     - unlabelled: not yet accepted, oldest first, skipped ones last
-    - review: submitted by others; returned: the person's own that a reviewer rejected
-    - doubt, disagreement, duplicates, uncertainty: highest score first; a label that changed since
-      it was scored is left out of all but uncertainty, which looks at no label: it holds what is
-      not yet approved, for choosing what to label and train on
+    - review: submitted by others; returned: own labels that a reviewer rejected
+    - doubt, disagreement, duplicates, uncertainty: highest score first. Labels that changed since
+      the score was computed are left out, except for uncertainty, which does not depend on the
+      label and lists episodes that are not yet approved
     - coverage: not yet approved, squares with the fewest approved labels first
     - conflicts: two labels since a merge; audit: a share drawn by ``seed``
-    - gold: a share of the approved labels of others, to be answered blind, once each;
-      what they answered and took back is among them again
+    - gold: control items, a share of the approved labels of others, answered blind and once each;
+      undone answers are asked again
     """
     if name not in QUEUES:
         raise InputError(f"There is no queue '{name}'.", "queue", f"Use {', '.join(QUEUES)}.")
@@ -137,7 +137,7 @@ def episode_queue(
 
 
 def stage_counts(database: Database) -> dict[str, int]:
-    """Return how many episodes stand where: unlabelled, review, approved, rejected, ..."""
+    """Return the number of episodes per stage: unlabelled, review, approved, rejected, ..."""
     sql = "SELECT stage, count(*) FROM label_head GROUP BY stage ORDER BY stage"
     return dict(database.rows(sql))
 
@@ -180,7 +180,7 @@ def _returned(database: Database, person: str, seed: int, limit: int) -> list[st
 
 
 def _scored(name: str, condition: str) -> Callable[..., list[str]]:
-    # Names and condition are those below: nothing from outside enters the text.
+    # Names and condition are constants below, never input.
     sql = (
         "SELECT s.episode FROM score s JOIN label_head h USING (episode)"  # noqa: S608
         f" WHERE s.name = '{name}' AND {condition} ORDER BY s.value DESC, s.episode LIMIT ?"
@@ -220,7 +220,7 @@ def _control_items(database: Database, person: str, seed: int, limit: int) -> li
 
 
 def _answered(database: Database, person: str) -> set[str]:
-    """Return the episodes with an opinion of ``person`` that they did not take back since."""
+    """Return the episodes with an opinion of ``person`` that was not undone."""
     sql = "SELECT episode FROM opinion JOIN op USING (op_uuid) WHERE actor = ?"
     by_itself = " AND NOT EXISTS (SELECT 1 FROM apart a WHERE a.op_uuid = opinion.op_uuid)"
     with database.reading() as connection:
@@ -230,7 +230,7 @@ def _answered(database: Database, person: str) -> set[str]:
 
 
 def _drawn(uuids: list[str], seed: int, limit: int) -> list[str]:
-    """Return a share of ``uuids`` in random order: a die per episode, whatever else is there."""
+    """Return a share of ``uuids`` in random order; a draw depends on ``seed`` and its id only."""
     key = seed.to_bytes(16, "little", signed=True)
 
     def die(uuid: str) -> int:

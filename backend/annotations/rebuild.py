@@ -19,7 +19,7 @@ from touchdown.backend.annotations.storage import NotWritableError, WriterLock
 from touchdown.backend.core import InputError
 
 REBUILT = ".rebuilt.db"
-# Tables that follow from the files and the journal, by their columns (``adopted`` differs).
+# Tables that derive from files and journal, with the columns to compare.
 COMPARED = {
     "op": "*",
     "label_rev": "*",
@@ -40,10 +40,10 @@ GONE = "state IN ('missing', 'quarantined', 'damaged')"
 
 @dataclass(frozen=True, slots=True)
 class RebuildReport:
-    """How the new catalogue compares: rows only in the old, only in the new one, per table.
+    """Comparison of the new catalogue with the old one: differing rows per table.
 
-    ``old_readable``: without it there was nothing to compare with. ``notices``: what making it
-    found out of order.
+    ``old_readable`` is False if there was nothing to compare with. ``notices``: problems found
+    while the new catalogue was built.
     """
 
     rows: dict[str, int]
@@ -55,16 +55,16 @@ class RebuildReport:
 
     @property
     def equal(self) -> bool:
-        """Whether both say the same."""
+        """True if both have the same content."""
         return self.old_readable and not any((*self.only_old.values(), *self.only_new.values()))
 
 
 def rebuild_dataset(folder: Path, *, replace: bool, person: str = "") -> RebuildReport:
-    """Make a new catalogue beside the old one and compare them; ``replace`` puts it in its place.
+    """Build a new catalogue beside the old one and compare them.
 
-    The old one goes to the quarantine then. Nobody may have the dataset open. Raises
-    ``InputError`` if the old one cannot be read and ``replace`` is not asked for, or if the folder
-    cannot be written.
+    ``replace`` puts the new catalogue in place and moves the old one to the quarantine. The dataset
+    must not be open. Raises ``InputError`` if the old catalogue cannot be read and ``replace`` is
+    not set, or if the folder cannot be written.
     """
     readable = _settle(folder, person)
     if not readable and not replace:
@@ -90,7 +90,7 @@ def rebuild_dataset(folder: Path, *, replace: bool, person: str = "") -> Rebuild
 
 
 def _settle(folder: Path, person: str) -> bool:
-    """Bring the old catalogue and the journal together; False if it cannot be read."""
+    """Reconcile the old catalogue with the journal; return False if it cannot be read."""
     read_description(folder)
     try:
         with Dataset.open(folder, create=False, person=person) as dataset:

@@ -1,6 +1,6 @@
 """Reconciliation of a dataset with its files, its journals, or another copy of it.
 
-Runs at every start before anything can be recorded. Merging takes the union of the operations.
+Runs on every opening, before anything can be recorded. Merging takes the union of the operations.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from touchdown.backend.annotations.values import (
 )
 from touchdown.backend.core import Fault, InputError, write_atomically
 
-TAIL = 500  # at a start the newest operations of a chain are checked, by ``verify`` all of them
+TAIL = 500  # number of newest operations checked on opening; ``verify`` checks all
 
 ChainPosition = tuple[int, str]  # number and hash of an operation
 
 
 def check_labels(where: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
-    """Yield what is out of order with operations, journals and heads."""
+    """Yield problems of operations, journals and heads."""
     with where.database.reading() as connection:
         catalogue = newest_operations(connection)
     broken: set[str] = set()
@@ -67,12 +67,12 @@ def check_labels(where: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
         )
     wrong = wrong_heads(where, whole=whole)
     if wrong:
-        said = f"{len(wrong)} label heads did not follow from the revisions: made anew."
+        said = f"{len(wrong)} label heads did not follow from the revisions: rebuilt."
         yield ConsistencyProblem("heads", str(len(wrong)), said, review.rebuild_heads)
 
 
 def wrong_heads(where: DatasetParts, *, whole: bool) -> list[str]:
-    """Return episodes whose head is absent, not a leaf, or (``whole``) not what the rule says."""
+    """Return episodes whose head is missing, not a leaf, or (``whole``) not the valid revision."""
     rows = where.database.rows(
         "SELECT DISTINCT r.episode FROM label_rev r LEFT JOIN label_head h USING (episode)"
         " WHERE h.episode IS NULL"
@@ -102,7 +102,7 @@ def _journalled(where: DatasetParts) -> set[str]:
 
 
 def _bad_link(where: DatasetParts, site: str, after: int) -> int | None:
-    """Return the number of the first operation after ``after`` that does not fit, or None."""
+    """Return the number of the first operation after ``after`` that breaks the chain, or None."""
     with where.database.reading() as connection:
         operations = read_operations(connection, "site = ? AND seq >= ?", (site, after))
     if after:
@@ -132,7 +132,7 @@ def _link(operation: Operation) -> str:
 def _against_journal(
     where: DatasetParts, site: str, newest: ChainPosition
 ) -> tuple[list[Operation], list[ConsistencyProblem]]:
-    """Return operations only the journal has, and what else there is to say of one site."""
+    """Return the operations of the journal that the catalogue lacks, and problems of the site."""
     path = where.journal.path(site)
     last = _last_line(path)
     if last == newest:
@@ -164,7 +164,10 @@ def _is_known(where: DatasetParts, site: str, place: ChainPosition) -> bool:
 
 
 def _last_line(path: Path) -> ChainPosition | None:
-    """Return the place of the last whole line; (0, ...) without any, None if it is unreadable."""
+    """Return the position of the last complete line; None if it is unreadable.
+
+    (0, ...) if there is none.
+    """
     try:
         _, content = read_tail(path)
     except FileNotFoundError:
@@ -203,7 +206,7 @@ def _broken(site: str, seq: int, what: str) -> ConsistencyProblem:
     return ConsistencyProblem("broken-chain", f"{site}/{seq}", said, locks=True)
 
 
-# What a crash may leave of files that are made again anyway.
+# Leftovers of a crash, of files that are built again on demand.
 LEFT_OVERS = (
     ("cache", "*.tmp"),
     ("cache", ".*.part"),
@@ -215,15 +218,15 @@ LEFT_OVERS = (
     ("runs/*", ".*.part"),
     (".", ".rebuilt.db*"),
 )
-TOGETHER = 500  # findings mended in one transaction: a disk that is not mounted makes thousands
-BUSY_S = 60.0  # a cache that changed this recently is not a left-over
+TOGETHER = 500  # repairs in one transaction: an unmounted disk causes thousands
+BUSY_S = 60.0  # a cache changed more recently than this is in use
 
 
 def check_dataset(where: DatasetParts, *, whole: bool = False) -> Iterator[ConsistencyProblem]:
-    """Yield everything out of order, changing nothing.
+    """Yield all problems of a dataset without changing it.
 
-    ``whole`` reads every file and checks every operation; else the newest operations are looked
-    at, and the sizes of files in folders that are not known to be in order.
+    ``whole`` reads every file and checks every operation. Otherwise the newest operations are
+    checked, and the file sizes in folders that are not known to be in order.
     """
     yield from check_labels(where, whole=whole)
     yield from check_episode_files(where, whole=whole)
@@ -233,9 +236,9 @@ def check_dataset(where: DatasetParts, *, whole: bool = False) -> Iterator[Consi
 
 
 def reconcile(where: DatasetParts, *, whole: bool = False) -> list[ConsistencyProblem]:
-    """Mend what ``examine`` finds; returns what there is to say, each also kept as an event."""
+    """Repair the problems of a dataset; return those to report. Each is stored as an event."""
     told: list[ConsistencyProblem] = []
-    # Labels come first: an episode whose label is in the journal must not get a second one.
+    # Labels come first, so that an episode with a label in the journal does not get a second one.
     for check in (
         check_labels(where, whole=whole),
         check_episode_files(where, whole=whole),
@@ -258,7 +261,7 @@ def reconcile(where: DatasetParts, *, whole: bool = False) -> list[ConsistencyPr
 def _mended(
     where: DatasetParts, findings: Sequence[ConsistencyProblem]
 ) -> list[ConsistencyProblem]:
-    """Mend in one transaction; return what to say: all but what was said before."""
+    """Repair in one transaction; return the problems that were not reported before."""
     told: list[ConsistencyProblem] = []
     untold = [finding for finding in findings if finding.mend is None]
     with where.database.transaction() as connection:
@@ -280,7 +283,7 @@ def _mended(
 
 
 def _tell_once(where: DatasetParts, finding: ConsistencyProblem) -> bool:
-    """Keep a finding as an event; False if the same was kept before."""
+    """Store a problem as an event; return False if it was stored before."""
     body = {"said": finding.said}
     kept = canonical_json(body).decode("utf-8")
     sql = "SELECT 1 FROM event WHERE verb = ? AND target = ? AND body = ? LIMIT 1"
@@ -302,7 +305,7 @@ def _left_overs(where: DatasetParts) -> Iterator[ConsistencyProblem]:
 
 
 def _in_use(where: DatasetParts, path: Path) -> bool:
-    """Whether we work on it, or it is a cache that a training beside us may be building."""
+    """Return True if this program uses the file, or a training may be building it."""
     if path.name.startswith(where.database.path.name):
         return True
     return path.parent.name == "cache" and time.time() - path.stat().st_mtime < BUSY_S
@@ -317,7 +320,7 @@ def _remove(path: Path, _: sqlite3.Connection) -> None:
 
 @dataclass(frozen=True, slots=True)
 class MergeReport:
-    """What a merge brought: numbers of operations and episodes, and the episodes in conflict."""
+    """Result of a merge: numbers of operations and episodes, and episodes in conflict."""
 
     operations: int
     episodes: int
@@ -327,10 +330,10 @@ class MergeReport:
 def merge_operations(
     connection: sqlite3.Connection, theirs: Sequence[Operation], where: str
 ) -> set[str]:
-    """Store the operations that are new here; return the episodes they touch.
+    """Store the operations that are missing here; return the episodes they concern.
 
-    ``where`` names their dataset. Raises ``InputError`` for a broken chain, or one that goes on
-    differently in both.
+    ``where`` names the other dataset in errors. Raises ``InputError`` for a broken chain, or one
+    that continues differently in both.
     """
     _check_chains(theirs, where)
     touched: set[str] = set()
@@ -351,9 +354,9 @@ def merge_operations(
 
 
 def copy_files(mine: Path, theirs: Path, paths: Sequence[str]) -> list[str]:
-    """Copy files (relative names) that are not here yet, geometry included; return those missing.
+    """Copy missing files (relative names) and geometry; return those that do not exist.
 
-    A file appears complete or not at all. Raises ``InputError`` for a name that leaves the folder.
+    Each file appears complete or not at all. Raises ``InputError`` for a name outside the folder.
     """
     missing = []
     names = [*(f"geometry/{path.name}" for path in (theirs / "geometry").glob("*.json")), *paths]
@@ -371,18 +374,21 @@ def copy_files(mine: Path, theirs: Path, paths: Sequence[str]) -> list[str]:
 
 
 def _is_inside(folder: Path, path: Path) -> bool:
-    """Whether ``path`` names something below ``folder``, links followed."""
+    """Return True if ``path`` is below ``folder`` after resolving links."""
     try:
         return folder.resolve() in path.resolve().parents and len(path.name) <= 200
     except (OSError, ValueError):
-        # A name that no system takes.
+        # a name that is invalid on every system
         return False
 
 
 def merge_episodes(
     connection: sqlite3.Connection, theirs: Database, mine: Path, missing: Sequence[str]
 ) -> int:
-    """Enter their episodes that are not here yet; return how many. ``missing``: without a file."""
+    """Insert the episodes that are missing here; return their number.
+
+    ``missing``: files that do not exist.
+    """
     columns = [row[1] for row in theirs.rows("PRAGMA table_info(episode)")]
     names, marks = ", ".join(columns), ", ".join("?" * len(columns))
     state, path = columns.index("state"), columns.index("path")
@@ -403,7 +409,7 @@ def merge_episodes(
 def merge_labels(
     connection: sqlite3.Connection, log: Sequence[Operation], where: str, *, episodes: int
 ) -> MergeReport:
-    """Unite their log with this one; ``episodes``: how many came along."""
+    """Merge the log of another copy into this one; ``episodes``: number of copied episodes."""
     (before,) = connection.execute("SELECT count(*) FROM op").fetchone()
     touched = merge_operations(connection, log, where)
     (after,) = connection.execute("SELECT count(*) FROM op").fetchone()
@@ -415,13 +421,13 @@ def merge_labels(
 def record_merge(
     connection: sqlite3.Connection, person: str, where: Path, done: MergeReport
 ) -> None:
-    """Keep the merge in the audit."""
+    """Store the merge in the audit."""
     body = {"operations": done.operations, "episodes": done.episodes}
     add_event(connection, person, "merge", str(where), body | {"conflicts": len(done.conflicts)})
 
 
 def copy_fault(error: OSError, folder: Path) -> Fault:
-    """Return the fault of files that could not be copied."""
+    """Return the fault for files that could not be copied."""
     return Fault(
         code="MERGE-WRITE",
         what=f"A file of the other dataset could not be copied: {error.strerror or error}.",

@@ -14,17 +14,17 @@ from touchdown.backend.annotations.operation_log import REVERSING
 from touchdown.backend.annotations.values import DELETED, FLAG, PROGRAM, SKIPPED, LabelState
 from touchdown.backend.core import InputError, RefusedError
 
-# Where an episode stands in the work: each is in exactly one.
+# Stage of an episode in the workflow; each has exactly one.
 Stage = Literal["unlabelled", "review", "approved", "rejected", "conflicts", "deleted"]
 
-BY_PROGRAM = ("record", "adopt")  # verbs whose revisions nobody is the author of
+BY_PROGRAM = ("record", "adopt")  # verbs whose revisions have no author
 
 
 @dataclass(frozen=True, slots=True)
 class RevisionNode:
-    """What of a revision decides about heads.
+    """Fields of a revision that determine heads.
 
-    ``copy_of``: the revision whose content an undo, redo or resolve wrote again.
+    ``copy_of``: the revision whose content an undo, redo or resolve repeated.
     """
 
     rev_uuid: str
@@ -39,21 +39,22 @@ class RevisionNode:
 
     @property
     def order(self) -> tuple[int, str, str]:
-        """Its place among the leaves."""
+        """Sort key among the leaves."""
         return self.lamport, self.site, self.rev_uuid
 
     @property
     def is_copy(self) -> bool:
-        """Whether its content was written before."""
+        """True if the content repeats another revision."""
         return self.verb in REVERSING or self.copy_of is not None
 
 
 @dataclass(frozen=True, slots=True)
 class LabelHead:
-    """The head of one episode and what follows from it.
+    """Head of one episode and derived values.
 
-    ``counting``: the revision that training uses, the latest approved one before the head with the
-    geometry of the head; None for a rejected head. ``authors``: who made the content.
+    ``counting``: the revision used for training, that is the latest approved one up to the head
+    with the geometry of the head; None for a rejected head. ``authors``: persons who wrote the
+    content.
     """
 
     node: RevisionNode
@@ -69,7 +70,7 @@ def leaves_of(nodes: Sequence[RevisionNode], closed: Iterable[str]) -> list[Revi
 
 
 def head_of(nodes: Sequence[RevisionNode], closed: Iterable[str]) -> LabelHead | None:
-    """Return the head of one episode from all its revisions, in any order."""
+    """Return the head of one episode from its revisions, in any order."""
     leaves = leaves_of(nodes, closed)
     if not leaves:
         return None
@@ -81,13 +82,13 @@ def head_of(nodes: Sequence[RevisionNode], closed: Iterable[str]) -> LabelHead |
 
 
 def authors_of(nodes: Sequence[RevisionNode], rev_uuid: str) -> tuple[str, ...]:
-    """Return who wrote what the revision ``rev_uuid`` says."""
+    """Return the authors of the content of the revision ``rev_uuid``."""
     by_id = {node.rev_uuid: node for node in nodes}
     return _authors(by_id[rev_uuid], by_id)
 
 
 def _before(node: RevisionNode, by_id: Mapping[str, RevisionNode]) -> RevisionNode | None:
-    """Return what ``node`` goes back to: what it copies, else its parent."""
+    """Return the predecessor of ``node``: the revision it copies, else its parent."""
     key = node.copy_of if node.is_copy else node.parent
     return None if key is None else by_id.get(key)
 
@@ -102,7 +103,7 @@ def _counting(head: RevisionNode, by_id: Mapping[str, RevisionNode]) -> str | No
 
 
 def _authors(head: RevisionNode, by_id: Mapping[str, RevisionNode]) -> tuple[str, ...]:
-    """Return who wrote the content since it was last approved (reviewing is not writing)."""
+    """Return the authors of the content since its last approval (reviewers are not authors)."""
     found: set[str] = set()
     node: RevisionNode | None = head
     while node is not None and node.verb not in BY_PROGRAM:
@@ -115,7 +116,7 @@ def _authors(head: RevisionNode, by_id: Mapping[str, RevisionNode]) -> tuple[str
 
 
 def superseded_revisions(nodes: Sequence[RevisionNode], counting: str | None) -> set[str]:
-    """Return the approved revisions behind the one that counts."""
+    """Return the approved revisions before the counting one."""
     by_id = {node.rev_uuid: node for node in nodes}
     node = None if counting is None else _before(by_id[counting], by_id)
     found = set()
@@ -127,7 +128,7 @@ def superseded_revisions(nodes: Sequence[RevisionNode], counting: str | None) ->
 
 
 def stage_of(state: LabelState, *, conflict: bool, deleted: bool) -> Stage:
-    """Return where an episode stands."""
+    """Return the stage of an episode."""
     if deleted:
         return "deleted"
     if conflict:
@@ -137,12 +138,12 @@ def stage_of(state: LabelState, *, conflict: bool, deleted: bool) -> Stage:
 
 
 def join_names(names: Iterable[str]) -> str:
-    """Return names so that SQL finds a whole one: each between line breaks."""
+    """Return names in one text, each between line breaks, for an exact search in SQL."""
     return "".join(f"\n{name}" for name in names) + "\n"
 
 
 def split_names(text: str) -> tuple[str, ...]:
-    """Return the names of ``as_text``."""
+    """Return the names of a text made by ``join_names``."""
     return tuple(name for name in text.split("\n") if name)
 
 
@@ -158,14 +159,14 @@ SELECT c.rev_uuid FROM closed c JOIN label_rev r USING (rev_uuid) WHERE r.episod
 def read_nodes(
     connection: sqlite3.Connection, episode: str
 ) -> tuple[list[RevisionNode], list[str]]:
-    """Return the revisions of one episode and those that were closed."""
+    """Return the revisions of one episode and the closed ones among them."""
     nodes = [RevisionNode(*row) for row in connection.execute(NODES, (episode,))]
     closed = [rev for (rev,) in connection.execute(CLOSED, (episode,))] if nodes else []
     return nodes, closed
 
 
 def refresh_heads(connection: sqlite3.Connection, episodes: Iterable[str]) -> None:
-    """Write the derived rows of ``episodes`` anew, within the caller's transaction."""
+    """Recompute the derived rows of ``episodes`` within the caller's transaction."""
     for episode in sorted(set(episodes)):
         head = head_of(*read_nodes(connection, episode))
         if head is None:
@@ -194,7 +195,7 @@ def refresh_heads(connection: sqlite3.Connection, episodes: Iterable[str]) -> No
 
 
 def rebuild_heads(connection: sqlite3.Connection) -> None:
-    """Make all heads anew from the revisions."""
+    """Recompute all heads from the revisions."""
     connection.execute("DELETE FROM label_head")
     episodes = connection.execute("SELECT DISTINCT episode FROM label_rev").fetchall()
     refresh_heads(connection, (episode for (episode,) in episodes))
@@ -202,7 +203,7 @@ def rebuild_heads(connection: sqlite3.Connection) -> None:
 
 Action = Literal["set", "accept", "approve", "reject"]
 
-# By the digits 1 to 9; the last one takes a text.
+# in the order of the keys 1 to 9; the last one takes a free text
 REJECT_REASONS = (
     "slip in grasp",
     "tilt",
@@ -220,9 +221,9 @@ MAX_NAME = 80
 
 @dataclass(frozen=True, slots=True)
 class ReviewStatus:
-    """What decides about an action: the head of one episode, and the marks on it.
+    """State of one episode that determines the permitted actions.
 
-    ``approved_before``: an approved revision counts behind the head.
+    ``approved_before``: an approved revision exists before the head.
     """
 
     state: LabelState
@@ -233,7 +234,7 @@ class ReviewStatus:
 
 
 def check_person(person: str) -> str:
-    """Return the name without outer spaces; raises ``InputError`` unless it can name a person."""
+    """Return the name without surrounding spaces; raises ``InputError`` for an invalid name."""
     name = person.strip()
     if not name or len(name) > MAX_NAME or not name.isprintable() or name == PROGRAM:
         raise InputError(
@@ -247,7 +248,7 @@ def check_person(person: str) -> str:
 def state_after(
     action: Action, standing: ReviewStatus, person: str, *, four_eyes: bool = True
 ) -> LabelState:
-    """Return the state after ``action``; raises ``RefusedError`` with the reason in words."""
+    """Return the state after ``action``; raises ``RefusedError`` with the reason."""
     check_open(standing)
     if action == "set":
         return _set(standing, person)
@@ -257,7 +258,7 @@ def state_after(
 
 
 def check_open(standing: ReviewStatus) -> None:
-    """Raise ``RefusedError`` for an episode that is deleted or in conflict."""
+    """Raise ``RefusedError`` if the episode is deleted or in conflict."""
     if standing.deleted:
         raise RefusedError("deleted", "The episode is deleted: restore it first.")
     if standing.conflict:
@@ -265,7 +266,7 @@ def check_open(standing: ReviewStatus) -> None:
 
 
 def check_other_author(authors: Sequence[str], person: str) -> None:
-    """Raise ``RefusedError`` for a review by one of those who wrote the label."""
+    """Raise ``RefusedError`` if ``person`` is one of the authors."""
     if person in authors:
         raise RefusedError("four eyes", f"{person} wrote it: another person has to review it.")
 
@@ -298,7 +299,7 @@ def _accept(standing: ReviewStatus) -> LabelState:
 def _review(action: Action, standing: ReviewStatus, person: str, four_eyes: bool) -> LabelState:
     state = standing.state
     if action == "reject" and state in ("unlabelled", "draft"):
-        # The labeller says that this episode cannot be labelled; nothing was submitted to review.
+        # The labeller rejects the episode itself; nothing was submitted for review.
         return "rejected"
     if state != "submitted" and not (state == "draft" and standing.approved_before):
         raise RefusedError(f"is {state}", _NOT_SUBMITTED[state])

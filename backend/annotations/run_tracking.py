@@ -1,7 +1,7 @@
 """Tracking of trainings and other runs of a dataset: parameters, metrics, artifacts, state.
 
-One run is one folder (``runs/<uuid>/run.json``, ``metrics.jsonl``), complete after any crash;
-tables follow the folders.
+One run is one folder (``runs/<uuid>/run.json``, ``metrics.jsonl``), complete after any crash; the
+tables derive from the folders.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ PACKAGES = ("numpy", "torch")
 
 
 def hardware_info() -> dict[str, object]:
-    """Return what a run ran on."""
+    """Return processor, memory and operating system of this computer."""
     return {"machine": platform.machine(), "cores": os.cpu_count(), "system": platform.system()}
 
 
 def package_versions() -> dict[str, object]:
-    """Return the versions that numbers may depend on."""
+    """Return the versions of Python and of the packages that affect results."""
     return {
         "python": platform.python_version(),
         **{name: package_version(name) for name in PACKAGES},
@@ -58,7 +58,7 @@ RunState = Literal["queued", "running", "finished", "failed", "cancelled", "inte
 
 @dataclass(frozen=True, slots=True)
 class Artifact:
-    """A file that a run made; ``path`` is absolute, or relative to the dataset within it."""
+    """A file made by a run; ``path`` is absolute, or relative to the dataset if it is inside."""
 
     name: str
     path: str
@@ -68,10 +68,11 @@ class Artifact:
 
 @dataclass(frozen=True, slots=True)
 class RunInfo:
-    """What ``run.json`` says. ``chain``: the newest label operation per site when it began.
+    """Content of ``run.json``.
 
-    ``params``: JSON values. ``manifest``: hash of what it worked on, "" if it has none.
-    ``reason``: why it failed. Times are UTC.
+    ``chain``: the newest label operation per site at the start. ``params``: JSON values.
+    ``manifest``: hash of the data, "" if there is none. ``reason``: cause of a failure. Times are
+    UTC.
     """
 
     uuid: str
@@ -97,7 +98,7 @@ def write_run_info(folder: Path, about: RunInfo) -> None:
 
 
 def read_run_info(folder: Path) -> RunInfo:
-    """Read ``run.json``; raises ``InputError`` naming it."""
+    """Read ``run.json``; raises ``InputError`` with its path."""
     path = folder / ABOUT
     try:
         content = json.loads(path.read_text("utf-8"))
@@ -114,7 +115,7 @@ def read_run_info(folder: Path) -> RunInfo:
 
 
 def is_run_alive(folder: Path) -> bool:
-    """Whether a process still works on the run in ``folder``."""
+    """Return True if a process is still working on the run in ``folder``."""
     path = folder / ALIVE
     if not path.exists():
         return False
@@ -126,9 +127,9 @@ def is_run_alive(folder: Path) -> bool:
 
 
 class ActiveRun:
-    """A run while it goes on; as a context it ends as cancelled or failed where nothing else did.
+    """A run in progress; used as a context, it ends as cancelled or failed on an exception.
 
-    Not for several threads at once.
+    Not thread-safe.
     """
 
     def __init__(self, dataset: Path, about: RunInfo) -> None:
@@ -136,7 +137,7 @@ class ActiveRun:
         self.folder = dataset / RUNS / about.uuid
         make_folder(self.folder.parent)
         self.folder.mkdir()
-        # Alive before there is anything to find: a check beside us must not take it for a crash.
+        # Locked before the files exist, so that a parallel check does not take it for a crash.
         self._alive: int | None = lock_file(self.folder / ALIVE)
         self._metrics = (self.folder / METRICS).open("w", encoding="utf-8")
         write_run_info(self.folder, about)
@@ -144,22 +145,22 @@ class ActiveRun:
 
     @property
     def uuid(self) -> str:
-        """Id of the run, and name of its folder."""
+        """Id of the run, also the name of its folder."""
         return self.about.uuid
 
     def metric(self, name: str, step: int, value: float) -> None:
-        """Append one value; whole lines survive the death of this process."""
+        """Append one value; complete lines survive a crash of the process."""
         kept = value if math.isfinite(value) else None
         line = {"name": name, "step": step, "value": kept, "at_ns": time.time_ns()}
         self._metrics.write(json.dumps(line) + "\n")
         self._metrics.flush()
 
     def end_epoch(self) -> None:
-        """Make all values so far survive a loss of power."""
+        """Make all values so far durable."""
         os.fsync(self._metrics.fileno())
 
     def artifact(self, name: str, path: Path) -> None:
-        """Note a file that the run made."""
+        """Record a file made by the run."""
         with path.open("rb") as file:
             digest = sha256()
             while block := file.read(1 << 20):
@@ -170,19 +171,19 @@ class ActiveRun:
         self._write(artifacts=(*self.about.artifacts, made))
 
     def name_data(self, manifest: str) -> None:
-        """Note the hash of what it works on, where that is known only now."""
+        """Record the hash of the data, if it was not known at the start."""
         self._write(manifest=manifest)
 
     def finish(self) -> None:
-        """End it: it did what it was asked for."""
+        """End the run as finished."""
         self._end("finished")
 
     def fail(self, reason: str) -> None:
-        """End it: it could not go on; ``reason`` is a sentence."""
+        """End the run as failed; ``reason`` is a sentence."""
         self._end("failed", reason)
 
     def cancel(self) -> None:
-        """End it: a person asked for that."""
+        """End the run as cancelled by a person."""
         self._end("cancelled")
 
     def __enter__(self) -> Self:
@@ -217,10 +218,7 @@ RUN_COLUMNS = (
 
 
 def sync_run_tables(folder: Path, database: Database) -> None:
-    """Bring the tables up to what the folders of the runs say.
-
-    The rows of a folder that is gone stay.
-    """
+    """Update the tables from the run folders; rows of a missing folder stay."""
     sql = "SELECT uuid, mark, read_bytes FROM run"
     known = {uuid: (mark, count) for uuid, mark, count in database.rows(sql)}
     for run in run_folders(folder):
@@ -236,16 +234,13 @@ def sync_run_tables(folder: Path, database: Database) -> None:
 
 
 def run_folders(folder: Path) -> list[Path]:
-    """Return the folders of runs, in the order in which they were begun."""
+    """Return the run folders in the order of their start."""
     runs = folder / RUNS
     return sorted(path for path in runs.iterdir() if path.is_dir()) if runs.is_dir() else []
 
 
 def run_file_stamp(run: Path) -> tuple[str, int]:
-    """Return what tells one state of ``run.json`` from another ("" without it).
-
-    And how many bytes of metrics there are.
-    """
+    """Return a stamp of ``run.json`` ("" if missing), and the size of the metrics in bytes."""
     try:
         about = (run / ABOUT).stat()
         mark = f"{about.st_mtime_ns}:{about.st_size}"
@@ -277,7 +272,7 @@ def _enter(connection: sqlite3.Connection, about: RunInfo, mark: str) -> None:
 
 
 def _take_metrics(connection: sqlite3.Connection, run: Path, start: int) -> None:
-    """Copy the whole lines after byte ``start``; all of them if there are fewer bytes by now."""
+    """Copy the complete lines after byte ``start``; all lines if the file became shorter."""
     path = run / METRICS
     if not path.exists():
         return
@@ -306,7 +301,7 @@ _ALL = ", ".join(RUN_COLUMNS)
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """One value of a run; ``value`` is NaN where it was no number."""
+    """One value of a run; ``value`` is NaN if it was not a number."""
 
     name: str
     step: int
@@ -315,9 +310,9 @@ class Metric:
 
 
 class RunTracker:
-    """The runs of one dataset; every call may come from any thread.
+    """Runs of one dataset. Thread-safe.
 
-    Where the dataset is open for reading only, what is told is as its last writer left it.
+    If the dataset is open for reading only, the tables are as the last writer left them.
     """
 
     def __init__(
@@ -330,8 +325,8 @@ class RunTracker:
     ) -> ActiveRun:
         """Begin a run of ``kind`` ("train", "evaluate" ...); ``settings``: JSON values.
 
-        ``manifest``: hash of the exact data it works on. Writes files only, so that it may be
-        called where another program has the dataset open, and used after this one is closed.
+        ``manifest``: hash of the data. Writes files only, so it works while another program has the
+        dataset open, and the run outlives this object.
         """
         about = RunInfo(
             uuid7(), kind, "running", time.time_ns(), seed, program_stamp(), dict(settings),
@@ -341,13 +336,13 @@ class RunTracker:
         return ActiveRun(self._folder, about)
 
     def entries(self, kind: str | None = None) -> list[RunInfo]:
-        """Return the runs (of ``kind``), the newest first."""
+        """Return the runs (of ``kind``), newest first."""
         self._follow()
         sql = f"SELECT {_ALL} FROM run WHERE kind = coalesce(?, kind) ORDER BY started_ns DESC"  # noqa: S608
         return [self._entry(row) for row in self._database.rows(sql, (kind,))]
 
     def entry(self, uuid: str) -> RunInfo:
-        """Return one run; raises ``InputError`` if there is none of that id."""
+        """Return one run; raises ``InputError`` if there is no such run."""
         self._follow()
         sql = f"SELECT {_ALL} FROM run WHERE uuid = ?"  # noqa: S608
         row = self._database.first(sql, (uuid,))
@@ -356,7 +351,7 @@ class RunTracker:
         return self._entry(row)
 
     def metrics(self, uuid: str, name: str | None = None) -> list[Metric]:
-        """Return the values of a run (of one name), by name and step."""
+        """Return the values of a run (of one name), ordered by name and step."""
         self._follow()
         sql = (
             "SELECT name, step, value, at_ns FROM metric WHERE run = ? AND name = coalesce(?, name)"
@@ -365,7 +360,6 @@ class RunTracker:
         return [Metric(n, s, math.nan if v is None else v, at_ns) for n, s, v, at_ns in rows]
 
     def _follow(self) -> None:
-        """Bring the tables up to date."""
         if self._database.writable:
             sync_run_tables(self._folder, self._database)
 
@@ -386,7 +380,7 @@ OPEN = ("queued", "running")
 
 
 def check_runs(where: DatasetParts) -> Iterator[ConsistencyProblem]:
-    """Yield the runs that nobody works on any more, and folders that hold none."""
+    """Yield runs whose process is gone, and folders without a run."""
     for run in run_folders(where.folder):
         if not (run / ABOUT).exists():
             if not is_run_alive(run) and not run_file_stamp(run)[1]:
@@ -399,7 +393,7 @@ def check_runs(where: DatasetParts) -> Iterator[ConsistencyProblem]:
             yield ConsistencyProblem("run-unreadable", where.name(run), str(error))
             continue
         if about.state in OPEN and not is_run_alive(run):
-            said = f"The run {about.uuid} ({about.kind}) was interrupted: it can be begun again."
+            said = f"The run {about.uuid} ({about.kind}) was interrupted: it can be started again."
             if about.kind == "train" and "out" in about.params:
                 said = (
                     f"The training of {about.params['out']} was interrupted; "
@@ -412,7 +406,7 @@ def check_runs(where: DatasetParts) -> Iterator[ConsistencyProblem]:
 
 
 def _gone(where: DatasetParts) -> Iterator[ConsistencyProblem]:
-    """Yield the rows of runs that never ended and have no folder any more."""
+    """Yield the rows of unfinished runs whose folder is missing."""
     for (uuid,) in where.database.rows("SELECT uuid FROM run WHERE state IN (?, ?)", OPEN):
         if not (where.folder / RUNS / uuid).is_dir():
             said = f"The folder of run {uuid} is gone; its figures so far are kept."

@@ -1,6 +1,6 @@
 """Requirements on the folder of a dataset: local file system, free space, single writer.
 
-The writer holds a locked file that names it; the operating system frees the lock when the process
+The writer locks a file that contains its name; the operating system frees the lock when the process
 ends.
 """
 
@@ -22,19 +22,19 @@ import psutil
 
 from touchdown.backend.core import InputError, lock_file
 
-# Error numbers of a disk that is full, for everybody or for this user.
+# error numbers of a full disk or an exhausted quota
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 LEAST_BYTES = 1_000_000_000
 LEAST_EPISODES = 100
-# A run that has begun pauses below this: catalogue and journals still need room.
+# A run in progress pauses below this, since catalogue and journals still need space.
 GO_ON_BYTES = 500_000_000
-# Size of an episode with JPEG pictures of real gels; simulated ones are smaller.
+# Size of an episode with JPEG images of real gels; simulated ones are smaller.
 EPISODE_BYTES = 3_700_000
 
 
 @dataclass(frozen=True, slots=True)
 class FreeSpace:
-    """Free bytes, how many episodes fit, and whether all that are planned do."""
+    """Free bytes, number of episodes that fit, and True in ``enough`` if all planned ones fit."""
 
     free_bytes: int
     episodes: int
@@ -42,10 +42,10 @@ class FreeSpace:
 
 
 def free_space_for(folder: Path, episodes: int, bytes_each: int = EPISODE_BYTES) -> FreeSpace:
-    """Return the room for ``episodes`` where ``folder`` is or will be.
+    """Return the free space for ``episodes`` on the disk of ``folder``.
 
-    Raises ``InputError`` if less than 1 GB is free, or less than 100 episodes take: a disk that is
-    nearly full is seldom filled by one program alone. Whoever plans more may warn by ``enough``.
+    Raises ``InputError`` if less than 1 GB is free, or less than 100 episodes need. ``enough`` is
+    False if the planned episodes do not fit.
     """
     place, free = _free(folder)
     needed = max(LEAST_BYTES, LEAST_EPISODES * bytes_each)
@@ -60,13 +60,13 @@ def free_space_for(folder: Path, episodes: int, bytes_each: int = EPISODE_BYTES)
 
 
 def free_bytes_if_low(folder: Path) -> int | None:
-    """Return the free bytes where too few are left to record another episode, else None."""
+    """Return the free bytes if they are too few for another episode, else None."""
     _, free = _free(folder)
     return free if free < GO_ON_BYTES else None
 
 
 def _free(folder: Path) -> tuple[Path, int]:
-    """Return the nearest folder that exists, and the free bytes of its disk."""
+    """Return the nearest existing folder and the free bytes of its disk."""
     place = folder.absolute()
     while not place.exists():
         place = place.parent
@@ -95,7 +95,7 @@ def check_local_disk(folder: Path, mounts: Mounts | None = None) -> None:
 
 
 def disk_weakness(folder: Path, mounts: Mounts | None = None) -> str:
-    """Return what the disk of ``folder`` does not promise, in words; "" where it promises all."""
+    """Return a warning if the disk of ``folder`` is not safe against power loss, else ""."""
     kind = file_system(folder.resolve(), _mounts() if mounts is None else mounts)
     if kind.lower() not in FAT:
         return ""
@@ -121,7 +121,7 @@ LOCK_NAME = "writer.lock"
 
 @dataclass(frozen=True, slots=True)
 class WriterInfo:
-    """Who writes: a person's name, process, computer, and since when (UTC)."""
+    """Writer of a dataset: person, process, computer and start (UTC)."""
 
     person: str
     pid: int
@@ -133,11 +133,11 @@ class WriterInfo:
 
 
 class NotWritableError(InputError):
-    """The dataset cannot be opened to write, but to look at."""
+    """The dataset can be opened for reading only."""
 
 
 class ReadOnlyFolderError(NotWritableError):
-    """The folder of the dataset cannot be written at all."""
+    """The folder of the dataset cannot be written."""
 
     def __init__(self, folder: Path, error: OSError) -> None:
         super().__init__(
@@ -149,7 +149,7 @@ class ReadOnlyFolderError(NotWritableError):
 
 
 class DatasetInUseError(NotWritableError):
-    """Another process (or another part of this one) writes the dataset; ``holder`` says who."""
+    """Another process (or another part of this one) writes the dataset; see ``holder``."""
 
     def __init__(self, folder: Path, holder: WriterInfo | None) -> None:
         who = "another program" if holder is None else str(holder)
@@ -162,7 +162,7 @@ class DatasetInUseError(NotWritableError):
 
 
 class WriterLock:
-    """The right to write a dataset, from ``take`` until ``release``."""
+    """Lock for writing a dataset, from ``take`` until ``release``."""
 
     def __init__(self, folder: Path, descriptor: int) -> None:
         self._path, self._descriptor = folder / LOCK_NAME, descriptor
@@ -171,7 +171,7 @@ class WriterLock:
     def take(cls, folder: Path, person: str = "") -> Self:
         """Lock ``folder`` for ``person``.
 
-        Raises ``DatasetInUseError`` naming the holder, or ``ReadOnlyFolderError``.
+        Raises ``DatasetInUseError`` with the holder, or ``ReadOnlyFolderError``.
         """
         try:
             descriptor = lock_file(folder / LOCK_NAME)
@@ -186,13 +186,13 @@ class WriterLock:
         return cls(folder, descriptor)
 
     def release(self) -> None:
-        """Give the right back. The file stays: removing it would let two writers in."""
+        """Release the lock. The file stays: removing it would let two writers in."""
         os.ftruncate(self._descriptor, 0)
         os.close(self._descriptor)
 
 
 def lock_holder(folder: Path) -> WriterInfo | None:
-    """Return who wrote the lock last, or None if nobody says so."""
+    """Return the last writer, or None if the file does not name one."""
     try:
         return WriterInfo(**json.loads((folder / LOCK_NAME).read_text("utf-8")))
     except (OSError, ValueError, TypeError):

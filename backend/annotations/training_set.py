@@ -1,4 +1,4 @@
-"""Labelled episodes of a dataset as rows to train on, read through a memory-mapped cache.
+"""Labelled episodes of a dataset as training rows, read through a memory-mapped cache.
 
 The cache gives random access to observations without decoding files.
 """
@@ -35,8 +35,8 @@ from touchdown.backend.episodes import (
 )
 from touchdown.backend.geometry import Piece, face_points, load_pieces, true_patch
 
-FEATURES = 1  # raised whenever the same file would give other numbers
-KEPT = 3  # so many caches stay, the newest first
+FEATURES = 1  # increment when the same file gives different numbers
+KEPT = 3  # newest caches to keep
 LISTED = ("episode", "sha256", "revision", "x_um", "y_um", "pair")
 SHAPE = (SAMPLES_PER_PROBE, CHANNELS)
 Width = Literal["float16", "float32"]
@@ -44,9 +44,9 @@ Width = Literal["float16", "float32"]
 
 @dataclass(frozen=True, slots=True)
 class CacheRow:
-    """One episode: where its observation stands, and the label revision it goes with.
+    """One episode: location of its observation, and its label revision.
 
-    ``chunk``: (offset, length) within a pack; None for an episode file of its own.
+    ``chunk``: (offset, length) within a pack; None for an episode file.
     """
 
     episode: str
@@ -74,16 +74,16 @@ class TrainingCache:
         return len(self.rows)
 
     def batch(self, index: NDArray[np.integer]) -> NDArray[np.floating]:
-        """Return the observations at ``index`` (B, 20, 258) as stored, in that order."""
+        """Return the observations at ``index`` (B, 20, 258), in that order."""
         self._read_ahead(index)
         return np.asarray(self.observation[index])
 
     def close(self) -> None:
-        """Close the file; arrays already returned stay valid."""
+        """Close the file; returned arrays stay valid."""
         os.close(self._descriptor)
 
     def _read_ahead(self, index: NDArray[np.integer]) -> None:
-        """Ask for all rows at once: one page fault after the other is three times slower."""
+        """Prefetch all rows at once: single page faults are three times slower."""
         if not hasattr(os, "posix_fadvise"):
             return
         for row in np.sort(index[~self._asked[index]]).tolist():
@@ -93,7 +93,7 @@ class TrainingCache:
 
 
 def cache_spec(rows: Sequence[CacheRow], width: Width = "float16") -> dict[str, object]:
-    """Return what a cache depends on; two equal specs have equal numbers."""
+    """Return everything a cache depends on; equal specs have equal numbers."""
     return {
         "episodes": [[row.episode, row.sha256, row.revision] for row in rows],
         "features": FEATURES,
@@ -111,9 +111,9 @@ def open_cache(
     width: Width = "float16",
     advance: Callable[[int], None] = lambda done: None,
 ) -> TrainingCache:
-    """Open the cache of ``rows`` (by episode), building it first if it is not there.
+    """Open the cache of ``rows`` (by episode); build it if it does not exist.
 
-    ``advance`` gets the number of rows done. Raises ``InputError`` naming a damaged file.
+    ``advance`` receives the number of finished rows. Raises ``InputError`` for a damaged file.
     """
     ordered = sorted(rows, key=lambda row: row.episode)
     spec = cache_spec(ordered, width)
@@ -129,7 +129,7 @@ def open_cache(
 
 
 def _fits(path: Path, count: int, width: Width) -> bool:
-    """Whether the cache is whole: its name is the spec, and its ``.json`` was written last."""
+    """Return True if the cache is complete: its ``.json`` is written last."""
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError):
@@ -173,7 +173,7 @@ def _observations(
 
 
 def read_observation(dataset: Path, row: CacheRow) -> NDArray[np.float32]:
-    """Return (20, 258) of one row from its file; raises ``InputError`` naming a damaged one."""
+    """Return the observation (20, 258) of one row; raises ``InputError`` for a damaged file."""
     path = dataset / row.path
     group = read_first(path) if row.chunk is None else read_chunk(path, *row.chunk)
     with input_errors(path):
@@ -192,7 +192,7 @@ def _forget_old(folder: Path, used: Path) -> None:
             path.with_suffix(".json").unlink(missing_ok=True)
 
 
-# ``submitted`` adds labels that wait for review; ``drafts`` also what a simulated bench noted.
+# ``submitted`` adds labels that wait for review, ``drafts`` also labels of simulated benches.
 LabelChoice = Literal["approved", "submitted", "drafts"]
 LABEL_CHOICES: tuple[LabelChoice, ...] = get_args(LabelChoice)
 
@@ -215,7 +215,7 @@ _NOTED = (
 
 @dataclass(frozen=True, slots=True)
 class LabelledEpisode:
-    """One episode and the label revision that counts for it."""
+    """One episode and the label revision used for training."""
 
     row: CacheRow
     label: Label
@@ -228,7 +228,7 @@ class LabelledEpisode:
 
 
 def is_dataset(folder: Path) -> bool:
-    """Whether ``folder`` is a dataset (and not a folder of packs)."""
+    """Return True if ``folder`` is a dataset (and not a folder of packs)."""
     return (folder / NAME).is_file()
 
 
@@ -238,10 +238,11 @@ def load_training_set(
     labels: LabelChoice = "approved",
     advance: Callable[[int], None] = lambda done: None,
 ) -> TrainingRows:
-    """Return the labelled episodes of ``piece`` (None: the only one) in the dataset ``folder``.
+    """Return the labelled episodes of ``piece`` (None: the only one) in a dataset.
 
-    Reads beside a writer. ``advance`` gets the number of episodes copied into the cache, if it has
-    to be built. Raises ``InputError`` if there are none, or if they belong to several pieces.
+    Works while another process writes the dataset. ``advance`` receives the number of episodes
+    copied into the cache, if it has to be built. Raises ``InputError`` if there are no episodes, or
+    episodes of several pieces.
     """
     database = Database.open(folder / NAME, write=False)
     try:
@@ -270,11 +271,11 @@ def load_training_set(
 
 
 def labelled_episodes(database: Database, labels: LabelChoice) -> list[LabelledEpisode]:
-    """Return the usable episodes with the labels that count, by uuid."""
+    """Return the usable episodes with their labels for training, by uuid."""
     revision, allowed = "h.counting", "1"
     if labels != "approved":
         also = _WAITING if labels == "submitted" else f"{_WAITING} OR ({_NOTED})"
-        # What was approved once counts until the new version is.
+        # An approved revision counts until a newer one is approved.
         revision = "coalesce(h.counting, h.rev_uuid)"
         allowed = f"h.counting IS NOT NULL OR {also}"
     rows = database.rows(_QUERY.format(revision=revision, allowed=allowed))
@@ -329,7 +330,7 @@ def _check_face(piece: Piece, pairs: Iterable[Pair], folder: Path) -> None:
 def _patches(
     chosen: Sequence[LabelledEpisode], pairs: Mapping[str, Pair], points: FloatArray
 ) -> NDArray[np.bool_]:
-    """(n, N) true patches over ``points`` (N, 2), derived per pair and rotation at once."""
+    """Return the true patches (n, N) over ``points`` (N, 2), per pair and rotation at once."""
     patch = np.zeros((len(chosen), len(points)), dtype=np.bool_)
     offset: FloatArray = np.stack([e.label.offset_mm for e in chosen])
     groups: dict[tuple[str, int], list[int]] = {}

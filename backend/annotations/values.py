@@ -1,7 +1,7 @@
 """Value types of the annotations: labels, operations, episode entries, identifiers, hashes.
 
-Identifiers are UUID version 7 (RFC 9562): sorting by id is sorting by time; Python 3.11 has no
-generator. Operations are hashed as canonical JSON and chained, one chain per site.
+Identifiers are UUID version 7 (RFC 9562), which sort by time; Python 3.11 has no generator.
+Operations are hashed as canonical JSON and chained, one chain per site.
 """
 
 from __future__ import annotations
@@ -26,42 +26,41 @@ _last = (0, 0)
 
 
 def uuid7() -> str:
-    """Return a new id, greater than every one this process made before."""
+    """Return a new id, greater than all earlier ones of this process."""
     global _last
     with _lock:
         ms, random = time.time_ns() // 1_000_000, secrets.randbits(RANDOM_BITS - 1)
         if ms <= _last[0]:
-            # Within one millisecond (or when the clock was set back) count on from the last one.
+            # Within one millisecond (or after the clock was set back) the last id is incremented.
             ms, random = _last[0], _last[1] + 1 + secrets.randbits(32)
         _last = (ms, random)
     return uuid7_from_parts(ms, random)
 
 
 def follow_uuid(text: str) -> None:
-    """Make every later id of this process greater than ``text``, whatever the clock says.
+    """Make all later ids of this process greater than ``text``.
 
-    A clock that was set back must not put what comes later before what is there. Text that is no
-    such id changes nothing.
+    Keeps the order of ids if the clock was set back. Ignores a text that is not an id.
     """
     global _last
     if is_uuid7(text):
         value = uuid.UUID(text).int
         random = (value >> 64 & 0xFFF) << 62 | value & ((1 << 62) - 1)
         ms = value >> 80
-        # Near the end of a millisecond there is no room to count on.
+        # Near the end of a millisecond the random bits could overflow.
         parts = (ms, random) if random < 1 << (RANDOM_BITS - 1) else (ms + 1, 0)
         with _lock:
             _last = max(_last, parts)
 
 
 def uuid7_from_parts(ms: int, random: int) -> str:
-    """Return the id of Unix milliseconds (48 bit) and 74 random bits."""
+    """Return the id of a Unix time in ms (48 bit) and 74 random bits."""
     high, low = random >> 62, random & ((1 << 62) - 1)
     return str(uuid.UUID(int=ms << 80 | 0x7 << 76 | high << 64 | 0b10 << 62 | low))
 
 
 def is_uuid7(text: str) -> bool:
-    """Whether ``text`` is such an id, in its usual spelling."""
+    """Return True if ``text`` is a UUID version 7 in lower-case notation."""
     try:
         value = uuid.UUID(text)
     except ValueError:
@@ -77,7 +76,7 @@ LabelState = Literal["unlabelled", "draft", "submitted", "approved", "rejected",
 Verdict = Literal["stable", "unstable", "unsure"]
 FileState = Literal["complete", "missing", "damaged", "quarantined"]
 
-# The actor of what no person did. It may store drafts, never submit or review them.
+# Actor of operations by the program. It may store drafts, never submit or review them.
 PROGRAM = "program"
 
 FLAG, SKIPPED, DELETED = "flag", "skipped", "deleted"
@@ -86,7 +85,7 @@ GEOMETRY_CHANGED = "geometry-changed"
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """Where the grasped face was relative to the bottom: x, y in µm, rotation in mdeg.
+    """Offset of the grasped face from the bottom: x, y in µm, rotation in mdeg.
 
     ``sigma_um``: standard uncertainty of x and of y. All None: unlabelled.
     """
@@ -98,12 +97,12 @@ class Label:
 
     @property
     def is_set(self) -> bool:
-        """Whether there is an offset."""
+        """True if there is an offset."""
         return self.x_um is not None and self.y_um is not None
 
     @property
     def offset_mm(self) -> FloatArray:
-        """(2,) displacement in mm; NaN where there is none."""
+        """Offset (2,) in mm; NaN if there is none."""
         pair = [np.nan if value is None else value / 1e3 for value in (self.x_um, self.y_um)]
         return np.array(pair, dtype=np.float64)
 
@@ -113,11 +112,11 @@ NO_LABEL = Label()
 
 @dataclass(frozen=True, slots=True)
 class Revision:
-    """One version of the label of one episode; never changed once written.
+    """One immutable version of the label of one episode.
 
-    ``parent``: the revision it follows. ``state`` is as written; ``superseded`` only ever appears
-    in a history, for an approved revision that a later approved one replaced. ``geometry``: hash
-    of the pair record. ``reason``: why it was rejected.
+    ``parent``: the previous revision. ``state`` is as written; ``superseded`` appears only in a
+    history, for an approved revision that a later approved one replaced. ``geometry``: hash of the
+    pair record. ``reason``: why it was rejected.
     """
 
     rev_uuid: str
@@ -137,7 +136,7 @@ class Revision:
 
 @dataclass(frozen=True, slots=True)
 class LabelContent:
-    """What a revision says, apart from where it stands in the history."""
+    """Content of a revision, without its position in the history."""
 
     label: Label
     source: Source
@@ -147,7 +146,7 @@ class LabelContent:
 
     @classmethod
     def of(cls, revision: Revision) -> LabelContent:
-        """Return what ``revision`` says."""
+        """Return the content of ``revision``."""
         r = revision
         return cls(r.label, r.source, r.geometry, r.verdict, r.note)
 
@@ -156,9 +155,9 @@ class LabelContent:
 class Operation:
     """One action of one person: a link of the chain of its site, and one step of undo.
 
-    ``body``: ``closes`` (revisions it retires), ``revs`` (what it wrote), and where there are any
-    ``marks``, ``copies``, ``reviews``, ``opinions``, ``apart`` (steps on gold, in no label),
-    ``seen_ms``, ``blind``. Hashes are hex.
+    ``body``: ``closes`` (revisions it closes), ``revs`` (revisions it writes), and optionally
+    ``marks``, ``copies``, ``reviews``, ``opinions``, ``apart`` (steps on control items, in no
+    label), ``seen_ms``, ``blind``. Hashes are hexadecimal.
     """
 
     op_uuid: str
@@ -175,7 +174,7 @@ class Operation:
 
     @property
     def episodes(self) -> list[str]:
-        """The episodes that it touched, each once."""
+        """Ids of the episodes concerned, without duplicates."""
         parts: list[Any] = []
         for name in ("revs", "marks", "opinions", "apart"):
             found: Any = self.body.get(name, ())
@@ -185,7 +184,7 @@ class Operation:
 
 @dataclass(frozen=True, slots=True)
 class AnswerContext:
-    """How a person came to an answer: time spent in ms (pauses left out); model hidden or not."""
+    """Conditions of an answer: time spent in ms (without pauses), and suggestion hidden or not."""
 
     seen_ms: int
     blind: bool = False
@@ -193,11 +192,11 @@ class AnswerContext:
 
 @dataclass(frozen=True, slots=True)
 class ControlItemStep:
-    """What one person sees of a gold episode after an action of theirs, none of it a label.
+    """State of a control item as one person sees it after a step, none of it a label.
 
-    ``version``: how its label looks. ``copy_of``: the version whose content undo or redo wrote
-    again. ``deleted``: why, "" if it is not. ``beside``: the episode of the queue that it comes
-    after ("" if it is the first).
+    ``version``: its label. ``copy_of``: the version that undo or redo repeated. ``deleted``: the
+    reason of a deletion, else "". ``beside``: the episode before it in the queue ("" if it comes
+    first).
     """
 
     version: Revision
@@ -208,7 +207,7 @@ class ControlItemStep:
 
     @property
     def answer(self) -> Label | None:
-        """What was decided (of rejected or deleted gold no displacement), None: nothing yet."""
+        """Decided content (without offset if rejected or deleted); None before a decision."""
         if self.deleted or self.version.state == "rejected":
             return NO_LABEL
         return self.version.label if self.version.state == "submitted" else None
@@ -216,10 +215,10 @@ class ControlItemStep:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeContext:
-    """What is known of an episode beside its signals, on every bench.
+    """Circumstances of an episode, on every bench.
 
     ``geometry``: hash of the pair record (``GeometryStore.store_pair``). ``mode``: lab, emulated,
-    live simulation, stepped, mass or imported. ``bench``: further words for the record ``bench``.
+    live simulation, stepped, mass or imported. ``bench``: further text for the record ``bench``.
     """
 
     series: str
@@ -237,10 +236,11 @@ class EpisodeContext:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeEntry:
-    """One row of the index. ``path`` is relative to the dataset; ``recorded_ns`` is UTC.
+    """One row of the index.
 
-    ``state`` and the three flags come from the labels; ``file_state`` is that of the file.
-    ``adopted``: found on disk at a start, after a crash or a restore.
+    ``path`` is relative to the dataset; ``recorded_ns`` is UTC. ``state`` and the three flags come
+    from the labels; ``file_state`` is that of the file. ``adopted``: found on disk on opening,
+    after a crash or a restore.
     """
 
     uuid: str
@@ -270,7 +270,7 @@ class EpisodeEntry:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeFilter:
-    """Which episodes to list, oldest first; empty or None means any.
+    """Filter of a list of episodes, oldest first; empty or None matches all.
 
     ``accepted``: by the quality checks. ``after``: only episodes later than this uuid.
     """
@@ -290,13 +290,13 @@ class EpisodeFilter:
     limit: int | None = None
 
 
-FIRST = "0" * 64  # what the first operation of a site follows
+FIRST = "0" * 64  # previous hash of the first operation of a site
 
 HASHED = ("actor", "at_ns", "body", "lamport", "op_uuid", "seq", "site", "target_op", "verb")
 
 
 def canonical_json(value: object) -> bytes:
-    """Return UTF-8 JSON with sorted keys and no spaces.
+    """Return UTF-8 JSON with sorted keys and without spaces.
 
     Integers, texts, booleans, null, arrays and objects only: a float raises ``TypeError``.
     """
@@ -310,14 +310,14 @@ def content_hash(value: object) -> str:
 
 
 def operation_hash(operation: Operation) -> str:
-    """Return the hash that ``operation`` must carry, in hex."""
+    """Return the expected hash of ``operation`` (hexadecimal)."""
     content = {name: getattr(operation, name) for name in HASHED}
-    # Without a search for floats: storing an operation refuses them, and checking 100,000 is quick.
+    # Not checked for floats here: storing an operation refuses them, and speed matters.
     return sha256(bytes.fromhex(operation.prev_hash) + _encoded(content)).hexdigest()
 
 
 def first_broken_link(operations: Iterable[Operation]) -> int | None:
-    """Return the sequence number of the first bad link of one site in order, or None."""
+    """Return the sequence number of the first broken link of one site, or None."""
     previous, expected = FIRST, 1
     for operation in operations:
         whole = operation.seq == expected and operation.prev_hash == previous
@@ -334,7 +334,7 @@ def _encoded(value: object) -> bytes:
 
 def _refuse_floats(value: object) -> None:
     if isinstance(value, float):
-        raise TypeError("a number with a fraction is never hashed: write it as text or in µm")
+        raise TypeError("floats are not hashed: store a text or an integer in µm")
     if isinstance(value, dict):
         for item in value.values():
             _refuse_floats(item)

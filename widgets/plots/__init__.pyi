@@ -1,4 +1,5 @@
 from .axes import LineBuffer as LineBuffer
+from .axes import PictureCache as PictureCache
 from .axes import PlotArea as PlotArea
 from .axes import draw_message as draw_message
 from .axes import draw_mm_grid as draw_mm_grid
@@ -46,6 +47,7 @@ __all__ = [
     "PhaseDrawn",
     "PhasePlot",
     "PhaseSheet",
+    "PictureCache",
     "PlotArea",
     "RecordedTraces",
     "ReliabilityPlot",

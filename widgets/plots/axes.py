@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 from PySide6.QtCore import QLineF, QPointF, QRect, QRectF, Qt
-from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
+from PySide6.QtGui import QColor, QPainter, QPen, QPixmap, QPolygonF
+from PySide6.QtWidgets import QWidget
 from shiboken6 import Shiboken, VoidPtr
 
 from touchdown.backend.core import FloatArray
@@ -207,6 +209,35 @@ def draw_stale_overlay(
     painter.fillRect(badge, theme.tokens.colour("pill_yellow"))
     painter.setPen(theme.tokens.colour("on_light"))
     painter.drawText(badge, int(Qt.AlignmentFlag.AlignCenter), text)
+
+
+class PictureCache:
+    """Picture of a widget, rendered again only if the key, the size or the theme changes."""
+
+    def __init__(self, widget: QWidget, theme: Theme) -> None:
+        self._widget, self._theme = widget, theme
+        self._picture: QPixmap | None = None
+        self._key: tuple[object, ...] = ()
+
+    def clear(self) -> None:
+        """Render the picture again at the next call."""
+        self._picture = None
+
+    def picture(self, draw: Callable[[QPainter], None], *key: object) -> QPixmap:
+        """Return the picture; ``draw`` renders it on a ground in the panel colour."""
+        size, theme = self._widget.size(), self._theme
+        whole = (size.toTuple(), theme.tokens.name, theme.scale, *key)
+        if self._picture is None or whole != self._key:
+            ratio = self._widget.devicePixelRatioF()
+            self._picture, self._key = QPixmap(size * ratio), whole
+            self._picture.setDevicePixelRatio(ratio)
+            self._picture.fill(theme.tokens.colour("panel"))
+            painter = QPainter(self._picture)
+            try:
+                draw(painter)
+            finally:
+                painter.end()  # Qt aborts if a pixmap is destroyed while it is painted on
+        return self._picture
 
 
 BYTES = 4 * 8  # a QLineF is four doubles: x1, y1, x2, y2

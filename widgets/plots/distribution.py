@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap
+from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray
 from touchdown.widgets.base import MapName, Theme, colour_table, map_colours, ui_font
 from touchdown.widgets.plots.axes import (
+    PictureCache,
     PlotArea,
     draw_message,
     draw_mm_grid,
@@ -81,8 +82,7 @@ class DistributionView(QWidget):
         self._theme, self._choose = theme, choose
         self.scene = DistributionScene()
         self._map: MapName = "cividis"
-        self._picture: QPixmap | None = None
-        self._key: tuple[object, ...] = ()
+        self._cache = PictureCache(self, theme)
         self.setAccessibleName(name)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setMinimumSize(190, 180)
@@ -130,22 +130,11 @@ class DistributionView(QWidget):
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
             draw_message(painter, self.rect(), self._theme, "Nothing yet", "No pair is chosen.")
             return
-        key = (id(self.scene), self.size().toTuple(), self._theme.tokens.name, self._theme.scale)
-        if self._picture is None or key != self._key:
-            self._key = key
-            ratio = self.devicePixelRatioF()
-            self._picture = QPixmap(self.size() * ratio)
-            self._picture.setDevicePixelRatio(ratio)
-            self._picture.fill(self._theme.tokens.colour("panel"))
-            inner = QPainter(self._picture)
-            inner.setRenderHint(QPainter.RenderHint.Antialiasing)
-            try:
-                self._draw(inner, self.area())
-            finally:
-                inner.end()
-        painter.drawPixmap(0, 0, self._picture)
+        painter.drawPixmap(0, 0, self._cache.picture(self._draw, id(self.scene)))
 
-    def _draw(self, painter: QPainter, area: PlotArea) -> None:
+    def _draw(self, painter: QPainter) -> None:
+        area = self.area()
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setFont(ui_font(self._theme.scale, 0.8))
         draw_mm_grid(painter, area, self._theme, 6 if area.rect.width() > 260 else 4)
         painter.save()

@@ -7,12 +7,13 @@ from functools import lru_cache
 
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, Qt
-from PySide6.QtGui import QPainter, QPaintEvent, QPen, QPixmap, QPolygonF, QResizeEvent, QStaticText
+from PySide6.QtGui import QPainter, QPaintEvent, QPen, QPolygonF, QStaticText
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray
 from touchdown.widgets.base import Age, Panel, Theme, flat_button, ui_font
 from touchdown.widgets.plots.axes import (
+    PictureCache,
     PlotArea,
     TraceBuckets,
     draw_message,
@@ -40,8 +41,7 @@ class TracePlot(QWidget):
         self.buckets = TraceBuckets(3, buckets=BUCKETS)
         self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
         self._note = ""
-        self._ground: QPixmap | None = None
-        self._ground_key: tuple[object, ...] = ()
+        self._ground = PictureCache(self, theme)
         self.paints = 0
         self.points_drawn = 0
         self.setAccessibleName(f"{name} traces")
@@ -60,7 +60,7 @@ class TracePlot(QWidget):
     def show_span(self, span_s: float) -> None:
         """Set the time span; this removes all samples."""
         self.buckets = TraceBuckets(3, span_s, buckets=BUCKETS)
-        self._ground = None
+        self._ground.clear()
         self.update()
 
     def clear(self) -> None:
@@ -85,7 +85,8 @@ class TracePlot(QWidget):
     def show_note(self, note: str) -> None:
         """Show a sensor figure beside the title, such as its drift."""
         if note != self._note:
-            self._note, self._ground = note, None
+            self._note = note
+            self._ground.clear()
             self.update()
 
     def summary(self) -> str:
@@ -102,10 +103,6 @@ class TracePlot(QWidget):
         while magnitude * 1.05 > self.limit:
             self.limit = _next_limit(self.limit)
 
-    def resizeEvent(self, _event: QResizeEvent) -> None:
-        """Discard the cached background."""
-        self._ground = None
-
     def area(self) -> PlotArea:
         """Return the area of the traces."""
         em = self.fontMetrics().height()
@@ -118,7 +115,7 @@ class TracePlot(QWidget):
         self.paints += 1
         painter = QPainter(self)
         area = self.area()
-        painter.drawPixmap(0, 0, self._background(area))
+        painter.drawPixmap(0, 0, self._ground.picture(self._draw_background, self.limit))
         if self.buckets.empty:
             draw_message(painter, area.rect, self._theme, "Waiting for data", self._reason)
             return
@@ -155,23 +152,9 @@ class TracePlot(QWidget):
             painter.drawStaticText(QPointF(left, y), symbol)
             painter.drawStaticText(QPointF(right - text.size().width(), y), text)
 
-    def _background(self, area: PlotArea) -> QPixmap:
-        key = (self.size().toTuple(), self.limit, self._theme.tokens.name, self._theme.scale)
-        if self._ground is None or key != self._ground_key:
-            ratio = self.devicePixelRatioF()
-            self._ground = QPixmap(self.size() * ratio)
-            self._ground.setDevicePixelRatio(ratio)
-            self._ground_key = key
-            painter = QPainter(self._ground)
-            try:
-                self._draw_background(painter, area)
-            finally:
-                painter.end()
-        return self._ground
-
-    def _draw_background(self, painter: QPainter, area: PlotArea) -> None:
-        t, rect = self._theme.tokens, area.rect
-        painter.fillRect(self.rect(), t.colour("panel"))
+    def _draw_background(self, painter: QPainter) -> None:
+        t, area = self._theme.tokens, self.area()
+        rect = area.rect
         painter.fillRect(rect, t.colour("bg"))
         painter.setFont(ui_font(self._theme.scale, 0.85))
         height = painter.fontMetrics().height()

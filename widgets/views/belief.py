@@ -15,7 +15,6 @@ from PySide6.QtGui import (
     QPainter,
     QPaintEvent,
     QPen,
-    QPixmap,
     QPolygonF,
     QResizeEvent,
 )
@@ -23,7 +22,7 @@ from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import BeliefMap, FloatArray, Stability
 from touchdown.widgets.base import MapName, Theme, map_colours, ui_font
-from touchdown.widgets.plots import PlotArea, draw_message, draw_mm_grid
+from touchdown.widgets.plots import PictureCache, PlotArea, draw_message, draw_mm_grid
 
 ENTRIES = (
     ("plus", "centre of mass"),
@@ -267,8 +266,7 @@ class BeliefView(QWidget):
         self._theme, self._thumbnail = theme, thumbnail
         self.scene = BeliefScene()
         self.map_name: MapName = "cividis"
-        self._drawn: QPixmap | None = None
-        self._key: tuple[object, ...] = ()
+        self._drawn = PictureCache(self, theme)
         self.paints = self.renders = 0
         self.setAccessibleName("Belief map")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
@@ -281,36 +279,20 @@ class BeliefView(QWidget):
     def show_scene(self, scene: BeliefScene) -> None:
         """Show another scene."""
         self.scene = scene
-        self._drawn = None
+        self._drawn.clear()
         self.setAccessibleDescription(describe_scene(scene))
         self.update()
 
     def show_map(self, name: MapName) -> None:
         """Choose the colour map."""
         self.map_name = name
-        self._drawn = None
+        self._drawn.clear()
         self.update()
 
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Draw the cached picture, rendered again if needed."""
         self.paints += 1
-        key = (self.size().toTuple(), self._theme.tokens.name, self._theme.scale, self.map_name)
-        if self._drawn is None or key != self._key:
-            self._key = key
-            ratio = self.devicePixelRatioF()
-            self._drawn = QPixmap(self.size() * ratio)
-            self._drawn.setDevicePixelRatio(ratio)
-            self._drawn.fill(self._theme.tokens.colour("panel"))
-            inner = QPainter(self._drawn)
-            inner.setRenderHint(QPainter.RenderHint.Antialiasing)
-            try:
-                self._draw(inner)
-            finally:
-                # Qt aborts the process if a pixmap is destroyed while it is painted on.
-                inner.end()
-            self.renders += 1
-        painter = QPainter(self)
-        painter.drawPixmap(0, 0, self._drawn)
+        QPainter(self).drawPixmap(0, 0, self._drawn.picture(self._draw))
 
     def side_px(self, size: QSize) -> float:
         """Return the side of the drawn square in a view of this size."""
@@ -334,7 +316,9 @@ class BeliefView(QWidget):
         return PlotArea(QRectF(x, y, side, side), cx - half, cx + half, cy - half, cy + half)
 
     def _draw(self, painter: QPainter) -> None:
+        self.renders += 1
         area = self.area()
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         if self._thumbnail:
             painter.fillRect(area.rect, self._theme.tokens.colour("bg"))
         else:

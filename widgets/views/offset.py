@@ -15,7 +15,7 @@ from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray, SupportKind
 from touchdown.widgets.base import Theme, blend, ui_font
-from touchdown.widgets.plots import PlotArea, draw_message, draw_mm_grid
+from touchdown.widgets.plots import PictureCache, PlotArea, draw_message, draw_mm_grid
 from touchdown.widgets.views.belief import draw_plus
 
 GhostKind = Literal["commanded", "measured", "scene", "model"]
@@ -258,9 +258,8 @@ class OffsetView(QWidget):
         self._held_mm: Point | None = None
         self._grasped: PlotArea | None = None  # at the start of a drag; the scale can change
         self._reach_mm = 1.0
-        self._ground: QPixmap | None = None
+        self._ground = PictureCache(self, theme)
         self._behind: QPixmap | None = None
-        self._ground_key: tuple[object, ...] = ()
         # Keeps the outlines alive, whose ids are part of the key.
         self._pair: tuple[object, object] | None = None
         self._behind_key: tuple[object, ...] = ()
@@ -343,11 +342,14 @@ class OffsetView(QWidget):
 
     def _background(self, scene: OffsetScene, area: PlotArea) -> QPixmap:
         """Return the background with the ghosts; rendered once per episode."""
-        side = is_legend_left(scene)
-        key = (self._fitting_ground(scene, area), scene.yaw_rad, scene.ghosts, side)
+        ground = self._ground.picture(
+            lambda painter: self._draw_ground(painter, scene, area),
+            id(scene.bottom), id(scene.face), self._reach_mm,
+        )  # fmt: skip
+        self._pair = scene.bottom, scene.face
+        key = (ground.cacheKey(), scene.yaw_rad, scene.ghosts, is_legend_left(scene))
         if self._behind is None or key != self._behind_key:
-            assert self._ground is not None
-            self._behind, self._behind_key = QPixmap(self._ground), key
+            self._behind, self._behind_key = QPixmap(ground), key
             painter = QPainter(self._behind)
             painter.setRenderHint(QPainter.RenderHint.Antialiasing)
             painter.setClipRect(area.rect)
@@ -357,24 +359,11 @@ class OffsetView(QWidget):
                 painter.end()
         return self._behind
 
-    def _fitting_ground(self, scene: OffsetScene, area: PlotArea) -> tuple[object, ...]:
-        """Render grid and bottom once per pair of faces; return the cache key."""
-        key = (self.size().toTuple(), self._theme.tokens.name, self._theme.scale,
-               id(scene.bottom), id(scene.face), self._reach_mm)  # fmt: skip
-        if self._ground is None or key != self._ground_key:
-            ratio = self.devicePixelRatioF()
-            self._ground, self._ground_key = QPixmap(self.size() * ratio), key
-            self._pair = scene.bottom, scene.face
-            self._ground.setDevicePixelRatio(ratio)
-            self._ground.fill(self._theme.tokens.colour("panel"))
-            painter = QPainter(self._ground)
-            painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-            painter.setFont(ui_font(self._theme.scale, 0.85))
-            try:
-                draw_mm_grid(painter, area, self._theme)
-                painter.setClipRect(area.rect)
-                draw_bottom(painter, area, scene, self._theme)
-                draw_scale_bar(painter, area, self._theme)
-            finally:
-                painter.end()
-        return key
+    def _draw_ground(self, painter: QPainter, scene: OffsetScene, area: PlotArea) -> None:
+        """Draw grid and bottom, once per pair of faces."""
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.setFont(ui_font(self._theme.scale, 0.85))
+        draw_mm_grid(painter, area, self._theme)
+        painter.setClipRect(area.rect)
+        draw_bottom(painter, area, scene, self._theme)
+        draw_scale_bar(painter, area, self._theme)

@@ -52,7 +52,7 @@ class ProtocolSignature:
 
 
 def load_signatures() -> tuple[ProtocolSignature, ...]:
-    """Return the signatures of all makes, in the order of ``MAKES``.
+    """Return the signatures of all makes in the order of requests: the surest protocols first.
 
     The first call imports their protocols. Factories call it, so that no import delays the
     real-time process later.
@@ -62,7 +62,8 @@ def load_signatures() -> tuple[ProtocolSignature, ...]:
 
 @cache
 def _load(makes: tuple[registry.Make, ...]) -> tuple[ProtocolSignature, ...]:
-    return tuple(s for make in makes if make.signatures for s in make.load(make.signatures))
+    found = [s for make in makes if make.signatures for s in make.load(make.signatures)]
+    return tuple(sorted(found, key=lambda signature: signature.least))
 
 
 def identify_device(

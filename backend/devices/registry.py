@@ -53,12 +53,11 @@ class Make:
         return getattr(importlib.import_module(f"{__package__}.{self.name}"), export)
 
 
-# Unknown devices are identified in this order: it is the order of requests on the wire.
 MAKES: tuple[Make, ...] = (
     Make("gripper", "wsg", "make_wsg", "emulate_wsg", "SIGNATURES"),
+    Make("force_torque", "dynpick", "DynpickDriver", "emulate_dynpick", "SIGNATURES"),
     Make("force_torque", "leptrino", "LeptrinoDriver", "emulate_leptrino", "SIGNATURES"),
     Make("force_torque", "ft300", "Ft300Driver", "emulate_ft300", "SIGNATURES"),
-    Make("force_torque", "dynpick", "DynpickDriver", "emulate_dynpick", "SIGNATURES"),
     Make("force_torque", "bota", "BotaDriver", "emulate_bota", "SIGNATURES"),
     Make("force_torque", "optoforce", "OptoforceDriver", "emulate_optoforce", "SIGNATURES"),
     Make("force_torque", "netft", "NetFtDriver", "emulate_netft"),

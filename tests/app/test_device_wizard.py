@@ -11,9 +11,9 @@ from PySide6.QtWidgets import QComboBox
 
 from tests.backend.rig.scripted import scripted
 from touchdown.app.connect.devices import FIELDS, LEFT, RIGHT
+from touchdown.backend import devices
 from touchdown.backend.config.bench_description import BenchDescription
 from touchdown.backend.config.lab import load_lab
-from touchdown.backend.devices import discovery
 from touchdown.backend.rig.connection import BenchConnection
 
 NUMBERS = ("2D8Y-69GR", "AAAA-1111")
@@ -144,7 +144,7 @@ def test_looking_opens_no_port_so_that_none_can_hold_it_up_or_answer_wrongly(
     ports = tmp_path / "by-id"
     ports.mkdir()
     os.mkfifo(ports / "usb-Silent")
-    monkeypatch.setattr(discovery, "choices", partial(discovery.choices, ports=ports))
+    monkeypatch.setattr(devices, "choices", partial(devices.choices, ports=ports))
     (tmp_path / "names" / "video0" / "name").write_bytes(b"\xff\x00GelSight?")
     wizard.look.click()
     offered = wizard.editors["ft.address"]

@@ -12,6 +12,7 @@ BIN := .venv/bin
 TESTS ?= tests
 WORKERS ?= 2
 MINUTES ?= 10
+GROUP ?=
 # Where so much is free in memory, tests write there: they flush thousands of small files.
 MEMORY_MB := 6000
 
@@ -63,8 +64,8 @@ format: setup ## rewrite the sources in the house style
 	@$(BIN)/ruff check --fix-only --quiet .
 	@$(BIN)/ruff format .
 
-bench: setup ## every promised figure next to its target
-	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.run
+bench: setup ## measure every figure and write docs/measured.md (GROUP=name for one group)
+	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.run --save $(GROUP)
 
 fuzz: setup ## throw damaged bytes at every wire decoder (10 min each; MINUTES=1 for less)
 	@OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz.wire --minutes $(MINUTES)

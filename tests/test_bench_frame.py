@@ -1,10 +1,10 @@
-"""The table of figures: what misses its target is said and decides the exit code."""
+"""``make bench``: exit code, choice of figures, and the stored results."""
 
 import json
 
 import pytest
 
-from tests.bench import run
+from tests.bench import measured, run
 from tests.bench.registry import Figure, figure
 from touchdown.backend.core.faults import InputError
 
@@ -72,3 +72,30 @@ def test_two_figures_of_one_name_are_a_defect(monkeypatch):
     figure("a")(speed)
     with pytest.raises(ValueError, match="speed"):
         figure("b")(speed)
+
+
+def test_saved_figures_replace_those_of_their_function_and_the_page_shows_them(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setattr(measured, "DATA", tmp_path / "measured.json")
+    monkeypatch.setattr(measured, "PAGE", tmp_path / "measured.md")
+    old = measured.records_of("group a", "a", [Figure("old", 1.0, "ms", "<= 2", True)])
+    other = measured.records_of("group b", "b", [Figure("other", 7, "of 9", "stated", None)])
+    content = {"format": measured.FORMAT, "figures": [*old, *other]}
+    (tmp_path / "measured.json").write_text(json.dumps(content), "utf-8")
+    (tmp_path / "measured.md").write_text("Top\n<!-- figures -->\n\n<!-- end -->\nEnd", "utf-8")
+    _register(
+        monkeypatch,
+        a=lambda: [
+            Figure("new", 3.0, "ms", "<= 2", False, "why"),
+            Figure("no", None, "", "", None),
+        ],
+    )
+    assert run.main(["a", "--save"]) == 1
+    assert [record["figure"] for record in measured.read_records()] == ["new", "other"]
+    page = (tmp_path / "measured.md").read_text("utf-8")
+    assert "2 figures: 0 meet their target, 1 miss it, 1 have none." in page
+    assert "| group a | new | 3 ms | ≤ 2 | why |" in page
+    assert "| other | 7 of 9 |" in page
+    assert page.startswith("Top")
+    assert page.endswith("End")

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.bench import measured
+from tests.fusion_tables import PAGE, loops, named, written
 from touchdown.backend.__main__ import VERBS
 from touchdown.backend.cli.doctor.command import DoctorCheck
 
@@ -110,17 +112,47 @@ def test_every_row_of_a_list_names_tests_that_exist(page, row, least):
     assert set().union(*named) - written == set()
 
 
-def test_every_figure_of_the_list_of_faults_is_measured_and_its_module_named():
-    named = set(re.findall(r'"([a-z_]+)"', (ROOT / "docs" / "faults.md").read_text("utf-8")))
+def _measurements():
+    """Return the names of the functions that ``make bench`` runs."""
     run = (ROOT / "tests" / "bench" / "run.py").read_text("utf-8")
-    measured = {
+    return {
         name
         for path in (ROOT / "tests" / "bench").glob("*.py")
         if f'"tests.bench.{path.stem}"' in run
         for name in re.findall(r"@figure\(.*\)\ndef (\w+)", path.read_text("utf-8"))
     }
-    assert len(named) >= 30
-    assert named - measured == set()
+
+
+def test_every_figure_of_the_list_of_faults_is_measured_and_its_module_named():
+    figures = set(re.findall(r'"([a-z_]+)"', (ROOT / "docs" / "faults.md").read_text("utf-8")))
+    assert len(figures) >= 30
+    assert figures - _measurements() == set()
+
+
+def test_the_page_of_figures_is_rendered_from_its_data():
+    records, text = measured.read_records(), measured.PAGE.read_text("utf-8")
+    assert measured.page(text, records) == text
+    assert all(tuple(record) == measured.KEYS for record in records)
+    assert {record["measure"] for record in records} - {""} <= _measurements()
+    names = [(record["group"], record["figure"]) for record in records]
+    assert len(names) == len(set(names))
+
+
+def test_the_tables_of_learned_fusion_are_rendered_from_their_results():
+    page = PAGE.read_text("utf-8")
+    answers = named(page)
+    assert {"beyond-fused", "beyond-fused-statics"} <= set(answers)
+    assert written(page, answers) == page
+
+
+def test_a_row_of_learned_fusion_counts_every_trial():
+    outcomes = {"placed": 18, "fell": 1, "knocked_over": 1}
+    cell = {"strategy": "fused", "piece": "pot", "bottom": "short", "probes": 4.0}
+    row = loops({"cells": [{**cell, "outcomes": outcomes}]}).splitlines()[2]
+    # Wilson's interval of 18 of 20 and of 2 of 20, from tables.
+    assert row == (
+        "| pot on Short | 20 | 90 (70 to 97) | 10 (3 to 30) | 18 / 1 / 1 / 0 / 0 | 4.0 |"
+    )
 
 
 def test_every_picture_of_a_state_is_one_that_is_made():

@@ -460,7 +460,16 @@ def cycle_times() -> list[Figure]:
     ]
     ok = fifo <= thread / 10.0 if first["realtime"] else None
     why = note(first) if first["realtime"] else "no right to real-time priority here"
-    rows.append(Figure("the same with SCHED_FIFO", fifo, "%", "<= 1/10 of the thread", ok, why))
+    rows.append(
+        Figure(
+            "late cycles, process of its own with SCHED_FIFO",
+            fifo,
+            "%",
+            "<= 1/10 of the thread",
+            ok,
+            why,
+        )
+    )
     return rows
 
 

@@ -372,7 +372,7 @@ def descents_into_nothing(misses: int = MISSES) -> list[Figure]:
     return [
         Figure("no contact: back to the start within", worst, "mm", "<= 0.1", worst <= BACK_MM,
                told),
-        Figure("presses, or episodes, of those", presses, "", "0", presses == 0),
+        Figure("no contact: presses or episodes", presses, "", "0", presses == 0),
     ]  # fmt: skip
 
 
@@ -393,10 +393,22 @@ def contacts_too_early(count: int = EARLY) -> list[Figure]:
     told = f"{count} descents; {low:.2f} to {high:.2f} mm" + "".join(f"; {b}" for b in broken[:2])
     hardest = max(peak_n)
     return [
-        Figure("contact 5 to 12 mm early: drawn back by, least", low, "mm", "2 within the brake",
-               well, told),
-        Figure("the same: strongest force", hardest, "N", "<= 60", hardest <= MAX_EARLY_CONTACT_N),
-    ]  # fmt: skip
+        Figure(
+            "contact 5 to 12 mm early: drawn back by, least",
+            low,
+            "mm",
+            "2 within the brake",
+            well,
+            told,
+        ),
+        Figure(
+            "contact 5 to 12 mm early: largest force",
+            hardest,
+            "N",
+            "<= 60",
+            hardest <= MAX_EARLY_CONTACT_N,
+        ),
+    ]
 
 
 def _early(board_mm: float, speed_mm_s: float) -> tuple[float, float, list[str]]:

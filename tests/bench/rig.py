@@ -126,7 +126,7 @@ def killed_rig() -> list[Figure]:
     still = "stopped by the controller itself; no rig began by itself"
     return [
         Figure("rig killed: CONTROL-LOST, worst", worst, "ms", "<= 500", worst <= 500, told),
-        Figure("arms that moved on, or rigs begun again, after that", moved + again, "", "0",
+        Figure("rig killed: arms that moved on, or rigs started again", moved + again, "", "0",
                moved + again == 0, still),
     ]  # fmt: skip
 
@@ -152,7 +152,7 @@ def killed_backend() -> list[Figure]:
     told = f"{KILLS} kills; median {np.median(took_ms):.0f} ms"
     return [
         Figure("backend killed: STOP by the rig, worst", worst, "ms", "<= 100", worst <= 100, told),
-        Figure("processes left after that", left, "", "0", left == 0),
+        Figure("backend killed: processes left", left, "", "0", left == 0),
     ]
 
 
@@ -383,13 +383,29 @@ def rigs_that_share_a_core() -> list[Figure]:
     wrong = [one.outcome for one in ended if not one.well]
     return [
         *rows,
-        Figure("largest step of a rig that shares its core, of the top speed", share, "", "<= 0.5",
-               share <= MOST_SHARE),
-        Figure("its commands ahead of one a cycle, most", ahead, "", "<= 1, a late one and the "
-               "next", ahead <= MOST_AHEAD),
-        Figure("of those rigs neither warned, refused, held nor going on, or with a burst",
-               len(wrong), "", "0", not wrong, "; ".join(wrong)),
-    ]  # fmt: skip
+        Figure(
+            "rigs that share a core: largest step, of the top speed",
+            share,
+            "",
+            "<= 0.5",
+            share <= MOST_SHARE,
+        ),
+        Figure(
+            "rigs that share a core: commands ahead of one a cycle, most",
+            ahead,
+            "",
+            "<= 1, a late one and the next",
+            ahead <= MOST_AHEAD,
+        ),
+        Figure(
+            "rigs that share a core: not ended as documented, or with a burst",
+            len(wrong),
+            "",
+            "0",
+            not wrong,
+            "; ".join(wrong),
+        ),
+    ]
 
 
 MOST_MS = 300.0

@@ -1,8 +1,8 @@
 """Print every figure next to its target: ``make bench``.
 
-``python -m tests.bench.run [name ...] [--json]`` measures the named groups or figures only and
-prints each as it comes; a whole group may take an hour. Exit code 0 if every measured figure meets
-its target, else 1.
+``python -m tests.bench.run [name ...] [--json] [--save]`` measures the named groups or figures only
+and prints each as it comes; a whole group may take an hour. ``--save`` stores the results and
+renders ``docs/measured.md``. Exit code 0 if every measured figure meets its target, else 1.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from rich.table import Table
 from rich.text import Text
 
+from tests.bench.measured import Record, records_of, save
 from tests.bench.registry import REGISTER, Figure
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core.faults import TouchdownError
@@ -63,27 +64,32 @@ def main(argv: Sequence[str] | None = None) -> int:
         help=f"measure these groups ({', '.join(groups)}) or single figures only",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object and nothing else")
+    parser.add_argument("--save", action="store_true", help="store and render the results")
     args = parser.parse_args(argv)
     if unknown := sorted(set(args.names) - set(groups) - set(REGISTER)):
         parser.error(f"there is no group {', '.join(unknown)}; there are {', '.join(groups)}")
     wanted = {
-        name: measure
+        name: (group, measure)
         for name, (group, measure) in REGISTER.items()
         if not args.names or {name, group} & set(args.names)
     }
     screen = VerbOutput(json=args.json)
     figures: list[Figure] = []
+    records: list[Record] = []
     with screen.progress("Measuring", len(wanted)) as advance:
-        for done, (name, measure) in enumerate(wanted.items()):
+        for done, (name, (group, measure)) in enumerate(wanted.items()):
             advance(done, name.replace("_", " "))
             try:
                 found = measure()
             except TouchdownError as error:
                 found = [Figure(name, None, "", "", ok=False, note=str(error))]
             figures += found
+            records += records_of(group, name, found)
             for one in found:
                 screen.say(f"{one.name}: {measured(one)} ({WORDS[one.ok].plain})")
         advance(len(wanted))
+    if args.save:
+        save(records)
     screen.show(table(figures))
     missed = [figure for figure in figures if figure.ok is False]
     screen.say(f"{len(figures)} figures, {len(missed)} missed.")

@@ -75,7 +75,7 @@ def noise_on_every_line() -> list[Figure]:
     return [
         Figure("10 MB of noise, slowest decoder, times its line", float(slowest), "", ">= 20",
                slowest >= TIMES_LINE, "no exception; " + ", ".join(names)),
-        Figure("most memory meanwhile", most / 1e6, "MB", "< 1", most < MOST_BYTES),
+        Figure("10 MB of noise, memory kept", most / 1e6, "MB", "< 1", most < MOST_BYTES),
     ]  # fmt: skip
 
 
@@ -99,7 +99,7 @@ def noise_in_frames_with_checksum() -> list[Figure]:
     ok = believed <= due + 3.0 * due**0.5
     told = f"of {frames} frames; chance lets {due:.0f} pass; " + ", ".join(names)
     return [
-        Figure("frames of noise believed, of 65,536", 65_536 * believed / frames, "",
+        Figure("frames of noise accepted, of 65,536", 65_536 * believed / frames, "",
                "<= 1 and three sigma of chance", ok, told)
     ]  # fmt: skip
 
@@ -145,7 +145,7 @@ def flipped_bits_without_checksum() -> list[Figure]:
         f"{len(values)} samples of {10 * FLIPPED_RECORDS} records, {wrong} of them off by over 1 N"
     )
     return [
-        Figure("flipped bits without checksum, largest step believed", step_n, "N", "<= 50",
+        Figure("flipped bits without checksum, largest step accepted", step_n, "N", "<= 50",
                step_n <= MAX_RECORD_STEP_N and len(values) > 8 * FLIPPED_RECORDS, told)
     ]  # fmt: skip
 

@@ -456,11 +456,23 @@ def _lifted(lifts: int) -> list[Figure]:
     told = f"{len(rose_mm)} times; {least:.2f} to {most:.2f} mm"
     worst, first = max(began), min(began)
     return [
-        Figure("the same in contact: the arm begins to rise, latest", worst, "ms",
-               "300 and what the arm lags", first >= FAULT_MS - 50.0 and worst <= FAULT_MS + 100.0,
-               f"{len(began)} times; earliest {first:.0f}, median {np.median(began):.0f} ms"),
-        Figure("the same: rises by, least", least, "mm", "2", least >= 1.9 and most <= 2.3, told),
-    ]  # fmt: skip
+        Figure(
+            "wrist sensor unplugged in contact: the arm begins to rise, latest",
+            worst,
+            "ms",
+            "300 and what the arm lags",
+            first >= FAULT_MS - 50.0 and worst <= FAULT_MS + 100.0,
+            f"{len(began)} times; earliest {first:.0f}, median {np.median(began):.0f} ms",
+        ),
+        Figure(
+            "wrist sensor unplugged in contact: rises by, least",
+            least,
+            "mm",
+            "2",
+            least >= 1.9 and most <= 2.3,
+            told,
+        ),
+    ]
 
 
 # -- cameras --------------------------------------------------------------------------------------

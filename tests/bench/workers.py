@@ -100,8 +100,8 @@ def failing_workers() -> list[Figure]:
                 os.environ["PYTHONPATH"] = before
     return [
         worst(found, "told_s", "a failing worker is named after, worst", "s", TOLD_S),
-        worst(found, "closed_s", "everything is closed then after, worst", "s", GONE_S),
-        worst(found, "left", "processes left", "", 0.0),
+        worst(found, "closed_s", "everything is closed after a failing worker, worst", "s", GONE_S),
+        worst(found, "left", "processes left after a failing worker", "", 0.0),
     ]
 
 
@@ -378,8 +378,8 @@ def failing_children_without_a_window() -> list[Figure]:
     return [
         worst(later, "told_s", text, "s", NEXT_SCENE_S),
         worst(found, "told_s", "a failing child is named after, worst", "s", TOLD_S),
-        worst(found, "closed_s", "everything is closed after it, worst", "s", GONE_S),
-        worst(found, "left", "processes left after it", "", 0.0),
+        worst(found, "closed_s", "everything is closed after a failing child, worst", "s", GONE_S),
+        worst(found, "left", "processes left after a failing child", "", 0.0),
     ]
 
 

@@ -110,7 +110,7 @@ class Watched:
         self.pump(lambda: train.page.form.start.isEnabled())
         for name, value in {"hidden": 8, "epochs": 100_000, "layers": 1}.items():
             getattr(train.page.form.numbers, name).setValue(value)
-        self.pump(lambda: train._commits is not None and not train._commits.busy)
+        self.pump(lambda: train._worker is not None and not train._worker.busy)
         return train
 
     def training(self) -> int:
@@ -212,13 +212,13 @@ def ask(window: Watched, thread: str) -> None:
 
 def _ask_in_train(window: Watched, thread: str, leave: Callable[[], None]) -> None:
     train = window.train()
-    assert train._commits is not None
-    assert train._post is not None
+    assert train._worker is not None
+    assert train._main_thread is not None
     assert train.presenter is not None
     if thread == "saving":
-        train._commits.submit(leave, _nothing, _nothing)
+        train._worker.submit(leave, _nothing, _nothing)
         return
-    put, asked = train._post.put, threading.Event()
+    put, asked = train._main_thread.put, threading.Event()
 
     def hand_over(letter: Callable[[], None]) -> None:
         put(letter)
@@ -226,7 +226,7 @@ def _ask_in_train(window: Watched, thread: str, leave: Callable[[], None]) -> No
             asked.set()
             leave()
 
-    train._post.put = hand_over  # type: ignore[method-assign]
+    train._main_thread.put = hand_over  # type: ignore[method-assign]
     train.presenter.start()
 
 

@@ -1,0 +1,130 @@
+"""Results of ``make bench`` and the page that shows them.
+
+``docs/results/measured.json`` holds one record a figure. ``python -m tests.bench.measured`` renders
+``docs/measured.md`` from it; ``python -m tests.bench.run --save`` replaces the records of the
+measurements that it ran and renders the page.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import platform
+import re
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from tests.bench.registry import Figure
+from touchdown.backend.core.files import write_atomically
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+DATA, PAGE = DOCS / "results" / "measured.json", DOCS / "measured.md"
+FORMAT = "touchdown-measured/1"
+KEYS = (
+    "date", "machine", "group", "measure", "figure", "value", "unit", "target", "met", "note",
+)  # fmt: skip
+RESULTS = {True: "met", False: "**missed**", None: ""}
+BLOCK = re.compile(r"(<!-- figures -->\n).*(\n<!-- end -->)", re.DOTALL)
+Record = Mapping[str, Any]
+
+
+def read_records() -> list[Record]:
+    """Return the stored records; raises ValueError for another format."""
+    content = json.loads(DATA.read_text("utf-8"))
+    if content["format"] != FORMAT:
+        raise ValueError(f"{DATA} has the format {content['format']}")
+    return list(content["figures"])
+
+
+def records_of(group: str, measure: str, figures: Iterable[Figure]) -> list[Record]:
+    """Return the records of what one function measured today on this computer."""
+    machine = f"{os.cpu_count()} cores, {platform.platform()}, CPython {platform.python_version()}"
+    date = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    return [
+        dict(zip(KEYS, (date, machine, group, measure, f.name, f.value, f.unit, f.target, f.ok,
+                        f.note), strict=True))
+        for f in figures
+        if f.value is not None
+    ]  # fmt: skip
+
+
+def merge_records(stored: Sequence[Record], new: Sequence[Record]) -> list[Record]:
+    """Return ``stored`` with the records of each function in ``new`` replaced, groups together."""
+    measured = {record["measure"] for record in new}
+    kept = [record for record in stored if record["measure"] not in measured]
+    groups = list(dict.fromkeys(record["group"] for record in (*stored, *new)))
+    return sorted((*kept, *new), key=lambda record: groups.index(record["group"]))
+
+
+def save(new: Sequence[Record]) -> None:
+    """Replace the records of what was measured and render the page."""
+    records = merge_records(read_records(), new)
+    lines = ",\n".join("  " + json.dumps(record, ensure_ascii=False) for record in records)
+    content = f'{{\n "format": "{FORMAT}",\n "figures": [\n{lines}\n ]\n}}\n'
+    write_atomically(DATA, content.encode())
+    write_atomically(PAGE, page(PAGE.read_text("utf-8"), records).encode())
+
+
+def page(text: str, records: Sequence[Record]) -> str:
+    """Return the page with its generated part replaced."""
+    found, count = BLOCK.subn(lambda match: match[1] + figures(records) + match[2], text)
+    if count != 1:
+        raise ValueError(f"{count} places for the figures")
+    return found
+
+
+def figures(records: Sequence[Record]) -> str:
+    """Return the summary, the missed targets and a table a group, as Markdown."""
+    results = [record["met"] for record in records]
+    missed = [record for record in records if record["met"] is False]
+    parts = [
+        f"{len(records)} figures: {results.count(True)} meet their target, {len(missed)} miss it, "
+        f"{results.count(None)} have none.",
+        "## Missed targets",
+        _table(
+            ("group", "figure", "measured", "target", "remark"),
+            ((r["group"], r["figure"], value(r), target(r), r["note"]) for r in missed),
+        ),
+    ]
+    for group, part in groupby(records, key=lambda record: record["group"]):
+        parts.append(f"## Group {group}")
+        by_machine: dict[str, list[Record]] = {}
+        for record in part:
+            by_machine.setdefault(record["machine"], []).append(record)
+        for machine, own in by_machine.items():
+            rows = ((r["figure"], value(r), target(r), RESULTS[r["met"]], r["date"]) for r in own)
+            parts.append(f"Machine: {machine}.")
+            parts.append(_table(("figure", "measured", "target", "result", "date"), rows))
+    return "\n\n".join(parts)
+
+
+def value(record: Record) -> str:
+    """Return the measured value with its unit."""
+    number = record["value"]
+    if isinstance(number, float):
+        number = f"{number:,.0f}" if number >= 1000 else f"{number:.4g}"
+    elif isinstance(number, int):
+        number = f"{number:,}"
+    return f"{number} {record['unit']}".strip()
+
+
+def target(record: Record) -> str:
+    """Return the target with its unit; "" where the figure is only stated."""
+    text = record["target"]
+    if text == "stated":
+        return ""
+    return text.replace("<=", "≤").replace(">=", "≥")
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = (header, ("---",) * len(header), *rows)
+    return "\n".join(f"| {' | '.join(row)} |" for row in lines)
+
+
+if __name__ == "__main__":
+    save([])
+    sys.stdout.write(f"{PAGE}\n")

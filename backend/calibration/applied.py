@@ -14,7 +14,7 @@ from touchdown.backend.core import FINGERS, FloatArray, RefusedError
 
 @dataclass(frozen=True, slots=True)
 class HandPosition:
-    """A place for the hand, mm, with the standard uncertainty of each of x and y."""
+    """Position of the hand, mm, and the standard uncertainty of x and of y."""
 
     x_mm: float
     y_mm: float
@@ -23,9 +23,9 @@ class HandPosition:
 
 @dataclass(frozen=True, slots=True)
 class BoardPosition:
-    """Where the hand is with the face of ``piece`` over the centre of ``bottom``, touching it.
+    """Position of the hand with the face of ``piece`` on the centre of ``bottom``.
 
-    ``slope_x``, ``slope_y``: by how much it is higher per mm of x and y.
+    ``slope_x``, ``slope_y``: increase of the contact height per mm of x and y.
     """
 
     piece: str
@@ -36,28 +36,28 @@ class BoardPosition:
     slope_y: float
 
     def is_of(self, piece: str, bottom: str) -> bool:
-        """Whether it was felt with this piece on this bottom."""
+        """Return True if it was felt with this piece on this bottom."""
         return (self.piece, self.bottom) == (piece, bottom)
 
     def contact_at(self, middle_mm: FloatArray) -> float:
-        """Return the height of the hand with the middle of what touches (2,) off the centre."""
+        """Return the contact height of the hand for a centre of contact ``middle_mm`` (2,)."""
         x_mm, y_mm = middle_mm.tolist()
         return self.contact_mm + self.slope_x * float(x_mm) + self.slope_y * float(y_mm)
 
 
 @dataclass(frozen=True, slots=True)
 class CalibratedPositions:
-    """What board and tool say of places; neither where no calibration holds."""
+    """Positions from the calibrations of board and tool; None without a valid one."""
 
     board: BoardPosition | None = None
     face: HandPosition | None = None  # centre of the held face relative to the tool axis
 
     def origin(self, named_mm: tuple[float, float], sigma_mm: float, bottom: str) -> HandPosition:
-        """Return where the hand has the face over the centre of ``bottom``.
+        """Return the position of the hand with the face over the centre of ``bottom``.
 
-        A place that the operator names, other than (0, 0), is that of the bottom itself, known to
-        ``sigma_mm``: the hand stands off it by the face. Else the board tells it, if it was felt on
-        this bottom.
+        ``named_mm`` other than (0, 0) is the position of the bottom entered by the operator, known
+        to ``sigma_mm``; the face offset is subtracted. Otherwise the calibration of the board is
+        used, if it was measured on this bottom.
         """
         if not any(named_mm) and self.board is not None and self.board.bottom == bottom:
             return self.board.place
@@ -72,14 +72,14 @@ UNCALIBRATED = CalibratedPositions()
 
 
 def calibrated_positions(used: Mapping[CalibrationName, CalibrationRecord]) -> CalibratedPositions:
-    """Return what the calibrations in use say of places."""
+    """Return the positions of the calibrations in use."""
     return CalibratedPositions(_board(used.get("board")), _face(used.get("tool")))
 
 
 def require_calibrated_bottom(
     used: Mapping[CalibrationName, CalibrationRecord], bottom: str, command: str
 ) -> None:
-    """Raise ``RefusedError`` if the board was felt on another bottom than ``bottom``.
+    """Raise ``RefusedError`` if the board was measured on another bottom than ``bottom``.
 
     ``command`` measures the board of this bench.
     """
@@ -87,16 +87,15 @@ def require_calibrated_bottom(
     if board is not None and board.bottom != bottom:
         raise RefusedError(
             "CALIBRATION-OTHER-BOTTOM",
-            f"Board: it was felt on {board.bottom}, not on {bottom}.",
+            f"Board: it was measured on {board.bottom}, not on {bottom}.",
             f"Run '{command} --bottom {bottom}'.",
         )
 
 
 def calibrated_cameras(settings: GelsightSettings, record: CalibrationRecord) -> GelsightSettings:
-    """Return the settings of the cameras as the calibration found them to sit.
+    """Return the camera settings with finger, mirroring and scale of the calibration.
 
-    The record says which serial number is at which finger, how each picture is mirrored, and its
-    scale. Settings that name other cameras stay as they are.
+    Settings that name other serial numbers are unchanged.
     """
     by_finger = {finger: record.file.devices.get(f"tactile_{finger}") for finger in FINGERS}
     known = {who.serial: finger for finger, who in by_finger.items() if who is not None}
@@ -123,10 +122,9 @@ def calibrated_cameras(settings: GelsightSettings, record: CalibrationRecord) ->
 def camera_conflicts(
     settings: GelsightSettings, record: CalibrationRecord, command: str
 ) -> dict[str, str]:
-    """Return, by device, at which finger the calibration has a camera and the settings do not.
+    """Return, by device, a message where settings and calibration disagree on a camera.
 
-    The calibration counts: who moved the sensors since must hear of it. What to do is said with the
-    first; ``command`` measures anew.
+    The calibration is used. The first message contains the remedy; ``command`` measures again.
     """
     sits, told = calibrated_cameras(settings, record), dict[str, str]()
     for finger in FINGERS:
@@ -138,7 +136,7 @@ def camera_conflicts(
             )
             told[f"tactile_{finger}"] = (
                 f"The lab file names {written} for the {finger} finger, the calibration of "
-                f"{record.file.date:%Y-%m-%d} found {found} there, which counts"
+                f"{record.file.date:%Y-%m-%d} found {found} there, which is used"
                 f"{'' if told else advice}"
             )
     return told

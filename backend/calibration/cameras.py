@@ -1,12 +1,12 @@
 """Calibration of the tactile cameras: scale, mirroring, finger, and gel fingerprint.
 
 The scale follows from the known pitch of the printed dots. Orientation and finger of a picture
-follow from presses beside the middle: the dots move up in every picture, more on the finger nearer
-to the contact, and they turn one way on the left, the other way on the right.
+follow from presses off the centre: the dots move up in every picture, more on the finger nearer to
+the contact, and rotate in opposite directions on the left and on the right.
 
 The fingerprint of a gel is the rest position of its 63 dots in the raw picture, independent of the
-mirroring in the settings. Five recordings of one real gel lie 0.6 to 1.5 px (rms) apart although it
-holds a piece in each, two real gels 5.2 px and more.
+mirroring in the settings. Five recordings of one real gel with a held piece differ by 0.6 to 1.5 px
+(rms), two real gels by 5.2 px or more.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ _ROW, _COL = np.divmod(np.arange(MARKERS), GRID_COLS)
 class SidePress:
     """One press with the face displaced to ``side`` of the bottom; fields (2, 63, 2) in px.
 
-    ``rest_px`` before it, ``moved_px`` by how much the dots moved; the first is what counts as the
-    left camera.
+    ``rest_px``: dots before it, ``moved_px``: their motion; the first is the camera configured as
+    left.
     """
 
     side: Side
@@ -81,7 +81,7 @@ class MarkerLattice:
             length = float(np.linalg.norm(step))
             along = step / length
             variance = along[0] ** 2 * u.covariance[k, k] + along[1] ** 2 * v.covariance[k, k]
-            # Dots that lie off a straight lattice leave its steps the less certain.
+            # Deviations from a straight lattice increase the uncertainty of its steps.
             spread = max(1.0, rms(np.concatenate([u.residuals, v.residuals]), 6) / DOT_SIGMA_PX)
             scale = pitch_mm / length
             sigma = spread * scale * float(np.sqrt(variance)) / length
@@ -90,7 +90,7 @@ class MarkerLattice:
 
     @property
     def residuals_px(self) -> FloatArray:
-        """(63,) distance of each dot from its place in the lattice."""
+        """(63,) distance of each dot from its lattice point."""
         u, v = self.solution
         return np.asarray(np.hypot(u.residuals, v.residuals))
 
@@ -106,7 +106,7 @@ def fit_lattice(position_px: FloatArray) -> MarkerLattice:
 
 
 def image_motion(rest_px: FloatArray, moved_px: FloatArray) -> tuple[FloatArray, float]:
-    """Return mean shift (2,) in px and turn in rad (u right to v down) of a field (63, 2)."""
+    """Return mean shift (2,) in px and rotation in rad (u to v) of a field (63, 2)."""
     arm = rest_px - rest_px.mean(axis=0)
     shift = moved_px.mean(axis=0)
     across = arm[:, 0] * moved_px[:, 1] - arm[:, 1] * moved_px[:, 0]
@@ -115,26 +115,26 @@ def image_motion(rest_px: FloatArray, moved_px: FloatArray) -> tuple[FloatArray,
 
 @dataclass(frozen=True, slots=True)
 class CameraArrangement:
-    """How the cameras really sit: ``exchanged``, and how each picture is to be mirrored."""
+    """Actual mounting of the cameras: ``exchanged``, and mirroring needed for each picture."""
 
     exchanged: bool
     mirror: dict[Finger, str]
 
     def words(self) -> str:
-        """Return how they sit, and what follows from it."""
+        """Return the arrangement as a sentence."""
         said = ["left and right are exchanged"] if self.exchanged else []
         for finger in FINGERS:
             mirror = self.mirror[finger]
             if mirror != "none":
                 said.append(f"the {finger} picture is mirrored in {AXES[mirror]}")
         if not said:
-            return "Finger and mirroring fit the settings."
+            return "Finger and mirroring agree with the settings."
         text = ", ".join(said)
-        return f"{text[0].upper()}{text[1:]}: put right from the next start on."
+        return f"{text[0].upper()}{text[1:]}: corrected from the next start on."
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """``exchanged`` (0, 1) and the mirror of each finger by its code in ``MIRRORS``."""
+        """``exchanged`` (0, 1) and the mirror of each finger by its code in ``MIRROR_CODES``."""
         mirrors = (
             Quantity(f"{finger}_mirror", float(MIRROR_CODES.index(self.mirror[finger])), 0.0, "")
             for finger in FINGERS
@@ -143,8 +143,9 @@ class CameraArrangement:
 
 
 def finger_lead_px(pushes: Sequence[SidePress]) -> FloatArray:
-    """Return (n,) by how much the second picture moved more, from each press to +y and the next to
-    -y. Gels creep between presses by as much as this may be: it is told by repeating.
+    """Return (n,) excess motion of the second picture, +y minus -y press, for n pairs.
+
+    Creep of the gels between presses is of similar size, so that presses must be repeated.
     """
     moved = {
         side: [
@@ -159,7 +160,7 @@ def finger_lead_px(pushes: Sequence[SidePress]) -> FloatArray:
 
 
 def fingers_distinguishable(pushes: Sequence[SidePress]) -> bool:
-    """Whether the difference between the fingers is one, and beyond what it varies by."""
+    """Return True if the difference between the fingers is significant."""
     leads = finger_lead_px(pushes)
     lead_px = abs(float(leads.mean()))
     if len(leads) < 2:
@@ -170,13 +171,13 @@ def fingers_distinguishable(pushes: Sequence[SidePress]) -> bool:
 
 
 def find_arrangement(pushes: Sequence[SidePress]) -> CameraArrangement:
-    """Return how the cameras sit, from one press to each side or more.
+    """Return the arrangement of the cameras, from at least one press to each side.
 
     Raises ``RefusedError`` "PUSHES" if a side is missing, "WEAK-PUSH" if the dots hardly move,
-    "EVEN-PUSH" if both fingers move alike.
+    "EVEN-PUSH" if both fingers move equally.
     """
     if {push.side for push in pushes} != set(SIDES):
-        raise RefusedError("PUSHES", "Press once beside each of the four sides.")
+        raise RefusedError("PUSHES", "Press at least once on each of the four sides.")
     shift, turn = _by_side(pushes)
     along_v = np.stack(list(shift.values()))[..., 1].mean(axis=0)
     if np.abs(along_v).min() < MIN_MOTION_PX:
@@ -184,10 +185,10 @@ def find_arrangement(pushes: Sequence[SidePress]) -> CameraArrangement:
     flipped = along_v > 0.0
     # Displaced to +y the face touches on its -y side, the side of the right finger.
     lead_px = float(finger_lead_px(pushes).mean())
-    # Displaced to +x the contact lifts the -x side: the left picture turns from u to v.
+    # Displaced to +x the contact lifts the -x side: the left picture rotates from u to v.
     turned = turn["+x"] - turn["-x"]
     if not fingers_distinguishable(pushes) or np.abs(turned).min() < MIN_TURN_RAD:
-        raise RefusedError("EVEN-PUSH", "Both fingers move alike: press farther off the middle.")
+        raise RefusedError("EVEN-PUSH", "Both fingers move equally: press farther off the centre.")
     exchanged = lead_px < 0.0
     expected = np.array([-1.0, 1.0]) if exchanged else np.array([1.0, -1.0])
     reversed_u = np.sign(turned) * np.where(flipped, -1.0, 1.0) != expected
@@ -199,10 +200,10 @@ def find_arrangement(pushes: Sequence[SidePress]) -> CameraArrangement:
 
 
 def estimate_cameras(pushes: Sequence[SidePress], pitch_mm: float) -> CalibrationEstimate:
-    """Return how the cameras sit, and mm/px of both.
+    """Return arrangement and scale (mm/px) of both cameras.
 
-    ``exchanged`` and the mirrors are told against the settings in use. The residual is the larger
-    rms distance of the dots from a straight lattice. Refused as ``find_setting``.
+    ``exchanged`` and mirrors are relative to the settings in use. The residual is the larger rms
+    distance of the dots from a straight lattice. Raises as ``find_arrangement``.
     """
     setting = find_arrangement(pushes)
     found, left_px = list(setting.quantities), []
@@ -245,9 +246,9 @@ FINGERPRINT_VALUES = 2 * MARKERS
 
 
 def fingerprint_distance_px(now_px: FloatArray, then_px: FloatArray) -> float:
-    """Return how far dots (63, 2) lie from a fingerprint (63, 2), rms in px; NaN: not seen.
+    """Return the rms distance of dots (63, 2) from a fingerprint (63, 2), px; NaN: not seen.
 
-    Up to ``CREEP_PX`` of what all have moved alike is left out. Infinity where too few are seen.
+    A common shift of up to ``CREEP_PX`` is ignored. Infinite if too few dots are seen.
     """
     seen = np.isfinite(now_px).all(axis=1)
     if np.count_nonzero(seen) < MIN_DOTS:
@@ -260,7 +261,7 @@ def fingerprint_distance_px(now_px: FloatArray, then_px: FloatArray) -> float:
 
 
 def mirrored_dots(position_px: FloatArray, mirror: str) -> FloatArray:
-    """Return dots (63, 2) of a picture as they are, row by row, once it is mirrored."""
+    """Return the dots (63, 2) of the mirrored picture, row-major."""
     code = MIRROR_CODES.index(mirror)
     grid = position_px.reshape(GRID_ROWS, GRID_COLS, 2).copy()
     if code & 1:
@@ -273,7 +274,7 @@ def mirrored_dots(position_px: FloatArray, mirror: str) -> FloatArray:
 
 
 def dots_to_numbers(position_px: FloatArray) -> tuple[float, ...]:
-    """Return dots (63, 2) as a file has them: u, v of one after the other, to 0.001 px."""
+    """Return dots (63, 2) as stored in a file: u, v of each dot, rounded to 0.001 px."""
     return tuple(np.round(position_px, 3).ravel().tolist())
 
 
@@ -285,10 +286,10 @@ def numbers_to_dots(numbers: Sequence[float]) -> FloatArray:
 def identify_gel(
     now_px: FloatArray, known: Mapping[str, FloatArray], own: str, limit_px: float
 ) -> tuple[str, str]:
-    """Return of whose fingerprint in ``known`` the dots are, and how the picture is mirrored then.
+    """Return the name in ``known`` whose fingerprint fits the dots, and the mirroring.
 
-    Both "" where they fit none of them any way round. Two fingers may have gels that are mirror
-    images: exchanged counts as likelier than mirrored, and both at once as the least likely.
+    Both are "" if none fits. Gels of two fingers may be mirror images: exchange is tried before
+    mirroring, and both at once last.
     """
     names = sorted(known, key=lambda name: name != own)
     tries = [(name, "none") for name in names]

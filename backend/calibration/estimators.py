@@ -1,8 +1,8 @@
 """Least-squares estimators of board, tool, payload, and sensor yaw.
 
-Board: height and tilt from touches, x, y and yaw from its edges. Tool: centre of the face of a held
-piece from the axis of the tool; the piece touches the edges of a bottom at a known position, grip
-by grip. Payload: mass and centre of mass below the wrist sensor, and the bias of the sensor. In
+Board: height and tilt from touches; x, y and yaw from its edges. Tool: centre of the face of a held
+piece relative to the tool axis; in each grip the piece touches the edges of a bottom at a known
+position. Payload: mass and centre of mass below the wrist sensor, and the bias of the sensor. In
 pose k gravity points along g_k in the axes of the hand, so that f_k = m g_k + b and t_k = (m c) x
 g_k + d: linear in the ten unknowns m, m c, b, d. Sensor yaw about the tool axis: a tilted hand
 projects part of the known direction of gravity into the plane of the sensor; with a = m cos(yaw)
@@ -40,7 +40,7 @@ YawOf = Literal["board", "piece", ""]
 
 @dataclass(frozen=True, slots=True)
 class TouchedEdge:
-    """One edge as it was felt, in mm for the arm.
+    """One measured edge, in mm of the arm.
 
     ``axis`` 0 (x) or 1 (y) across the edge, ``side`` -1 or 1; contact begins at ``at_mm`` of that
     axis, with the piece ``along_mm`` off the centre along the edge.
@@ -81,15 +81,17 @@ def fit_plane(touches_mm: FloatArray) -> BoardPlane:
 
 
 def fit_edges(edges: Sequence[TouchedEdge], *, yaw: bool) -> LeastSquaresSolution:
-    """Return (x, y, reach x, reach y[, yaw]) of the felt edges, mm and rad.
+    """Return (x, y, reach x, reach y[, yaw]) of the measured edges, mm and rad.
 
-    An edge across x is felt at x + side * reach - yaw * along, one across y at
+    An edge across x is measured at x + side * reach - yaw * along, one across y at
     y + side * reach + yaw * along; the reach is that of piece and board together. Raises
     ``RefusedError`` "EDGES" without a surplus of edges, "DEGENERATE" if a side is missing.
     """
     unknowns = 5 if yaw else 4
     if len(edges) <= unknowns:
-        raise RefusedError("EDGES", f"{len(edges)} edges are too few: feel more than {unknowns}.")
+        raise RefusedError(
+            "EDGES", f"{len(edges)} edges are too few: measure more than {unknowns}."
+        )
     design = np.zeros((len(edges), unknowns))
     for row, edge in zip(design, edges, strict=True):
         row[edge.axis], row[2 + edge.axis] = 1.0, edge.side
@@ -98,7 +100,7 @@ def fit_edges(edges: Sequence[TouchedEdge], *, yaw: bool) -> LeastSquaresSolutio
     at_mm = np.array([edge.at_mm for edge in edges])
     sigma = np.full(len(edges), EDGE_SIGMA_MM)
     return solve_least_squares(
-        design, at_mm, sigma, "Feel every edge on both sides, and yaw at two places."
+        design, at_mm, sigma, "Measure each edge on both sides, and for the yaw at two positions."
     )
 
 
@@ -107,9 +109,9 @@ def estimate_board(
 ) -> CalibrationEstimate:
     """Return height, tilt, x, y and yaw of the board.
 
-    ``touches_mm`` (n, 3): places and heights of contact; ``yaw_of``: whose turn the edges told, ""
-    for round ones. The residual is the larger of those of plane and edges. Refused as ``fit_plane``
-    and ``fit_edges``.
+    ``touches_mm`` (n, 3): positions and heights of contact; ``yaw_of``: part whose yaw the edges
+    determine, "" for round ones. The residual is the larger of those of plane and edges. Raises as
+    ``fit_plane`` and ``fit_edges``.
     """
     plane, felt = fit_plane(touches_mm), fit_edges(edges, yaw=bool(yaw_of))
     x, y = felt.x[:2].tolist()
@@ -145,18 +147,18 @@ def estimate_board(
 
 
 def _bottom_obstacle(yaw: Quantity) -> str:
-    """Return how the bottom is to be turned if it does not lie straight enough, else "".
+    """Return the correction of the bottom's yaw if it is too large, else "".
 
-    Labels and maps take it as straight: the hand does not turn while it presses.
+    Labels and maps assume no yaw, since the hand does not rotate while it presses.
     """
     if abs(yaw.value) <= MAX_YAW_RAD + 2.0 * yaw.sigma:
         return ""
     way = "clockwise" if yaw.value > 0.0 else "counter-clockwise"
     turned = math.degrees(yaw.value)
     return (
-        f"The bottom is turned by {turned:.1f}°, and labels and maps take it as straight: turn it "
-        f"{way}, seen from above, by as much. On a MELFA arm {turned:.1f} may be added to "
-        "melfa.yaw_deg of the lab file instead: bench and hand turn with it. Then measure again."
+        f"The bottom is rotated by {turned:.1f}°, but labels and maps assume no rotation: turn it "
+        f"{way}, seen from above, by this angle. On a MELFA arm {turned:.1f} may be added to "
+        "melfa.yaw_deg of the lab file instead, which rotates bench and hand. Then measure again."
     )
 
 
@@ -171,7 +173,7 @@ def _yaw_note(yaw_of: YawOf) -> str:
 TOOL_LIMIT_MM = 0.2
 FELT_SIGMA_MM = 0.06  # standard uncertainty of a measured centre of the bottom
 _TOOL_NAMES, _TOOL_UNITS = ("face_x_mm", "face_y_mm"), ("mm", "mm")
-KNOWN_NOTE = "The centre of the bottom counts as known; its error is in the face centre."
+KNOWN_NOTE = "The centre of the bottom is assumed known; its error is in the face centre."
 TOOL_GRIPS = 3
 
 
@@ -180,7 +182,7 @@ def estimate_tool(
 ) -> CalibrationEstimate:
     """Return the mean face centre over several grips against a known bottom.
 
-    ``felt_mm`` (n, 2): where the hand stood, grip by grip, with the face over the centre of the
+    ``felt_mm`` (n, 2): position of the hand in each grip with the face over the centre of the
     bottom at ``bottom_mm`` (2,), known to ``bottom_sigma_mm`` per axis. The residual is the spread
     of the grips. Raises ``RefusedError`` "GRIPS" for fewer than three.
     """
@@ -190,7 +192,9 @@ def estimate_tool(
     face_mm = bottom_mm - felt_mm
     design = np.tile(np.eye(2), (count, 1))
     sigma = np.full(2 * count, FELT_SIGMA_MM)
-    found = solve_least_squares(design, face_mm.ravel(), sigma, "The grips tell nothing.")
+    found = solve_least_squares(
+        design, face_mm.ravel(), sigma, "The grips do not determine the face centre."
+    )
     residual_mm = rms(found.residuals, 2)
     spread = max(residual_mm, FELT_SIGMA_MM) ** 2 / count
     covariance = (spread + bottom_sigma_mm**2) * np.eye(2)
@@ -211,8 +215,8 @@ _PAYLOAD_NAMES = (
 )  # fmt: skip
 _PAYLOAD_UNITS = ("kg", "mm", "mm", "mm", "N", "N", "N", "N·m", "N·m", "N·m")
 LEVEL_NOTE = (
-    "The hand stayed level: the sensor's own zero counts as true, and the height of the centre of "
-    "mass is not known."
+    "The hand stayed level: the zero of the sensor is assumed correct, and the height of the "
+    "centre of mass is unknown."
 )
 
 
@@ -242,7 +246,7 @@ def estimate_payload(turns: FloatArray, wrenches: FloatArray) -> CalibrationEsti
     )
     values, covariance = _centre_from_moments(found.x, found.covariance)
     left_n = np.linalg.norm(found.residuals.reshape(count, 6)[:, :3], axis=1)
-    obstacle = "" if values[0] > 0.0 else "The mass comes out negative: check ft.sign."
+    obstacle = "" if values[0] > 0.0 else "The mass is negative: check ft.sign."
     return CalibrationEstimate(
         quantities(_PAYLOAD_NAMES, _PAYLOAD_UNITS, values, covariance),
         covariance, left_n, float(left_n.max()), PAYLOAD_LIMIT_N, "N", obstacle=obstacle,
@@ -250,11 +254,11 @@ def estimate_payload(turns: FloatArray, wrenches: FloatArray) -> CalibrationEsti
 
 
 def estimate_level_payload(wrenches: FloatArray) -> CalibrationEstimate:
-    """Return mass and centre of mass in the plane, of an arm that keeps its hand level.
+    """Return mass and horizontal centre of mass for an arm that keeps its hand level.
 
-    ``wrenches`` (n, 6) as in ``estimate_payload``. Weight and bias cannot be told apart in one
-    pose, so the bias counts as zero: a sensor that was not zeroed shows as sideways force in the
-    residual. Raises ``RefusedError`` "POSES" for fewer than six readings.
+    ``wrenches`` (n, 6) as in ``estimate_payload``. One pose cannot separate weight and bias, so the
+    bias is assumed zero; the residual contains the lateral force of a sensor that was not zeroed.
+    Raises ``RefusedError`` "POSES" for fewer than six readings.
     """
     count = len(wrenches)
     if count < PAYLOAD_POSES:
@@ -267,7 +271,7 @@ def estimate_level_payload(wrenches: FloatArray) -> CalibrationEstimate:
         raise RefusedError("NO-WEIGHT", f"The sensor carries {weight_n:.2f} N: check ft.sign.")
     x_mm, y_mm = 1e3 * float(mean[4]) / weight_n, -1e3 * float(mean[3]) / weight_n
     change = np.zeros((3, 3))
-    # Of (mass, x, y) by (Fz, Tx, Ty).
+    # Derivative of (mass, x, y) by (Fz, Tx, Ty).
     change[0, 0] = -1.0 / GRAVITY_M_S2
     change[1] = x_mm / weight_n, 0.0, 1e3 / weight_n
     change[2] = y_mm / weight_n, -1e3 / weight_n, 0.0
@@ -286,7 +290,7 @@ def estimate_level_payload(wrenches: FloatArray) -> CalibrationEstimate:
 
 
 def _cross(vectors: FloatArray) -> FloatArray:
-    """Return (n, 3, 3): the matrices of v x."""
+    """Return the (n, 3, 3) cross-product matrices."""
     x, y, z = vectors.T
     o = np.zeros_like(x)
     return np.stack([np.stack([o, -z, y], 1), np.stack([z, o, -x], 1), np.stack([-y, x, o], 1)], 1)
@@ -305,7 +309,7 @@ def _centre_from_moments(x: FloatArray, covariance: FloatArray) -> tuple[FloatAr
 
 
 def estimate_wrist(turns: FloatArray, wrenches: FloatArray) -> CalibrationEstimate:
-    """Return the yaw of the sensor against the tool; positive turns its x towards the tool's y.
+    """Return the yaw of the sensor relative to the tool; positive from its x to the tool's y.
 
     ``turns`` (n, 3, 3) and ``wrenches`` (n, 6) as in ``estimate_payload``. The residual is the
     largest force that the model leaves over. Raises ``RefusedError`` "POSES" for fewer than six,
@@ -336,7 +340,7 @@ def estimate_wrist(turns: FloatArray, wrenches: FloatArray) -> CalibrationEstima
     return CalibrationEstimate(
         (Quantity("yaw_rad", yaw, sigma, "rad"), Quantity("mass_kg", mass, mass_sigma, "kg")),
         covariance, left_n, float(left_n.max()), PAYLOAD_LIMIT_N, "N",
-        note="The yaw is what is left after ft.rotation.",
+        note="The yaw is the remainder after ft.rotation.",
         obstacle=_yaw_obstacle(yaw, sigma),
     )  # fmt: skip
 
@@ -344,4 +348,4 @@ def estimate_wrist(turns: FloatArray, wrenches: FloatArray) -> CalibrationEstima
 def _yaw_obstacle(yaw: float, sigma: float) -> str:
     if abs(yaw) <= MAX_YAW_RAD + 2.0 * sigma:
         return ""
-    return f"The sensor is turned by {math.degrees(yaw):.1f}°: turn ft.rotation by that."
+    return f"The sensor is rotated by {math.degrees(yaw):.1f}°: rotate ft.rotation by this angle."

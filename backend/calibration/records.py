@@ -42,7 +42,7 @@ class CalibrationValue(Settings):
 
 
 class DeviceName(Settings):
-    """Who a device said it is."""
+    """Identity reported by a device."""
 
     maker: str
     model: str
@@ -50,7 +50,7 @@ class DeviceName(Settings):
 
 
 class CalibrationFile(Settings):
-    """What the file holds, apart from its hash. Dates are UTC."""
+    """Content of the file without its hash. Dates are UTC."""
 
     version: Literal[1] = 1
     what: CalibrationName
@@ -71,7 +71,7 @@ class CalibrationFile(Settings):
 
     @property
     def expires(self) -> datetime:
-        """When it stops to hold."""
+        """End of its validity."""
         return self.date + timedelta(days=self.expires_days)
 
 
@@ -88,13 +88,13 @@ class CalibrationRecord:
         return cls(file, content_sha256(file))
 
     def days_left(self, now: datetime) -> float:
-        """Return for how many days it still holds; negative once it has expired."""
+        """Return the remaining days of validity; negative after expiry."""
         return (self.file.expires - now) / timedelta(days=1)
 
     def foreign(self, devices: Mapping[str, DeviceName]) -> str:
-        """Return the first device of ``devices`` that is not the one it was made with, else "".
+        """Return the first of ``devices`` that differs from the one at calibration, or "".
 
-        A device that tells no number goes by the name of its port, in whatever folder that is.
+        Devices without a serial number are identified by the name of their port.
         """
         for name, now in devices.items():
             then = self.file.devices.get(name)
@@ -103,7 +103,7 @@ class CalibrationRecord:
         return ""
 
     def text(self) -> str:
-        """Return the text of its file."""
+        """Return the text of the file."""
         content = {**_content(self.file), "sha256": self.sha256}
         return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
@@ -119,7 +119,7 @@ def content_sha256(file: CalibrationFile) -> str:
 
 
 def _content(file: CalibrationFile) -> dict[str, object]:
-    """Return what is written and hashed; files from before ``about``, ``gels`` keep their hash."""
+    """Return the hashed content, without empty fields that older files lack."""
     content = file.model_dump(mode="json")
     for later in ("about", "gels"):
         if not content[later]:
@@ -135,7 +135,7 @@ def read_record(path: Path) -> CalibrationRecord:
         file = CalibrationFile.model_validate(content)
     except (OSError, ValueError, KeyError, AttributeError, TypeError, RecursionError) as error:
         raise InputError(
-            f"This is no calibration of version {VERSION}: {_first_error(error)}.",
+            f"This is not a calibration of version {VERSION}: {_first_error(error)}.",
             str(path),
             "Calibrate again; the damaged file can be deleted.",
         ) from error
@@ -161,20 +161,20 @@ def _read_text(path: Path) -> str:
 
 
 def _find_flaw(file: CalibrationFile) -> str:
-    """Return what keeps a well-formed file from being applied, "" if nothing does."""
+    """Return the reason why a well-formed file cannot be applied, or ""."""
     for name in CALIBRATION_KINDS[file.what].values:
         if name not in file.values:
             return f"The calibration lacks '{name}'."
         if name.endswith("_mm_px") and not file.values[name].value > 0:
-            return f"The calibration has no scale above zero: '{name}'."
+            return f"The scale '{name}' of the calibration is not positive."
     for name in ("left_mirror", "right_mirror"):
         if name in file.values and file.values[name].value not in range(len(MIRROR_CODES)):
-            return f"The calibration knows no such mirror: '{name}'."
+            return f"The mirror code '{name}' of the calibration is unknown."
     if file.about and len(file.about.split(ON_BOTTOM)) != 2:
-        return "The calibration does not say which piece was on which bottom."
+        return "The calibration does not name piece and bottom."
     for name, numbers in file.gels.items():
         if len(numbers) != FINGERPRINT_VALUES or name not in file.devices:
-            return f"The calibration holds no fingerprint of a gel: '{name}'."
+            return f"The gel fingerprint '{name}' of the calibration is invalid."
     return ""
 
 
@@ -191,9 +191,9 @@ Condition = Literal["valid", "expired", "missing", "other device", "damaged"]
 
 @dataclass(frozen=True, slots=True)
 class CalibrationStatus:
-    """How one calibration stands: ``record`` if there is one, ``why`` it does not hold else "".
+    """Validity of one calibration: ``record`` if any, ``why`` it is not valid, or "".
 
-    ``command``: what measures it anew on this bench.
+    ``command``: measures it again on this bench.
     """
 
     what: CalibrationName
@@ -204,12 +204,12 @@ class CalibrationStatus:
 
     @property
     def fix(self) -> str:
-        """What to do about it."""
+        """Remedy, or "" if it is valid."""
         return "" if self.condition == "valid" else f"Run '{self.command}'."
 
     @property
     def notice(self) -> str:
-        """What one that holds does not tell, "" for nothing."""
+        """Limitation of a valid calibration, or ""."""
         if self.what != "camera" or self.record is None or self.record.file.gels:
             return ""
         return "no fingerprint of the gels yet"
@@ -220,16 +220,16 @@ def _age(days: float) -> str:
 
 
 class CalibrationStore:
-    """The files of one folder; only those of the same ``mode`` of bench count.
+    """Calibration files of one folder and one bench ``mode``.
 
-    ``where``: how the command line names the bench, such as "--bench lab.toml".
+    ``where``: argument that names the bench on the command line, such as "--bench lab.toml".
     """
 
     def __init__(self, folder: Path, mode: Mode, where: str = "") -> None:
         self.folder, self.mode, self._where = folder, mode, where
 
     def command(self, what: CalibrationName) -> str:
-        """Return the command that measures a calibration of this bench, and keeps it."""
+        """Return the command that measures and accepts a calibration of this bench."""
         return " ".join(filter(None, ("touchdown calibrate", what, self._where, "--accept")))
 
     def accept(
@@ -240,10 +240,10 @@ class CalibrationStore:
         now: datetime | None = None,
         gels: Mapping[str, tuple[float, ...]] | None = None,
     ) -> Path:
-        """Write a calibration; returns its path. ``gels``: fingerprints, as the file has them.
+        """Write a calibration and return its path. ``gels``: fingerprints as in the file.
 
-        Raises ``RefusedError`` "RESIDUAL" or "OBSTACLE" for what is not acceptable, ``InputError``
-        where the folder cannot be written.
+        Raises ``RefusedError`` "RESIDUAL" or "OBSTACLE" if it is not acceptable, ``InputError`` if
+        the folder cannot be written.
         """
         if measured.obstacle:
             raise RefusedError("OBSTACLE", measured.obstacle)
@@ -290,9 +290,9 @@ class CalibrationStore:
     def standing(
         self, what: CalibrationName, devices: Mapping[str, DeviceName], now: datetime | None = None
     ) -> CalibrationStatus:
-        """Return how the newest calibration of a kind stands with the present ``devices``.
+        """Return the validity of the newest calibration of a kind with the present ``devices``.
 
-        Devices that are not connected yet are not compared.
+        Devices that are not connected are not compared.
         """
         command = self.command(what)
         try:
@@ -319,15 +319,15 @@ class CalibrationStore:
     def standings(
         self, devices: Mapping[str, DeviceName], now: datetime | None = None
     ) -> list[CalibrationStatus]:
-        """Return how all stand."""
+        """Return the validity of all calibrations."""
         return [self.standing(what, devices, now) for what in CALIBRATION_NAMES]
 
     def in_use(
         self, devices: Mapping[str, DeviceName], *, required: bool, now: datetime | None = None
     ) -> dict[CalibrationName, CalibrationRecord]:
-        """Return those that hold; raises ``RefusedError`` naming the first that is ``required``.
+        """Return the valid calibrations; if ``required``, refuse an invalid one.
 
-        The names: CALIBRATION-MISSING, -EXPIRED, -OTHER-DEVICE, -DAMAGED.
+        Its reason is CALIBRATION-MISSING, -EXPIRED, -OTHER-DEVICE or -DAMAGED.
         """
         used: dict[CalibrationName, CalibrationRecord] = {}
         for standing in self.standings(devices, now):

@@ -23,9 +23,9 @@ CALIBRATION_NAMES: tuple[CalibrationName, ...] = get_args(CalibrationName)
 
 @dataclass(frozen=True, slots=True)
 class CalibrationKind:
-    """One calibration: ``days`` that it holds; it belongs to ``devices``, by their names.
+    """Kind of calibration, valid for ``days`` and for ``devices``, by their names.
 
-    ``values``: what is read of it when it is applied; a file without one of them is damaged.
+    ``values``: names of the values that are applied; a file without one of them is damaged.
     """
 
     what: CalibrationName
@@ -73,7 +73,7 @@ MIN_CONDITION = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One number that was found, with its standard uncertainty."""
+    """An estimated value with its standard uncertainty."""
 
     name: str
     value: float
@@ -83,11 +83,11 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationEstimate:
-    """What was found: ``residual`` and ``limit`` in ``unit``, ``residuals`` (n,) per measurement.
+    """Result: ``residual`` and ``limit`` in ``unit``, ``residuals`` (n,) per measurement.
 
-    ``covariance`` (k, k) of the quantities, in their units. ``obstacle``: why it cannot be accepted
-    whatever the residual, "" if nothing stands against it; ``note``: what it does not tell.
-    ``gels_px``: as of the fact.
+    ``covariance`` (k, k) of the quantities, in their units. ``obstacle``: reason for refusal
+    independent of the residual, or ""; ``note``: limitations. ``gels_px``: as in
+    ``CalibrationMeasured``.
     """
 
     quantities: tuple[Quantity, ...]
@@ -105,7 +105,7 @@ class CalibrationEstimate:
         read_only(self.residuals)
 
     def told(self, t_s: float, what: str, about: str = "") -> CalibrationMeasured:
-        """Return it as a fact of calibration ``what``; ``about``: which piece on which bottom."""
+        """Return the event of calibration ``what``; ``about``: piece and bottom."""
         return CalibrationMeasured(
             t_s,
             what,
@@ -125,7 +125,7 @@ class CalibrationEstimate:
 
     @property
     def acceptable(self) -> bool:
-        """Whether the residual is within its limit and nothing stands against it."""
+        """True if the residual is within its limit and there is no obstacle."""
         return self.told(0.0, "").acceptable
 
     def value(self, name: str) -> float:
@@ -215,7 +215,7 @@ _DISPLAY_UNITS: dict[str, tuple[str, float]] = {"rad": ("°", math.degrees(1.0))
 
 
 def quantity_name(name: str) -> str:
-    """Return the name of a quantity for people."""
+    """Return the displayed name of a quantity."""
     return QUANTITY_NAMES.get(name, name)
 
 
@@ -236,6 +236,6 @@ def format_value(name: str, value: float, sigma: float, unit: str) -> str:
 
 
 def format_residual(residual: float, limit: float, unit: str) -> str:
-    """Hold a residual against its limit."""
+    """Return a residual and its limit as text."""
     side = "within" if residual <= limit else "beyond"
     return f"{residual:.2g} {unit}, {side} the limit of {limit:g} {unit}"

@@ -9,7 +9,18 @@ from dataclasses import dataclass
 
 
 class TouchdownError(Exception):
-    """Base of all errors that Touchdown raises."""
+    """Base of all errors that Touchdown raises.
+
+    Parameters
+    ----------
+    *args
+        As of ``Exception``.
+
+    Examples
+    --------
+    >>> issubclass(InputError, TouchdownError)
+    True
+    """
 
 
 class InputError(TouchdownError):
@@ -55,7 +66,19 @@ class Fault:
 
 
 class FaultError(TouchdownError):
-    """A ``Fault`` ended the present activity."""
+    """A fault ended the activity.
+
+    Attributes
+    ----------
+    fault : Fault
+        Code, problem, consequence and next step.
+
+    Examples
+    --------
+    >>> error = FaultError(Fault("FT-LINK", "The sensor is silent.", "The run ended.", "Check it."))
+    >>> error.fault.code
+    'FT-LINK'
+    """
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(f"{fault.what} {fault.consequence} {fault.next_step} [{fault.code}]")
@@ -72,6 +95,10 @@ class RefusedError(TouchdownError):
     what, next_step, detail : str
         Problem, remedy (may be ""), and both together.
 
+    Examples
+    --------
+    >>> str(RefusedError("BUSY", "A run is in progress."))
+    'BUSY: A run is in progress.'
     """
 
     def __init__(self, reason: str, what: str, next_step: str = "") -> None:

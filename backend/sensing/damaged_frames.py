@@ -1,8 +1,8 @@
 """Marker tracking that rejects frames damaged in transfer although they decode.
 
-A gel moves as one sheet, and its dots stay dots. Damage to a JPEG changes blocks: a marker then
-leaves its neighbours *and* looks different *and* the picture around it is not the previous one,
-moved. One of these alone is no proof: real gels slip, and real dots blur in fast motion.
+Damage to a JPEG changes blocks: a marker leaves its neighbours, looks different, and the picture
+around it is not the previous one in motion. Each of these alone is no proof, since real gels slip
+and real dots blur in fast motion.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _PATCH, _WINDOW, _BLOCKS = (25, 25), (5, 5), (WIDTH_PX // 8, HEIGHT_PX // 8)
 
 @dataclass(frozen=True, slots=True)
 class _TrackedFrame:
-    """One picture: itself, the means of its 8 x 8 px (30, 40, 3), and its markers."""
+    """One picture, the means of its blocks of 8 x 8 px (30, 40, 3), and its markers."""
 
     image: ImageArray
     blocks: NDArray[np.float32]
@@ -63,10 +63,10 @@ class _TrackedFrame:
 
 
 class DamageCheckingTracker:
-    """The tracker of one finger; ``refused`` counts pictures that were none.
+    """Tracker of one finger that rejects damaged pictures; ``refused`` counts them.
 
-    Never two in a row are refused: what the next one says too is believed, so that a gel which
-    does what is held to be impossible costs every other picture and no more.
+    Two pictures in a row are never rejected, so that unusual motion of a gel costs at most every
+    other picture.
     """
 
     def __init__(self, finger: Finger) -> None:
@@ -77,9 +77,9 @@ class DamageCheckingTracker:
         self._doubted = False
 
     def track(self, frame: TactileFrame) -> MarkerField | None:
-        """Return the markers of ``frame``, as ``MarkerTracker.track``; None: it is no picture.
+        """Return the markers of ``frame`` as ``MarkerTracker.track``, None if it is damaged.
 
-        Only pictures that came as JPEG are judged.
+        Only pictures transferred as JPEG are checked.
         """
         if not frame.from_jpeg:
             return self.tracker.track(frame)
@@ -102,7 +102,7 @@ class DamageCheckingTracker:
         return field
 
     def _impossible(self, last: _TrackedFrame, new: _TrackedFrame) -> bool:
-        """Whether no gel gets from ``last`` to ``new`` within one frame."""
+        """Return True if no gel gets from ``last`` to ``new`` within one frame."""
         inside = (last.position_px > EDGE_PX) & (last.position_px < _FAR_PX - EDGE_PX)
         if (~new.seen & (self._steady >= STEADY_FRAMES) & inside.all(axis=1)).any():
             return True
@@ -118,7 +118,7 @@ class DamageCheckingTracker:
         )
         if line_levels > SURE_LINE_LEVELS:
             return True
-        # In the dark a marker looks like nothing; any look after that is another one.
+        # A marker without darkness in the last frame has an infinite ratio.
         dark = np.full_like(new.looks, np.inf)
         ratio = np.divide(new.looks, last.looks, out=dark, where=last.looks > 0.0)
         share = np.abs(ratio - 1.0).max(axis=1)
@@ -132,14 +132,15 @@ class DamageCheckingTracker:
 
 
 def neighbour_residual_px(step_px: FloatArray) -> FloatArray:
-    """Return (63,) by how much steps (63, 2) leave the affine fit of their eight neighbours'."""
+    """Return (63,) distance of steps (63, 2) from the affine fit of their eight neighbours."""
     apart = _NEIGHBOUR_RESIDUAL @ step_px
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", apart, apart)), dtype=np.float64)
 
 
 def shifted_along_rows(step_px: FloatArray) -> bool:
-    """Whether steps (63, 2) move a whole row of markers along itself, stiffly: a JPEG that lost or
-    gained a block is shifted so from there on, and a gel, which is held at its rim, never.
+    """Return True if steps (63, 2) move a row of markers along itself without bending.
+
+    A JPEG that lost or gained a block is shifted so from there on; a gel, fixed at its rim, is not.
     """
     rows = step_px.reshape(GRID_ROWS, GRID_COLS, 2)
     mean = rows.mean(axis=1)
@@ -150,7 +151,7 @@ def shifted_along_rows(step_px: FloatArray) -> bool:
 
 
 def tint_levels(last: NDArray[np.float32], new: NDArray[np.float32]) -> float:
-    """Return by how many levels the colour of all changed, beyond lighter or darker lamps.
+    """Return the change of the mean colour in levels, without changes of brightness.
 
     ``last``, ``new``: (30, 40, 3) means of blocks.
     """
@@ -160,7 +161,7 @@ def tint_levels(last: NDArray[np.float32], new: NDArray[np.float32]) -> float:
 
 
 def unexplained_levels(last: _TrackedFrame, new: _TrackedFrame, marker: int) -> float:
-    """Return how far the picture round ``marker`` is from the one before, moved with it."""
+    """Return the difference of the patch around ``marker`` from its previous one, in levels."""
     change = _patch(new, marker) - _patch(last, marker)
     change -= np.median(change[::3, ::3], axis=(0, 1))  # lamps may flicker
     square = np.einsum("ijk,ijk->ij", change, change) / change.shape[2]
@@ -177,9 +178,7 @@ def _seen(field: MarkerField) -> NDArray[np.bool_]:
 
 
 def _neighbour_residual() -> FloatArray:
-    """Return (63, 63): each marker less the affine fit of the eight around it, or next to it at
-    the border.
-    """
+    """Return (63, 63): each marker minus the affine fit of its eight nearest neighbours."""
     rows = np.eye(MARKERS)
     for marker in range(MARKERS):
         row, col = divmod(marker, GRID_COLS)

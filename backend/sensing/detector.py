@@ -1,13 +1,13 @@
 """Detection of the dark dots in a tactile image, and of the grid that they form.
 
-The image is first flattened: the brightest colour channel divided by its local mean, so that the
-coloured lamps and flicker drop out. Blobs are connected dark regions at half resolution. A centre
-is the fixed point of a Gaussian-weighted centroid at full resolution; it has no threshold edge that
-noise could move, and does not depend on where the search started.
+The image is first flattened: the brightest colour channel is divided by its local mean, which
+removes coloured light and flicker. Blobs are connected dark regions at half resolution. A centre is
+the fixed point of a Gaussian-weighted centroid at full resolution; it does not depend on a
+threshold or on the start of the search.
 
 The lattice of rows and columns grows outwards from one dot, each step predicted from the last local
-pitch; dots between the lattice points are left over. The order of the result never depends on the
-order of detection.
+pitch; dots between the lattice points are ignored. The result does not depend on the order of
+detection.
 """
 
 from __future__ import annotations
@@ -65,17 +65,17 @@ class Centres:
 
 
 class Detector:
-    """Looks at one image at a time; keeps its buffers, so use one per camera and thread."""
+    """Detects dots in one image at a time; not thread-safe, since buffers are reused."""
 
     def __init__(self) -> None:
         pad = _HALF_WINDOW_PX
-        # Beyond the border all is background.
+        # Background beyond the border.
         padded = np.ones((HEIGHT_PX + 2 * pad, WIDTH_PX + 2 * pad), np.float32)
         self._windows = sliding_window_view(padded, (2 * pad + 1, 2 * pad + 1))
         self._flat = padded[pad:-pad, pad:-pad]
         flat = self._flat
         self._border = (flat[:2], flat[-2:], flat[:, :2], flat[:, -2:])
-        # Fresh large arrays in every frame cost more (page faults) than the arithmetic on them.
+        # Allocating large arrays for each frame (page faults) costs more than the arithmetic.
         full, half, *smaller = ((HEIGHT_PX // by, WIDTH_PX // by) for by in (1, 2, 4, 8))
         self._channels = [np.empty(full, np.uint8) for _ in range(3)]
         self._brightest, self._per_mean = np.empty(full, np.uint8), np.empty(full, np.float32)
@@ -84,7 +84,7 @@ class Detector:
         self._mask, self._labels = np.empty(half, np.uint8), np.empty(half, np.uint16)
 
     def look(self, image: ImageArray) -> None:
-        """Take up ``image`` (240, 320, 3) uint8, BGR."""
+        """Set ``image`` (240, 320, 3) uint8, BGR."""
         blue, green, red = cv2.split(image, self._channels)
         cv2.max(cv2.max(blue, green, self._brightest), red, self._brightest)
         small = self._brightest
@@ -97,11 +97,11 @@ class Detector:
 
     @property
     def border_clear(self) -> bool:
-        """Whether no dot is cut by the border of the image."""
+        """True if no dot is cut by the border of the image."""
         return all(float(line.min()) >= 1.0 - _BLOB_DEPTH for line in self._border)
 
     def blobs(self) -> Blobs:
-        """Return every dark region of a plausible dot's size and roundness."""
+        """Return the dark regions with the size and roundness of a dot."""
         _shrink(self._flat, self._half_flat)
         dark = np.less(self._half_flat, 1.0 - _BLOB_DEPTH, out=self._dark).view(np.uint8)
         mask = cv2.dilate(cv2.erode(dark, _OPENING, self._mask), _OPENING, dark)
@@ -111,14 +111,14 @@ class Detector:
         x, y, width, height, area = stats[1:].T
         longer = np.maximum(width, height)
         whole = (x > 0) & (y > 0) & (x + width < WIDTH_PX // 2) & (y + height < HEIGHT_PX // 2)
-        # A dot cut by the border has lost its round shape.
+        # A dot cut by the border is not round.
         keep = (area > 0.5 * width * height) & (longer <= 2.5 * np.minimum(width, height)) | ~whole
         keep &= (area >= 7) & (area <= 160) & (longer < 19)
         centre = 2.0 * centroids[1:] + 0.5
         return Blobs(centre[keep], whole[keep])
 
     def refine(self, start_px: FloatArray) -> Centres:
-        """Return the dot centres nearest to ``start_px`` (n, 2), which may err by a few px."""
+        """Return the dot centres near ``start_px`` (n, 2), which may be wrong by a few px."""
         position = start_px
         for _ in range(_TRIES):
             middle = np.minimum(np.maximum(np.rint(position), 0.0), _LAST_PIXEL)
@@ -135,7 +135,7 @@ class Detector:
         return Centres(position + _apply_stride(stride, shift).T, looks)
 
     def _darkness(self, middle_px: FloatArray) -> NDArray[np.float32]:
-        """Return (n, 21, 21): how dark the paint is round whole pixels ``middle_px`` (n, 2)."""
+        """Return (n, 21, 21) darkness around whole pixels ``middle_px`` (n, 2)."""
         column, row = middle_px.astype(np.intp).T
         weight: NDArray[np.float32] = np.float32(1.0 - _RAMP[0]) - self._windows[row, column]
         rows = weight.reshape(-1, len(_SPAN))
@@ -145,7 +145,7 @@ class Detector:
 
 
 def _background(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the local mean of ``picture`` without its dark dots, which would tilt it."""
+    """Return the local mean of ``picture`` without its dark dots."""
     light = picture / _blurred(picture) - np.float32(_LIGHT_SHARE)
     np.maximum(light, np.float32(1e-3), out=light)
     np.minimum(light, np.float32(1.0 - _LIGHT_SHARE), out=light)
@@ -164,10 +164,10 @@ def _shrink(source: NDArray[np.generic], target: NDArray[np.generic]) -> None:
 
 
 def _stride(sums: FloatArray) -> FloatArray:
-    """Return (3, n): a, b, c of the symmetric matrix [[a, c], [c, b]] that turns shift into stride.
+    """Return (3, n): a, b, c of the matrix [[a, c], [c, b]] that maps shift to Newton stride.
 
-    The shift s of the centroid from where the bell stands is zero at the fixed point; ds/dp is
-    V / sigma² - 1 with the covariance V under the bell. Newton's stride is its inverse.
+    The shift s of the centroid from the centre p of the bell is zero at the fixed point; ds/dp is
+    V / sigma² - 1 with the covariance V under the bell.
     """
     spread = sums[3:6] * (_WEIGHT_SIGMA_PX**-2 / sums[0])
     pull = np.maximum(1.0 - spread[2::-2], _MIN_PULL)
@@ -214,18 +214,18 @@ class GridReport:
 
     @property
     def usable(self) -> bool:
-        """Whether every marker of a 7 x 9 grid has its certain place (some may be hidden)."""
+        """True if each marker of a 7 x 9 grid is identified (some may be hidden)."""
         fits = (self.rows, self.cols) == (GRID_ROWS, GRID_COLS)
         return fits and len(self.missing) <= _MAX_MISSING
 
     @property
     def complete(self) -> bool:
-        """Whether all 63 dots of a 7 x 9 grid are there."""
+        """True if all 63 dots of a 7 x 9 grid are found."""
         return self.usable and not self.missing
 
     @property
     def message(self) -> str:
-        """What was found, for the operator."""
+        """Description of the grid for the operator."""
         if self.complete:
             return "7x9 grid, all 63 dots found"
         if self.rows >= GRID_ROWS + 1 and self.cols >= GRID_COLS:
@@ -244,7 +244,7 @@ NO_GRID = GridReport(0, 0, (), 0.0)
 
 @dataclass(frozen=True, slots=True)
 class OrderedDots:
-    """``index``: (63,) into the blobs, row-major, -1 where no whole dot is; see ``report``."""
+    """``index``: (63,) blob of each marker, row-major, -1 without a whole dot."""
 
     report: GridReport
     index: NDArray[np.intp]
@@ -273,7 +273,7 @@ def _best_lattice(blobs: Blobs) -> tuple[dict[Cell, int], float]:
     nearest_px = float(np.clip(np.median(gap.min(axis=1)), *_PITCH_RANGE_PX))
     best: dict[Cell, int] = {}
     best_pitch_px = nearest_px
-    # With many decoys the nearest dot is not a neighbour: then try the pitch that gels have.
+    # With many false dots the nearest is not a neighbour: try the usual pitch too.
     for pitch_px in (nearest_px, _USUAL_PITCH_PX):
         tried: set[int] = set()
         for seed in map(int, _seeds(blobs)):
@@ -290,7 +290,7 @@ def _best_lattice(blobs: Blobs) -> tuple[dict[Cell, int], float]:
 
 
 def _seeds(blobs: Blobs) -> NDArray[np.intp]:
-    """Return whole blobs from the middle of the image outwards."""
+    """Return whole blobs in order of their distance from the image centre."""
     middle = np.array([WIDTH_PX / 2, HEIGHT_PX / 2])
     away = np.linalg.norm(blobs.centre_px - middle, axis=1) + 1e6 * ~blobs.whole
     return np.argsort(away, kind="stable")[:_MAX_SEEDS]
@@ -324,7 +324,7 @@ def _grow(dots: FloatArray, seed: int, pitch_px: float) -> dict[Cell, int]:
 
 
 def _trim(cells: dict[Cell, int]) -> dict[Cell, int]:
-    """Drop border lines of fewer than three dots: stray blobs just outside the grid."""
+    """Remove border lines with fewer than three dots: false dots outside the grid."""
     while cells:
         for axis in (0, 1):
             lines = [cell[axis] for cell in cells]

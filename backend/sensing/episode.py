@@ -1,9 +1,8 @@
 """Assembly of an episode from a recorded probe: common clock, quality verdict, identity.
 
-Ticks are at 0.1, 0.2 ... 2.0 s after the onset, on one 10 Hz clock with a skew report (rulings 4).
-The wrench of a tick is the mean of the 100 ms before it; the markers are linearly interpolated
-between the two frames around it. Values that were not measured are NaN: nothing is extrapolated,
-repeated or filled in.
+Ticks are at 0.1, 0.2 ... 2.0 s after the onset on one 10 Hz clock. The wrench of a tick is the mean
+of the 100 ms before it; the markers are linearly interpolated between the two frames around it.
+Values that were not measured are NaN: nothing is extrapolated, repeated or filled in.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ ROUNDING_S = 1e-7  # time stamps are whole microseconds; closer times are equal
 
 @dataclass(frozen=True, slots=True)
 class SyncLimits:
-    """How near a measurement must be to stand for a tick."""
+    """Largest distances between measurements and ticks."""
 
     nearest_frame_s: float = 0.060  # ticks farther from any frame are marked (reliability C5)
     longest_hole_s: float = 0.200  # no interpolation between frames farther apart (reliability C5)
@@ -49,10 +48,10 @@ class SyncLimits:
 class FingerTicks:
     """One finger on the ticks.
 
-    ``displacement_px``: (20, 63, 2), NaN where not measured. ``near``: (20,) whether a frame lies
-    within 60 ms. ``inferred``, ``lost``: (20, 63) marker not seen, or given up, in a frame used.
+    ``displacement_px``: (20, 63, 2), NaN where not measured. ``near``: (20,) a frame is within
+    60 ms. ``inferred``, ``lost``: (20, 63) marker not seen, or given up, in a frame used.
     ``skew_s``: (20,) distance of the nearest frame, inf without frames. ``hole_s``: longest time
-    without a frame inside the probe.
+    without a frame in the probe. ``dropped``: frames missing by sequence number.
     """
 
     displacement_px: FloatArray
@@ -83,7 +82,7 @@ class SynchronisedProbe:
 
     @property
     def fingers(self) -> tuple[FingerTicks, FingerTicks]:
-        """Left, right."""
+        """Left and right finger."""
         return self.left, self.right
 
     @property
@@ -104,7 +103,7 @@ class SynchronisedProbe:
 def synchronise(
     recording: Recording, onset_s: float, limits: SyncLimits | None = None
 ) -> SynchronisedProbe:
-    """Bring ``recording`` onto the ticks after ``onset_s``; never raises on missing data."""
+    """Resample ``recording`` at the ticks after ``onset_s``; never raises on missing data."""
     limits = limits or SyncLimits()
     steps = np.arange(1, SAMPLES_PER_PROBE + 1, dtype=np.float64)
     tick_s = np.asarray(onset_s + TICK_S * steps, dtype=np.float64)
@@ -129,8 +128,8 @@ def wrench_on_ticks(
     expected = TICK_S / max(float(np.median(np.diff(t_s))), ROUNDING_S)
     first = np.searchsorted(t_s, tick_s - TICK_S + ROUNDING_S, side="right")
     last = np.searchsorted(t_s, tick_s + ROUNDING_S, side="right")
-    # Sums from each first to its last sample; those in between are thrown away. The row of zeros
-    # is there because no start may lie behind the end.
+    # Every other sum is between two ticks and is discarded. The row of zeros keeps all start
+    # indices valid.
     padded = np.concatenate((wrench, np.zeros((1, WRENCH_CHANNELS))))
     sums = np.add.reduceat(padded, np.stack((first, last), axis=1).ravel(), axis=0)[::2]
     count = last - first
@@ -147,7 +146,7 @@ def _finger_on_ticks(
     frame_s = np.array([field.t_s for field in own])
     moved = np.array([field.displacement_px for field in own]).reshape(-1, MARKERS, 2)
     state = np.array([field.state for field in own], dtype=np.uint8).reshape(-1, MARKERS)
-    # A field with NaN is not an observation: it counts as a frame that never came.
+    # A field with NaN counts as a missing frame.
     whole = np.isfinite(moved).all(axis=(1, 2))
     frame_s, moved, state = frame_s[whole], moved[whole], state[whole]
     before, after, part, measured = _frames_around_ticks(frame_s, tick_s, limits.longest_hole_s)
@@ -167,10 +166,9 @@ def _finger_on_ticks(
 def _frames_around_ticks(
     frame_s: FloatArray, tick_s: FloatArray, longest_hole_s: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, NDArray[np.bool_]]:
-    """Return per tick the frames before and after it, the part of the way, and whether measured.
+    """Return per tick the frames before and after it, the fraction between, and ``measured``.
 
-    A tick without a frame on both sides, or between frames farther apart than ``longest_hole_s``,
-    is not measured; a frame exactly on the tick needs no other.
+    A tick is measured between frames at most ``longest_hole_s`` apart, or exactly at a frame.
     """
     if not len(frame_s):
         nothing = np.zeros(len(tick_s), dtype=np.intp)
@@ -207,7 +205,7 @@ def _longest_hole_s(frame_s: FloatArray, tick_s: FloatArray) -> float:
 
 
 def _missing_numbers(fields: list[MarkerField], tick_s: FloatArray) -> int:
-    """Count frames that the sequence numbers say are missing within the probe."""
+    """Count frames missing in the probe by their sequence numbers."""
     start, end = tick_s[0] - TICK_S, tick_s[-1]
     numbers = [field.sequence for field in fields]
     missing = 0
@@ -219,7 +217,7 @@ def _missing_numbers(fields: list[MarkerField], tick_s: FloatArray) -> int:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeLimits:
-    """When a probe is an observation. Every limit is a positive comparison: NaN refuses."""
+    """Limits for accepting a probe. Comparisons are positive, so that NaN is refused."""
 
     # Ticks per finger with a frame within 60 ms (reliability C5).
     least_ticks: int = SAMPLES_PER_PROBE - 1
@@ -241,11 +239,29 @@ def assemble_episode(
     limits: EpisodeLimits | None = None,
     metadata: tuple[tuple[str, str], ...] = (),
 ) -> Episode:
-    """Return the episode of one probe, accepted or not.
+    """Assemble the episode of one probe, accepted or not.
 
-    ``onset_s`` is the back-dated contact; ``offset_mm`` (2,) the commanded displacement. An
-    episode with a missing or non-finite value is never accepted, and its observation holds NaN.
-    The identity is a digest of the content: equal runs give equal episodes.
+    Parameters
+    ----------
+    recording
+        Signals of the probe at their native rates.
+    onset_s
+        Back-dated contact, bench clock, s.
+    offset_mm
+        (2,) commanded displacement of ``F`` in ``O``, mm.
+    piece
+        Name of the grasped piece.
+    limits
+        Limits for accepting it; by default ``EpisodeLimits()``.
+    metadata
+        Further facts by name.
+
+    Returns
+    -------
+    Episode
+        Its ``episode_id`` is a digest of the content. An episode with a missing or non-finite value
+        is not accepted, and its observation contains NaN. Never raises on missing data.
+
     """
     limits = limits or EpisodeLimits()
     ticks = synchronise(recording, onset_s, limits.sync)
@@ -271,7 +287,7 @@ def assemble_episode(
 def judge_quality(
     ticks: SynchronisedProbe, slip_mm: float, limits: EpisodeLimits
 ) -> EpisodeQuality:
-    """Say whether a probe on the common clock is an observation, with the reasons in words."""
+    """Return the verdict on a probe on the common clock, with the reasons."""
     inferred = float(np.mean([finger.inferred for finger in ticks.fingers]))
     lost = sum(int(finger.lost.any(axis=0).sum()) for finger in ticks.fingers)
     reasons: list[str] = []
@@ -336,7 +352,7 @@ def _reject(quality: EpisodeQuality, reason: str) -> EpisodeQuality:
 
 
 def _bridged_ticks(ticks: SynchronisedProbe) -> str:
-    """Name the ticks that lie in a hole and were interpolated across it: nothing in silence."""
+    """Return the ticks that were interpolated across a hole, such as "left:3 right:7"."""
     return " ".join(
         f"{name}:{number + 1}"
         for name, finger in zip(FINGERS, ticks.fingers, strict=True)

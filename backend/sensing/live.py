@@ -1,7 +1,7 @@
 """Live conversion of raw samples into marker fields and tared wrenches.
 
-One object serves every bench: the stepped bench calls ``update`` after each advance, a real one
-from a thread of its own. It holds the tare and the tactile references of the probe in progress.
+A stepped bench calls ``update`` after each step, a real one from a thread of its own. The object
+holds tare and tactile references of the present probe.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from touchdown.backend.sensing.zeroing import (
 
 @dataclass(frozen=True, slots=True)
 class RawStreams:
-    """What the devices deliver: frames per finger, untared wrench samples, arm positions.
+    """Outputs of the devices: frames per finger, untared wrench samples, arm positions.
 
-    ``commands``: positions that the arm was told; stays empty where it does not say.
+    ``commands``: commanded positions; empty if the arm does not report them.
     """
 
     frames: Mapping[Finger, Stream[TactileFrame]]
@@ -47,9 +47,9 @@ class RawStreams:
 
 
 class LiveSensing:
-    """Follows the raw streams and fills ``fields`` (markers) and ``wrench`` (tared, N and N·m).
+    """Converts the raw streams into ``fields`` (markers) and ``wrench`` (tared, N and N·m).
 
-    ``payload`` (6,) is the calibrated weight below the sensor: subtracted before the first tare.
+    ``payload`` (6,): calibrated weight below the sensor, subtracted before the first tare.
     """
 
     def __init__(
@@ -73,11 +73,11 @@ class LiveSensing:
 
     @property
     def tare(self) -> Tare:
-        """What is subtracted from the raw wrench."""
+        """Wrench that is subtracted from the raw samples."""
         return self._tare
 
     def update(self) -> None:
-        """Process everything that arrived since the last call."""
+        """Process all samples and frames since the last call."""
         for finger in FINGERS:
             frames, cursor, _ = self.raw.frames[finger].since(self._frame_cursor[finger])
             self._frame_cursor[finger] = cursor
@@ -92,7 +92,7 @@ class LiveSensing:
 
     @property
     def refused(self) -> Mapping[Finger, int]:
-        """Pictures that were delivered but damaged: they have no field, and stay recorded."""
+        """Number of damaged pictures by finger; they have no field but are recorded."""
         return {finger: one.refused for finger, one in self._trackers.items()}
 
     def zero_wrench(self, now_s: float, rest_s: float = 0.2) -> Tare:
@@ -105,9 +105,8 @@ class LiveSensing:
     def take_references(self, count: int) -> Mapping[Finger, TactileReference]:
         """Take the tactile reference of both fingers from the newest ``count`` fields each.
 
-        The first ones, in air right after gripping, are the shape that all later ones must have:
-        a piece that touches something is refused (``RefusedError``), and so is a gel of another
-        grid, which is named.
+        All later references must have the shape of the first ones, taken in air after gripping.
+        Raises ``RefusedError`` if the piece touches something, or for a gel of another grid.
         """
         taken: dict[Finger, TactileReference] = {}
         for finger in FINGERS:
@@ -124,12 +123,12 @@ class LiveSensing:
 
     @property
     def references(self) -> Mapping[Finger, TactileReference]:
-        """The references in use, of the fingers that have one."""
+        """References in use, by finger."""
         found = {finger: one.tracker.reference for finger, one in self._trackers.items()}
         return {finger: reference for finger, reference in found.items() if reference is not None}
 
     def forget_references(self) -> None:
-        """Forget the shape in air: the piece is gripped anew."""
+        """Discard the shape in air; the piece is gripped again."""
         self._in_air = {}
 
     def recording(self, start_s: float, end_s: float) -> Recording:
@@ -152,7 +151,7 @@ class LiveSensing:
         )
 
     def press_n(self, now_s: float, max_age_s: float) -> float:
-        """Mean press force (tared Fz, N) of the last 10 ms; NaN if there is no young sample."""
+        """Return the mean press force (tared Fz, N) of the last 10 ms; NaN without samples."""
         window = self.wrench.window(now_s - max_age_s, now_s)
         if not len(window.t_s):
             return float("nan")

@@ -32,7 +32,7 @@ _FIX = "Give an image (PNG, JPEG, BMP, TIFF), a video that OpenCV reads, or a fo
 def read_pictures(path: Path, finger: Finger = "left") -> Iterator[TactileFrame]:
     """Yield the pictures of ``path`` as frames of 320 x 240 px, in order of time or name.
 
-    Larger pictures of the same shape are scaled down. Raises ``InputError`` naming the file.
+    Pictures of other sizes are resized. Raises ``InputError`` naming the file.
     """
     if not path.exists():
         raise InputError("There is no such file or folder.", str(path), _FIX)
@@ -46,7 +46,7 @@ def read_pictures(path: Path, finger: Finger = "left") -> Iterator[TactileFrame]
 
 
 def count_pictures(path: Path) -> int | None:
-    """Return how many pictures ``path`` holds, None if that is not known beforehand."""
+    """Return the number of pictures in ``path``, None if unknown before reading."""
     if path.is_dir():
         return len(_images_in(path))
     if path.suffix.lower() in IMAGE_SUFFIXES:
@@ -102,7 +102,7 @@ def _images_in(folder: Path) -> list[Path]:
 
 
 def _read_image(path: Path) -> ImageArray:
-    # imdecode instead of imread: it stays silent on a broken file and takes any path on Windows.
+    # Unlike imread, imdecode is silent on a broken file and accepts any path on Windows.
     data = np.frombuffer(path.read_bytes(), np.uint8)
     picture = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
     if picture is None:
@@ -121,7 +121,7 @@ _ARROW_BGR = (255, 255, 255)
 
 
 def draw_markers(frame: TactileFrame, field: MarkerField) -> ImageArray:
-    """Return the picture at three times its size with rings, arrows and a line of figures."""
+    """Return the picture at three times its size with rings, arrows and a status line."""
     size = (WIDTH_PX * SCALE, HEIGHT_PX * SCALE)
     dimmed = cv2.convertScaleAbs(frame.image, alpha=0.7)
     picture = cv2.resize(dimmed, size, interpolation=cv2.INTER_CUBIC)
@@ -143,7 +143,7 @@ def draw_markers(frame: TactileFrame, field: MarkerField) -> ImageArray:
 
 
 class OverlayVideo:
-    """Writes drawn frames to an MP4 file; raises ``InputError`` where it cannot be written."""
+    """Writes drawn frames to an MP4 file; raises ``InputError`` if it cannot be written."""
 
     def __init__(self, path: Path, rate_hz: float) -> None:
         code = cv2.VideoWriter.fourcc(*"mp4v")

@@ -3,10 +3,9 @@
 The board is the plane of the touched face (z = 0 of the bench frame). Four bright dots at known
 positions on it determine the homography: one picture of the bench is the whole calibration.
 
-A piece that slipped in the grasp, or was gripped off its place, is off by an amount unknown to the
-arm. While it is pressed its face lies in the plane of the board, so that the homography maps the
-front rim of the face exactly. Only that rim is used: parts above the board do not matter, and the
-rest of the outline is hidden behind the piece.
+A piece that slipped, or was gripped off its nominal position, has an offset unknown to the arm.
+While it is pressed its face lies in the plane of the board, so that the homography maps the front
+rim of the face exactly. Only that rim is used; the rest of the outline is hidden by the piece.
 """
 
 from __future__ import annotations
@@ -48,12 +47,12 @@ class Homography:
         return _apply_homography(inverse, image_px)
 
     def text(self) -> str:
-        """Return the form in which episodes keep it."""
+        """Return the form stored in episodes."""
         return json.dumps({"matrix": self.matrix.tolist(), "residual_px": self.residual_px})
 
     @classmethod
     def parse(cls, text: str) -> Homography:
-        """Read the form that ``text`` made; raises ``InputError``."""
+        """Return the homography of a ``text``; raises ``InputError``."""
         try:
             content = json.loads(text)
             matrix = np.array(content["matrix"], dtype=np.float64).reshape(3, 3)
@@ -61,7 +60,7 @@ class Homography:
         except (ValueError, TypeError, KeyError) as error:
             raise InputError(f"The homography is damaged: {error}.", "scene", _FIX) from error
         if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-12:
-            raise InputError("The homography maps to nowhere.", "scene", _FIX)
+            raise InputError("The homography is singular.", "scene", _FIX)
         return cls(matrix, residual_px)
 
 
@@ -72,7 +71,7 @@ def fit_homography(board_mm: FloatArray, image_px: FloatArray) -> Homography:
     points on a line.
     """
     if len(board_mm) < 4:
-        raise InputError(f"{len(board_mm)} points are no calibration.", "scene", _FIX)
+        raise InputError(f"{len(board_mm)} points are too few.", "scene", _FIX)
     to, back = _normaliser(board_mm), _normaliser(image_px)
     source, target = _apply_homography(to, board_mm), _apply_homography(back, image_px)
     rows = []
@@ -91,7 +90,7 @@ def fit_homography(board_mm: FloatArray, image_px: FloatArray) -> Homography:
 def calibrate_scene_camera(image: ImageArray) -> Homography:
     """Find the four dots in a picture (h, w, 3) and fit; raises ``InputError``.
 
-    The dots are told apart by their order around their middle; the lowest left one in the picture
+    The dots are identified by their order around their centre; the lowest left one in the picture
     is the lower left one of the board.
     """
     bright = (image[..., 0] >= BRIGHT) & (image[..., 2] >= BRIGHT)
@@ -110,7 +109,7 @@ def calibrate_scene_camera(image: ImageArray) -> Homography:
 
 
 def _in_order(places_px: FloatArray) -> FloatArray:
-    """Return the four dots counter-clockwise as seen on the board, lower left first."""
+    """Return the four dots counter-clockwise on the board, lower left first."""
     from_middle = places_px - places_px.mean(axis=0)
     turned = np.arctan2(-from_middle[:, 1], from_middle[:, 0])
     around = places_px[np.argsort(turned)]
@@ -119,7 +118,7 @@ def _in_order(places_px: FloatArray) -> FloatArray:
 
 
 def _normaliser(points: FloatArray) -> FloatArray:
-    """Return the (3, 3) that moves points to mean 0 and mean distance sqrt 2."""
+    """Return the (3, 3) similarity that maps points to mean 0 and mean distance sqrt 2."""
     middle = points.mean(axis=0)
     spread = float(np.hypot(*(points - middle).T).mean()) or 1.0
     scale = np.sqrt(2.0) / spread
@@ -152,7 +151,7 @@ FLOOR_MM = 0.12
 
 @dataclass(frozen=True, slots=True)
 class ObservedOffset:
-    """``offset_mm`` (2,) of the face in ``O`` as it is seen, its standard uncertainty per axis."""
+    """Observed ``offset_mm`` (2,) of the face in ``O``, and its standard uncertainty per axis."""
 
     offset_mm: FloatArray
     sigma_mm: float
@@ -164,11 +163,11 @@ class ObservedOffset:
 def observe_offset(
     image: ImageArray, board: Homography, face_mm: FloatArray, near_mm: FloatArray
 ) -> ObservedOffset | None:
-    """Return where the face is, None if its rim cannot be made out.
+    """Return the offset of the face, None if its rim is not found.
 
-    ``image`` (h, w, 3) BGR while pressed; ``face_mm`` (k, 2): outline of the face round its own
-    centre, counter-clockwise; ``near_mm`` (2,): displacement to begin with, within 4 mm of the
-    true one. The camera stands upright and sees the piece in a colour of its own.
+    ``image`` (h, w, 3) BGR while pressed; ``face_mm`` (k, 2): outline of the face about its centre,
+    counter-clockwise; ``near_mm`` (2,): initial displacement, within 4 mm of the true one. The
+    camera must be upright and the piece must have a distinct colour.
     """
     rim, outward = _even_rim(face_mm)
     like = _colour_match(image, board, INNER_PART * face_mm + near_mm)
@@ -189,7 +188,7 @@ def observe_offset(
 
 
 def _even_rim(face_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return points (n, 2) evenly along the outline and the directions (n, 2) out of it."""
+    """Return evenly spaced points (n, 2) on the outline and their outward normals (n, 2)."""
     closed = np.concatenate([face_mm, face_mm[:1]])
     edges = np.diff(closed, axis=0)
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*edges.T))])
@@ -203,7 +202,7 @@ def _even_rim(face_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _colour_match(
     image: ImageArray, board: Homography, inner_mm: FloatArray
 ) -> NDArray[np.float32]:
-    """Return (h, w) how much each pixel has the colour of the piece, 0..1."""
+    """Return (h, w) similarity of each pixel to the colour of the piece, 0..1."""
     mask = np.zeros(image.shape[:2], dtype=np.uint8)
     cv2.fillPoly(mask, [np.rint(board.to_px(inner_mm)).astype(np.int32)], 1)
     colours = image[mask.astype(bool)].astype(np.float32)
@@ -224,7 +223,7 @@ def _fit(
     at: FloatArray,
     reach_mm: float,
 ) -> tuple[FloatArray, float] | None:
-    """Return the step (2,) to where the edges are, and its standard uncertainty per axis."""
+    """Return the step (2,) to the observed edges, and its standard uncertainty per axis."""
     steps = np.arange(-reach_mm, reach_mm + STEP_MM / 2, STEP_MM)
     place = rim + at
     front = board.to_px(place + outward) - board.to_px(place)
@@ -243,7 +242,7 @@ def _fit(
 def _is_upright(
     like: NDArray[np.float32], board: Homography, rim: FloatArray, outward: FloatArray
 ) -> bool:
-    """Return whether the piece goes on behind its far rim: a flat face ends there."""
+    """Return True if the piece extends behind its far rim; a flat face does not."""
     out = board.to_px(rim + BEHIND_MM * outward)
     far = (out - board.to_px(rim))[:, 1]
     behind = out[far <= np.quantile(far, 0.25)].astype(np.float32)
@@ -252,7 +251,7 @@ def _is_upright(
 
 
 def _edges(profile: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return (n,) where each profile leaves the piece for good, NaN where it never does."""
+    """Return (n,) last exit of each profile from the piece, NaN if there is none."""
     inside = profile >= 0.5
     last = inside.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)
     good = inside.any(axis=1) & (last < inside.shape[1] - 1)
@@ -263,7 +262,7 @@ def _edges(profile: FloatArray, steps: FloatArray) -> FloatArray:
 
 
 def _solve(normal: FloatArray, edge: FloatArray) -> tuple[FloatArray, float] | None:
-    """Return the least-squares step for edges (n,) along normals (n, 2), outliers left out."""
+    """Return the least-squares step for edges (n,) along normals (n, 2) without outliers."""
     step: FloatArray = np.zeros(2)
     kept = np.ones(len(edge), dtype=bool)
     for _ in range(3):

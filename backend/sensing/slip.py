@@ -1,14 +1,13 @@
 """Slip of the piece in the grasp, from marker motion and from the height of the arm.
 
-A held piece that turns or slides as a whole moves the markers under it as one rigid body; the rest
-is shear of the gel. While the piece sticks, gel shear follows the height of the gripper along one
-straight line: gel, wrist and contact are springs in series. A piece that slips leaves the gel
-relaxed, so that the shear falls short of that line; the shortfall, in mm of gripper travel, is the
-slip. The arm shows it too: on the way back the press force of a sticking piece is the same at the
-same height; after slip it vanishes at a lower height, and the distance between the two lines is the
-slip. Torsion slip (reliability G1) drags the markers of both gels round at once: a press turns them
-by some thousandths of a radian in all, slowly; a piece that turns by a degree does as much from one
-picture to the next.
+A held piece that rotates or slides moves the markers under it as one rigid body; the rest is shear
+of the gel. While the piece sticks, gel shear is linear in the height of the gripper: gel, wrist and
+contact are springs in series. After slip the gel is relaxed and the shear is below that line; the
+difference, in mm of gripper travel, is the slip. The arm shows slip too: while unloading, a
+sticking piece has the same press force at the same height as while loading; after slip the force
+vanishes at a lower height, and the distance of the two lines is the slip. Torsion slip (reliability
+G1) rotates the markers of both gels at once. A press rotates them slowly by a few milliradians; a
+piece that rotates by a degree does so from one frame to the next.
 """
 
 from __future__ import annotations
@@ -45,11 +44,11 @@ class RigidMotion:
 def fit_rigid(rest_px: FloatArray, displacement_px: FloatArray) -> RigidMotion:
     """Fit a rotation and a shift to ``displacement_px`` (n, 2) at ``rest_px`` (n, 2).
 
-    Least squares in the plane (Kabsch 1976, two dimensions). Without markers all is zero.
+    Least squares in the plane (Kabsch 1976, two dimensions). Zero without markers.
     """
     if not len(rest_px):
         return RigidMotion(np.zeros(2), 0.0, 0.0)
-    # Complex numbers: a turn is one product.
+    # With complex numbers a rotation is one product.
     before, moved = _complex(rest_px), _complex(displacement_px)
     shift = moved.mean()
     before = before - before.mean()
@@ -61,10 +60,10 @@ def fit_rigid(rest_px: FloatArray, displacement_px: FloatArray) -> RigidMotion:
 
 
 def slip_mm(before: MarkerField, after: MarkerField, mm_per_px: float) -> float:
-    """Return how far the held piece slipped between two fields at the same load, in mm.
+    """Return the slip of the held piece between two fields at the same load, in mm.
 
-    The largest movement of any marker seen in both, after a rigid fit of the change of
-    displacement: an unloaded gel that comes back to its place has not slipped.
+    The largest motion of a marker seen in both, from a rigid fit of the change of displacement.
+    NaN without such markers.
     """
     seen = (before.state == MarkerState.SEEN) & (after.state == MarkerState.SEEN)
     if not seen.any():
@@ -91,7 +90,7 @@ MIN_SLOPE_PX_MM = 1.0  # below this marker motion per mm of travel, slip cannot 
 def press_slip_mm(recording: Recording, onset_s: float, end_s: float) -> float:
     """Return the larger slip of the two fingers in mm between ``onset_s`` and ``end_s``.
 
-    NaN if it cannot be judged: no arm positions, too few frames, or hardly any travel.
+    NaN without arm positions, with too few frames, or too little travel.
     """
     slips = [_finger_slip_mm(recording, finger, onset_s, end_s) for finger in FINGERS]
     return math.nan if any(map(math.isnan, slips)) else max(slips)
@@ -134,7 +133,7 @@ def _fit_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
 
 
 def _travel_mm(recording: Recording, onset_s: float, t_s: FloatArray) -> FloatArray:
-    """Return how far ``G`` has gone down since the onset at the times ``t_s``, empty if unknown."""
+    """Return the descent of ``G`` since the onset at the times ``t_s``, empty if unknown."""
     if len(recording.pose_t_s) < 2 or recording.pose_t_s[0] > onset_s:
         return np.zeros(0)
     height_mm = np.interp(t_s, recording.pose_t_s, recording.pose_mm[:, 2])
@@ -150,7 +149,7 @@ MIN_TURN_RAD, TURN_WINDOW_S, MAX_FINGER_LAG_S = 0.005, 0.1, 0.15
 
 
 class TorsionSlipDetector:
-    """Watches the marker fields of both fingers from its making on; made for one press."""
+    """Detects rotation of the piece in the marker fields of both fingers during one press."""
 
     def __init__(self, fields: Mapping[Finger, Stream[MarkerField]]) -> None:
         self._fields = fields
@@ -161,7 +160,7 @@ class TorsionSlipDetector:
         self.turned_rad = 0.0
 
     def seen(self) -> bool:
-        """Take what arrived since the last call; return whether the piece has turned."""
+        """Process fields since the last call; return True if the piece has rotated."""
         for finger in FINGERS:
             fields, self._cursors[finger], _ = self._fields[finger].since(self._cursors[finger])
             for field in fields:
@@ -176,7 +175,7 @@ class TorsionSlipDetector:
         turn_rad = fit_rigid(field.position_px[visible] - moved_px, moved_px).turn_rad
         recent = self._recent[finger]
         recent.append((field.t_s, turn_rad))
-        # Pictures further apart are compared all the same: what turned meanwhile has turned.
+        # At least two fields are compared, also if they are further apart.
         while len(recent) > 2 and recent[0][0] < field.t_s - TURN_WINDOW_S:
             recent.popleft()
         jump_rad = max(abs(turn_rad - before_rad) for _, before_rad in recent)
@@ -209,7 +208,7 @@ def slip_since_loading(
     loading_mm = np.interp(
         recording.wrench_t_s[inside], recording.pose_t_s, recording.pose_mm[:, 2]
     )
-    # Height is nearly free of noise and force is not: fit force over height, then invert.
+    # Height has hardly any noise, force has: fit force over height, then invert.
     slope, intercept = np.polyfit(loading_mm, force_n[inside], 1)
     if not slope < 0:
         return float("nan")

@@ -1,10 +1,10 @@
 """Tracker of the 63 markers of one finger.
 
-In every frame the dot of each marker is centred to a fraction of a pixel from its last position.
-Unless all 63 are found and look like themselves, all dots of the image are detected and assigned to
-the markers one to one, and unseen markers are interpolated. Positions come from the image alone,
-never from summed steps, so that no error outlives its cause. If the known positions lead nowhere,
-the order is determined again from the geometry of the grid.
+In each frame the dot of each marker is located with sub-pixel accuracy from its last position.
+Unless all 63 are found with their usual appearance, all dots of the image are detected and assigned
+to the markers one to one, and unseen markers are interpolated. Positions are measured in each
+image, not accumulated, so that errors do not persist. If tracking fails, the order is determined
+again from the geometry of the grid.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ MIN_ORDER_PX = 4.0  # neighbours closer than this along their axis are out of or
 
 
 def nearest_dots(expected_px: FloatArray, dots_px: FloatArray, reach_px: float) -> NDArray[np.intp]:
-    """Return for each of n places the dot that is nearest both ways within ``reach_px``, else -1.
+    """Return for each of n positions its mutually nearest dot within ``reach_px``, else -1.
 
-    One to one by construction; ``dots_px`` is (m, 2).
+    ``dots_px`` is (m, 2). The assignment is one to one.
     """
     owner = np.full(len(expected_px), -1, dtype=np.intp)
     if not len(dots_px):
@@ -67,7 +67,7 @@ def nearest_dots(expected_px: FloatArray, dots_px: FloatArray, reach_px: float) 
 def assign_remaining(
     owner: NDArray[np.intp], expected_px: FloatArray, dots_px: FloatArray, reach_px: float
 ) -> NDArray[np.intp]:
-    """Complete ``owner``: markers without a dot share out the free dots at least total distance."""
+    """Return ``owner`` with free dots assigned to the other markers at least total distance."""
     places = np.flatnonzero(owner < 0)
     free = np.setdiff1d(np.arange(len(dots_px)), owner)
     completed = owner.copy()
@@ -81,7 +81,7 @@ def assign_remaining(
 
 
 def misordered_markers(position_px: FloatArray) -> NDArray[np.bool_]:
-    """Return the (63,) markers whose right or lower neighbour is not right of or below them."""
+    """Return (63,) bool: True where the order to a neighbour on the grid is violated."""
     grid = position_px.reshape(GRID_ROWS, GRID_COLS, 2)
     wrong = np.zeros((GRID_ROWS, GRID_COLS), dtype=bool)
     across = np.diff(grid[:, :, 0], axis=1) < MIN_ORDER_PX
@@ -96,7 +96,7 @@ def misordered_markers(position_px: FloatArray) -> NDArray[np.bool_]:
 def _distances(expected_px: FloatArray, dots_px: FloatArray) -> FloatArray:
     across = expected_px[:, None, 0] - dots_px[None, :, 0]
     down = expected_px[:, None, 1] - dots_px[None, :, 1]
-    # Not hypot, whose care for overflow takes six times as long.
+    # Six times as fast as hypot.
     return np.asarray(np.sqrt(across * across + down * down), dtype=np.float64)
 
 
@@ -104,11 +104,11 @@ MAX_CARRY_PX = 8.0
 
 
 class HiddenMarkers:
-    """Infers hidden markers from the seen ones and from what was last known of the hidden ones.
+    """Infers hidden markers from the seen ones and from their own last known deviation.
 
-    A smooth fill alone would let a marker jump when it disappears, by as much as it deviates from
-    its neighbours. That deviation is kept while the marker is hidden, and shrinks in proportion
-    when the field around it does.
+    A smooth interpolation alone would let a marker jump when it disappears, by its deviation from
+    its neighbours. The deviation is kept while the marker is hidden, in proportion to the field
+    around it.
     """
 
     def __init__(self, rest_px: FloatArray) -> None:
@@ -119,14 +119,14 @@ class HiddenMarkers:
         self._size = np.zeros(MARKERS)
 
     def carry(self, step: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
-        """Return ``step`` (63, 2) with the unseen filled smoothly."""
+        """Return ``step`` (63, 2) with unseen markers interpolated."""
         if seen.all():
             return step
         filled: FloatArray = fill_unseen_markers(step[None], seen[None])[0]
         return filled
 
     def fill(self, position_px: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
-        """Return the places (63, 2): seen ones as given, hidden ones inferred."""
+        """Return the positions (63, 2): seen ones as given, hidden ones inferred."""
         displacement = position_px - self._rest
         if seen.all():
             self._known, self._seen = displacement, seen
@@ -142,7 +142,7 @@ class HiddenMarkers:
         return np.asarray(self._rest + smooth, dtype=np.float64)
 
     def forget(self, markers: NDArray[np.bool_]) -> None:
-        """Drop what is remembered of ``markers`` (63,): they are filled smoothly."""
+        """Reset the deviations of ``markers`` (63,)."""
         self._deviation[markers] = 0.0
 
     def _remember(self, seen: NDArray[np.bool_]) -> None:
@@ -161,7 +161,7 @@ APPEARANCE_MEMORY = 0.05
 
 
 class DotAppearance:
-    """Running mean of the darkness of every marker, in its middle and in all."""
+    """Running mean of the darkness (centre, total) of each marker."""
 
     def __init__(self) -> None:
         self._usual = np.zeros((MARKERS, 2))
@@ -169,7 +169,7 @@ class DotAppearance:
         self.newest: FloatArray = np.zeros((MARKERS, 2))
 
     def recognise_all(self, looks: FloatArray) -> bool:
-        """Return whether all 63 look like themselves, and learn from that if they do."""
+        """Return True if all 63 have their usual look, and update it then."""
         own = self._usual
         if not ((looks >= own * OWN_RANGE[0]).all() and (looks <= own * OWN_RANGE[1]).all()):
             return False
@@ -180,10 +180,10 @@ class DotAppearance:
     def recognise(
         self, markers: NDArray[np.intp], looks: FloatArray, stale: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """Return (n,) whether ``markers`` look like themselves, and learn from those that do.
+        """Return (n,) bool: ``markers`` with their usual look, which is updated for these.
 
-        ``looks``: (n, 2) of the dot given to each; ``stale``: (n,) not seen for so long that the
-        own look may have changed.
+        ``looks``: (n, 2) of the assigned dots; ``stale``: (n,) True for markers unseen for so long
+        that their look may have changed.
         """
         if not len(markers):
             return np.zeros(0, dtype=bool)
@@ -215,7 +215,7 @@ _NO_BLOB = -1
 
 
 class TrackerMemory(NamedTuple):
-    """What a tracker knows from earlier frames; made by it and for it."""
+    """State of a tracker between frames."""
 
     grid: GridReport
     locked: bool
@@ -228,10 +228,10 @@ class TrackerMemory(NamedTuple):
 
 
 class MarkerTracker:
-    """The live tracker of one finger: frames in, marker fields out; deterministic.
+    """Tracker of one finger: frames in, marker fields out; deterministic.
 
-    ``grid`` tells what the last look at the whole grid found. ``track`` never raises on an image,
-    however bad: it answers with quality 0.
+    ``grid``: result of the last detection of the whole grid. ``track`` never raises on a bad image;
+    its field has quality 0.
     """
 
     def __init__(self, finger: Finger, reference: TactileReference | None = None) -> None:
@@ -251,11 +251,11 @@ class MarkerTracker:
 
     @property
     def reference(self) -> TactileReference | None:
-        """The rest places that displacements count from."""
+        """Rest positions from which displacements are measured."""
         return self._reference
 
     def set_reference(self, reference: TactileReference) -> None:
-        """Count displacements from ``reference`` from now on."""
+        """Measure displacements from ``reference`` from now on."""
         self._reference = reference
         self._hidden = HiddenMarkers(reference.position_px)
         if not self._locked:
@@ -263,11 +263,11 @@ class MarkerTracker:
 
     @property
     def looks(self) -> FloatArray:
-        """(63, 2) darkness of each marker in its middle and in all, px², when it was last seen."""
+        """(63, 2) darkness of each marker (centre, total), px², when last seen."""
         return self._looks.newest
 
     def remember(self) -> TrackerMemory:
-        """Return where it stands now, to ``recall`` it after a picture that was none."""
+        """Return the present state, to be restored with ``recall`` after a damaged picture."""
         return TrackerMemory(
             self.grid,
             self._locked,
@@ -280,7 +280,7 @@ class MarkerTracker:
         )
 
     def recall(self, memory: TrackerMemory) -> None:
-        """Go on from ``memory``, as if no picture had come since."""
+        """Restore the state ``memory``."""
         self.grid, self._locked, self._position = memory.grid, memory.locked, memory.position_px
         self._looks, self._hidden, self._restless = memory.looks, memory.hidden, memory.restless
         self._last_seen_s, self._was_seen = memory.last_seen_s, memory.was_seen
@@ -304,7 +304,7 @@ class MarkerTracker:
         return self._field(frame, quality)
 
     def _follow(self, t_s: float) -> FloatArray | None:
-        """Return the places (63, 2) if each marker is still near its last one, else None."""
+        """Return the positions (63, 2) if each marker is near its last one, else None."""
         recent = t_s - self._last_seen_s[0] <= LOST_AFTER_S
         if not (recent and self._was_seen.all() and self._detector.border_clear):
             return None
@@ -317,7 +317,7 @@ class MarkerTracker:
         return place
 
     def _own(self, blobs: Blobs) -> NDArray[np.intp] | None:
-        """Return the blob of each marker (-1: none), or None while the grid is unknown."""
+        """Return the blob of each marker (-1: none), None while the grid is unknown."""
         if not self._locked:
             return self._lock(blobs)
         whole = np.flatnonzero(blobs.whole)
@@ -337,7 +337,7 @@ class MarkerTracker:
     def _second_look(
         self, found: NDArray[np.intp], dots: FloatArray, reach_px: float
     ) -> NDArray[np.intp]:
-        """Look for the rest where the neighbours' motion has taken them."""
+        """Search the remaining markers at positions predicted from their neighbours."""
         step = np.zeros((MARKERS, 2))
         hit = found >= 0
         step[hit] = dots[found[hit]] - self._position[hit]
@@ -358,7 +358,7 @@ class MarkerTracker:
         return self._adopt(blobs, ordered.index)
 
     def _reordered(self, blobs: Blobs, owner: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Take the order from geometry if it is certain, else keep ``owner``."""
+        """Return the order from the grid geometry if certain, else ``owner``."""
         ordered = order_grid(blobs)
         few = int((owner >= 0).sum()) < _MIN_SEEN
         if not (ordered.report.complete or (few and ordered.report.usable)):
@@ -369,7 +369,7 @@ class MarkerTracker:
         return self._adopt(blobs, ordered.index)
 
     def _adopt(self, blobs: Blobs, index: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Start anew from the dots at ``index``; returns it without those that are no markers."""
+        """Restart from the dots ``index``; return it without those that are not markers."""
         self._looks = DotAppearance()
         found = np.flatnonzero(index >= 0)
         chosen = index[found]
@@ -387,7 +387,7 @@ class MarkerTracker:
     def _centre(
         self, blobs: Blobs, owner: NDArray[np.intp], t_s: float
     ) -> tuple[NDArray[np.bool_], FloatArray]:
-        """Return which markers are seen, and the places (63, 2) of those."""
+        """Return (63,) seen, and the positions (63, 2) of those."""
         seen = owner >= 0
         position = self._position.copy()
         start = blobs.centre_px[owner[seen]]
@@ -400,7 +400,7 @@ class MarkerTracker:
         return seen, position
 
     def _reject_strays(self, position: FloatArray, seen: NDArray[np.bool_]) -> float:
-        """Un-see markers that jumped away from their neighbours; return the field's roughness."""
+        """Mark markers that left their neighbours as unseen; return the rms misfit in px."""
         if not self._was_seen.any():
             return 0.0
         square = np.zeros(MARKERS)
@@ -415,7 +415,7 @@ class MarkerTracker:
         return math.sqrt(float(square.mean()))
 
     def _settle(self, position: FloatArray, seen: NDArray[np.bool_], t_s: float) -> None:
-        """Fill in the unseen and remember the frame."""
+        """Interpolate unseen markers and store the state."""
         self._position = self._hidden.fill(position, seen)
         if not seen.all():
             self._hidden.forget(misordered_markers(self._position) & ~seen)
@@ -445,7 +445,7 @@ class MarkerTracker:
         )
 
     def _blind(self, frame: TactileFrame) -> MarkerField:
-        """Answer for a frame in which nothing can be said: the last places, none seen."""
+        """Return the field of an unusable frame: the last positions, none seen."""
         self._was_seen = np.zeros(MARKERS, dtype=bool)
         return self._field(frame, 0.0)
 
@@ -455,17 +455,17 @@ def _is_readable(image: ImageArray) -> bool:
 
 
 def _straight_grid() -> FloatArray:
-    """Return (63, 2) nominal places, for order only; real gels deviate by some px."""
+    """Return (63, 2) nominal positions, used for the order; real gels deviate by some px."""
     u, v = np.linspace(21, 287, GRID_COLS), np.linspace(20, 214, GRID_ROWS)
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(MARKERS, 2)
 
 
 @dataclass(frozen=True, slots=True)
 class GelRest:
-    """Of some pictures: ``grid`` in the best of them, ``position_px`` (63, 2) the median places.
+    """Gel at rest: ``grid`` in the best of several frames, ``position_px`` (63, 2) the median.
 
-    NaN for dots that were not seen in every picture with a usable grid; ``motion_px``: by how much
-    the others moved from picture to picture, rms.
+    NaN for dots not seen in every frame with a usable grid. ``motion_px``: rms motion of the others
+    between frames.
     """
 
     grid: GridReport
@@ -477,7 +477,7 @@ class GelRest:
 
 
 def measure_rest(frames: Sequence[TactileFrame]) -> GelRest:
-    """Return how the gel of ``frames`` (one finger, oldest first, one or more) rests."""
+    """Return the rest state of the gel in ``frames`` (one finger, oldest first, at least one)."""
     tracker = MarkerTracker(frames[0].finger)
     grids: list[GridReport] = []
     places = []

@@ -1,9 +1,9 @@
 """Zero references of the sensors before a probe: tare, tactile reference, and drift since then.
 
-The raw wrench holds the gripper (about 14.7 N), the piece and the offset of the sensor. All three
-vanish only if the tare is taken with the piece held, still, in air and in the pose of the press
-(rulings 3). The tactile reference is where the 63 markers rest. In still air the weight stays, so
-that a slow change is drift (reliability S8); a sudden change is a load and is ignored.
+The raw wrench contains the gripper (about 14.7 N), the piece and the offset of the sensor. All
+three vanish only if the tare is taken with the piece held, still, in air and in the pose of the
+press. The tactile reference is the rest position of the 63 markers. In still air the weight is
+constant, so that a slow change is drift (reliability S8); a sudden change is a load and is ignored.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 
 @dataclass(frozen=True, slots=True)
 class TareLimits:
-    """When a tare is refused. Forces in N, moments in N·m; set from noise measured in air."""
+    """Limits of a tare. Forces in N, moments in N·m; set from noise measured in air."""
 
     # Largest standard deviation (force, moment): 3 sigma of the air noise 0.1 N, 0.004 N·m.
     noise: tuple[float, float] = (0.3, 0.012)
@@ -47,7 +47,7 @@ class TareLimits:
 
 @dataclass(frozen=True, slots=True)
 class Tare:
-    """What is subtracted: the calibrated ``payload`` (6,) and the measured ``offset`` (6,)."""
+    """Subtracted wrench: the calibrated ``payload`` (6,) and the measured ``offset`` (6,)."""
 
     payload: FloatArray
     offset: FloatArray
@@ -86,8 +86,8 @@ def take_tare(
 ) -> Tare:
     """Average still samples in air: ``t_s`` (n,) and raw ``wrench`` (n, 6).
 
-    ``payload`` (6,) is the calibrated weight of the gripper; without one a contact is noticed by
-    its motion and noise only. Raises ``FaultError`` "TARE-REFUSED" naming what is wrong.
+    ``payload`` (6,): calibrated weight of the gripper; without it a contact is detected by motion
+    and noise only. Raises ``FaultError`` "TARE-REFUSED" with the reason.
     """
     limits = limits or TareLimits()
     base = np.zeros(WRENCH_CHANNELS) if payload is None else np.array(payload, dtype=np.float64)
@@ -106,7 +106,7 @@ def take_tare(
 
 
 def _refusal(t_s: FloatArray, wrench: FloatArray, limits: TareLimits, *, weighed: bool) -> str:
-    """Return why these samples are no tare, "" if they are one; NaN refuses."""
+    """Return the reason for refusing these samples, or ""; NaN is refused."""
     if len(t_s) < limits.least_samples or not float(t_s[-1] - t_s[0]) >= limits.least_span_s:
         return f"{len(t_s)} samples are too few or span too short a time"
     if not np.isfinite(wrench).all():
@@ -143,7 +143,7 @@ CONTACT_PX = 0.7  # change of shape (rms, without affine part) that means contac
 class TactileReference:
     """Mean of still frames: ``position_px`` (63, 2), ``noise_px`` (63,) sigma per marker at rest.
 
-    ``t_s``: bench time of its newest frame; ``frames``: how many were averaged.
+    ``t_s``: bench time of the newest frame; ``frames``: number of averaged frames.
     """
 
     finger: Finger
@@ -158,7 +158,7 @@ class TactileReference:
 
     @property
     def sha256(self) -> str:
-        """Name of the rest positions: equal ones have the same."""
+        """Hash of the rest positions."""
         return sha256(np.ascontiguousarray(self.position_px, dtype="<f8").tobytes()).hexdigest()
 
 
@@ -167,8 +167,8 @@ def take_reference(
 ) -> TactileReference:
     """Average ``fields`` of one finger, oldest first, into a reference.
 
-    ``template``: a no-contact reference of the same gel; with it a gel in contact is refused (the
-    loop gives the first one taken in air after gripping). Raises ``RefusedError`` with reason
+    ``template``: a no-contact reference of the same gel, such as the first one in air after
+    gripping; with it a gel in contact is refused. Raises ``RefusedError`` with reason
     "frames" (too few or of two fingers), "markers" (not all seen), "motion" (more than three times
     the noise floor) or "contact".
     """
@@ -189,7 +189,7 @@ def take_reference(
 
 
 def refuse_contact(position_px: FloatArray, templates_px: Sequence[FloatArray]) -> None:
-    """Raise ``RefusedError`` "contact" unless (63, 2) places have the shape of one template."""
+    """Raise ``RefusedError`` "contact" unless (63, 2) positions have the shape of a template."""
     change_px = min(shape_change_px(position_px, template) for template in templates_px)
     if not change_px <= CONTACT_PX:
         raise RefusedError(
@@ -235,7 +235,7 @@ MIN_DRIFT_SPAN_S = 5.0  # shortest time in air for a result
 
 @dataclass(frozen=True, slots=True)
 class WrenchDrift:
-    """By how much, in N, a still wrist sensor moved within the last ``over_s``; ``named``: much."""
+    """Drift of a still wrist sensor in N within ``over_s``; ``named``: True if a warning is due."""
 
     moved_n: float
     over_s: float
@@ -247,18 +247,18 @@ class WrenchDrift:
         return self.moved_n / self.over_s
 
     def text(self) -> str:
-        """Return it as an episode keeps it."""
+        """Return the form stored in an episode."""
         return f"{self.moved_n:.3f} N in {self.over_s:.1f} s"
 
     def words(self) -> str:
-        """Return it as the read-out shows it."""
+        """Return the displayed form."""
         over = f"{self.over_s:.0f} s" if self.over_s < 99.5 else f"{self.over_s / 60.0:.0f} min"
         return f"drift {self.moved_n:.2f} N in {over}"
 
 
 @dataclass(frozen=True, slots=True)
 class _AirMean:
-    """One mean of still air: until when, (3,) N, and the standard deviation of that mean."""
+    """Mean force (3,) of a block in still air, its end, and its standard deviation, N."""
 
     until_s: float
     mean_n: FloatArray
@@ -266,7 +266,7 @@ class _AirMean:
 
 
 class WrenchDriftEstimator:
-    """Adds up what the air moves; the caller knows what air is."""
+    """Accumulates the drift of the wrench in still air."""
 
     def __init__(self) -> None:
         self._blocks: list[tuple[FloatArray, FloatArray]] = []
@@ -279,7 +279,7 @@ class WrenchDriftEstimator:
         self._named = False
 
     def feed(self, t_s: FloatArray, force_n: FloatArray) -> None:
-        """Take untared samples (n,), (n, 3) in still air, with the same load as those before."""
+        """Add untared samples (n,), (n, 3) in still air, with the same load as before."""
         finite = np.isfinite(force_n).all(axis=1)
         t_s, force_n = t_s[finite], force_n[finite]
         if not len(t_s):
@@ -291,19 +291,19 @@ class WrenchDriftEstimator:
             self._close()
 
     def leave(self) -> None:
-        """Leave the air, or stand still no longer: until the next air more may change."""
+        """End a stay in still air; larger changes are allowed until the next one."""
         if self._blocks and self._blocks[-1][0][-1] - self._blocks[0][0][0] >= MIN_BLOCK_S:
             self._close()
         self._blocks.clear()
         self._contiguous = False
 
     def reload(self) -> None:
-        """Begin with another load: a piece was gripped or let go, or the hand was turned."""
+        """Restart with another load: a piece was gripped or released, or the hand rotated."""
         self.leave()
         self._last = None
 
     def drift(self) -> WrenchDrift | None:
-        """Return what was found, None as long as that is too little to say."""
+        """Return the drift, None while there is too little data."""
         if not self._told or self._told[-1][0] - self._told[0][0] < MIN_DRIFT_SPAN_S:
             return None
         (first_s, first_n), (last_s, last_n) = self._told[0], self._told[-1]
@@ -312,7 +312,7 @@ class WrenchDriftEstimator:
         return WrenchDrift(moved_n, last_s - first_s, self._named)
 
     def _close(self) -> None:
-        """Take the mean of what is gathered, and what it moved since the one before."""
+        """Average the collected samples and compare them with the block before."""
         t_s, force_n = (np.concatenate(part) for part in zip(*self._blocks, strict=True))
         self._blocks.clear()
         sigma_n = float(force_n.std(axis=0).max()) / math.sqrt(len(t_s))
@@ -321,7 +321,7 @@ class WrenchDriftEstimator:
         if before is None:
             self._count(None)
         elif self._is_load(before, air):
-            # The means beside it may hold a part of the load.
+            # The neighbouring means may contain a part of the load.
             self._step_n, self._loaded = None, True
         else:
             self._count(None if self._loaded else air.mean_n - before.mean_n)
@@ -331,7 +331,7 @@ class WrenchDriftEstimator:
             self._told.popleft()
 
     def _count(self, step_n: FloatArray | None) -> None:
-        """Add the step before, now that no load followed it; keep this one."""
+        """Add the former step, which no load followed, and keep this one."""
         if self._step_n is not None:
             self._sum_n = self._sum_n + self._step_n
         self._step_n, self._loaded = step_n, False

@@ -47,7 +47,7 @@ class SimProgram(Protocol):
 
     @property
     def done(self) -> bool:
-        """Whether the program ended, well or not."""
+        """True if the program ended, well or not."""
 
     @property
     def failure(self) -> Fault | None:
@@ -259,7 +259,7 @@ class ArmDrive:
 
     @property
     def moving(self) -> bool:
-        """Whether a program is under way."""
+        """True if a program is under way."""
         return self._program is not None
 
     def run(self, program: SimProgram) -> None:

@@ -61,7 +61,7 @@ class SimulatedJaws:
 
     @property
     def moving(self) -> bool:
-        """Whether a command is under way."""
+        """True if a command is under way."""
         return self._target_mm is not None
 
     def close(self, force_n: float) -> None:
@@ -220,7 +220,7 @@ class HeldPiece:
 
     @property
     def toppled(self) -> bool:
-        """Whether the press has tipped the bottoms so far that they will not come back."""
+        """True if the press has tipped the bottoms so far that they will not come back."""
         return self._state is not None and bool(self._state.toppled[0])
 
     @property

@@ -31,7 +31,7 @@ class SimConnection:
 
     @property
     def ready(self) -> bool:
-        """Whether the device is connected."""
+        """True if the device is connected."""
         return self._state is DeviceState.READY
 
     @property

@@ -303,7 +303,7 @@ class SecondWorldPress:
         return DescentRecord(t_s, np.array(self._values), air, onset_s - zero_s, self._settled())
 
     def _settled(self) -> bool:
-        """Whether contact and springs of the piece balance, the engine's forces against ours."""
+        """Return True if contact forces of the engine and pad springs balance."""
         model, data = self._mount.model, self._mount.data
         spring = model.jnt_stiffness[HELD_JOINTS] * (
             data.qpos[HELD_JOINTS] - model.qpos_spring[HELD_JOINTS]

@@ -108,7 +108,7 @@ def test_every_way_that_two_cameras_can_sit_is_found(swap, left, right) -> None:
     told = [MIRROR_CODES[int(estimate.value(f"{finger}_mirror"))] for finger in ("left", "right")]
     assert told == [left, right]
     wrong = swap or (left, right) != ("none", "none")
-    assert ("put right" in estimate.note) == wrong
+    assert ("corrected" in estimate.note) == wrong
 
 
 def test_motion_of_a_picture_is_told_by_shift_and_turn() -> None:

@@ -135,8 +135,8 @@ def test_a_changed_or_broken_file_is_said_and_not_used(store) -> None:
     for bad, said in (
         (good.replace('"value": 1.5', '"value": 1.4'), "was changed"),
         (good.replace('"version": 1', '"version": 2'), "'version'"),
-        (good[:40], "no calibration"),
-        ("[]", "no calibration"),
+        (good[:40], "not a calibration"),
+        ("[]", "not a calibration"),
     ):
         path.write_text(bad)
         with pytest.raises(InputError, match=said):

@@ -291,7 +291,7 @@ def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch) -> None:
     session.close()
     (found,) = told
     assert found.acceptable
-    assert "fit the settings" in found.note
+    assert "agree with the settings" in found.note
     # A dot that was not seen for a moment was waited for.
     assert len(looks) == 5
     assert "known again by their dots" in found.note

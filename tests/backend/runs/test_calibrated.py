@@ -110,7 +110,7 @@ def test_campaigns_on_hardware_need_calibrations_that_hold(tmp_path, request_) -
 def test_a_board_felt_on_another_bottom_is_no_board_of_this_one(tmp_path) -> None:
     store = filled(tmp_path, {})
     store.accept(FELT.told(0.0, "board", "pot on square15"), {}, now=NOW + timedelta(seconds=2))
-    with pytest.raises(RefusedError, match=r"felt on square15, not on short.*--bottom short"):
+    with pytest.raises(RefusedError, match=r"measured on square15, not on short.*--bottom short"):
         calibrations_for(StackRequest(bottoms=("short",)), "hardware", store, {})
     assert calibrations_for(CollectRequest(bottom="square15"), "hardware", store, {})
 
@@ -151,9 +151,9 @@ def test_cameras_are_kept_as_they_sit_whatever_the_settings_were(tmp_path) -> No
     told = camera_conflicts(settings, record, "touchdown calibrate camera")
     assert list(told) == ["tactile_left", "tactile_right"]
     assert "names AAAA-1111 for the left finger" in told["tactile_left"]
-    assert "found BBBB-2222 there, which counts" in told["tactile_left"]
+    assert "found BBBB-2222 there, which is used" in told["tactile_left"]
     assert "run 'touchdown calibrate camera'" in told["tactile_left"]
-    assert told["tactile_right"].endswith("found AAAA-1111 there, which counts")
+    assert told["tactile_right"].endswith("found AAAA-1111 there, which is used")
     assert (
         camera_conflicts(seen, record, "") == camera_conflicts(GelsightSettings(), record, "") == {}
     )

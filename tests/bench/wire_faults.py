@@ -15,11 +15,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from tests.backend.devices.codecs.codecs import CODECS, IN
+from tests.backend.devices.codecs.vectors import VECTORS, data
 from tests.backend.devices.emulated_arm import Rig
 from tests.backend.devices.melfa.leaps import Leaping
 from tests.backend.devices.melfa.test_stream import LEAD_MM, SPEED_MM_S, doing
-from tests.backend.wire.codecs import CODECS, IN
-from tests.backend.wire.vectors import VECTORS, data
 from tests.bench.registry import Figure, figure
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core.faults import FaultError

@@ -7,8 +7,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tests.backend.wire.codecs import Codec
-from tests.backend.wire.vectors import VECTORS
+from tests.backend.devices.codecs.codecs import Codec
+from tests.backend.devices.codecs.vectors import VECTORS
 from touchdown.backend.devices.cameras import frames
 from touchdown.backend.devices.dynpick import protocol
 from touchdown.backend.devices.gelsight import driver

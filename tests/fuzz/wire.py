@@ -17,8 +17,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from tests.backend.wire.codecs import CODECS, Codec
-from tests.backend.wire.vectors import VECTORS
+from tests.backend.devices.codecs.codecs import CODECS, Codec
+from tests.backend.devices.codecs.vectors import VECTORS
 from tests.fuzz.readers import READERS
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.devices.framing import ProtocolError

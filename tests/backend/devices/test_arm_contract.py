@@ -67,6 +67,7 @@ def test_a_press_finds_contact_holds_and_unloads(bench: DevicesUnderTest) -> Non
     assert unload.sent["force_n"] == 1.0
 
 
+@pytest.mark.promise("G4")
 @EVERY
 def test_a_press_into_nothing_fails_with_a_fault(bench: DevicesUnderTest) -> None:
     bench.lifted_and_gripped()
@@ -80,6 +81,7 @@ def test_a_press_into_nothing_fails_with_a_fault(bench: DevicesUnderTest) -> Non
     assert motion.onset_s is None
 
 
+@pytest.mark.promise("R14")
 @EVERY
 @pytest.mark.parametrize("after_s", [0.0, 0.02, 0.5, 2.5])
 def test_stop_ends_a_press_in_every_phase(bench: DevicesUnderTest, after_s: float) -> None:
@@ -102,6 +104,7 @@ def test_stop_ends_a_press_in_every_phase(bench: DevicesUnderTest, after_s: floa
     assert bench.gripper.status().holding
 
 
+@pytest.mark.promise("R14")
 @EVERY
 def test_stop_is_legal_in_every_state(bench: DevicesUnderTest) -> None:
     for stop in (bench.arm.stop, bench.gripper.stop):
@@ -165,6 +168,7 @@ def test_closing_the_connection_stops_motion_and_keeps_the_grip(bench: DevicesUn
     assert bench.holds()
 
 
+@pytest.mark.promise("P1")
 @EVERY
 @pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf")])
 def test_senseless_numbers_are_refused(bench: DevicesUnderTest, speed: float) -> None:

@@ -10,6 +10,7 @@ from touchdown.backend.core.values import Pose
 from touchdown.backend.devices.protocols import RetreatingArm, RobotMode
 
 
+@pytest.mark.promise("G3")
 @EVERY
 def test_a_retreat_draws_back_from_contact_once_and_stands(bench: DevicesUnderTest) -> None:
     bench.lifted_and_gripped()

@@ -74,6 +74,7 @@ class Watched:
         return oldest_s, told
 
 
+@pytest.mark.promise("S6")
 @pytest.mark.parametrize(
     ("make", "hz", "slow_hz", "lump_s", "within_s"),
     [
@@ -101,6 +102,7 @@ def test_a_slow_sensor_is_told_at_once_and_its_samples_are_stamped_when_they_com
     assert bench.watch.degraded == () or bench.watch.degraded[0].device != "force_torque"
 
 
+@pytest.mark.promise("S6")
 def test_a_tenth_of_the_rate_is_degraded_before_anything_is_a_fault() -> None:
     bench = Watched("ft300", 100.0, 0.004)
     bench.go(USUAL_S)
@@ -111,6 +113,7 @@ def test_a_tenth_of_the_rate_is_degraded_before_anything_is_a_fault() -> None:
     assert "FT-STALE" not in {fault.code for fault in bench.interlock.faults}
 
 
+@pytest.mark.promise("S6")
 @pytest.mark.parametrize("adapter_s", [0.0, 0.016])
 @pytest.mark.parametrize("hz", [100.0, 333.0, 1000.0])
 def test_adapters_losses_and_a_busy_computer_make_no_sensor_slow(

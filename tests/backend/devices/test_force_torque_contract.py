@@ -153,6 +153,7 @@ def test_it_delivers_what_the_sensor_feels_in_order_at_its_rate(wired):
     assert all(isinstance(value, str | float | int) for value in driver.describe().values())
 
 
+@pytest.mark.promise("S1")
 def test_garbage_is_refused_counted_and_overcome(wired):
     wired.connect()
     wired.front.inject("garbage", 0.2, share=0.2)
@@ -164,6 +165,7 @@ def test_garbage_is_refused_counted_and_overcome(wired):
     assert np.abs(values.mean(axis=0) - LOAD).max() < 0.2
 
 
+@pytest.mark.promise("S6")
 def test_a_frozen_sensor_gives_no_measurement(wired):
     wired.connect()
     wired.newest(5)
@@ -175,6 +177,7 @@ def test_a_frozen_sensor_gives_no_measurement(wired):
     assert wired.driver.state is DeviceState.READY
 
 
+@pytest.mark.promise("S7")
 def test_the_end_of_the_range_is_a_fault_and_no_number(wired):
     wired.connect()
     begin = wired.driver.samples.count
@@ -189,6 +192,7 @@ def test_the_end_of_the_range_is_a_fault_and_no_number(wired):
     assert not len(finite) or np.abs(finite - LOAD).max() < 1.0
 
 
+@pytest.mark.promise("S4")
 def test_unplugged_it_is_a_fault_and_plugged_in_again_it_heals(wired):
     wired.connect()
     first = wired.driver.identity
@@ -219,6 +223,7 @@ def test_connecting_can_be_cancelled_and_closing_twice_is_allowed(wired):
     assert wired.driver.state is DeviceState.CLOSED
 
 
+@pytest.mark.promise("S5")
 def test_a_gripper_in_place_of_a_wrist_sensor_is_refused():
     front = TcpServer(EmulatedWsg())
     settings = {"ft": {"driver": "leptrino", "address": front.url}}

@@ -45,6 +45,7 @@ def held():
     return made
 
 
+@pytest.mark.promise("G1")
 @pytest.mark.parametrize("told", [LOST, replace(HELD, width_mm=19.6), replace(HELD, width_mm=20.4)])
 def test_a_lost_piece_is_one_fault_within_200_ms(held, told):
     lost_s = held.now_s
@@ -54,6 +55,7 @@ def test_a_lost_piece_is_one_fault_within_200_ms(held, told):
     assert (fault.code, fault.device) == ("PIECE-LOST", "gripper")
 
 
+@pytest.mark.promise("G1")
 @pytest.mark.parametrize("width_mm", [float("nan"), float("inf"), -40.0, 6.5e4])
 @pytest.mark.parametrize("then", [LOST, replace(HELD, width_mm=19.6)])
 def test_what_is_no_width_loses_no_piece_and_hides_no_loss(held, width_mm, then):
@@ -91,6 +93,7 @@ def test_what_trembles_below_the_limit_is_held(held):
     assert held.faults == []
 
 
+@pytest.mark.promise("G1")
 def test_jaws_that_are_opened_let_go(held):
     held.jaws.letting_go = True
     for width_mm in (20.0, 20.5, 22.0):

@@ -230,6 +230,7 @@ def test_a_newer_command_ends_the_older_one(bench):
     second.result()
 
 
+@pytest.mark.promise("P1")
 @pytest.mark.parametrize("bad", [0.0, -1.0, float("nan"), float("inf")])
 def test_senseless_numbers_are_refused(bench, bad):
     bench.connect()
@@ -238,6 +239,7 @@ def test_senseless_numbers_are_refused(bench, bad):
             command()
 
 
+@pytest.mark.promise("G2")
 def test_a_link_lost_while_holding_waits_for_the_operator(wired):
     wired.connect()
     finish(wired, wired.gripper.grip(10.0))
@@ -268,6 +270,7 @@ def test_a_link_lost_while_holding_waits_for_the_operator(wired):
     assert wired.gripper.status().holding
 
 
+@pytest.mark.promise("G1")
 def test_readings_go_on_and_a_lost_piece_is_seen(wired):
     wired.connect()
     finish(wired, wired.gripper.grip(10.0))
@@ -279,6 +282,7 @@ def test_readings_go_on_and_a_lost_piece_is_seen(wired):
     assert wired.gripper.state is DeviceState.READY
 
 
+@pytest.mark.promise("S5")
 def test_another_device_is_refused_by_name():
     front = TcpServer(EmulatedLeptrino(lambda now_s: (0.0,) * 6))
     front.start()

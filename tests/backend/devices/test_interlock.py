@@ -59,6 +59,7 @@ def test_all_conditions_true_releases() -> None:
     assert release_refusal(GOOD) is None
 
 
+@pytest.mark.promise("G7")
 @pytest.mark.parametrize(
     ("field", "value", "name"),
     [(field, value, name) for field, (values, name) in BAD.items() for value in values],
@@ -69,6 +70,7 @@ def test_one_bad_field_refuses_with_its_own_name(field: str, value: object, name
     assert refusal[0] == name
 
 
+@pytest.mark.promise("G7")
 @given(data=st.data())
 def test_any_mixture_with_a_bad_field_refuses(data: st.DataObject) -> None:
     fields = data.draw(st.sets(st.sampled_from(sorted(BAD)), min_size=1))
@@ -142,6 +144,7 @@ def reacting() -> tuple[Interlock, list[str]]:
     return interlock, did
 
 
+@pytest.mark.promise("G3")
 def test_too_much_force_draws_back_once_and_does_not_stop_what_draws_back() -> None:
     interlock, did = reacting()
     interlock.raise_fault(TRIP)
@@ -169,6 +172,7 @@ def test_the_strongest_reaction_wins(first: str) -> None:
     assert did == ["stop", "jaws"] * 2
 
 
+@pytest.mark.promise("P1")
 def test_limits_must_be_finite() -> None:
     with pytest.raises(ValueError, match="speed_mm_s"):
         Interlock(Limits(speed_mm_s=math.nan))
@@ -197,6 +201,7 @@ def test_the_override_keeps_its_range_and_starts_at_full_speed() -> None:
     assert interlock.override == 0.1
 
 
+@pytest.mark.promise("G8")
 def test_the_box_ends_room_and_targets_before_the_reach_does():
     limits = dataclasses.replace(Limits(), most_x_mm=40.0, least_y_mm=-30.0)
     here = Pose(10.0, -10.0, 50.0)

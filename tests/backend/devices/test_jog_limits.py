@@ -27,6 +27,7 @@ def test_room_to_the_edge_of_the_workspace(at, way, room):
     assert room_mm(at, way, LIMITS) == pytest.approx(room)
 
 
+@pytest.mark.promise("W4")
 @pytest.mark.parametrize(
     ("press_n", "way", "state", "reason"),
     [

@@ -115,6 +115,7 @@ def test_a_gap_in_the_count_is_a_gap_in_time():
     assert readout.lost == 3
 
 
+@pytest.mark.promise("S6")
 def test_equal_samples_are_stuck_from_the_fifth_on():
     readout = WrenchStamper(ForceTorqueSettings(), 0.001)
     _, values = readout.accept(1.0, [reading(1.0)] * 7)
@@ -125,6 +126,7 @@ def test_equal_samples_are_stuck_from_the_fifth_on():
     assert not readout.stuck
 
 
+@pytest.mark.promise("S7")
 @pytest.mark.parametrize("flag", [{"overload": True}, {"trouble": "it burns"}])
 def test_what_the_sensor_disowns_is_no_number(flag):
     readout = WrenchStamper(ForceTorqueSettings(), 0.001)

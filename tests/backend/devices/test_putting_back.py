@@ -16,6 +16,7 @@ def test_at_rest_over_the_jig_the_piece_may_go() -> None:
     assert jig_refusal(GOOD) is None
 
 
+@pytest.mark.promise("G7")
 @pytest.mark.parametrize(
     ("name", "change"),
     [

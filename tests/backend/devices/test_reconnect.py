@@ -33,6 +33,7 @@ def test_the_same_one_is_taken():
     assert device.closes == 1
 
 
+@pytest.mark.promise("C1")
 def test_another_one_is_refused_and_named():
     device = Plugged("A", "B")
     device.connect(1.0, threading.Event())

@@ -48,6 +48,7 @@ class Started(LeptrinoDriver):
         return SensorDescription(Identity("a", "b", "c", ""), self._rated, 0.001)
 
 
+@pytest.mark.promise("S3")
 @pytest.mark.parametrize(("count", "ends"), [(BAD_LIMIT - 1, False), (BAD_LIMIT, True)])
 def test_twenty_refused_frames_in_a_row_are_a_lost_link(count, ends):
     line = Line()

@@ -39,6 +39,7 @@ class Wire:
         return out
 
 
+@pytest.mark.promise("S5")
 @pytest.mark.parametrize("name", DEVICES)
 def test_each_device_is_known_unless_it_is_the_expected_one(name, monkeypatch):
     (kind,) = [one for one in load_signatures() if one.name == name]
@@ -47,6 +48,7 @@ def test_each_device_is_known_unless_it_is_the_expected_one(name, monkeypatch):
         assert identify_device(wire.send, wire.receive, expected) == words
 
 
+@pytest.mark.promise("S5")
 def test_noise_silence_and_a_lost_wire_are_nobody(monkeypatch):
     class Noise:
         receive = staticmethod(lambda now_s, data: data)
@@ -61,6 +63,7 @@ def test_noise_silence_and_a_lost_wire_are_nobody(monkeypatch):
     assert identify_device(lost, lost, "leptrino") == ""
 
 
+@pytest.mark.promise("S5")
 def test_asking_zeroes_no_sensor_and_configures_none():
     asked = b"".join(kind.request for kind in load_signatures())
     assert dynpick.DynpickCommand.OFFSET_RESET.value not in asked

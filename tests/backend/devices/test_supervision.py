@@ -56,6 +56,7 @@ def test_healthy_sensors_raise_nothing() -> None:
     assert not bench.interlock.latched
 
 
+@pytest.mark.promise("C7")
 def test_a_camera_that_told_why_it_gives_no_picture_is_not_called_silent_too() -> None:
     bench = Watched()
     bench.run(2.0)
@@ -65,6 +66,7 @@ def test_a_camera_that_told_why_it_gives_no_picture_is_not_called_silent_too() -
     assert bench.codes() == [("CAMERA-DARK", "tactile_left")]
 
 
+@pytest.mark.promise("C1")
 @pytest.mark.parametrize("finger", FINGERS)
 def test_a_silent_camera_is_named_after_half_a_second(finger: str) -> None:
     bench = Watched()
@@ -75,6 +77,7 @@ def test_a_silent_camera_is_named_after_half_a_second(finger: str) -> None:
     assert bench.codes() == [("CAMERA-STALE", f"tactile_{finger}")]
 
 
+@pytest.mark.promise("C3")
 @pytest.mark.parametrize("finger", FINGERS)
 def test_the_third_equal_picture_is_a_frozen_camera(finger: str) -> None:
     bench = Watched()
@@ -95,6 +98,7 @@ def test_a_camera_is_not_taken_for_frozen_across_scenes() -> None:
     assert not bench.interlock.latched
 
 
+@pytest.mark.promise("S4")
 @pytest.mark.parametrize("value", [None, float("nan"), float("inf")])
 def test_no_valid_wrench_for_300_ms_is_a_fault(value: float | None) -> None:
     bench = Watched()
@@ -114,6 +118,7 @@ def test_sensors_get_time_to_start_and_then_no_more() -> None:
     assert ("CAMERA-STALE", "tactile_left") in bench.codes()
 
 
+@pytest.mark.promise("G3")
 def test_the_trip_needs_two_samples_or_one_huge_one() -> None:
     bench = Watched()
     bench.run(1.5)
@@ -151,6 +156,7 @@ def test_a_moment_trips_as_well_though_no_force_does() -> None:
     assert "1.61 N·m" in bench.interlock.faults[0].what
 
 
+@pytest.mark.promise("C1")
 def test_a_sensor_is_degraded_before_it_is_a_fault_and_well_again_by_itself() -> None:
     bench = Watched()
     bench.run(2.0)
@@ -184,6 +190,7 @@ def test_a_scene_that_begins_forgets_what_was_degraded() -> None:
     assert bench.supervision.unwell() is None
 
 
+@pytest.mark.promise("S6")
 @pytest.mark.parametrize(("share", "slow"), [(0.4, True), (0.6, False)])
 def test_less_than_half_of_the_usual_rate_is_degraded_until_it_is_back(
     share: float, slow: bool
@@ -204,6 +211,7 @@ def test_less_than_half_of_the_usual_rate_is_degraded_until_it_is_back(
     assert rate.slow_since_s is None
 
 
+@pytest.mark.promise("S6")
 def test_a_sensor_that_is_slow_from_its_start_is_known_by_the_rate_that_it_tells() -> None:
     class Wrist:
         def describe(self) -> dict[str, str | float]:
@@ -259,6 +267,7 @@ class Jaws:
         return Health(20.0, self._bench.now_s - self.heard_s, 9, 0)
 
 
+@pytest.mark.promise("G9", "G2")
 def test_a_gripper_that_holds_a_piece_is_degraded_after_300_ms_and_a_fault_after_1_s() -> None:
     bench = Watched()
     jaws = Jaws(bench)
@@ -281,6 +290,7 @@ def test_a_gripper_that_holds_a_piece_is_degraded_after_300_ms_and_a_fault_after
     assert (bench.supervision.degraded, bench.codes()) == ((), []), "empty jaws let nothing fall"
 
 
+@pytest.mark.promise("G1")
 def test_a_gripper_that_tells_no_width_while_it_holds_is_as_good_as_silent() -> None:
     bench = Watched()
     jaws = Jaws(bench)

@@ -5,6 +5,7 @@ import pytest
 from tests.backend.devices import trials_camera, trials_gripper, trials_wrist
 
 
+@pytest.mark.promise("S1")
 @pytest.mark.parametrize("kind", sorted(trials_wrist.EMULATED))
 def test_a_wrist_sensor_ends_as_documented(kind):
     ended = trials_wrist.trial(sorted(trials_wrist.EMULATED).index(kind), kind)

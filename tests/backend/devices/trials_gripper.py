@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import random
 
-from tests.backend.devices.stepped_wsg import Bench
 from tests.backend.devices.trials import Ended
+from tests.backend.devices.wsg.stepped import Bench
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.wsg import gcl, protocol
 from touchdown.backend.devices.wsg.driver import link_fault

@@ -97,6 +97,7 @@ def test_it_delivers_the_pictures_of_its_own_camera_in_order(cameras):
     assert all(isinstance(value, str | float | int) for value in driver.describe().values())
 
 
+@pytest.mark.promise("C1")
 def test_a_replugged_camera_is_found_on_its_new_node_and_no_other_taken(cameras):
     cameras.connect()
     before = cameras.driver.find().resolve()
@@ -126,6 +127,7 @@ class Pulled:
         pass
 
 
+@pytest.mark.promise("C1")
 def test_a_camera_that_is_gone_is_given_up_though_pictures_can_still_be_read(tmp_path):
     path = tmp_path / "video8"
     path.touch()
@@ -153,6 +155,7 @@ def test_a_frozen_picture_is_not_delivered_and_soon_a_fault(cameras):
     assert cameras.driver.fault is None
 
 
+@pytest.mark.promise("C4")
 def test_damaged_pictures_are_left_out_and_counted(cameras):
     cameras.connect()
     cameras.fronts["left"].inject("cut", share=0.5)
@@ -162,6 +165,7 @@ def test_damaged_pictures_are_left_out_and_counted(cameras):
     assert cameras.driver.health.lost > 0
 
 
+@pytest.mark.promise("C7")
 def test_dark_pictures_at_the_start_are_dropped(cameras):
     cameras.fronts["left"].inject("dark", 0.2)
     cameras.connect()
@@ -169,6 +173,7 @@ def test_dark_pictures_at_the_start_are_dropped(cameras):
     assert frames[0].image.mean() > cameras.settings.darkest_mean
 
 
+@pytest.mark.promise("C6")
 def test_a_camera_that_is_not_there_is_named_with_those_that_are(cameras):
     settings = cameras.settings.model_copy(
         update={"left": cameras.settings.left.model_copy(update={"serial": "ZZZZ-0000"})}
@@ -203,6 +208,7 @@ class Blocking:
         pass
 
 
+@pytest.mark.promise("C2")
 def test_a_read_that_blocks_holds_up_neither_connect_nor_close(tmp_path):
     source = Blocking()
     settings = GelsightSettings.model_validate({"left": {"file": str(tmp_path)}})

@@ -16,6 +16,7 @@ from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker, neig
 from touchdown.backend.sensing.picture_files import read_pictures
 
 
+@pytest.mark.promise("C4")
 @pytest.mark.parametrize(
     ("kind", "off"), [("1 KiB lost", 0), ("64 bytes zeroed", 2), ("one bit", 3)]
 )
@@ -27,6 +28,7 @@ def test_no_marker_is_wrong_after_damage_that_decodes(kind, off):
         assert set(found) == {"bytes"}
 
 
+@pytest.mark.promise("C4")
 def test_whole_pictures_of_a_gel_that_slips_pass_but_for_a_few_and_never_two_fail_in_a_row():
     tracker, refused = DamageCheckingTracker("left"), []
     for frame in islice(read_pictures(GELSIGHT / "blue_box_exp2_camera_2.avi"), 380, 450):
@@ -37,6 +39,7 @@ def test_whole_pictures_of_a_gel_that_slips_pass_but_for_a_few_and_never_two_fai
     assert not any(a and b for a, b in pairwise(refused))
 
 
+@pytest.mark.promise("C4")
 def test_what_two_pictures_in_a_row_show_is_believed():
     image, rest = rest_dots()
     covered = image.copy()
@@ -63,6 +66,7 @@ def test_lamps_that_fail_and_return_leave_no_finger_blind():
     assert (fields[-1].state == MarkerState.SEEN).all()
 
 
+@pytest.mark.promise("C4")
 def test_after_a_refused_picture_it_goes_on_as_if_that_had_never_come():
     clip, at = SCENES[0]
     frames = list(islice(read_pictures(GELSIGHT / clip), at, at + 6))

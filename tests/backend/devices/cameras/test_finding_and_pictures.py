@@ -45,6 +45,7 @@ def test_cameras_are_found_by_their_number_and_the_picture_node(system):
     ]
 
 
+@pytest.mark.promise("C6")
 def test_another_number_in_the_place_of_the_own_is_refused_100_times_of_100(system):
     places = {name: str(system / name.replace("_", "-")) for name in ("by_id", "names", "nodes")}
     content = {**places, "left": {"serial": "2D8Y-69GR"}, "right": {"serial": "AAAA-1111"}}

@@ -21,6 +21,7 @@ def gate():
     return PictureFilter("left", "tactile_left", SETTINGS, 0.0)
 
 
+@pytest.mark.promise("C3")
 def test_the_third_equal_picture_is_none_and_the_tenth_a_fault():
     judge = gate()
     told = []
@@ -32,6 +33,7 @@ def test_the_third_equal_picture_is_none_and_the_tenth_a_fault():
     assert told[EQUAL_FAULT - 1][1] == "CAMERA-FROZEN"
 
 
+@pytest.mark.promise("C3")
 def test_a_still_gel_with_half_a_grey_level_of_noise_is_never_taken_for_frozen():
     rng, judge = np.random.default_rng(2), gate()
     small = STILL[:30, :40]
@@ -42,6 +44,7 @@ def test_a_still_gel_with_half_a_grey_level_of_noise_is_never_taken_for_frozen()
     assert judge.invalid == 0
 
 
+@pytest.mark.promise("C7")
 def test_lamps_that_fade_are_a_fault_of_their_own_and_one_dark_picture_is_none():
     judge, told = gate(), []
     for k, level in enumerate([90, 8, 90, *[9 + k % 2 for k in range(8)], 90]):
@@ -60,6 +63,7 @@ def test_what_is_no_picture_is_counted_and_no_fault(content):
     assert (judge.invalid, judge.fault) == (1, None)
 
 
+@pytest.mark.promise("C1")
 def test_an_empty_buffer_that_is_called_a_picture_is_none():
     judge = gate()
     assert judge.judge(0.0, STILL) is not None
@@ -72,6 +76,7 @@ def picture(seed, quality=90):
     return cv2.imencode(".jpg", noise, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
+@pytest.mark.promise("C4")
 def test_data_that_end_early_are_no_picture():
     judge, whole = gate(), picture(1)
     assert judge.judge(0.0, whole) is not None
@@ -81,6 +86,7 @@ def test_data_that_end_early_are_no_picture():
     assert (judge.invalid, judge.fault) == (1, None)
 
 
+@pytest.mark.promise("C4")
 def test_a_header_that_changed_is_believed_when_it_comes_again():
     judge = gate()
     qualities = [90, 90, 80, 80, 90, 70, 90, 70]

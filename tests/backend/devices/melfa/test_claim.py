@@ -31,6 +31,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.promise("R11", "P11")
 def test_a_killed_program_holds_no_arm_and_its_file_is_swept(folder):
     command = [sys.executable, "-c", HOLDING, str(folder)]
     with subprocess.Popen(
@@ -52,6 +53,7 @@ def test_a_killed_program_holds_no_arm_and_its_file_is_swept(folder):
     assert list(folder.iterdir()) == []
 
 
+@pytest.mark.promise("R11")
 def test_among_many_that_come_and_go_there_is_one_at_a_time(folder):
     holders, most, turns, pause = [], [0], [0], threading.Event()
 

@@ -159,6 +159,7 @@ class Program:
         self.rig.rest(0.3)
 
 
+@pytest.mark.promise("R15")
 @pytest.mark.parametrize("touched", [False, True])
 def test_a_wrist_without_numbers_ends_a_force_program_wherever_it_is(touched):
     program = Program()
@@ -186,6 +187,7 @@ def test_a_wrist_without_numbers_ends_a_force_program_wherever_it_is(touched):
     assert rig.arm.state is DeviceState.READY
 
 
+@pytest.mark.promise("R15")
 def test_a_cable_pulled_out_of_a_force_program_is_a_fault_and_the_program_lifts_by_itself():
     program = Program()
     rig = program.rig

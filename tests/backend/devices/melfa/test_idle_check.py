@@ -31,6 +31,7 @@ def checked(host: str, cycles: int) -> Rig:
     return rig
 
 
+@pytest.mark.promise("P4")
 @pytest.mark.parametrize(("cycles", "told"), [(0, False), (8, False), (12, True), (27, True)])
 def test_a_starved_rig_is_warned_of_from_35_ms_on(cycles, told):
     rig = checked(LAB, cycles)
@@ -41,6 +42,7 @@ def test_a_starved_rig_is_warned_of_from_35_ms_on(cycles, told):
     assert not told or f"for {3.5 * (cycles + 1):.0f} ms" in notice
 
 
+@pytest.mark.promise("P4")
 def test_on_hardware_a_gap_over_101_ms_is_refused_before_the_servo_goes_on():
     rig = checked(LAB, 40)
     with pytest.raises(FaultError, match="for 144 ms") as refused:

@@ -62,6 +62,7 @@ def test_the_turn_nearest_the_present_one_is_taken():
     assert PLACING.joints(np.array([10.0, 5.0, 100.0]), near) == pytest.approx(near)
 
 
+@pytest.mark.promise("G8")
 @pytest.mark.parametrize(
     ("at", "reason"),
     [((1500.0, 0.0, 300.0), "REACH"), ((0.0, 0.0, 500.0), "SINGULAR"), ((math.nan,) * 3, "REACH")],
@@ -90,6 +91,7 @@ def test_the_guard_names_what_it_refuses(joint, value, reason):
     assert raised.value.reason == reason
 
 
+@pytest.mark.promise("R7")
 def test_a_step_over_the_share_of_the_top_speed_is_refused():
     check_step(READY_RAD, READY_RAD + 0.499 * STEPS_RAD, 0.5)
     for factor in (0.501, math.nan):

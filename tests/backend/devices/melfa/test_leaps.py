@@ -12,6 +12,7 @@ from touchdown.backend.devices.melfa.realtime_protocol import MxtCommand, decode
 from touchdown.backend.devices.protocols import DeviceState
 
 
+@pytest.mark.promise("R7")
 @pytest.mark.parametrize(("leaps", "told"), [(10, None), (11, "STEPS-TOO-LARGE")])
 def test_more_than_ten_cut_steps_in_a_row_are_a_fault(leaps, told):
     rig = Rig()

@@ -13,6 +13,7 @@ from touchdown.backend.devices.guarded_devices import GuardedArm
 from touchdown.backend.devices.interlock import Interlock
 
 
+@pytest.mark.promise("S7")
 def test_an_overload_in_contact_draws_the_arm_back_by_2_mm():
     rig = Rig()
     rig.contact = lambda pivot: np.array([0.0, 0.0, 8.0 * max(TOUCH_MM - pivot[2], 0.0)])

@@ -67,6 +67,7 @@ def test_what_the_sensor_drifts_on_the_way_down_is_no_force_of_the_contact():
     assert rig.arm._orders.level.press_n() == pytest.approx(steady_n + 0.7, abs=0.3)
 
 
+@pytest.mark.promise("G5", "G6")
 def test_a_contact_that_is_too_stiff_is_found_and_calmed():
     """Ten times the stiffness that the damping is made for."""
     rig = ready(300.0)
@@ -83,6 +84,7 @@ def test_a_contact_that_is_too_stiff_is_found_and_calmed():
     assert np.ptp(felt) < 2.0
 
 
+@pytest.mark.promise("G3")
 def test_a_force_over_the_trip_draws_the_arm_back():
     rig = ready(8.0)
     motion = rig.arm.press(PRESS)
@@ -128,6 +130,7 @@ def test_the_slope_is_that_of_the_spring():
     assert slope_of(8.0) is None
 
 
+@pytest.mark.promise("G6")
 @pytest.mark.parametrize("stiff_n_mm", [150.0, 200.0])
 def test_a_contact_without_a_gel_is_drawn_back_from(stiff_n_mm):
     rig = ready(stiff_n_mm)
@@ -164,6 +167,7 @@ def test_an_approach_that_could_trip_is_refused(speed_mm_s):
     assert rig.true_mm[2] == pytest.approx(before, abs=1e-3)
 
 
+@pytest.mark.promise("P1")
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1.0, 1e308])
 def test_a_press_with_a_senseless_number_cannot_be_made(bad):
     for name in ("depth_mm", "ramp_s", "hold_s", "approach_mm_s", "threshold_n", "max_travel_mm"):
@@ -173,6 +177,7 @@ def test_a_press_with_a_senseless_number_cannot_be_made(bad):
         replace(PRESS, stiffness_n_mm=(30.0, bad, 15.0))
 
 
+@pytest.mark.promise("S7")
 def test_the_arm_stands_while_the_wrench_is_no_number():
     rig = ready(8.0)
     motion = rig.arm.press(PRESS)
@@ -192,6 +197,7 @@ def swing(amplitude_n, period_s, delay_s=0.0237, lasts_s=1.0):
     return [t for t in times if detector.feed(t, amplitude_n * np.sin(2 * np.pi * t / period_s))]
 
 
+@pytest.mark.promise("G5")
 def test_the_detector_knows_a_swing_from_a_press():
     assert swing(1.0, 0.142)[0] < 0.4
     assert swing(0.45, 0.142) == []
@@ -208,6 +214,7 @@ def ended_by(motion):
     return raised.value.fault.code
 
 
+@pytest.mark.promise("S6")
 def test_a_wrist_that_falls_silent_on_the_way_down_ends_the_descent():
     rig = ready(8.0)
     motion = rig.arm.press(PRESS)
@@ -221,6 +228,7 @@ def test_a_wrist_that_falls_silent_on_the_way_down_ends_the_descent():
     assert here_mm - rig.true_mm[2] == pytest.approx(0.2, abs=0.05)
 
 
+@pytest.mark.promise("S4")
 def test_in_contact_the_arm_stands_without_a_wrench_and_then_draws_back():
     rig = ready(8.0)
     motion = rig.arm.press(PRESS)

@@ -25,6 +25,7 @@ def test_one_request_is_on_the_wire_at_a_time(client):
     assert second.answer == "50"
 
 
+@pytest.mark.promise("R10")
 def test_replies_may_be_split_merged_or_without_an_end(client):
     tickets = [client.ask(OVERRIDE) for _ in range(3)]
     client.step(0.0, b"")
@@ -50,6 +51,7 @@ def test_stop_goes_before_what_is_not_yet_sent_and_keeps_no_distance(client):
     assert client.step(0.121, b"") == b"1;1;OVRD\r"
 
 
+@pytest.mark.promise("R10")
 def test_a_late_reply_is_not_taken_for_the_answer_of_the_next(client):
     first = client.ask(STATE)
     client.step(0.0, b"")
@@ -62,6 +64,7 @@ def test_a_late_reply_is_not_taken_for_the_answer_of_the_next(client):
     assert second.answer == "50"
 
 
+@pytest.mark.promise("R10")
 def test_three_seconds_of_silence_are_a_lost_link_for_all_that_wait(client):
     tickets = [client.ask(STATE), client.ask(OVERRIDE)]
     client.step(0.0, b"")

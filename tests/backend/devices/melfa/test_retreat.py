@@ -26,6 +26,7 @@ GEL_N_MM = 8.0
 ROUND_US = 10_500
 
 
+@pytest.mark.promise("G4")
 @pytest.mark.parametrize("speed_mm_s", [5.0, 20.0])
 def test_contact_that_comes_too_early_ends_the_way_down_in_a_retreat(speed_mm_s: float) -> None:
     rig = Rig((0.0, 0.0, START_MM))

@@ -144,6 +144,7 @@ def front_z(front):
     return MelfaOrders(front.settings).placing.pivot_mm(controller.joints.true_rad)[2]
 
 
+@pytest.mark.promise("R9")
 def test_an_emergency_stop_is_told_and_ends_all_commands(front, arm):
     patiently(arm)
     front.inject("estop")
@@ -207,6 +208,7 @@ def test_another_arm_at_the_address_is_refused(front):
     assert raised.value.fault.code == "OTHER-ARM"
 
 
+@pytest.mark.promise("R11")
 def test_a_second_program_is_refused_until_the_first_lets_go(front, arm):
     patiently(arm)
     second = arm_of(front)
@@ -218,6 +220,7 @@ def test_a_second_program_is_refused_until_the_first_lets_go(front, arm):
     second.close()
 
 
+@pytest.mark.promise("R10")
 def test_stop_goes_out_while_the_command_channel_is_silent(front, arm):
     motion = patiently(arm, lambda: rise(arm, 160.0, 61.0))
     front.inject("silent", for_s=1.5)
@@ -246,6 +249,7 @@ def test_nobody_at_the_address_is_one_fault():
     arm.close()
 
 
+@pytest.mark.promise("R14")
 def test_stop_while_connecting_ends_the_start_up():
     front = front_of(servo_timeout_s=30.0)
     front._device.controller.settings = front.settings.model_copy(update={"servo_delay_s": 30.0})

@@ -20,6 +20,7 @@ def connected(**more):
     return rig
 
 
+@pytest.mark.promise("R14")
 @pytest.mark.parametrize("request_", ["VAL MDKZ", "RUN TDPROBE;1"])
 def test_a_force_program_that_is_being_prepared_does_not_begin(request_):
     rig = connected(stiffness_mode="controller")
@@ -28,6 +29,7 @@ def test_a_force_program_that_is_being_prepared_does_not_begin(request_):
     assert still(rig)
 
 
+@pytest.mark.promise("R14")
 def test_a_stream_that_is_being_opened_again_carries_no_motion():
     rig = connected()
     rig.arm.stop()
@@ -38,6 +40,7 @@ def test_a_stream_that_is_being_opened_again_carries_no_motion():
     assert still(rig)
 
 
+@pytest.mark.promise("R14")
 def test_motors_that_are_being_switched_on_stay_off():
     rig = connected()
     rig.arm.servo(False)

@@ -63,6 +63,7 @@ def outage(rig, seconds):
 # -- start ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.promise("R6")
 def test_the_first_packet_commands_nothing_and_the_first_command_is_the_echo(rig):
     sent = [request for _, request in requests(rig)]
     assert sent[0].command is MxtCommand.NONE
@@ -75,6 +76,7 @@ def test_the_first_packet_commands_nothing_and_the_first_command_is_the_echo(rig
     assert len(moves) > 10
 
 
+@pytest.mark.promise("R6")
 def test_a_position_that_jumps_at_the_start_is_taken_as_it_is_told():
     rig = Rig()
     rig.device.stream.jump_rad = np.array([2e-4, 0, 0, 0, 0, 0])
@@ -122,6 +124,7 @@ def test_the_command_channel_keeps_its_distance_while_the_program_runs(rig):
 # -- loss -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.promise("R5")
 @pytest.mark.parametrize(
     ("missed", "silent_s", "found"),
     [
@@ -140,6 +143,7 @@ def test_the_ladder(missed, silent_s, found):
     assert silence_level(missed, silent_s, CYCLE_S) is found
 
 
+@pytest.mark.promise("R1")
 def test_lost_packets_slow_it_down_and_nothing_else(rig):
     rig.wires.link.loss = 0.2
     since = len(rig.wires.packets)
@@ -152,6 +156,7 @@ def test_lost_packets_slow_it_down_and_nothing_else(rig):
     assert heights[-1] - heights[0] > 15.0
 
 
+@pytest.mark.promise("R1")
 def test_without_loss_it_reaches_the_asked_speed(rig):
     rig.arm.move_to(FAR, SPEED_MM_S)
     since = len(rig.wires.packets)
@@ -159,6 +164,7 @@ def test_without_loss_it_reaches_the_asked_speed(rig):
     assert steps_mm(rig, since).max() / CYCLE_S == pytest.approx(SPEED_MM_S, rel=3e-3)
 
 
+@pytest.mark.promise("R2", "R3")
 def test_late_doubled_and_reordered_replies_move_nothing_backwards(rig):
     link = rig.wires.link
     link.duplicate, link.late = 0.10, lambda: link.rng.choice((0, 0, 0, 0, 1, 3))
@@ -173,6 +179,7 @@ def test_late_doubled_and_reordered_replies_move_nothing_backwards(rig):
     assert rig.arm.health.lost == counts.refused + counts.skipped
 
 
+@pytest.mark.promise("R4")
 def test_garbage_is_counted_and_never_used(rig):
     rig.wires.link.garbage = 0.10
     motion = rig.arm.move_to(Pose(0.0, 0.0, 80.0), SPEED_MM_S)
@@ -183,6 +190,7 @@ def test_garbage_is_counted_and_never_used(rig):
     assert rig.true_mm == pytest.approx([0.0, 0.0, 80.0], abs=0.02)
 
 
+@pytest.mark.promise("R2", "R3")
 def test_a_queue_of_old_replies_is_not_believed(rig):
     link, due = rig.wires.link, {"cycles": 0}
     link.late = lambda: due["cycles"]
@@ -197,6 +205,7 @@ def test_a_queue_of_old_replies_is_not_believed(rig):
     assert rig.arm._core.replies.counts.old >= 15
 
 
+@pytest.mark.promise("R5", "P4")
 @pytest.mark.parametrize("seconds", [0.06, 0.0980])
 @pytest.mark.parametrize("own", [False, True], ids=["link", "driver"])
 def test_a_gap_below_the_fault_ends_in_a_hold_and_a_small_jump(rig, seconds, own):
@@ -218,6 +227,7 @@ def test_a_gap_below_the_fault_ends_in_a_hold_and_a_small_jump(rig, seconds, own
     assert rig.arm.state is DeviceState.READY
 
 
+@pytest.mark.promise("R5", "P4")
 def test_silence_is_a_fault_at_cycle_29_exactly(rig):
     motion = rig.arm.move_to(FAR, SPEED_MM_S)
     rig.rest(0.5)
@@ -241,6 +251,7 @@ def test_silence_is_a_fault_at_cycle_29_exactly(rig):
         rig.arm.move_to(FAR, SPEED_MM_S)
 
 
+@pytest.mark.promise("P3")
 def test_a_driver_that_was_stopped_for_long_makes_nothing_up(rig):
     rig.arm.move_to(FAR, SPEED_MM_S)
     rig.rest(0.5)
@@ -261,6 +272,7 @@ def test_a_driver_that_was_stopped_for_long_makes_nothing_up(rig):
     assert np.abs(places(rig, since) - here_mm).max() < 0.01
 
 
+@pytest.mark.promise("R5")
 def test_a_press_is_void_after_a_hold(rig):
     rig.contact = lambda pivot: np.array([0.0, 0.0, max(0.0, 8.0 * (55.0 - pivot[2]))])
     rig.rest(0.6)
@@ -321,6 +333,7 @@ def doing(rig, what):
     rig.rest(0.5)
 
 
+@pytest.mark.promise("R8", "R9")
 @pytest.mark.parametrize(
     ("number", "what"),
     [
@@ -350,6 +363,7 @@ def test_an_error_of_the_controller_ends_every_state_and_its_number_is_told(rig,
     assert np.abs(places(rig, since) - here_mm).max() < 0.01
 
 
+@pytest.mark.promise("R8")
 def test_a_program_that_ends_by_itself_is_a_fault(rig):
     rig.device.controller.finish_program()
     rig.rest(0.3)
@@ -357,6 +371,7 @@ def test_a_program_that_ends_by_itself_is_a_fault(rig):
     assert rig.arm._core.phase is not Phase.OPEN
 
 
+@pytest.mark.promise("R12")
 def test_the_controller_stops_by_itself_when_the_driver_dies(rig):
     rig.arm.move_to(FAR, SPEED_MM_S)
     rig.rest(0.5)
@@ -368,6 +383,7 @@ def test_the_controller_stops_by_itself_when_the_driver_dies(rig):
     assert not rig.device.controller.servo
 
 
+@pytest.mark.promise("R7")
 def test_a_place_out_of_reach_is_refused_and_nothing_too_fast_is_sent(rig):
     motion = rig.arm.move_to(Pose(0.0, 0.0, 900.0), 400.0)
     rig.rest(3.0)
@@ -389,6 +405,7 @@ def reply(counter, *, monitors=MONITORS, joint=0.1):
     return encode_mxt_reply(MxtReply(MxtCommand.MOVE, monitors[0], monitors, blocks, counter))
 
 
+@pytest.mark.promise("R6")
 def test_only_newer_replies_of_the_wanted_kind_count():
     replies = ReplyFilter()
     assert replies.take([reply(7)]) is not None

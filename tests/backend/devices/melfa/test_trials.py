@@ -5,6 +5,7 @@ import pytest
 from tests.backend.devices.melfa.trials import trial
 
 
+@pytest.mark.promise("R5", "R7")
 @pytest.mark.parametrize("seed", range(3))
 def test_whatever_goes_wrong_ends_as_documented(seed):
     ended = trial(seed)

@@ -70,6 +70,7 @@ def test_the_rule_of_a_free_oscillator_would_not_protect():
     assert largest_stable(law, loop) == pytest.approx(31.0, rel=0.02)
 
 
+@pytest.mark.promise("G3")
 @pytest.mark.parametrize("cycle_s", PEAKS)
 def test_peaks_are_the_published_ones_and_settle(cycle_s):
     loop = LoopDelays(cycle_s)
@@ -109,6 +110,7 @@ def test_in_free_air_energy_never_grows():
             before, give = energy, deflect(free, give, np.zeros(3))
 
 
+@pytest.mark.promise("P1")
 def test_any_force_leaves_it_bounded_and_finite():
     law = admittance_law(LoopDelays(0.0035), GAINS)
     rng = np.random.default_rng(9)

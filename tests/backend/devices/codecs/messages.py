@@ -2,7 +2,7 @@
 
 from hypothesis import strategies as st
 
-from tests.backend.wire.codecs import IN, MONITOR_KINDS, OUT
+from tests.backend.devices.codecs.codecs import IN, MONITOR_KINDS, OUT
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.dynpick import protocol as dynpick
 from touchdown.backend.devices.ft300 import protocol as robotiq_ft300

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.backend.wire.vectors import CONTENT, VECTORS, data
+from tests.backend.devices.codecs.vectors import CONTENT, VECTORS, data
 from touchdown.backend.devices import framing
 
 CHECKS = CONTENT["checks"]

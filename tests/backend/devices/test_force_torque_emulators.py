@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from tests.backend.wire.vectors import data
+from tests.backend.devices.codecs.vectors import data
 from touchdown.backend.bench.emulator_registry import emulate
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.bota.emulator import EmulatedBota

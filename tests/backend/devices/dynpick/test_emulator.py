@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.backend.wire.vectors import data
+from tests.backend.devices.codecs.vectors import data
 from touchdown.backend.devices.dynpick import protocol
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 

@@ -76,6 +76,7 @@ def test_missing_ticks_are_counted():
     assert reading.lost == 3
 
 
+@pytest.mark.promise("S2")
 def test_one_leap_is_left_out_and_counted():
     reading = samples()
     _, values = reading.accept(1.0, stream(0, 0, 5000, 0, 0))
@@ -83,11 +84,13 @@ def test_one_leap_is_left_out_and_counted():
     assert reading.lost == 1
 
 
+@pytest.mark.promise("S2")
 def test_a_leap_that_stays_is_a_load():
     _, values = samples().accept(1.0, stream(0, 0, 5000, 5001, 5002))
     assert values[:, 0] == pytest.approx([0.0, 0.0, 50.01, 50.02])
 
 
+@pytest.mark.promise("S2")
 def test_two_different_leaps_are_both_left_out():
     _, values = samples().accept(1.0, stream(0, 0, 5000, -5000, 0))
     assert values[:, 0].tolist() == [0.0] * 3
@@ -134,6 +137,7 @@ def test_an_emulated_sensor_that_slows_down_is_slow_and_not_silent_and_gets_its_
     assert oldest_s < 0.3, "no fault: it was never silent"
 
 
+@pytest.mark.promise("S8")
 def test_an_emulated_sensor_that_drifts_is_named_by_what_the_reader_reads():
     faults, now_s, watch = Faults("force_torque"), 0.0, WrenchDriftEstimator()
     faults.begin(now_s)

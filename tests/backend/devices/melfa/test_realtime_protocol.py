@@ -5,8 +5,8 @@ import struct
 
 import pytest
 
-from tests.backend.wire.codecs import MONITOR_KINDS
-from tests.backend.wire.vectors import VECTORS, data
+from tests.backend.devices.codecs.codecs import MONITOR_KINDS
+from tests.backend.devices.codecs.vectors import VECTORS, data
 from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.melfa import realtime_protocol
 from touchdown.backend.devices.melfa.realtime_protocol import BlockKind, MelfaPose, Values
@@ -26,6 +26,7 @@ def test_encoded_packets_have_the_published_digest(name):
     assert hashlib.sha1(content).hexdigest() == VECTORS[name]["sha1"]
 
 
+@pytest.mark.promise("P1")
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
 def test_a_target_that_is_no_number_is_never_sent(bad):
     target = Values(BlockKind.JOINT, (bad, *JOINTS.axes[1:]))

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from tests.backend.wire.vectors import VECTORS, data
+from tests.backend.devices.codecs.vectors import VECTORS, data
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.dynpick import protocol as dynpick
 from touchdown.backend.devices.framing import ProtocolError

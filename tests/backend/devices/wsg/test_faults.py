@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.backend.devices.stepped_wsg import Bench
+from tests.backend.devices.wsg.stepped import Bench
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.wsg.protocol import SystemFlag, WsgCommand
 
@@ -16,6 +16,7 @@ FLAGS = (
 MOTIONS = {WsgCommand.HOME, WsgCommand.PREPOSITION, WsgCommand.GRASP, WsgCommand.RELEASE}
 
 
+@pytest.mark.promise("G2")
 @pytest.mark.parametrize("flag", FLAGS)
 def test_no_motion_is_sent_while_a_flag_is_not_acknowledged(flag):
     bench = Bench()

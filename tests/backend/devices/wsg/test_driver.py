@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.backend.devices.stepped_wsg import PART_MM, Bench
+from tests.backend.devices.wsg.stepped import PART_MM, Bench
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.wsg.protocol import WsgCommand, WsgRequest
 
@@ -62,6 +62,7 @@ def test_a_held_piece_is_released_and_empty_jaws_are_positioned():
     assert bench.core.status.width_mm == pytest.approx(60.0)
 
 
+@pytest.mark.promise("G1")
 def test_a_lost_piece_is_seen_within_the_period_of_the_state():
     bench = Bench()
     bench.held()
@@ -102,6 +103,7 @@ def test_a_newer_command_stops_the_older_one_first():
     assert bench.core.status.width_mm == pytest.approx(50.0)
 
 
+@pytest.mark.promise("G2")
 @pytest.mark.parametrize(
     ("kind", "code"), [("fast_stop", "WSG-FAST-STOP"), ("power", "WSG-DEVICE")]
 )

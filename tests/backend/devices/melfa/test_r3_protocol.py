@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.backend.wire.vectors import data
+from tests.backend.devices.codecs.vectors import data
 from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.melfa import r3_protocol
 from touchdown.backend.devices.melfa.r3_protocol import R3Request

@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from tests.backend.wire.vectors import data
+from tests.backend.devices.codecs.vectors import data
 from touchdown.backend.devices.wsg import protocol
 from touchdown.backend.devices.wsg.emulator import EmulatedGcl, EmulatedWsg
 from touchdown.backend.devices.wsg.protocol import (

@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from tests.backend.wire.vectors import data
+from tests.backend.devices.codecs.vectors import data
 from touchdown.backend.devices.framing import ProtocolError, crc_wsg
 from touchdown.backend.devices.wsg import protocol
 from touchdown.backend.devices.wsg.protocol import (

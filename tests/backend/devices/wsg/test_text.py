@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.backend.devices.stepped_wsg import PART_MM, Bench
+from tests.backend.devices.wsg.stepped import PART_MM, Bench
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.wsg.protocol import WsgCommand, WsgStatus
 
@@ -83,6 +83,7 @@ def test_a_lost_piece_is_seen_by_what_is_sent_or_else_by_asking(autosend, within
     assert bench.core.lost_parts == 1
 
 
+@pytest.mark.promise("G2")
 @pytest.mark.parametrize(
     ("kind", "code"), [("fast_stop", "WSG-FAST-STOP"), ("power", "WSG-DEVICE")]
 )

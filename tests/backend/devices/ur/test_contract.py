@@ -9,7 +9,7 @@ import pytest
 
 from tests.backend.devices import contract_bench, test_arm_contract, test_arm_retreat
 from tests.backend.devices.contract_bench import DevicesUnderTest
-from tests.backend.devices.ur_stand_in import UrWires, hand_leaning
+from tests.backend.devices.ur.stand_in import UrWires, hand_leaning
 from tests.backend.devices.waiting import until
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError, RefusedError

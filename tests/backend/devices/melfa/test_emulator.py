@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 
+from tests.backend.devices.codecs.vectors import data
 from tests.backend.devices.emulated_arm import settings
-from tests.backend.wire.vectors import data
 from touchdown.backend.devices.melfa.emulated_controller import READY_RAD, SPEEDS_RAD_S, frame_of
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa
 from touchdown.backend.devices.melfa.r3_protocol import (
@@ -155,6 +155,7 @@ def test_an_emergency_stop_is_reset_only_when_it_is_released():
     assert RunStatus.SERVO_ON not in client.state().run
 
 
+@pytest.mark.promise("R13")
 def test_a_jog_ends_140_ms_after_the_last_command():
     client = Client().ready()
     text = jog(0, 0, 0x01).argument
@@ -240,6 +241,7 @@ def test_places_are_told_as_poses_too():
     assert pose.axes[:3] == pytest.approx(frame_of(READY_RAD)[:3, 3], abs=1e-3)
 
 
+@pytest.mark.promise("G8")
 @pytest.mark.parametrize(
     ("step_rad", "error"), [(np.array([0.0095, 0, 0, 0, 0, 0]), 9901), (np.full(6, 9.0), 2602)]
 )
@@ -275,6 +277,7 @@ def test_a_client_of_another_maker_runs_the_stream_by_its_own_name():
     assert client.command(READY_RAD) is not None
 
 
+@pytest.mark.promise("R12")
 def test_silence_is_counted_and_ends_it_after_the_set_number_of_cycles():
     client = Client(mxt={"mxttout": 10}).streaming()
     client.command(READY_RAD)

@@ -4,7 +4,7 @@ import json
 import math
 from pathlib import Path
 
-FILE = Path(__file__).resolve().parents[2] / "data" / "protocol-vectors.json"
+FILE = Path(__file__).resolve().parents[3] / "data" / "protocol-vectors.json"
 CONTENT = json.loads(FILE.read_text("utf-8"))
 VECTORS = {vector["name"]: vector for vector in CONTENT["vectors"]}
 

@@ -154,6 +154,7 @@ def test_connecting_can_be_cancelled(driver):
     assert driver.state is DeviceState.CLOSED
 
 
+@pytest.mark.promise("S4")
 def test_a_port_that_is_not_there_is_a_fault():
     driver = make("/dev/no-such-port")
     told = r"The port /dev/no-such-port cannot be opened: No such file or directory\."

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.backend.wire.codecs import CODECS
-from tests.backend.wire.messages import MESSAGES
+from tests.backend.devices.codecs.codecs import CODECS
+from tests.backend.devices.codecs.messages import MESSAGES
 
 ALL = sorted(CODECS)
 STREAMS = [key for key in ALL if CODECS[key].stream]
@@ -45,6 +45,7 @@ def test_every_message_comes_back(key, data):
     assert codec.messages(frame) == [message]
 
 
+@pytest.mark.promise("S1")
 @by_stream
 @few
 @given(data=st.data())
@@ -61,6 +62,7 @@ def test_where_the_stream_is_cut_does_not_matter(key, data):
     assert decoder.bad_frames == decoder.discarded == decoder.pending == 0
 
 
+@pytest.mark.promise("S1")
 @pytest.mark.parametrize("key", FRAMED, ids="/".join)
 @few
 @given(data=st.data())
@@ -88,6 +90,7 @@ def test_after_a_frame_cut_short_the_third_is_read(key, data):
     assert out[len(out) - len(messages) + 2 :] == messages[2:]
 
 
+@pytest.mark.promise("S3")
 @pytest.mark.parametrize("key", CHECKED, ids="/".join)
 @few
 @given(data=st.data())
@@ -124,6 +127,7 @@ def test_noise_never_raises(key, content):
     CODECS[key].messages(content, cut=3)
 
 
+@pytest.mark.promise("S1")
 @by_stream
 @few
 @given(content=st.binary(max_size=3000))

@@ -2,9 +2,9 @@
 
 import pytest
 
-from tests.backend.wire import facts
-from tests.backend.wire.codecs import CODECS, IN, OUT
-from tests.backend.wire.vectors import VECTORS, data, only, same
+from tests.backend.devices.codecs import facts
+from tests.backend.devices.codecs.codecs import CODECS, IN, OUT
+from tests.backend.devices.codecs.vectors import VECTORS, data, only, same
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.dynpick import protocol as dynpick
 from touchdown.backend.devices.framing import ProtocolError

@@ -37,11 +37,11 @@ class FrameStep(NamedTuple, Generic[Message]):
     refused: bool = False
 
 
+# (bytes, place) -> what is found there, or None while the bytes do not suffice to tell.
 TakeFrame = Callable[[bytes, int], FrameStep[Message] | None]
-"""(bytes, place) -> what is found there, or None while the bytes do not suffice to tell."""
 
+# (take, bytes, place of an unfinished message) -> whether to go on without it.
 SkipUnfinished = Callable[[TakeFrame[Message], bytes, int], bool]
-"""(take, bytes, place of an unfinished message) -> whether to go on without it."""
 
 
 def two_in_a_row(take: TakeFrame[Message], data: bytes, at: int) -> bool:
@@ -245,8 +245,8 @@ class Wrench(NamedTuple):
     torque_nm: Vector3
 
 
+# What a sample holds that its sensor marks as invalid.
 NO_WRENCH = Wrench((math.nan, math.nan, math.nan), (math.nan, math.nan, math.nan))
-"""What a sample holds that its sensor marks as invalid."""
 
 
 def wrench_of(values: Sequence[float]) -> Wrench:

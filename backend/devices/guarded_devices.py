@@ -55,8 +55,7 @@ from touchdown.backend.devices.protocols import (
     Vector,
 )
 
-PressForce = Callable[[], float]
-"""Present press force in N (tared Fz), NaN if unknown."""
+PressForce = Callable[[], float]  # present press force in N (tared Fz), NaN if unknown
 
 
 class _Guarded:

@@ -33,10 +33,8 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.devices.protocols import RETREAT_FAULTS, Motion
 
-LEAST_OVERRIDE = 0.1
-"""Slower, a move of a run would outlast the time that it is given."""
-LEASE_S = 0.25
-"""A lease not renewed for this long ends motion (reliability: jog and run leases)."""
+LEAST_OVERRIDE = 0.1  # slower, a move of a run would outlast the time that it is given
+LEASE_S = 0.25  # a lease not renewed for this long ends motion (reliability: jog and run leases)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +102,10 @@ STATIONARY_MM = 0.05
 MAX_WIDTH_CHANGE_MM = 0.3
 
 
+# Rows that need an estimate; only these are waived for the untested-release baseline.
 VERDICT_ROWS = frozenset(
     {"VERDICT-NOT-STABLE", "VERDICT-NOT-LAST", "VERDICT-OLD", "MARGIN", "QUALITY"}
 )
-"""Rows that need an estimate; only these are waived for the untested-release baseline."""
 
 
 def release_refusal(evidence: ReleaseEvidence, *, untested: bool = False) -> tuple[str, str] | None:
@@ -171,14 +169,14 @@ class Interlock:
         self._lease_until_s = -math.inf
         self._stoppers: list[tuple[Callable[[], None], Callable[[], None] | None]] = []
         self._override = 1.0
+        # True from the reset of a fault until the wrist is free of contact: then the arm moves by
+        # hand, slowly and away from contact only.
         self.recovering = False
-        """True from the reset of a fault until the wrist is free of contact: then the arm moves
-        by hand, slowly and away from contact only."""
+        # Which device is late or slow, in words: by hand the arm then only moves away from contact.
+        # Empty while all are well.
         self.degraded = ""
-        """Which device is late or slow, in words: by hand the arm then only moves away from
-        contact. Empty while all are well."""
+        # True only on a simulated bench while the pick-and-place baseline runs.
         self.untested_release = False
-        """True only on a simulated bench while the pick-and-place baseline runs."""
 
     @property
     def latched(self) -> bool:
@@ -298,11 +296,10 @@ class Interlock:
             raise RefusedError("NO-LEASE", "Nobody holds a live motion lease.")
 
 
+# The arm is back at the taught place of the jig within this distance on each axis.
 NEAR_JIG_MM = 0.5
-"""The arm is back at the taught place of the jig within this distance on each axis."""
 STILL_MM = 0.05
-JAMMED_N = 2.0
-"""More force than this along any axis: the piece does not sit freely in the jig."""
+JAMMED_N = 2.0  # more force than this along any axis: the piece does not sit freely in the jig
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,11 +350,10 @@ class AuthorisedGripper(Protocol):
         """Open to ``width_mm`` if ``right`` and what is measured now allow it; ``RefusedError``."""
 
 
-STILL_S = 0.2
-"""So long an arm has stood before jaws may open."""
+STILL_S = 0.2  # so long an arm has stood before jaws may open
+# An arm whose controller holds it by a program of its own tells its place some ten times a second,
+# and later while variables are written: then the last two places of this time count.
 POSITION_WINDOW_S = 0.8
-"""An arm whose controller holds it by a program of its own tells its place some ten times a second,
-and later while variables are written: then the last two places of this time count."""
 
 
 def recent_positions_mm(poses: SampleStream, now_s: float) -> FloatArray:
@@ -477,8 +473,7 @@ def fastest_mm_s(
     return limits.jog_mm_s, ""
 
 
-SLACK_RAD = 1e-6
-"""A hand that was turned to its limit is at it, whatever the last digit says."""
+SLACK_RAD = 1e-6  # a hand that was turned to its limit is at it, whatever the last digit says
 
 
 def refuse_turning(pose: Pose, surface_mm: float, press_n: float, limits: Limits) -> None:

@@ -51,8 +51,8 @@ AXES: tuple[Axis, ...] = ("x", "y", "z")
 TURNS: tuple[Axis, ...] = ("rx", "ry", "rz")
 JOINTS: tuple[Axis, ...] = ("j1", "j2", "j3", "j4", "j5", "j6")
 FRAMES: tuple[Frame, ...] = ("XYZ", "TOOL", "JOINT")
+# The tool's axes in the bench frame while the hand points down: z is the direction of approach.
 TOOL_SIGNS: Direction = (1.0, -1.0, -1.0)
-"""The tool's axes in the bench frame while the hand points down: z is the direction of approach."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,12 +105,11 @@ def amount(axis: Axis, value: float) -> str:
     return f"{math.degrees(value):.1f}\N{DEGREE SIGN}" if turns(axis) else f"{value:.1f} mm"
 
 
+# The arm is told to move this long at a time, as a controller's own jog time-out does.
 REPEAT_S = 0.14
-"""The arm is told to move this long at a time, as a controller's own jog time-out does."""
-CREEP_MM_S, CREEP_RAD_S = 0.2, math.radians(0.2)
-"""Slower than this at a limit is standing still."""
+CREEP_MM_S, CREEP_RAD_S = 0.2, math.radians(0.2)  # slower than this at a limit is standing still
+# The way of a joint to the edge of the workspace is looked for this finely.
 FINE_RAD = math.radians(0.5)
-"""The way of a joint to the edge of the workspace is looked for this finely."""
 POSE_AGE_S = 0.2
 
 
@@ -298,10 +297,9 @@ def _added(first: tuple[float, ...], second: tuple[float, ...]) -> tuple[float, 
 
 STEPS_MM = (0.1, 0.5, 1.0, 5.0)
 STEPS_DEG = (0.5, 1.0, 5.0)
+# From a command to the arm that stands: wires that are late, and the lag of its servos.
 SETTLE_S = 0.05
-"""From a command to the arm that stands: wires that are late, and the lag of its servos."""
-LATE_S = 0.1
-"""A bench that is not served for so long has no computer to itself."""
+LATE_S = 0.1  # a bench that is not served for so long has no computer to itself
 
 
 @dataclass(frozen=True, slots=True)

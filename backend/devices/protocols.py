@@ -28,10 +28,8 @@ from touchdown.backend.core import (
 
 Vector = tuple[float, float, float]
 STILL: Vector = (0.0, 0.0, 0.0)
-Joints = tuple[float, ...]
-"""Angles of the joints, rad, from the base on."""
-TURN_RAD_S = math.radians(5.0)
-"""The hand turns so fast where nobody says otherwise."""
+Joints = tuple[float, ...]  # angles of the joints, rad, from the base on
+TURN_RAD_S = math.radians(5.0)  # the hand turns so fast where nobody says otherwise
 
 
 class DeviceState(Enum):
@@ -176,8 +174,7 @@ class ArmStatus:
     error: int
 
 
-SENSIBLE = 1e6
-"""No number of an order is larger, in its unit."""
+SENSIBLE = 1e6  # no number of an order is larger, in its unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,16 +300,15 @@ class Gripper(Device, Protocol):
 
 
 ConnectionStep = Literal["reach", "identify", "configure", "first sample"]
+# The wire is open; the device is the one that was meant; it is set up; it delivers.
 CONNECTION_STEPS: tuple[ConnectionStep, ...] = ("reach", "identify", "configure", "first sample")
-"""The wire is open; the device is the one that was meant; it is set up; it delivers."""
 
 
 class ConnectionSteps:
     """Written by whoever connects, read by anyone."""
 
     def __init__(self) -> None:
-        self.done = 0
-        """So many of ``STEPS`` are done."""
+        self.done = 0  # so many of ``STEPS`` are done
 
     def begin(self) -> None:
         """Start anew."""
@@ -357,6 +353,7 @@ class HomingGripper(Gripper, Protocol):
         """Take a fast stop or fault as seen."""
 
 
+# Names of the values that ``trace`` returns; ``phase`` is the place in the life of the stream.
 TRACE_NAMES = (
     *(f"command_{axis}_mm" for axis in "xyz"),
     *(f"measured_{axis}_mm" for axis in "xyz"),
@@ -364,7 +361,6 @@ TRACE_NAMES = (
     *(f"measured_j{n}_rad" for n in range(1, 7)),
     *("phase", "missed", "holds", "moving", "press_n"),
 )
-"""Names of the values that ``trace`` returns; ``phase`` is the place in the life of the stream."""
 
 
 @runtime_checkable
@@ -380,8 +376,8 @@ class TracedArm(Protocol):
 
 
 RETREAT_MM, RETREAT_MM_S = 2.0, 10.0
+# Codes of faults at which an arm that can draws back from the contact; at all others it stops.
 RETREAT_FAULTS = frozenset({"FT-TRIP", "FT-OVERLOAD", "CONTACT-STIFF", "CONTACT-SWINGS"})
-"""Codes of faults at which an arm that can draws back from the contact; at all others it stops."""
 
 
 @runtime_checkable
@@ -396,8 +392,8 @@ class RetreatingArm(Protocol):
         """
 
 
+# Code of a press during which the arm stood still for a moment: what was felt does not count.
 VOID_PRESS = "PRESS-VOID"
-"""Code of a press during which the arm stood still for a moment: what was felt does not count."""
 
 
 class CommandedMotion:

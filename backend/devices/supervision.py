@@ -34,12 +34,12 @@ from touchdown.backend.core import (
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.protocols import Device, DeviceState, Gripper
 
+# Late at this share of the age that is a fault: 100 of 300 ms, pictures 120 of 500 ms.
 LATE_SHARE = {"force_torque": 1 / 3, "tactile_left": 0.24, "tactile_right": 0.24}
-"""Late at this share of the age that is a fault: 100 of 300 ms, pictures 120 of 500 ms."""
+# A gripper that holds a piece is late, and a fault, after this long without a reading.
 GRIP_LATE_S, GRIP_LOST_S = 0.3, 1.0
-"""A gripper that holds a piece is late, and a fault, after this long without a reading."""
+# Slow below this share of the usual rate, or of the best that the sensor had so far.
 SLOW_RATE_SHARE = 0.5
-"""Slow below this share of the usual rate, or of the best that the sensor had so far."""
 RATE_WINDOW_S = 1.0
 NAMES = {
     "force_torque": "wrist sensor",
@@ -72,8 +72,7 @@ class RateMonitor:
         self._best_hz = 0.0
         self._begun_s: float | None = None
         self._count = 0
-        self.slow_since_s: float | None = None
-        """When the sensor became slow; None while it is not."""
+        self.slow_since_s: float | None = None  # when the sensor became slow; None while it is not
 
     def begin(self) -> None:
         """Count anew: what came before is of another scene. The best rate is kept."""
@@ -119,14 +118,11 @@ def pause_fault(degraded: DegradedDevice, now_s: float) -> Fault:
     )
 
 
-MOVED_MM = 0.3
-"""So much the width may change while a piece is held."""
+MOVED_MM = 0.3  # so much the width may change while a piece is held
+# A force below this share of the grip's, for so long, holds no more what was measured with it.
 WEAK_SHARE, WEAK_S = 0.5, 0.1
-"""A force below this share of the grip's, for so long, holds no more what was measured with it."""
-STANDS_S = 0.3
-"""After the jaws began to hold they still close on the gels for this long."""
-LEAST_MM, MOST_MM = -1.0, 1000.0
-"""No jaws have another width."""
+STANDS_S = 0.3  # after the jaws began to hold they still close on the gels for this long
+LEAST_MM, MOST_MM = -1.0, 1000.0  # no jaws have another width
 
 
 @runtime_checkable
@@ -149,8 +145,7 @@ class GripMonitor:
         self._since_s: float | None = None
         self._width_mm = self._force_n = 0.0
         self._weak_s: float | None = None
-        self.seen_s = float("-inf")
-        """When the gripper last told a width that is one."""
+        self.seen_s = float("-inf")  # when the gripper last told a width that is one
 
     @property
     def holds(self) -> bool:
@@ -219,15 +214,14 @@ def _lost(what: str) -> Fault:
     )
 
 
+# Slow below this share of the usual rate, until it is above the other.
 SLOW_ARRIVAL_SHARE, WELL_SHARE = 0.5, 0.6
-"""Slow below this share of the usual rate, until it is above the other."""
 WINDOW_S = 0.05
+# So many samples are due in the window at least: single losses do not make a sensor slow.
 LEAST_PERIODS = 6
-"""So many samples are due in the window at least: single losses do not make a sensor slow."""
-APART = 1.5
-"""Quiet for so many periods after an arrival: nothing more waited behind it."""
+APART = 1.5  # quiet for so many periods after an arrival: nothing more waited behind it
+# A longer wait than adapters make (16 ms), and than this many periods, says nothing of a rate.
 WAIT_S, WAIT_PERIODS = 0.021, 5.0
-"""A longer wait than adapters make (16 ms), and than this many periods, says nothing of a rate."""
 
 
 @runtime_checkable
@@ -248,8 +242,7 @@ class ArrivalMonitor:
         self._came: deque[tuple[float, int]] = deque()
         self._total = 0
         self._judged = True
-        self.slow_since_s: float | None = None
-        """When it began to be slow; None while it is not."""
+        self.slow_since_s: float | None = None  # when it began to be slow; None while it is not
 
     def note(self, now_s: float, count: int) -> None:
         """Take ``count`` samples that came at ``now_s``."""
@@ -287,10 +280,8 @@ class ArrivalMonitor:
         return (last - first) * self._period_s / (last_s - first_s)
 
 
-GRACE_S = 1.0
-"""After a scene begins the sensors get this long to deliver their first samples."""
-EQUAL = 3
-"""So many equal pictures in a row are a camera that froze: a live one has noise (C3)."""
+GRACE_S = 1.0  # after a scene begins the sensors get this long to deliver their first samples
+EQUAL = 3  # so many equal pictures in a row are a camera that froze: a live one has noise (C3)
 _KEPT = "Motion stopped; the gripper was not opened."
 _LOOK = "Check the device and its cable, then press Reset."
 
@@ -314,8 +305,8 @@ class Supervision:
         self._wrist: Device | None = None
         self._gripper: Gripper | None = None
         self._grip = GripMonitor()
+        # Devices that are late or slow now; for any thread.
         self.degraded: tuple[DegradedDevice, ...] = ()
-        """Devices that are late or slow now; for any thread."""
         self._now_s = 0.0
 
     def begin(

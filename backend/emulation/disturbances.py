@@ -15,6 +15,11 @@ from dataclasses import dataclass
 
 from touchdown.backend.core import InputError
 
+# freeze: the same picture for ever; stop: nothing arrives; slow: so many samples a second at most;
+# dark: the light fails; flicker: the brightness swings by 25 %; nan: samples are not numbers;
+# drift: Fz moves by so many N a second, and stays where it came to; jump: +50 N on Fz; stall:
+# commanded but not moving; silent: no positions or widths arrive; turn: the held piece turns by so
+# many degrees in the grasp, seen where it touches something.
 DISTURBANCE_KINDS: dict[str, tuple[str, ...]] = {
     "tactile_left": ("freeze", "stop", "slow", "dark", "flicker"),
     "tactile_right": ("freeze", "stop", "slow", "dark", "flicker"),
@@ -22,14 +27,9 @@ DISTURBANCE_KINDS: dict[str, tuple[str, ...]] = {
     "arm": ("stall", "silent"),
     "gripper": ("stall", "silent", "turn"),
 }
-"""freeze: the same picture for ever; stop: nothing arrives; slow: so many samples a second at most;
-dark: the light fails; flicker: the brightness swings by 25 %; nan: samples are not numbers; drift:
-Fz moves by so many N a second, and stays where it came to; jump: +50 N on Fz; stall: commanded but
-not moving; silent: no positions or widths arrive; turn: the held piece turns by so many degrees in
-the grasp, seen where it touches something."""
 
+# Of the faults that need to be told how much.
 AMOUNT_UNITS = {"slow": "samples a second", "drift": "N a second", "turn": "degrees"}
-"""Of the faults that need to be told how much."""
 
 _FORM = re.compile(
     r"(?P<device>[a-z_]+):(?P<kind>[a-z]+)(=(?P<much>\d+(\.\d+)?))?@(?P<start>\d+(\.\d+)?)(\+(?P<length>\d+(\.\d+)?))?"
@@ -44,8 +44,8 @@ class Disturbance:
     kind: str
     start_s: float
     length_s: float = float("inf")
+    # Samples a second of one that is slow, N a second of one that drifts, degrees of a turn.
     much: float | None = None
-    """Samples a second of one that is slow, N a second of one that drifts, degrees of a turn."""
 
     def holds(self, device: str, kind: str, t_s: float) -> bool:
         """Return whether this is the fault ``kind`` of ``device``, and on at ``t_s``."""

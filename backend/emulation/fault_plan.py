@@ -25,15 +25,16 @@ from pydantic import Field, model_validator
 from touchdown.backend.config import NonNegative, Positive, Settings, read_settings
 from touchdown.backend.core import Decimator
 
+# lost: a message is missing; flip: one bit of it is wrong; garbage: random bytes before it; cut:
+# its end is missing; duplicate: sent twice; late: sent ``by_s`` later; silent: nothing goes out,
+# the wire stays; unplug: the wire is gone and comes back at the end of the fault.
 WIRE_KINDS = ("lost", "flip", "garbage", "cut", "duplicate", "late", "silent", "unplug")
-"""lost: a message is missing; flip: one bit of it is wrong; garbage: random bytes before it; cut:
-its end is missing; duplicate: sent twice; late: sent ``by_s`` later; silent: nothing goes out, the
-wire stays; unplug: the wire is gone and comes back at the end of the fault."""
-DATAGRAM_KINDS = ("reorder",)
-"""Two datagrams change places."""
+DATAGRAM_KINDS = ("reorder",)  # two datagrams change places
+# fade: the lamps lose half of their light each second; other_gel, small_dots: another gel is
+# fitted, of the same kind or of the kind with 8 x 10 dots.
 CAMERA_KINDS = ("freeze", "dark", "slow", "fade", "other_gel", "small_dots")
-"""fade: the lamps lose half of their light each second; other_gel, small_dots: another gel is
-fitted, of the same kind or of the kind with 8 x 10 dots."""
+# What only one kind of device can suffer from. slow: takes ``hz`` samples a second at most; drift:
+# Fz moves by ``n_per_s`` and stays where it came to.
 DEVICE_KINDS: dict[str, tuple[str, ...]] = {
     "force_torque": ("freeze", "saturate", "slow", "drift"),
     "gripper": ("part_lost", "fast_stop", "power"),
@@ -41,13 +42,11 @@ DEVICE_KINDS: dict[str, tuple[str, ...]] = {
     "tactile_right": CAMERA_KINDS,
     "arm": ("alarm", "estop", "servo_off"),
 }
-"""What only one kind of device can suffer from. slow: takes ``hz`` samples a second at most; drift:
-Fz moves by ``n_per_s`` and stays where it came to."""
+# What must be told of a fault, and of no other.
 AMOUNTS = {
     "slow": ("hz", "how many samples a second"),
     "drift": ("n_per_s", "by how many N a second"),
 }
-"""What must be told of a fault, and of no other."""
 
 FaultShare = Annotated[float, Field(gt=0, le=1)]
 FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
@@ -193,12 +192,9 @@ class Faults:
         return now_s - self._begun_s if self._begun_s is not None else -1.0
 
 
-NOISE = (0.1, 0.1, 0.1, 0.004, 0.004, 0.004)
-"""Standard deviation of one sample, N and N·m."""
-GRIPPER_N = -14.7
-"""A gripper of 1.5 kg hangs below the sensor."""
-BEYOND = 1e5
-"""A load no sensor can tell, N and N·m."""
+NOISE = (0.1, 0.1, 0.1, 0.004, 0.004, 0.004)  # standard deviation of one sample, N and N·m
+GRIPPER_N = -14.7  # a gripper of 1.5 kg hangs below the sensor
+BEYOND = 1e5  # a load no sensor can tell, N and N·m
 
 
 def add_noise(
@@ -240,8 +236,8 @@ def apply_faults(
     return felt
 
 
+# Samples sent at once after a pause; older ones are lost, as in the buffer of an adapter.
 MOST_DUE = 200
-"""Samples sent at once after a pause; older ones are lost, as in the buffer of an adapter."""
 
 
 class SampleSchedule:
@@ -252,8 +248,8 @@ class SampleSchedule:
         self._period_s = 1.0
         self._sent = 0
         self._thinned = Decimator()
+        # Of the sensor: the kind ``slow`` makes fewer samples due, which it numbers as usual.
         self.faults: Faults | None = None
-        """Of the sensor: the kind ``slow`` makes fewer samples due, which it numbers as usual."""
 
     @property
     def running(self) -> bool:

@@ -22,8 +22,7 @@ from typing import Protocol
 from touchdown.backend.core import Clock, MonotonicClock, set_realtime_priority
 from touchdown.backend.emulation.fault_plan import Faults
 
-TICK_S = 0.002
-"""Longest sleep between two looks at the device: as finely as a stream is timed."""
+TICK_S = 0.002  # longest sleep between two looks at the device: as finely as a stream is timed
 UNPLUGGED_S = 0.01
 CHUNK = 4096
 LOG_LENGTH = 20_000
@@ -65,8 +64,8 @@ class DeviceServer(ABC):
         self.log: deque[Exchange] = deque(maxlen=LOG_LENGTH)
         self.received = self.sent = self.clients = 0
         self.damage: Callable[[bytes], bytes] = bytes
+        # Real-time priority while it serves, where the user may have it; 0: as it is.
         self.priority = 0
-        """Real-time priority while it serves, where the user may have it; 0: as it is."""
         self._thread = threading.Thread(target=self._begin, name="emulator", daemon=True)
 
     @property
@@ -209,8 +208,7 @@ class PtyServer(StreamServer):
     ) -> None:
         super().__init__(device, clock, faults)
         self._link = link
-        self.plugs = 0
-        """How often it was plugged in."""
+        self.plugs = 0  # how often it was plugged in
         self._plug()
 
     @property
@@ -270,8 +268,7 @@ class PtyServer(StreamServer):
             os.write(self._master, out)
 
 
-AT_ONCE = 64
-"""Datagrams taken before the device is asked again what is due."""
+AT_ONCE = 64  # datagrams taken before the device is asked again what is due
 
 
 class EmulatedDatagrams(Protocol):

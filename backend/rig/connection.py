@@ -60,8 +60,8 @@ JOIN_S = 15.0
 HOME_S = 20.0
 LineState = Literal["closed", "waiting", "connecting", "ready", "failed"]
 ARM, ARM_NEEDS = "arm", "force_torque"
+# A gripper that is out of reach has nothing to acknowledge: it is connected again first.
 LINK_LOST = ("WSG-LINK", "CONTROL-LOST")
-"""A gripper that is out of reach has nothing to acknowledge: it is connected again first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +97,11 @@ class BenchConnection:
     ) -> None:
         self.devices = dict(devices)
         self.when_ready = when_ready
+        # Called for each device but the arm, once all of them answer and before the arm is switched
+        # on; raises ``FaultError`` for one that must not be used: it is closed again.
         self.prove: Callable[[str, threading.Event], None] = lambda name, cancel: None
-        """Called for each device but the arm, once all of them answer and before the arm is
-        switched on; raises ``FaultError`` for one that must not be used: it is closed again."""
+        # What to know of a device that is ready, beside what it tells itself; no full stop.
         self.notices: Mapping[str, str] = {}
-        """What to know of a device that is ready, beside what it tells itself; no full stop."""
         self._limit_s = limit_s
         self._known = {name: serial for name, serial in (serials or {}).items() if serial}
         self._faults: dict[str, Fault] = {}
@@ -110,8 +110,8 @@ class BenchConnection:
         self._cancel = threading.Event()
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
+        # Why the bench cannot be used although all devices are ready.
         self.trouble: TouchdownError | None = None
-        """Why the bench cannot be used although all devices are ready."""
 
     # -- how it stands, for any thread ------------------------------------------------------------
 

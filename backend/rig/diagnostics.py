@@ -67,13 +67,10 @@ def _device_detail(device: Device) -> str:
 
 
 LOOK_S = 0.002
-LEAST = 5
-"""With fewer stamps nothing is told of a sensor."""
+LEAST = 5  # with fewer stamps nothing is told of a sensor
 
-NewestStamp = Callable[[], float]
-"""Stamp of the newest sample, s; NaN before the first."""
-StampsSince = Callable[[float], FloatArray]
-"""Stamps (n,) of all samples after a time, s."""
+NewestStamp = Callable[[], float]  # stamp of the newest sample, s; NaN before the first
+StampsSince = Callable[[float], FloatArray]  # stamps (n,) of all samples after a time, s
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,10 +97,8 @@ def _name(descriptor: int, path: Path) -> None:
 
 
 KEPT_S = 5.0
-RESERVED_BYTES = 4 << 20
-"""More than one recording takes."""
-MOST_FILES = 8
-"""A run that raises one fault after the other keeps its first ones."""
+RESERVED_BYTES = 4 << 20  # more than one recording takes
+MOST_FILES = 8  # a run that raises one fault after the other keeps its first ones
 NAMES = ("fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm")
 
 

@@ -91,13 +91,12 @@ class DeviceWorkers:
             self._carry_out(order)
 
 
+# The state is shown every 20 ms, what a person looks at every 200 ms.
 STATE_ROUNDS, SLOW_ROUNDS = 5, 50
-"""The state is shown every 20 ms, what a person looks at every 200 ms."""
 OrderResult = Motion | list[float] | None
-GRIP_STANDS_S = 0.3
-"""The jaws stand so long after the gripper told that it holds."""
+GRIP_STANDS_S = 0.3  # the jaws stand so long after the gripper told that it holds
+# Carried out where they are heard: they wait for nothing.
 AT_ONCE = frozenset({"arm.halt", "arm.place_of"})
-"""Carried out where they are heard: they wait for nothing."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,19 +30,16 @@ from touchdown.backend.rig.memory import BACKEND_BEAT, STOPS, SharedMemory, drop
 from touchdown.backend.rig.messages import Channel, Message, read_error, read_fault
 
 BEAT_S = 0.005
+# Real-time priority of the beating thread, where the user may have it. Below that of the rig.
 PRIORITY = 40
-"""Real-time priority of the beating thread, where the user may have it. Below that of the rig."""
-LATE_S = 0.01
-"""So old a sample may be when it comes: a round of the rig, and one of this thread."""
+LATE_S = 0.01  # so old a sample may be when it comes: a round of the rig, and one of this thread
 RIG_SILENT_S = 0.25
 START_S = 20.0
-ORDER_S = 60.0
-"""Longer than any order takes; a rig that dies ends them all at once."""
+ORDER_S = 60.0  # longer than any order takes; a rig that dies ends them all at once
 END_S = 6.0
+# One that is lost already has nothing left to end in order: it may never answer again.
 LOST_END_S = 1.5
-"""One that is lost already has nothing left to end in order: it may never answer again."""
-SETTLE_S = 1.0
-"""An arm that has just been connected tells its place within a few cycles."""
+SETTLE_S = 1.0  # an arm that has just been connected tells its place within a few cycles
 
 
 class RigMotion(CommandedMotion):
@@ -89,8 +86,8 @@ class RigLink:
         self._rows: Mapping[str, Any] = {}
         self._seen = 0
         self._greeting = _PendingAnswer()
+        # Why the rig is gone without having been asked to; None while it runs or is not needed.
         self.lost: Fault | None = None
-        """Why the rig is gone without having been asked to; None while it runs or is not needed."""
 
     # -- life -------------------------------------------------------------------------------------
 

@@ -27,14 +27,14 @@ from touchdown.backend.devices import TRACE_NAMES
 PREFIX = "touchdown-rig-"
 FILE = "memory"
 WORDS = 16
+# Words by their use; LEASE is seconds of the bench clock, all others are counts.
 BACKEND_BEAT, RIG_BEAT, STOPS, LEASE, STATE, WRENCH, POSES, ROUNDS, NOTES = range(9)
-"""Words by their use; LEASE is seconds of the bench clock, all others are counts."""
 STATE_BYTES = 16_384
 NOTE_BYTES: Final = 480
 NOTES_KEPT = 1024
 CHANNELS = {WRENCH: 6, POSES: 3, ROUNDS: len(TRACE_NAMES)}
+# More than 5 s of 1 kHz samples, 3.5 ms cycles and 4 ms rounds.
 CAPACITY = {WRENCH: 8192, POSES: 2048, ROUNDS: 2048}
-"""More than 5 s of 1 kHz samples, 3.5 ms cycles and 4 ms rounds."""
 
 
 class Ring:
@@ -251,9 +251,9 @@ def _alive(number: int) -> bool:
     return True
 
 
+# Of ``mlockall`` in Linux. Pages are kept from their first use on: stacks that are never filled
+# would take 200 MB.
 CURRENT, FUTURE, ON_FAULT = 1, 2, 4
-"""Of ``mlockall`` in Linux. Pages are kept from their first use on: stacks that are never filled
-would take 200 MB."""
 
 
 def lock_memory() -> bool:

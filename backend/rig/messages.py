@@ -270,12 +270,10 @@ class Channel:
             self._ended()
 
 
-EXITING = 0x4
-"""Of the flags of a process: it is dying (PF_EXITING)."""
+EXITING = 0x4  # of the flags of a process: it is dying (PF_EXITING)
+# Of its waiting signals. Threads of a process that dies of any other one get it too.
 KILLED = 1 << (signal.SIGKILL - 1) if os.name == "posix" else 0
-"""Of its waiting signals. Threads of a process that dies of any other one get it too."""
-STATE, FLAGS, SIGNALS = 0, 6, 28
-"""Fields after the name."""
+STATE, FLAGS, SIGNALS = 0, 6, 28  # fields after the name
 
 
 class ParentProcess:

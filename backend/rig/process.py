@@ -27,10 +27,8 @@ from touchdown.backend.rig.memory import SharedMemory, attach, lock_memory
 from touchdown.backend.rig.messages import Channel, Message, ParentProcess, error_row, pack, receive
 
 ROUND_S = 0.004
-END_S = 0.03
-"""The end packets of the stream need three cycles."""
-FAREWELL_S = 3.0
-"""So long the devices may take to be closed once nobody is left to ask for it."""
+END_S = 0.03  # the end packets of the stream need three cycles
+FAREWELL_S = 3.0  # so long the devices may take to be closed once nobody is left to ask for it
 CAPACITY = 32_768
 
 

@@ -179,8 +179,7 @@ class RigForceTorque(_Remote):
 class RigArm(_Remote):
     """The arm of the rig."""
 
-    place_late_s = 0.0
-    """By how much later than a stream the arm may tell its place."""
+    place_late_s = 0.0  # by how much later than a stream the arm may tell its place
 
     @property
     def poses(self) -> SampleStream:

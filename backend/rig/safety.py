@@ -41,12 +41,10 @@ from touchdown.backend.devices import (
     release_refusal,
 )
 
-BACKEND_SILENT_S = 0.25
-"""The backend beats at least every 50 ms."""
+BACKEND_SILENT_S = 0.25  # the backend beats at least every 50 ms
+# A run whose thread is late by this much beyond its lease has lost its motion: disks take time.
 LAPSED_S = 2.0 - LEASE_S
-"""A run whose thread is late by this much beyond its lease has lost its motion: disks take time."""
-WRENCH_SILENT_S = 0.3
-"""A wrist sensor that is silent for longer forbids new motion."""
+WRENCH_SILENT_S = 0.3  # a wrist sensor that is silent for longer forbids new motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,12 +191,12 @@ Arguments = Mapping[str, Any]
 RIGHTS: dict[str, type[ReleaseEvidence] | type[JigEvidence] | type[ByHand]] = {
     right.__name__: right for right in (ReleaseEvidence, JigEvidence, ByHand)
 }
+# What moves the arm: only with a lease, without latch, beside a wrist sensor that is felt.
 MOVES = frozenset(
     {"arm.move_to", "arm.jog", "arm.jog_joints", "arm.move_joints", "arm.press", "arm.unload"}
 )
-"""What moves the arm: only with a lease, without latch, beside a wrist sensor that is felt."""
+# What moves the jaws in a run: only with a lease and without latch.
 JAWS = frozenset({"gripper.grip", "gripper.open_to", "gripper.open_held"})
-"""What moves the jaws in a run: only with a lease and without latch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,8 +309,7 @@ def _refuse_fast(name: str, speed: float, most: float) -> None:
         raise RefusedError(name, f"A speed of {speed:.3g} is not within 0 to {most:.3g}.")
 
 
-OLD_S = 0.05
-"""A wrench older than this is no evidence."""
+OLD_S = 0.05  # a wrench older than this is no evidence
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,11 +33,10 @@ WAKE_S = 10.0
 PAUSE_S = 0.5
 ANSWER_S = 1.0
 TIMESTAMP_TURN = 1 << 32
+# Samples; a larger step of the timestamp is a restart of the sensor, not a loss.
 LONGEST_GAP = 10_000
-"""Samples; a larger step of the timestamp is a restart of the sensor, not a loss."""
 
-OLD_US = 1_000_000
-"""A timestamp so little before the newest is late; one farther back is a restart."""
+OLD_US = 1_000_000  # a timestamp so little before the newest is late; one farther back is a restart
 
 
 class BotaDriver:

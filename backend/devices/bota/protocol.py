@@ -28,8 +28,7 @@ from touchdown.backend.devices.identification import ProtocolSignature
 
 FRAME_BYTES = 37
 HEADER = 0xAA
-SINC_STEP_S = 19.53125e-6
-"""Sample period is the ``sinc`` length of the filter times this."""
+SINC_STEP_S = 19.53125e-6  # sample period is the ``sinc`` length of the filter times this
 BAUD_CODES = {9600: 0, 57600: 1, 115200: 2, 230400: 3, 460800: 4}
 
 _FIELDS = struct.Struct("<H6fIf")

@@ -50,12 +50,11 @@ def dark_fault(name: str) -> Fault:
 
 
 START, END = b"\xff\xd8\xff", b"\xff\xd9"
-LONGEST = 16 << 20
-"""Bytes of one picture; what goes on longer is noise."""
+LONGEST = 16 << 20  # bytes of one picture; what goes on longer is noise
 _SIZED = frozenset({0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
 _SCAN = 0xDA
+# Huffman codes, quantisation, restarts, scan, frame: what the picture data are read by.
 _TABLES = frozenset({0xC4, 0xDB, 0xDD, _SCAN}) | _SIZED
-"""Huffman codes, quantisation, restarts, scan, frame: what the picture data are read by."""
 
 
 class JpegStream:
@@ -145,9 +144,9 @@ def _segments(picture: bytes) -> Iterator[tuple[int, bytes]]:
 WIDTH_PX, HEIGHT_PX = 320, 240
 MIRRORS = {"none": None, "x": 1, "y": 0, "both": -1}
 _SHAPE_TOLERANCE = 0.02
+# The level that libjpeg gives blocks without data; so many pixels of the last one are looked at, as
+# a block has at least after reduced decoding by four.
 MISSING, LAST_PX = 128, 2
-"""The level that libjpeg gives blocks without data; so many pixels of the last one are looked at,
-as a block has at least after reduced decoding by four."""
 _REDUCED = {
     8: cv2.IMREAD_REDUCED_COLOR_8,
     4: cv2.IMREAD_REDUCED_COLOR_4,
@@ -202,11 +201,11 @@ def fit(picture: ImageArray, crop_fraction: float, mirror: str) -> ImageArray:
     return np.array(turned, dtype=np.uint8)
 
 
+# So many equal pictures in a row are no measurement; so many mean that the camera hangs.
 EQUAL_INVALID, EQUAL_FAULT = 3, 10
-"""So many equal pictures in a row are no measurement; so many mean that the camera hangs."""
+# So long a camera may be dark after it was switched on; so many dark pictures in a row are a fault
+# once it was bright.
 DARK_S, DARK_FAULT = 3.0, 5
-"""So long a camera may be dark after it was switched on; so many dark pictures in a row are a fault
-once it was bright."""
 MOST_HEADERS = 64
 
 

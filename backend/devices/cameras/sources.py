@@ -26,18 +26,17 @@ from touchdown.backend.config import GelsightSettings
 from touchdown.backend.core import ImageArray
 from touchdown.backend.devices.cameras.frames import JpegStream
 
+# VIDIOC_QUERYCTRL, VIDIOC_G_CTRL, VIDIOC_S_CTRL.
 QUERY, GET, SET = 0xC0445624, 0xC008561B, 0xC008561C
-"""VIDIOC_QUERYCTRL, VIDIOC_G_CTRL, VIDIOC_S_CTRL."""
 NEXT = 0x8000_0000
 DISABLED, CLASS_TYPE = 0x1, 6
-MOST = 256
-"""Controls of one camera; no driver has as many."""
+MOST = 256  # controls of one camera; no driver has as many
 V4L2_MANUAL_EXPOSURE = 1
 _INFO = struct.Struct("<II32s4iI8x")
 _VALUE = struct.Struct("<Ii")
 
+# ``ioctl`` of one file: (file, request, content) -> content.
 IoctlFunction = Callable[[int, int, bytes], bytes]
-"""``ioctl`` of one file: (file, request, content) -> content."""
 
 
 def lock_controls(

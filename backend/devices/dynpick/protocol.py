@@ -21,8 +21,7 @@ from touchdown.backend.devices.framing import (
 )
 from touchdown.backend.devices.identification import ProtocolSignature
 
-ZERO_COUNT, TOP_COUNT = 0x2000, 0x3FFF
-"""Counts of no load and of the upper end; the lower end is 0."""
+ZERO_COUNT, TOP_COUNT = 0x2000, 0x3FFF  # counts of no load and of the upper end; the lower end is 0
 RECORD_BYTES = 27
 END = b"\r\n"
 _DIGITS = re.compile(rb"[0-9][0-9A-F]{24}")

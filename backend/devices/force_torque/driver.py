@@ -167,8 +167,7 @@ def open_link(address: str, *, baud: int, chunk: int, limit_s: float = 2.0) -> S
 
 
 AnswerT = TypeVar("AnswerT")
-AXES = 6
-"""Fx Fy Fz Tx Ty Tz."""
+AXES = 6  # Fx Fy Fz Tx Ty Tz
 
 
 class NotAnsweredError(TouchdownError):

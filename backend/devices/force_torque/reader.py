@@ -31,25 +31,21 @@ from touchdown.backend.devices.identification import identify_device
 from touchdown.backend.devices.protocols import ConnectionSteps, DeviceState, Health, Identity
 from touchdown.backend.devices.supervision import ArrivalMonitor
 
-CHUNK_S = 0.25
-"""Of so many seconds of samples only the promptest arrival is kept."""
+CHUNK_S = 0.25  # of so many seconds of samples only the promptest arrival is kept
 CHUNKS = 40
-FIT_S = 2.0
-"""Before there are so many seconds the sensor's nominal period holds."""
-MOST_OFF = 0.1
-"""The period of a sensor is not farther from its nominal one than this share."""
+FIT_S = 2.0  # before there are so many seconds the sensor's nominal period holds
+MOST_OFF = 0.1  # the period of a sensor is not farther from its nominal one than this share
+# Arrivals that are late for so long, evenly, follow samples that nobody counted as missing.
 LATE_FOR_S = 0.5
-"""Arrivals that are late for so long, evenly, follow samples that nobody counted as missing."""
 
+# What comes so much before its time follows a count that has leapt: the line begins anew.
 EARLY_S = 0.1
-"""What comes so much before its time follows a count that has leapt: the line begins anew."""
 
-LEAST_LATE = 20
-"""Fewer late samples than these say nothing."""
+LEAST_LATE = 20  # fewer late samples than these say nothing
+# So long, and with so many samples, the pace of what is ever later tells that it is another.
 SLOW_FOR_S, LEAST_SLOW = 0.1, 4
-"""So long, and with so many samples, the pace of what is ever later tells that it is another."""
+# Samples that come this much slower are those of a sensor that was set to another rate.
 OTHER_RATE = 1.5
-"""Samples that come this much slower are those of a sensor that was set to another rate."""
 
 
 @dataclass(slots=True)
@@ -184,10 +180,8 @@ def _above(numbers: FloatArray, arrivals_s: FloatArray, three: tuple[int, int, i
     return bool(left >= right)
 
 
-LEAST_S = 1e-6
-"""Stamps rise by at least this much."""
-LATE_S = 0.01
-"""A delay of the wire up to this is no loss, if nobody says otherwise."""
+LEAST_S = 1e-6  # stamps rise by at least this much
+LATE_S = 0.01  # a delay of the wire up to this is no loss, if nobody says otherwise
 
 
 class WrenchStamper:
@@ -307,8 +301,7 @@ def sensor_fault(what: str) -> Fault:
     )
 
 
-READ_S = 0.005
-"""Longest wait for bytes: short enough for stamps, long enough not to spin."""
+READ_S = 0.005  # longest wait for bytes: short enough for stamps, long enough not to spin
 BAD_LIMIT = 20
 RATE_WINDOW_S = 1.0
 STALE_S = 0.1

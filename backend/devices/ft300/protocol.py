@@ -24,8 +24,7 @@ SLAVE = 9
 STREAM_HEADER = b"\x20\x4e"
 FRAME_BYTES = 16
 STOP_BYTES = 50
-LARGEST_READ = 8
-"""Registers of the longest answer used here; a longer one is taken for noise."""
+LARGEST_READ = 8  # registers of the longest answer used here; a longer one is taken for noise
 
 STREAM_REGISTER, STREAM_ON = 410, 0x0200
 WRENCH_REGISTER, ACCELERATION_REGISTER = 180, 190

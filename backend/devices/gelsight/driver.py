@@ -68,8 +68,7 @@ def decode(content: bytes) -> CardName:
     return CardName(name, serial[0] if serial else None, is_gelsight=True)
 
 
-BY_ID = "*-index0"
-"""The second node of a camera carries no pictures."""
+BY_ID = "*-index0"  # the second node of a camera carries no pictures
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +119,8 @@ TAKE_S = 0.1
 JOIN_S = 1.0
 STALE_S = 0.12
 RATE_WINDOW_S = 1.0
+# So long without a new valid picture, a camera whose device has left the system was unplugged.
 GONE_S = 0.045
-"""So long without a new valid picture, a camera whose device has left the system was unplugged."""
 RETRY_S = (0.5, 1.0, 1.5)
 Captured: TypeAlias = tuple[float, int, bytes | ImageArray]
 

@@ -27,14 +27,12 @@ from touchdown.backend.emulation import (
     PictureFunction,
 )
 
-WIDTH_PX = 320
-"""Width of the pictures that ``OTHER`` and ``TILE_COLUMNS`` are of."""
+WIDTH_PX = 320  # width of the pictures that ``OTHER`` and ``TILE_COLUMNS`` are of
+# Where another gel of the same kind has its dots: some 5 px off, as two real sensors.
 OTHER = np.array([[1.0, 0.012, 3.0], [-0.01, 0.985, 4.0]])
-"""Where another gel of the same kind has its dots: some 5 px off, as two real sensors."""
+# Seven by nine pitches of either gel, of 320 x 240 px: side by side they go on as one grid.
 TILE_ROWS, TILE_COLUMNS = (8, 232), (12, 308)
-"""Seven by nine pitches of either gel, of 320 x 240 px: side by side they go on as one grid."""
-SMALLER = 0.88
-"""Makes 8 x 10 dots of 7 x 9."""
+SMALLER = 0.88  # makes 8 x 10 dots of 7 x 9
 RATE_HZ = 25.0
 QUALITY = 95
 DARKENING, HALVED = 16, 0.5
@@ -234,8 +232,8 @@ def small_dots(picture: ImageArray) -> ImageArray:
     return np.asarray(smaller, dtype=np.uint8)
 
 
+# What a fault of this kind fits in place of the gel.
 GELS = {"other_gel": other_gel, "small_dots": small_dots}
-"""What a fault of this kind fits in place of the gel."""
 
 
 def emulate_gelsight(choice: EmulationChoice, faults: Faults) -> Emulation:

@@ -36,8 +36,7 @@ from touchdown.backend.emulation import (
 RATED = (250.0, 250.0, 250.0, 6.0, 6.0, 6.0)
 INFO = Info("PFS080YA501A6", "00012345", "1.13")
 PERIOD_S = 0.001
-LENGTH, UNDEFINED, VALUE = 1, 2, 3
-"""Results of a command that is refused."""
+LENGTH, UNDEFINED, VALUE = 1, 2, 3  # results of a command that is refused
 FILTERS = 4
 _FRAME = re.compile(rb"\x10\x02((?:[^\x10]|\x10\x10)*)\x10\x03(.)", re.DOTALL)
 

@@ -24,8 +24,7 @@ from touchdown.backend.devices.identification import ProtocolSignature
 
 DLE, STX, ETX, NAK_BYTE = 0x10, 0x02, 0x03, 0x15
 LONGEST_DATA = 128
-FULL_SCALE, CLIP = 10_000, 32_000
-"""Counts of the rated load, and where the sensor clips."""
+FULL_SCALE, CLIP = 10_000, 32_000  # counts of the rated load, and where the sensor clips
 
 
 class LeptrinoCommand(IntEnum):

@@ -48,8 +48,7 @@ from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 from touchdown.backend.devices.melfa.stream import FAULT_CYCLES, HOLD_CYCLES
 from touchdown.backend.devices.protocols import STOPPED, ConnectionStep, Identity
 
-PACE_S = 0.1
-"""Between two exchanges while a program of the controller runs."""
+PACE_S = 0.1  # between two exchanges while a program of the controller runs
 TIMEOUT_S, DOWN_S = 1.0, 3.0
 
 
@@ -107,8 +106,7 @@ class R3Client:
         self._ready_s = -math.inf
         self._byte_s = -math.inf
         self._silent_since_s = math.inf
-        self.paced = False
-        """True while a program runs: exchanges keep their distance."""
+        self.paced = False  # true while a program runs: exchanges keep their distance
 
     @property
     def bad_replies(self) -> int:
@@ -183,8 +181,8 @@ class R3Client:
         return encode_request(ticket.request) + b"\r"
 
 
+# (now, datagrams that came) -> the packet of this cycle, None if there is none.
 CycleFunction = Callable[[float, tuple[bytes, ...]], bytes | None]
-"""(now, datagrams that came) -> the packet of this cycle, None if there is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,8 +242,7 @@ class ControllerLinks(Protocol):
 
 
 STATE_S = 0.1
-PLACE_S = 0.04
-"""Only while no program runs: the controller asks for 100 ms between exchanges then."""
+PLACE_S = 0.04  # only while no program runs: the controller asks for 100 ms between exchanges then
 PROBING_STATE_S = 0.35
 STATE, PLACE = R3Request("STATE"), R3Request("PPOS", "F")
 
@@ -261,10 +258,10 @@ class ControllerPoller:
         self._next_s = -math.inf
         self._state_s = -math.inf
         self.state: ControllerState | None = None
+        # (3,) where ``G`` is, of the last answer; taken by who reads it.
         self.place_mm: FloatArray | None = None
-        """(3,) where ``G`` is, of the last answer; taken by who reads it."""
+        # An error of the controller, or a program that ended by itself.
         self.fault: Fault | None = None
-        """An error of the controller, or a program that ended by itself."""
 
     @property
     def ended(self) -> bool:
@@ -321,8 +318,8 @@ ENDED = Fault(
 )
 
 
+# A gap in which the ladder would hold the arm; one in which it would end the stream.
 WARN_S, REFUSE_S = HOLD_CYCLES * CYCLE_S, FAULT_CYCLES * CYCLE_S
-"""A gap in which the ladder would hold the arm; one in which it would end the stream."""
 LOOK_S = 0.1
 
 
@@ -357,8 +354,7 @@ def notice_of_idle_check(
 POLL_S = 0.1
 ANSWER_S = 1.0
 RUN_S = 5.0
-CLIENT = "TOUCHDOWN"
-"""How this program calls itself to the controller."""
+CLIENT = "TOUCHDOWN"  # how this program calls itself to the controller
 RESETS = (
     "Connecting once more in the same window resets this error; from elsewhere reset it at the "
     "controller."
@@ -381,13 +377,12 @@ class Console:
     ) -> None:
         """``alarm``: the error for which the connection before was refused, 0 for none."""
         self._wires, self._settings = wires, settings
+        # The controller's error for which this connection is refused: the next one resets it.
         self.alarm = alarm
-        """The controller's error for which this connection is refused: the next one resets it."""
         self._stopped, self._cancel = stopped, cancel
+        # Whether the controller would wait for packets for ever, and that was allowed.
         self.unlimited = False
-        """Whether the controller would wait for packets for ever, and that was allowed."""
-        self.notice = ""
-        """What the operator should know of this connection; "" for nothing."""
+        self.notice = ""  # what the operator should know of this connection; "" for nothing
 
     def again(self, cancel: threading.Event) -> Console:
         """Return the console of the next connection, which knows what was told in this one."""

@@ -243,8 +243,8 @@ class MelfaArm:
         self._wires, self._settings, self._now_s = wires, settings, now_s
         self._wrench, self._wrench_cursor = wrench, 0
         self._measured = PositionRecord(now_s, poses)
+        # Measured position of ``G``, mm in the bench, once per cycle.
         self.poses = self._measured.poses
-        """Measured position of ``G``, mm in the bench, once per cycle."""
         self._orders, self.steps = MelfaOrders(settings), ConnectionSteps()
         self._core = StreamCore(settings, self._orders.placing)
         self._watch: ControllerPoller | None = None
@@ -252,10 +252,9 @@ class MelfaArm:
         self._console = Console(wires, settings, self._stopped, threading.Event())
         self._force = ForceProgram(lambda: self._console, wires, settings)
         self._lock = threading.Lock()
-        self.state = DeviceState.CLOSED
-        """Where the connection is in its life."""
+        self.state = DeviceState.CLOSED  # where the connection is in its life
+        # Known once connected; the controller tells no number, so its address stands for it.
         self.identity: Identity | None = None
-        """Known once connected; the controller tells no number, so its address stands for it."""
         self._powered = False
         self.fault: Fault | None = None
 

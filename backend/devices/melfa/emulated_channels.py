@@ -55,8 +55,7 @@ from touchdown.backend.devices.melfa.realtime_protocol import (
 )
 from touchdown.backend.emulation import SampleSchedule
 
-TOLERANCE = 1.2
-"""How much over its top speed a joint may be told to go."""
+TOLERANCE = 1.2  # how much over its top speed a joint may be told to go
 PULSES_PER_RAD = 1e5
 FLAGS = (7, 0)
 _KINDS = {0: BlockKind.POSE, 1: BlockKind.JOINT, 2: BlockKind.PULSE}
@@ -69,12 +68,11 @@ class EmulatedStream:
         self._controller, self._settings = controller, controller.settings
         controller.on_cycle = self._cycle
         self.jump_rad: FloatArray = np.zeros(6)
-        self.commands = 0
-        """Motion commands that were followed."""
+        self.commands = 0  # motion commands that were followed
+        # Largest step that was asked of a joint, as a share of its top speed.
         self.largest_share = 0.0
-        """Largest step that was asked of a joint, as a share of its top speed."""
+        # Longest time after the end of all motion at which a motion command still came.
         self.late_command_s = 0.0
-        """Longest time after the end of all motion at which a motion command still came."""
         self._begin()
 
     def _begin(self) -> None:
@@ -195,9 +193,9 @@ class EmulatedStream:
         return Values(kind, (*angles.tolist(), 0.0, 0.0))
 
 
+# A request without an end is taken as whole after this silence; the second segment of one that was
+# sent in two waits up to 40 ms for the first to be acknowledged.
 GAP_S = 0.05
-"""A request without an end is taken as whole after this silence; the second segment of one that
-was sent in two waits up to 40 ms for the first to be acknowledged."""
 PACE_S = 0.1
 TEXTS = {
     50: "External emergency stop",
@@ -211,10 +209,9 @@ OPENED = (
     "3F;3F;7,0;3,5,A,1E,32,46,64;MB6;PRM;{robot};CR800-D;MELFA;20-11-19;Ver.C1;ENG;"
     "EMULATED BY TOUCHDOWN;1;1;8;"
 )
+# Ports of a controller as it is delivered: the stream, then nine for commands.
 NETPORTS = tuple(range(10000, 10010))
-"""Ports of a controller as it is delivered: the stream, then nine for commands."""
-FORCE = "P_FsCurD"
-"""What the controller's own force sensor measures."""
+FORCE = "P_FsCurD"  # what the controller's own force sensor measures
 _ENDS = {"none": b"", "cr": b"\r", "crlf": b"\r\n"}
 _PLACE = re.compile(r"(?i)(MOV|MVS) \(([^()]*)\)\([0-9]+,[0-9]+\)")
 _SPEED = re.compile(r"(?i)(SPD|JOVRD|OVRD) ([0-9.]+)")
@@ -229,8 +226,7 @@ class EmulatedCommands:
         self._end = b""
         self._byte_s = self._exchange_s = -math.inf
         self._speed_share = 0.1
-        self.too_fast = 0
-        """Exchanges less than 100 ms apart while a program ran."""
+        self.too_fast = 0  # exchanges less than 100 ms apart while a program ran
         self.received: deque[R3Request] = deque(maxlen=1000)
         self.gone = False
         self._answers = self._table()

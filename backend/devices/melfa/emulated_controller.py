@@ -22,8 +22,7 @@ from touchdown.backend.core import FloatArray
 from touchdown.backend.devices.melfa.r3_protocol import EMERGENCY_ERRORS, RunStatus, StopStatus
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S, FLANGE_MM, JOINTS
 
-NOISE_RAD = 1e-7
-"""Standard deviation of the encoder feedback."""
+NOISE_RAD = 1e-7  # standard deviation of the encoder feedback
 LIMITS_RAD = np.array([joint.limit_rad for joint in JOINTS])
 SPEEDS_RAD_S = np.array([joint.speed_rad_s for joint in JOINTS])
 _SOLVE_STEPS = 60
@@ -131,8 +130,7 @@ class EmulatedJoints:
         self.true_rad = start_rad.copy()
         self.feedback_rad = start_rad.copy()
         self.filter_s = 0.010
-        self.frozen = False
-        """Fault: the encoders tell the same for ever."""
+        self.frozen = False  # fault: the encoders tell the same for ever
 
     def cycle(self) -> None:
         """Advance by one control cycle."""
@@ -160,13 +158,12 @@ LAG_S = 0.15
 ASK_S, STAND_S = 3.0, 60.0
 LIFT_MM, LIFT_MM_S, UNLOAD_MM = 2.0, 10.0, 10.0
 IN_A_ROW = 3
+# What must have been written before it runs.
 WRITTEN = (
     "MDSPD", "MDTRV", "MDTHR", "MDDEP", "MDRMP", "MDHLD", "MDKX", "MDKY", "MDKZ", "MDUNL", "MDUSP",
     "MDDMP", "MDFRM",
 )  # fmt: skip
-"""What must have been written before it runs."""
-UNLOAD, ABORT = 2, 3
-"""Values of MDO; 0 waits, 1 lifts."""
+UNLOAD, ABORT = 2, 3  # values of MDO; 0 waits, 1 lifts
 
 
 class ProbeProgramStep(Enum):
@@ -278,21 +275,16 @@ class EmulatedProbe:
         self._taught_mm[2] = max(float(self._taught_mm[2]) - speed_mm_s * CYCLE_S, least_mm)
 
 
-JOG_S = 0.140
-"""A jog ends by itself this long after the last command."""
-JOG_SHARE = 0.10
-"""Of the top speed of a joint, at full override."""
-JOG_MM_S = 250.0
-"""Along a straight axis, at full override."""
+JOG_S = 0.140  # a jog ends by itself this long after the last command
+JOG_SHARE = 0.10  # of the top speed of a joint, at full override
+JOG_MM_S = 250.0  # along a straight axis, at full override
 AXIS_TURN_RAD_S = 0.5
+# Where it stands when it is switched on: the hand points down.
 READY_RAD = np.radians([0.0, 20.0, 100.0, 0.0, 60.0, 0.0])
-"""Where it stands when it is switched on: the hand points down."""
 STREAM, PROBE, IDLE = "stream", "probe", ""
-PLAIN = "MXT"
-"""The stream by the name that clients of other makers give its program."""
+PLAIN = "MXT"  # the stream by the name that clients of other makers give its program
 JOINT, STRAIGHT, TOOL = 0, 1, 2
-PAST = 300
-"""Cycles whose joints are remembered: somewhat more than a second."""
+PAST = 300  # cycles whose joints are remembered: somewhat more than a second
 
 
 class RefusedCommandError(Exception):
@@ -342,20 +334,19 @@ class EmulatedController:
         self.right: object | None = None
         self._servo_on_s = math.inf
         self.error = 0
+        # When an error or a servo that was switched off last ended all motion.
         self.stopped_s = math.inf
-        """When an error or a servo that was switched off last ended all motion."""
         self.program, self.loaded = IDLE, settings.mxt.program
         self.missing_programs: set[str] = set()
         self.held = self.stop_on = self.emergency = False
         self._jog: ActiveJog | None = None
         self._moving: ActiveMove | None = None
         self._probe: EmulatedProbe | None = None
-        self.variables: dict[str, float] = {}
-        """Of the force program."""
+        self.variables: dict[str, float] = {}  # of the force program
+        # Wrench on the tool (6,), N and N·m in axes of the base: the controller's own sensor.
         self.felt: Callable[[], FloatArray] = lambda: np.zeros(6)
-        """Wrench on the tool (6,), N and N·m in axes of the base: the controller's own sensor."""
+        # Called once per cycle: the stream counts its silence there.
         self.on_cycle: Callable[[], None] = _nothing
-        """Called once per cycle: the stream counts its silence there."""
         if streaming:
             self._servo_on_s, self.program = -math.inf, STREAM
 

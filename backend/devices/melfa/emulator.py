@@ -33,10 +33,8 @@ from touchdown.backend.emulation import (
     apply_faults,
 )
 
-TICK_S = 0.004
-"""Longest sleep between two looks; while cycles are counted, until the next one."""
-ALARM = 2601
-"""Error of the fault ``alarm``: a position over its limit."""
+TICK_S = 0.004  # longest sleep between two looks; while cycles are counted, until the next one
+ALARM = 2601  # error of the fault ``alarm``: a position over its limit
 ESTOP = 50
 TIMEOUT_CYCLES = 57  # MXTTOUT of the bench file: a silent stream ends after 0.2 s
 IDLE_CHECK_S = 0.5  # of the bench file: shorter than on a real arm
@@ -81,8 +79,7 @@ class MelfaServer(DeviceServer):
         self._sources: list[socket.socket] = []
         self._host, self._ports = host, ports
         self._listen()
-        self.stops: list[float] = []
-        """When STOP came, on the clock of the front."""
+        self.stops: list[float] = []  # when STOP came, on the clock of the front
         self._on: set[str] = set()
         controller = device.controller
         self._begins: dict[str, Callable[[], None]] = {

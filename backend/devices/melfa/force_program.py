@@ -39,8 +39,8 @@ from touchdown.backend.devices.streamed import (
     told_of,
 )
 
+# The program waits so long for what is to follow; an order takes a moment to reach it.
 WAITS_S, SOON_S = 3.0, 0.3
-"""The program waits so long for what is to follow; an order takes a moment to reach it."""
 
 
 class ControllerPress:
@@ -162,16 +162,13 @@ LATE = Fault(
 )
 
 
-AirBaseline = tuple[FloatArray, FloatArray]
-"""Times (n,) and forces (n, 3)."""
+AirBaseline = tuple[FloatArray, FloatArray]  # times (n,) and forces (n, 3)
 HOT_S = 1.0
-UNLOAD, ABORT = 2, 3
-"""What the variable MDO asks of the program."""
+UNLOAD, ABORT = 2, 3  # what the variable MDO asks of the program
+# So much later the place is told: ten times a second at most, and not while variables are written.
+# Still within the second of silence that is a fault of the command channel (reliability 6.1).
 PLACE_LATE_S = 0.6
-"""So much later the place is told: ten times a second at most, and not while variables are written.
-Still within the second of silence that is a fault of the command channel (reliability 6.1)."""
-UNLOAD_SHARE = 0.8
-"""It unloads a little further than asked: its own sensor has another zero."""
+UNLOAD_SHARE = 0.8  # it unloads a little further than asked: its own sensor has another zero
 
 
 class ForceProgram:

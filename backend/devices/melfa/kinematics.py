@@ -160,16 +160,13 @@ class MelfaPlacement:
         return np.asarray(turn_z(-self.yaw_rad) @ (at - np.array(self.origin_mm)))
 
 
-RANGE_MARGIN_RAD = math.radians(2.0)
-"""Our limits lie inside those of the controller by this much."""
+RANGE_MARGIN_RAD = math.radians(2.0)  # our limits lie inside those of the controller by this much
+# Lowest and highest angle of each joint, rad.
 JOINT_RANGES: tuple[tuple[float, float], ...] = tuple(
     (-limit, limit) for limit in (LIMITS_RAD - RANGE_MARGIN_RAD).tolist()
 )
-"""Lowest and highest angle of each joint, rad."""
-WRIST_RAD = math.radians(8.0)
-"""J5 nearer to zero than this: J4 and J6 turn fast for small moves."""
-ELBOW_RAD = math.radians(8.0)
-"""J3 nearer to straight than this: at the end of the reach."""
+WRIST_RAD = math.radians(8.0)  # J5 nearer to zero than this: J4 and J6 turn fast for small moves
+ELBOW_RAD = math.radians(8.0)  # J3 nearer to straight than this: at the end of the reach
 
 
 def check_joints(joints_rad: FloatArray) -> None:

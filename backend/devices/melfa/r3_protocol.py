@@ -16,14 +16,14 @@ from touchdown.backend.devices.framing import LineStream, ProtocolError, Wrench,
 from touchdown.backend.devices.melfa.realtime_protocol import MelfaPose
 
 LONGEST_REQUEST, LONGEST_REPLY = 255, 4096
-EDIT_SLOT = 9
-"""TASKMAX + 1 with the factory setting."""
+EDIT_SLOT = 9  # TASKMAX + 1 with the factory setting
 
 _PROGRAM = r"[A-Za-z0-9_]{1,12}"
 _VARIABLE_NAME = r"[A-Za-z][A-Za-z0-9_]{0,15}"
 _WRITE = _VARIABLE_NAME + r"=[-+0-9.,()Ee]{1,160}"
 _MOTION = r"(?i:MOV|MVS|SPD|JOVRD|OVRD) [A-Za-z0-9_+\-.,() ]{1,160}"
 
+# Every command that may go out, and what its argument may look like.
 ALLOWED: dict[str, str] = {
     "OPEN=": r"[A-Za-z0-9]{1,32}",
     "CLOSE": "",
@@ -68,7 +68,6 @@ ALLOWED: dict[str, str] = {
     "PAR": r"[A-Z0-9]{1,12}",
     "OPSTSRD": r"[0-9]{1,2}",
 }
-"""Every command that may go out, and what its argument may look like."""
 
 _PATTERNS = [
     (command, re.compile(ALLOWED[command])) for command in sorted(ALLOWED, key=len, reverse=True)
@@ -329,8 +328,7 @@ def _to_wire(name: str, value: float) -> float:
 EMERGENCY_ERRORS = frozenset({50, 51, 61, 70, 71})
 OUT_OF_RANGE_ERRORS = frozenset({2601, 2602, 2603, 2800, 2801, 2802, 2810})
 NOT_READY_ERRORS = frozenset({2000, 5120, 5600, 5610, 5620, 5630, 5640, 6020})
-REJECTED_ERRORS = frozenset({4140, 4340, 4350})
-"""Any other number is a fault of the device."""
+REJECTED_ERRORS = frozenset({4140, 4340, 4350})  # any other number is a fault of the device
 
 
 class RunStatus(IntFlag):

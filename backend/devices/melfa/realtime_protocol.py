@@ -172,6 +172,7 @@ _SLOT = struct.Struct("<2H")
 _SLOTS = (64, 108, 152)
 
 SEND_KINDS = {0: BlockKind.NONE, 1: BlockKind.POSE, 2: BlockKind.JOINT, 3: BlockKind.PULSE}
+# Content of each monitor type: 1-3 command, 4-6 after filter, 7-9 encoder, 10, 11 currents.
 MONITOR_KINDS = {
     0: BlockKind.NONE,
     **{
@@ -181,7 +182,6 @@ MONITOR_KINDS = {
     10: BlockKind.CURRENT,
     11: BlockKind.CURRENT,
 }
-"""Content of each monitor type: 1-3 command, 4-6 after filter, 7-9 encoder, 10, 11 currents."""
 
 
 class MxtCommand(IntEnum):
@@ -312,8 +312,8 @@ START, END = 1, 255
 
 _MONITOR_SIGNALS = struct.Struct("<2H3I")
 
+# What each data type number of this controller stands for; 0 is none.
 BlockKinds = Mapping[int, BlockKind]
-"""What each data type number of this controller stands for; 0 is none."""
 DataTypes = tuple[int, int, int, int]
 
 
@@ -408,8 +408,7 @@ def _open_monitor_packet(data: bytes) -> tuple[int, DataTypes]:
     return command, (first, second, third, fourth)
 
 
-CYCLE_S = 0.0035
-"""Control cycle of a CR800."""
+CYCLE_S = 0.0035  # control cycle of a CR800
 
 
 @dataclass(frozen=True, slots=True)
@@ -431,6 +430,7 @@ class Joint:
         return self.speed_rad_s * CYCLE_S
 
 
+# J1 to J6; at zero the arm stands straight up.
 JOINTS = (
     Joint("z", 0.0, 4.18879, 2.16421, 6.0),
     Joint("y", 254.0, 2.58309, 2.16421, 6.0),
@@ -439,6 +439,4 @@ JOINTS = (
     Joint("y", 500.0, 2.0944, 6.21337, 18.0),
     Joint("z", 0.0, 3.49066, 6.28318, 18.0),
 )
-"""J1 to J6; at zero the arm stands straight up."""
-FLANGE_MM = 125.0
-"""From the crossing of the wrist axes to the flange."""
+FLANGE_MM = 125.0  # from the crossing of the wrist axes to the flange

@@ -33,8 +33,8 @@ from touchdown.backend.devices.melfa.stream import END
 from touchdown.backend.devices.protocols import ARM, NOTHING_MOVED
 
 PREFIX, SUFFIX = "touchdown-arm-", ".lock"
+# Who takes old files away holds each for an instant: that is no other program at the arm.
 TRIES, AGAIN_S = 5, 0.02
-"""Who takes old files away holds each for an instant: that is no other program at the arm."""
 
 
 class ControllerLock:
@@ -113,14 +113,10 @@ def taken_fault(address: str) -> Fault:
 
 
 CONNECT_S = 3.0
-FINISH_S = 30.0
-"""Longer than any ticket waits: each ends by itself, at the latest with its wire."""
-IDLE_S = 0.005
-"""Longest sleep of the command channel between two looks at what waits."""
-RECEIVE_BUFFER = 16 * PACKET_BYTES
-"""Holds what comes in a cycle, repeated and late ones too."""
-MOST_DATAGRAMS = 64
-"""Read per cycle: a flood must not hold up the stream."""
+FINISH_S = 30.0  # longer than any ticket waits: each ends by itself, at the latest with its wire
+IDLE_S = 0.005  # longest sleep of the command channel between two looks at what waits
+RECEIVE_BUFFER = 16 * PACKET_BYTES  # holds what comes in a cycle, repeated and late ones too
+MOST_DATAGRAMS = 64  # read per cycle: a flood must not hold up the stream
 STOP_LINE = encode_request(R3Request("STOP")) + b"\r"
 OPEN_LINE = encode_request(R3Request("OPEN=", "TOUCHDOWNSTOP")) + b"\r"
 

@@ -61,10 +61,9 @@ from touchdown.backend.devices.streamed import (
 )
 
 COMMAND_JOINTS, FEEDBACK_JOINTS = 2, 8
+# Wanted in every reply: joints commanded, measured, filtered, and currents.
 MONITORS = (COMMAND_JOINTS, FEEDBACK_JOINTS, 5, 11)
-"""Wanted in every reply: joints commanded, measured, filtered, and currents."""
-TURN_RAD = 10.0
-"""No joint of any arm reads more."""
+TURN_RAD = 10.0  # no joint of any arm reads more
 _HALF = 1 << 31
 _WRAP = 1 << 32
 
@@ -74,14 +73,10 @@ class DatagramCounts:
     """What became of the datagrams since the stream began."""
 
     accepted: int = 0
-    refused: int = 0
-    """Wrong size, type, numbers."""
-    repeated: int = 0
-    """The counter of the last accepted one again."""
-    old: int = 0
-    """Overtaken by a newer one."""
-    skipped: int = 0
-    """Counters that never came."""
+    refused: int = 0  # wrong size, type, numbers
+    repeated: int = 0  # the counter of the last accepted one again
+    old: int = 0  # overtaken by a newer one
+    skipped: int = 0  # counters that never came
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,12 +142,9 @@ class SilenceLevel(IntEnum):
     """How far the silence has gone; the higher the worse."""
 
     GO = 0
-    STAND = 1
-    """The command stands: nothing is extrapolated."""
-    HOLD = 2
-    """Stand still from zero speed; goes on by itself when replies return. A press is void."""
-    FAULT = 3
-    """Latched: end of stream, stop by the command channel."""
+    STAND = 1  # the command stands: nothing is extrapolated
+    HOLD = 2  # stand still from zero speed; goes on by itself when replies return. A press is void.
+    FAULT = 3  # latched: end of stream, stop by the command channel
 
 
 STAND_CYCLES = 2
@@ -175,10 +167,10 @@ HELD_CYCLES = 10
 END_PACKETS = 3
 LEAD_CYCLES = 3
 LEAST_LEAD_MM_S = 20.0
+# A hand that leans more at the start is not moved: that is no place this program left it in.
 TILT_RAD = math.radians(20.0)
-"""A hand that leans more at the start is not moved: that is no place this program left it in."""
+# A step over so many times what the speed allows is cut; more such in a row are a fault.
 OVERSIZE, STORM_CYCLES = 2.0, 10
-"""A step over so many times what the speed allows is cut; more such in a row are a fault."""
 LEAST_LEAD_RAD_S = math.radians(5.0)
 END = encode_mxt_request(MxtRequest(MxtCommand.END))
 NO_TIME, NO_FORCE = np.empty(0), np.empty((0, 3))
@@ -219,30 +211,22 @@ class StreamCore:
         self._settings, self._placing = settings, placing
         self.phase = Phase.IDLE
         self.replies = ReplyFilter()
-        self.holds = 0
-        """How often the ladder has held the arm since the stream began."""
-        self.sent_rad = np.zeros(6)
-        """(6,) joints of the last command."""
+        self.holds = 0  # how often the ladder has held the arm since the stream began
+        self.sent_rad = np.zeros(6)  # (6,) joints of the last command
         self.program: MotionProgram | JointProgram | None = None
         self._restart(0.0)
 
     def _restart(self, now_s: float) -> None:
         self.replies, self.holds = ReplyFilter(), 0
-        self.timeouts = 0
-        """Cycles without a packet, as the controller counts them."""
+        self.timeouts = 0  # cycles without a packet, as the controller counts them
         self._counter = self._left = 0
-        self.missed = 0
-        """Cycles in a row without an accepted reply."""
+        self.missed = 0  # cycles in a row without an accepted reply
         self._begun_s = self._heard_s = now_s
         self._echo_mm = np.zeros(3)
-        self.measured_mm = np.zeros(3)
-        """(3,) place of ``G`` as last measured."""
-        self.command_mm = np.zeros(3)
-        """(3,) commanded place of ``G`` in the bench."""
-        self.turn: FloatArray = IDENTITY_ROTATION
-        """(3, 3) commanded turn of the hand."""
-        self.measured_rad = np.zeros(6)
-        """(6,) joints as last measured."""
+        self.measured_mm = np.zeros(3)  # (3,) place of ``G`` as last measured
+        self.command_mm = np.zeros(3)  # (3,) commanded place of ``G`` in the bench
+        self.turn: FloatArray = IDENTITY_ROTATION  # (3, 3) commanded turn of the hand
+        self.measured_rad = np.zeros(6)  # (6,) joints as last measured
         self._echo_rad = np.zeros(6)
         self._rest()
         self._holding = False

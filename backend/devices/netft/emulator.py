@@ -31,8 +31,7 @@ from touchdown.backend.emulation import (
 PER_UNIT = 1_000_000
 RATE_HZ = 1000.0
 SEQUENCE_TURN = 1 << 32
-SATURATED = 0x0002_0000
-"""Status bit of a gauge at its end."""
+SATURATED = 0x0002_0000  # status bit of a gauge at its end
 _LIMIT = 0x7FFF_FFFF
 _STARTS = (RdtCommand.START, RdtCommand.START_AXIA, RdtCommand.START_BUFFERED)
 

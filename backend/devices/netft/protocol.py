@@ -17,8 +17,7 @@ from touchdown.backend.devices.framing import ProtocolError, Wrench, require_len
 RDT_PORT, TCP_PORT = 49152, 49151
 HEADER = 0x1234
 RECORD_BYTES = 36
-TCP_REQUEST = b"\x01" + bytes(19)
-"""Asks for the calibration on the TCP channel."""
+TCP_REQUEST = b"\x01" + bytes(19)  # asks for the calibration on the TCP channel
 UNIT_NEWTON, UNIT_NEWTON_METRE = 2, 3
 
 _REQUEST = struct.Struct(">HHI")

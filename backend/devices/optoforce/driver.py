@@ -22,8 +22,7 @@ from touchdown.backend.devices.optoforce.protocol import SPEED_HZ, Ack, Config, 
 from touchdown.backend.devices.protocols import Identity
 
 COUNT_TURN = 1 << 16
-OLD = 1000
-"""A count so little before the newest is late; one farther back is a restart."""
+OLD = 1000  # a count so little before the newest is late; one farther back is a restart
 SPEED, NO_FILTER = 1, 0
 
 

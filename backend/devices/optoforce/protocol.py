@@ -22,10 +22,10 @@ from touchdown.backend.devices.framing import (
 )
 from touchdown.backend.devices.identification import ProtocolSignature
 
+# Rate of each ``speed`` code; 0 stops the stream.
 SPEED_HZ = {0: 0, 1: 1000, 3: 333, 10: 100, 33: 30, 100: 10}
-"""Rate of each ``speed`` code; 0 stops the stream."""
+# Cut-off of each ``filter`` code.
 FILTER_HZ = {0: None, 1: 500.0, 2: 150.0, 3: 50.0, 4: 15.0, 5: 5.0, 6: 1.5}
-"""Cut-off of each ``filter`` code."""
 ZERO_NOW = 255
 
 _CONFIG, _ACK, _FRAME = b"\xaa\x00\x32\x03", b"\xaa\x00\x50\x01", b"\xaa\x07\x08"

@@ -58,12 +58,9 @@ from touchdown.backend.devices.streamed.motion_programs import (
     UnloadProgram,
 )
 
-AIR_WINDOW_S = 0.2
-"""Length of the air that is averaged."""
-ONSET_GAP_S = 0.05
-"""It ends so long before the onset, which is known within 0.05 mm only."""
-KEPT_S = 1.0
-"""The onset lies by less than this before the newest sample."""
+AIR_WINDOW_S = 0.2  # length of the air that is averaged
+ONSET_GAP_S = 0.05  # it ends so long before the onset, which is known within 0.05 mm only
+KEPT_S = 1.0  # the onset lies by less than this before the newest sample
 AIR_LEAST_SAMPLES = 10
 
 
@@ -71,8 +68,8 @@ class AirTare:
     """``t_s`` (n,), ``force_n`` (n, 3): untared samples in air, up to the start of a press."""
 
     def __init__(self, t_s: FloatArray, force_n: FloatArray) -> None:
+        # (3,) mean at the start of the press.
         self.start_n = force_n[t_s >= t_s[-1] - AIR_WINDOW_S].mean(axis=0)
-        """(3,) mean at the start of the press."""
         self._blocks = deque([(t_s, force_n)])
 
     def feed(self, t_s: FloatArray, force_n: FloatArray) -> None:
@@ -106,8 +103,8 @@ class ContactStiffnessEstimate:
         self._delay_s = delay_s
         self._commands: deque[tuple[float, float]] = deque(maxlen=64)
         self._seen: list[tuple[float, float]] = []
+        # Found once the force has risen from 1 to 5 N; a softer contact is never found.
         self.found_n_mm: float | None = None
-        """Found once the force has risen from 1 to 5 N; a softer contact is never found."""
 
     def feed(self, t_s: float, command_z_mm: float, force_n: float) -> None:
         """Take the height commanded at ``t_s`` and the press force felt then."""
@@ -129,8 +126,7 @@ class ContactStiffnessEstimate:
         return float(-(away @ forces) / max(float(away @ away), 1e-9))
 
 
-SILENT_S = 0.3
-"""In contact the arm draws back from what it has not felt for this long."""
+SILENT_S = 0.3  # in contact the arm draws back from what it has not felt for this long
 
 
 class PressProgram:

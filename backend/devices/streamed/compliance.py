@@ -17,12 +17,9 @@ import numpy as np
 
 from touchdown.backend.core import FloatArray
 
-DESIGN_N_MM = 30.0
-"""Stiffness of the environment that the damping is made for."""
-STIFF_N_MM = 100.0
-"""The same for a stiffer contact, at half the speed."""
-MASS_S = 0.020
-"""M / D."""
+DESIGN_N_MM = 30.0  # stiffness of the environment that the damping is made for
+STIFF_N_MM = 100.0  # the same for a stiffer contact, at half the speed
+MASS_S = 0.020  # m / D
 FILTER_HZ = 50.0
 SPEED_MM_S = 20.0
 ACCELERATION_MM_S2 = 500.0
@@ -167,11 +164,10 @@ class SwingDetector:
         self._rising, self._low_n, self._high_n = rising, force_n, force_n
 
 
+# Over the first the reference slows down to half, over the second it stands.
 SOFT_N, PRESS_N = 15.0, 25.0
-"""Over the first the reference slows down to half, over the second it stands."""
 TRIP_N, TRIP_AT_ONCE_N = 40.0, 60.0
-OLD_S = 0.1
-"""A wrench older than this is no observation: the arm stands still."""
+OLD_S = 0.1  # a wrench older than this is no observation: the arm stands still
 
 
 class Compliance:
@@ -190,8 +186,7 @@ class Compliance:
         moved_n: FloatArray | None = None,
     ) -> None:
         self._loop = loop
-        self.law = law
-        """May be exchanged in contact: what has been given way stays."""
+        self.law = law  # may be exchanged in contact: what has been given way stays
         self._give = AT_REST
         self._swing = SwingDetector(loop.delay_s)
         self._air_n = air_n.copy()

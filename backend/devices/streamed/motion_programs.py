@@ -25,8 +25,8 @@ from touchdown.backend.devices.streamed.compliance import Compliance
 ACCELERATION_MM_S2 = 500.0
 AT_ZERO = np.zeros(6)
 UNLOAD_MM = 10.0
+# A move has ended when the arm is measured this near its end, or this long after its command.
 ARRIVED_MM, ARRIVED_S = 0.02, 0.3
-"""A move has ended when the arm is measured this near its end, or this long after its command."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,10 +73,9 @@ from touchdown.backend.devices.ur.rtde import (
 )
 
 M_PER_MM = 1e-3
+# How far the arm may stay behind: this long at its speed, and a little more.
 LEAD_S, LEAD_MM = 0.25, 2.0
-"""How far the arm may stay behind: this long at its speed, and a little more."""
-STEP_MM = 1.5
-"""No command of one cycle is farther from the last; at 125 Hz that is 187 mm/s."""
+STEP_MM = 1.5  # no command of one cycle is farther from the last; at 125 Hz that is 187 mm/s
 
 
 class UrPlacement:
@@ -294,8 +293,7 @@ class RobotWatch:
 BRAKE_M_S2 = 2.0
 SERVO_ON_S = 30.0
 LOOK_S = 0.05
-SETTLE_S = 1.0
-"""A stop that was asked for is answered within this, or nothing moves."""
+SETTLE_S = 1.0  # a stop that was asked for is answered within this, or nothing moves
 AXES = ("x_mm", "y_mm", "z_mm")
 
 
@@ -315,8 +313,8 @@ class UrArm(LevelHand):
         self._settings, self._now_s, self._open = settings, now_s, open_with
         self._wrench, self._cursor = wrench, 0
         self._measured = PositionRecord(now_s, poses)
+        # Measured position of ``G``, mm in the bench, once per cycle.
         self.poses = self._measured.poses
-        """Measured position of ``G``, mm in the bench, once per cycle."""
         self._placing, self._cycle_s = UrPlacement(settings), 1.0 / settings.rate_hz
         self._orders = StreamedOrders(
             LoopDelays(
@@ -337,10 +335,8 @@ class UrArm(LevelHand):
         self._servoing = False
         self._watch = RobotWatch(-math.inf)
         self.steps = ConnectionSteps()
-        self.state = DeviceState.CLOSED
-        """Where the connection is in its life."""
-        self.identity: Identity | None = None
-        """Known once connected."""
+        self.state = DeviceState.CLOSED  # where the connection is in its life
+        self.identity: Identity | None = None  # known once connected
         self.fault: Fault | None = None
 
     # -- connection -------------------------------------------------------------------------------

@@ -81,8 +81,7 @@ class StopConnection:
             self._stopper.disconnect()
 
 
-RUNNING, NORMAL, REDUCED = 7, 1, 2
-"""Robot mode, and the two safety modes in which the arm may move."""
+RUNNING, NORMAL, REDUCED = 7, 1, 2  # robot mode, and the two safety modes in which the arm may move
 
 
 class Control(Protocol):
@@ -199,8 +198,8 @@ class Interfaces:
             interface.disconnect()
 
 
+# (host, cycles per second) -> its connections; raises ``RuntimeError`` as the package does.
 OpenRobot = Callable[[str, float], Interfaces]
-"""(host, cycles per second) -> its connections; raises ``RuntimeError`` as the package does."""
 
 
 def open_robot(host: str, rate_hz: float) -> Interfaces:
@@ -236,10 +235,8 @@ MISSING = Fault(
 
 
 SCHEME = "rtde://"
-SAMPLE = struct.Struct("<7d")
-"""Time of the robot, s; forces, N; torques, N·m."""
-POLLS_PER_PERIOD = 4
-"""The connection is looked at so often within one period of the robot."""
+SAMPLE = struct.Struct("<7d")  # time of the robot, s; forces, N; torques, N·m
+POLLS_PER_PERIOD = 4  # the connection is looked at so often within one period of the robot
 START_S = 1.0
 
 

@@ -401,8 +401,8 @@ class WsgGripper:
         self._identity: Identity | None = None
         self._received = 0
         self._arrivals: deque[float] = deque(maxlen=512)
+        # A piece was held when the connection was lost: its fast stop waits for the operator.
         self.lost_holding = False
-        """A piece was held when the connection was lost: its fast stop waits for the operator."""
 
     @property
     def state(self) -> DeviceState:

@@ -43,8 +43,7 @@ from touchdown.backend.emulation import (
     TcpServer,
 )
 
-CLAMPING_TRAVEL_MM = 3.0
-"""How far grasp closes beyond the nominal width before it gives up."""
+CLAMPING_TRAVEL_MM = 3.0  # how far grasp closes beyond the nominal width before it gives up
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +83,7 @@ class EmulatedJaws:
         self.state = GraspState.IDLE
         self.flags = SystemFlag(0)
         self.motion: JawMotion | None = None
-        self.statistics = (0, 0, 0)
-        """Grasps in all, without a part, with a part that was lost."""
+        self.statistics = (0, 0, 0)  # grasps in all, without a part, with a part that was lost
 
     def count(self, *, missed: int = 0, lost: int = 0) -> None:
         """Count a grasp that ended (``missed``: without a part), or a part that was ``lost``."""
@@ -196,8 +194,7 @@ class EmulatedWsg:
         self._acceleration_mm_s2 = self.jaws.profile.acceleration_mm_s2[0]
         self._leaving = False
         self._lost_mm: float | None = None
-        self.barred = 0
-        """Motions that were asked of it while a fault was not acknowledged."""
+        self.barred = 0  # motions that were asked of it while a fault was not acknowledged
         self._actions: dict[int, Callable[[WsgRequest], tuple[WsgStatus, tuple[Number, ...]]]] = {
             WsgCommand.LOOP: lambda request: (WsgStatus.SUCCESS, request.values),
             WsgCommand.ACKNOWLEDGE: self._acknowledge,
@@ -384,8 +381,7 @@ READINGS = {
     "GRIPSTATE": WsgCommand.GRASP_STATE,
 }
 SELVES: dict[str, Scalar] = {"DEVTYPE": '"WSG 32-068"', "VERSION": "4.0.1", "SN": SERIAL}
-KEPT = ("VERBOSE", "PWT", "CLT", "TAG")
-"""What may be set; it is echoed."""
+KEPT = ("VERBOSE", "PWT", "CLT", "TAG")  # what may be set; it is echoed
 ORDERS = {
     "STOP": WsgRequest(WsgCommand.STOP),
     "FASTSTOP": WsgRequest(WsgCommand.FAST_STOP),

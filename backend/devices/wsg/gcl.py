@@ -187,8 +187,10 @@ def _value(text: str) -> Scalar | tuple[Scalar, ...]:
         return text
 
 
+# Everything is asked for so often: it keeps the connection alive, whatever AUTOSEND does.
 QUERY_S = 0.2
-"""Everything is asked for so often: it keeps the connection alive, whatever AUTOSEND does."""
+# Those that matter, each asked for by its bit. MOVING is not asked for: told this seldom it would
+# be old, and a stop on its word would end a grip that stands.
 FLAGS = (
     SystemFlag.REFERENCED,
     SystemFlag.FAST_STOP,
@@ -197,11 +199,8 @@ FLAGS = (
     SystemFlag.CURR_FAULT,
     SystemFlag.FINGER_FAULT,
 )
-"""Those that matter, each asked for by its bit. MOVING is not asked for: told this seldom it would
-be old, and a stop on its word would end a grip that stands."""
 READINGS = {WsgCommand.GRASP_STATE: "GRIPSTATE", WsgCommand.WIDTH: "POS", WsgCommand.FORCE: "FORCE"}
-SELVES = ("DEVTYPE", "VERSION", "SN")
-"""Who it is: three texts."""
+SELVES = ("DEVTYPE", "VERSION", "SN")  # who it is: three texts
 CALLS = {
     WsgCommand.STOP: "STOP",
     WsgCommand.FAST_STOP: "FASTSTOP",

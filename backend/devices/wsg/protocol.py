@@ -132,12 +132,12 @@ class GraspState(IntEnum):
     ERROR = 7
 
 
-LONGEST_UNKNOWN = 64
-"""Payload of a command not in the tables; longer ones are taken for noise."""
+LONGEST_UNKNOWN = 64  # payload of a command not in the tables; longer ones are taken for noise
+# Commands whose content is bytes of any length up to this.
 TEXT: dict[int, int] = {WsgCommand.LOOP: 256, WsgCommand.SET_TAG: 64, WsgCommand.GET_TAG: 64}
-"""Commands whose content is bytes of any length up to this."""
 
 _UPDATE, NOTHING = "<BH", "<"
+# Layout of the payload of each request.
 REQUESTS: dict[int, str] = {
     **dict.fromkeys(WsgCommand, NOTHING),
     WsgCommand.HOME: "<B",
@@ -156,8 +156,8 @@ REQUESTS: dict[int, str] = {
     WsgCommand.SPEED: _UPDATE,
     WsgCommand.FORCE: _UPDATE,
 }
-"""Layout of the payload of each request."""
 
+# Layouts of what follows status 0 in each reply; the manual prints 30h with a value.
 REPLIES: dict[int, tuple[str, ...]] = {
     **dict.fromkeys(WsgCommand, (NOTHING,)),
     WsgCommand.SET_ACCELERATION: (NOTHING, "<f"),
@@ -174,7 +174,6 @@ REPLIES: dict[int, tuple[str, ...]] = {
     WsgCommand.SYSTEM_INFO: ("<BBHI",),
     WsgCommand.SYSTEM_LIMITS: ("<8f",),
 }
-"""Layouts of what follows status 0 in each reply; the manual prints 30h with a value."""
 
 
 PORT = 1000

@@ -1,8 +1,8 @@
 """Motion programs of the simulated arm, in cycles of 10 ms.
 
 A program computes the commanded position of ``G`` at the end of each cycle from the forces measured
-before it; programs with rotation ask before every cycle whether the next pose is allowed, and stop
-where it is not. ``simulation.world`` computes measured position and forces.
+before it. Programs with rotation check the next pose before each cycle and stop if it is not
+allowed. ``simulation.world`` computes measured position and forces.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _NOT_OPENED = "The arm stands still; the gripper was not opened."
 
 @dataclass(frozen=True, slots=True)
 class ArmCycle:
-    """One cycle: its beginning and end (bench clock), and the wrist samples of the cycle before.
+    """One cycle: start and end (bench clock), and the wrist samples of the cycle before.
 
-    ``heard_t_s`` (n,), ``heard_n`` (n,): untared Fz as delivered, empty if the sensor is silent.
+    ``heard_t_s`` (n,), ``heard_n`` (n,): untared Fz as delivered, empty without samples.
     """
 
     start_s: float
@@ -47,15 +47,15 @@ class SimProgram(Protocol):
 
     @property
     def done(self) -> bool:
-        """True if the program ended, well or not."""
+        """True if the program ended, with or without a failure."""
 
     @property
     def failure(self) -> Fault | None:
-        """Why it failed, None if it did not."""
+        """Reason of a failure, or None."""
 
     @property
     def turn(self) -> FloatArray | None:
-        """Turn (3, 3) of the hand after the last cycle; None: it stays as it is."""
+        """Rotation (3, 3) of the hand after the last cycle; None: unchanged."""
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return the command (3,) at the end of ``cycle``."""
@@ -64,7 +64,7 @@ class SimProgram(Protocol):
 def travelled_mm(
     elapsed_s: float, length_mm: float, speed_mm_s: float, acceleration_mm_s2: float
 ) -> float:
-    """Return the way along a trapezoidal speed profile (a triangle when the way is short)."""
+    """Return the path length along a trapezoidal speed profile (triangular if short)."""
     speed = min(speed_mm_s, math.sqrt(length_mm * acceleration_mm_s2))
     if speed <= 0.0:
         return length_mm
@@ -103,7 +103,7 @@ class SimTravel:
 
 
 class SimJog:
-    """Follows a velocity until its time is up, then brakes. Renewed in place: it never jerks."""
+    """Follows a velocity until it expires, then brakes. A renewal continues without a jerk."""
 
     failure: Fault | None = None
     turn: FloatArray | None = None
@@ -114,11 +114,11 @@ class SimJog:
         self.done = False
 
     def renew(self, velocity_mm_s: FloatArray, until_s: float) -> None:
-        """Take another velocity (3,), good until ``until_s`` on the bench clock."""
+        """Set another velocity (3,), valid until ``until_s`` on the bench clock."""
         self._asked = (velocity_mm_s.copy(), until_s)
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
-        """Return the next point; the velocity changes by the acceleration at most."""
+        """Return the next point; the acceleration is limited."""
         asked, until_s = self._asked
         over = cycle.start_s >= until_s
         wanted = np.zeros(3) if over else asked
@@ -145,11 +145,10 @@ class PressLaw:
 
 
 class SimPress:
-    """Down at constant speed until contact is declared, then the ramp from the back-dated onset.
+    """Descent at constant speed until contact is declared, then a ramp from the back-dated onset.
 
-    The command never rises: what the descent overshot before contact was declared is kept until
-    the ramp passes it. ``air`` (n,), (n,): times and forces heard just before, so that a contact
-    soon after the start is known from the air, too.
+    The command never rises: the overshoot of the descent is kept until the ramp passes it. ``air``
+    (n,), (n,): times and forces just before, as the baseline of an early contact.
     """
 
     failure: Fault | None = None
@@ -168,7 +167,7 @@ class SimPress:
 
     @property
     def detected_s(self) -> float | None:
-        """When contact was declared."""
+        """Time at which contact was declared."""
         return self._detector.detected_s
 
     @property
@@ -222,7 +221,7 @@ class SimUnload:
         self.done = False
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
-        """Return the next command; stands still while nothing is heard."""
+        """Return the next command; unchanged without force samples."""
         if not len(cycle.heard_n) or not np.isfinite(cycle.heard_n).all():
             return command_mm
         press_n = float(np.mean(cycle.heard_n)) - self._tare_n
@@ -244,7 +243,7 @@ class SimUnload:
 
 
 class ArmDrive:
-    """Holds the commanded place of ``G`` and at most one program; ``drop`` from any thread."""
+    """Holds the commanded position of ``G`` and at most one program; ``drop`` from any thread."""
 
     def __init__(self, command_mm: FloatArray) -> None:
         self._command_mm = command_mm.copy()
@@ -263,7 +262,7 @@ class ArmDrive:
         return self._program is not None
 
     def run(self, program: SimProgram) -> None:
-        """Take ``program`` from the next cycle on, in place of any other."""
+        """Run ``program`` from the next cycle on, in place of any other."""
         with self._lock:
             self._program = program
 
@@ -273,7 +272,7 @@ class ArmDrive:
             self._program = None
 
     def step(self, cycle: ArmCycle, *, stalled: bool) -> FloatArray:
-        """Return the command (3,) at the end of ``cycle``; ``stalled``: motors do not follow."""
+        """Return the command (3,) at the end of ``cycle``; ``stalled``: the motors do not move."""
         with self._lock:
             program = self._program
             if program is not None and not stalled:
@@ -294,7 +293,7 @@ ForwardKinematics = Callable[[FloatArray], HandPose]
 
 
 def limit_change(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
-    """Return the velocity of the next cycle: ``wanted``, changed by ``most`` at the most."""
+    """Return the next velocity: ``wanted``, but at most ``most`` from ``now``."""
     change = wanted - now
     size = float(np.linalg.norm(change))
     return wanted.copy() if size <= most else np.asarray(now + change * (most / size))
@@ -302,14 +301,14 @@ def limit_change(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray
 
 @dataclass(frozen=True, slots=True)
 class JointKinematics:
-    """How joints become places, and which places are allowed."""
+    """Forward kinematics and check of poses."""
 
     chain: ForwardKinematics
     allowed: PoseCheck
 
 
 class _CheckedProgram:
-    """What the programs share: where they are, and how they end where they may not go on."""
+    """Base of programs with rotation, which end at the first pose that is not allowed."""
 
     def __init__(self, start: HandPose, allowed: PoseCheck) -> None:
         self.turn: FloatArray | None = start[1]
@@ -318,7 +317,7 @@ class _CheckedProgram:
         self._allowed = allowed
 
     def _go(self, command_mm: FloatArray, place: HandPose) -> FloatArray:
-        """Return the command of ``place``, or stand still for good where it is not allowed."""
+        """Return the command of ``place``, or stop for good if it is not allowed."""
         self.failure = self._allowed(place)
         if self.failure is not None:
             self.done = True
@@ -328,7 +327,7 @@ class _CheckedProgram:
 
 
 class SimRotationTravel(_CheckedProgram):
-    """Straight to a place while the hand turns evenly: neither goes faster than its speed."""
+    """Straight move with uniform rotation of the hand; both speeds are limited."""
 
     def __init__(
         self, start: HandPose, end: HandPose, speeds: tuple[float, float], allowed: PoseCheck
@@ -361,7 +360,7 @@ class SimRotationTravel(_CheckedProgram):
 
 
 class SimRotationJog(_CheckedProgram):
-    """Follows a velocity and a turn until its time is up, then brakes. Renewed in place."""
+    """Follows a velocity and a rotation rate until they expire, then brakes."""
 
     def __init__(self, start: HandPose, allowed: PoseCheck) -> None:
         super().__init__(start, allowed)
@@ -369,11 +368,11 @@ class SimRotationJog(_CheckedProgram):
         self._mm_s, self._rad_s = np.zeros(3), np.zeros(3)
 
     def renew(self, velocity_mm_s: FloatArray, turn_rad_s: FloatArray, until_s: float) -> None:
-        """Take another velocity (3,) and turn (3,), good until ``until_s`` on the bench clock."""
+        """Set another velocity (3,) and rate (3,), valid until ``until_s`` on the bench clock."""
         self._asked = (velocity_mm_s.copy(), turn_rad_s.copy(), until_s)
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
-        """Return the next point; the velocities change by the accelerations at most."""
+        """Return the next point; both accelerations are limited."""
         velocity, turning, until_s = self._asked
         over, dt_s = cycle.start_s >= until_s, cycle.end_s - cycle.start_s
         rest = np.zeros(3)
@@ -388,7 +387,7 @@ class SimRotationJog(_CheckedProgram):
 
 
 class SimJointTravel(_CheckedProgram):
-    """All joints to their ends at once; the one with the longest way sets the pace."""
+    """Moves all joints at once; the longest path determines the duration."""
 
     def __init__(
         self, start_rad: FloatArray, end_rad: FloatArray, speed_rad_s: float, how: JointKinematics

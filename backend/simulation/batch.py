@@ -1,10 +1,10 @@
 """Batch version of the simulated bench, for labelled episodes and for whole trials.
 
-The same physics as the stepped bench. For episodes, the probes of one grip follow each other (the
-grip slip carries over) and the grips of one chunk are solved side by side; every probe has its own
-generator, so that results do not depend on how chunks are distributed. For trials, mounting, grip
-and probe are drawn as on the stepped bench with the same scene; only the noise within a probe
-(white, drift, frame times, lost markers) is drawn otherwise, and nothing is rendered or tracked.
+The same physics as the stepped bench. For episodes, the probes of one grip follow each other, since
+slip persists, and the grips of one chunk are solved side by side. Each probe has its own generator,
+so that results do not depend on the distribution of chunks. For trials, mounting, grip and probe
+are drawn as on the stepped bench with the same scene; only the noise within a probe (white, drift,
+frame times, lost markers) differs, and nothing is rendered or tracked.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ LARGEST_FORCE_RATIO = 1.3  # upper bound of the press force over series stiffnes
 
 @dataclass(frozen=True, slots=True)
 class BatchPlan:
-    """What to simulate for one pair of piece and bottom.
+    """Episodes to be simulated for one pair of piece and bottom.
 
-    ``face_points_mm`` (N, 2): lattice of the face; ``width_mm``: held between the pads.
-    ``bottoms``: what the touched outline belongs to, where it can rock and slide; None: rigid.
-    Every probe finds it where it stood: an operator puts it back.
+    ``face_points_mm`` (N, 2): lattice of the face; ``width_mm``: distance of the pads.
+    ``bottoms``: tower of the touched outline if it can rock and slide; None: rigid. It is reset
+    before each probe, as by an operator.
     """
 
     piece: str
@@ -81,16 +81,16 @@ class BatchPlan:
 
     @property
     def pair(self) -> int:
-        """Number that stands for the pair in seeds."""
+        """Number of the pair in seeds."""
         return zlib.crc32(f"{self.piece}/{self.bottom}".encode())
 
     @property
     def grips(self) -> int:
-        """Number of grippings."""
+        """Number of grips."""
         return -(-self.episodes // self.probes_per_grip)
 
     def probes_of(self, grip: int) -> int:
-        """Return the number of probes of gripping ``grip``."""
+        """Return the number of probes of ``grip``."""
         return min(self.probes_per_grip, self.episodes - grip * self.probes_per_grip)
 
 
@@ -119,9 +119,9 @@ class EpisodeBatch:
 
 @dataclass(frozen=True, slots=True)
 class SensorNoise:
-    """What the sensors add to one press.
+    """Sensor errors of one press.
 
-    ``phase_s``: where the cycle boundaries lie relative to the contact; ``force_n``: errors of the
+    ``phase_s``: phase of the cycle boundaries relative to the contact; ``force_n``: errors of the
     press force on the sample grid; ``wrench`` (20, 6) at the ticks, N and N·m.
     """
 
@@ -133,7 +133,7 @@ class SensorNoise:
 
 @dataclass(frozen=True, slots=True)
 class MarkerModel:
-    """How marker fields arise (``gel``) and how unseen markers are filled in (``infer``)."""
+    """Model of marker fields (``gel``), and function that fills unseen markers (``infer``)."""
 
     gel: Gel
     infer: marker_fields.FillMarkers = fill_unseen_markers
@@ -141,7 +141,7 @@ class MarkerModel:
 
 @dataclass(frozen=True, slots=True)
 class _ProbeNoise:
-    """All that is random in one probe."""
+    """Random numbers of one probe."""
 
     offset_mm: FloatArray
     probe: nuisance.ProbeDraw
@@ -153,10 +153,10 @@ def simulate_episodes(
     grips: Sequence[int] | None = None,
     infer: marker_fields.FillMarkers = fill_unseen_markers,
 ) -> Iterator[EpisodeBatch]:
-    """Yield the episodes of the named ``grips`` (default: all), one probe of every grip at a time.
+    """Yield the episodes of ``grips`` (default: all), one probe of each grip at a time.
 
-    Probes that do not converge, find no contact or exceed the sanity bound are drawn again and
-    counted. Raises ``RuntimeError`` if a probe fails ``ATTEMPTS`` times.
+    Probes that do not converge, find no contact or exceed the force bound are drawn again and
+    counted. Raises ``RuntimeError`` if a probe fails ``MAX_ATTEMPTS`` times.
     """
     chosen = list(range(plan.grips) if grips is None else grips)
     bench = _BatchBench(plan, infer)
@@ -170,7 +170,7 @@ def simulate_episodes(
 
 
 class _BatchBench:
-    """The parts of a plan that every probe needs."""
+    """Common parts of all probes of a plan."""
 
     def __init__(self, plan: BatchPlan, infer: marker_fields.FillMarkers) -> None:
         self.plan = plan
@@ -181,7 +181,7 @@ class _BatchBench:
         self.stand = None if tower is None else support_stack(tower, plan.settings.support)
 
     def gripping(self, grip: int) -> tuple[nuisance.MountingDraw, nuisance.GripDraw]:
-        """Draw mounting and gripping number ``grip``."""
+        """Draw mounting and grip number ``grip``."""
         plan = self.plan
         mounting = grip // plan.grips_per_mounting
         at_mounting = nuisance.scoped_generator(plan.seed, SeedScope.MOUNTING, plan.pair, mounting)
@@ -200,7 +200,7 @@ class _BatchBench:
         held: dict[int, tuple[nuisance.MountingDraw, nuisance.GripDraw]],
         carried: GraspHistory,
     ) -> tuple[EpisodeBatch, GraspHistory]:
-        """Simulate probe ``number`` of each of the ``grips``, again where it failed."""
+        """Simulate probe ``number`` of each of the ``grips``; failed ones are repeated."""
         parts: dict[int, tuple[EpisodeBatch, GraspHistory, int]] = {}
         waiting = np.arange(len(grips))
         rejected = 0
@@ -294,20 +294,20 @@ class _BatchBench:
 
 
 def gel_from_settings(settings: SimulationSettings) -> Gel:
-    """Return the gel that the settings describe."""
+    """Return the gel of the settings."""
     tactile = settings.tactile
     return build_gel(tactile.mm_per_px, tactile.pitch_mm, tactile.roll_off_mm, tactile.dilation)
 
 
 def onset_rule(settings: SimulationSettings, probe: ProbeSettings) -> OnsetRule:
-    """Return how the wrist sensor's samples become a contact."""
+    """Return the rule of contact detection."""
     return OnsetRule(threshold_n=probe.threshold_n, rate_hz=settings.wrist.rate_hz)
 
 
 def draw_noise(
     settings: SimulationSettings, rule: OnsetRule, rng: np.random.Generator
 ) -> SensorNoise:
-    """Draw what the sensors add to one press."""
+    """Draw the sensor errors of one press."""
     cycle_s = 1e-6 * settings.cycle_us
     phase_s = cycle_s * float(rng.random())
     force_n = settings.wrist.white_n * rng.standard_normal(noise_samples(rule, cycle_s))
@@ -316,7 +316,7 @@ def draw_noise(
 
 
 class PressCourse(Protocol):
-    """What ``observe`` reads of B presses; ``Pressed`` is one."""
+    """B presses as read by ``observe_presses``; ``PressBatch`` is one."""
 
     @property
     def timeline(self) -> Timeline:
@@ -338,7 +338,7 @@ def observe_presses(
     noise: Sequence[SensorNoise],
     eye: MarkerModel,
 ) -> NDArray[np.float32]:
-    """Return (n, 20, 258) as the model sees n presses."""
+    """Return the observations (n, 20, 258) of n presses."""
     sight = marker_fields.PadImaging(
         eye.gel,
         conditions.gain,
@@ -362,7 +362,7 @@ def observe_presses(
 
 
 def _regrasped(carried: GraspHistory) -> GraspHistory:
-    """Put a piece that has slipped too far back into the jig: the same grip without slip."""
+    """Reset the slip of pieces that slipped too far."""
     slid = np.hypot(carried.slip[..., 0], carried.slip[..., 1]).max(axis=1) > REGRASP_MM
     return carried.replaced(np.flatnonzero(slid), GraspHistory.fresh(int(slid.sum())))
 
@@ -394,7 +394,7 @@ def _wrench_noise(settings: SimulationSettings, rng: np.random.Generator) -> Flo
 def usable_presses(
     pressed: PressBatch, conditions: Conditions, probe: ProbeSettings
 ) -> NDArray[np.bool_]:
-    """Return (n,) which presses converged, found contact and stay below the sanity bound."""
+    """Return (n,) True for presses that converged, found contact, and are below the force bound."""
     both = 2.0 * conditions.shear_n_mm * (1.0 + conditions.alpha)
     series = both * conditions.robot_n_mm[:, 2] / (both + conditions.robot_n_mm[:, 2])
     bound = LARGEST_FORCE_RATIO * series * (probe.depth_mm + 0.1)
@@ -423,12 +423,12 @@ _SENSORS = 1
 
 @dataclass(frozen=True, slots=True)
 class TrialPresses:
-    """What k presses left behind.
+    """Result of k presses.
 
     ``observation`` (k, 20, 258) float32; ``true_mm`` (k, 2): displacement of the face afterwards,
     slip in the hand and sliding of the bottom included; ``valid`` (k,): contact was found and the
     solver converged; ``press_n`` (k,) at the end; ``slip_mm`` (k,): largest slip of a pad in this
-    press; ``toppled`` (k,): the supports will not come back upright.
+    press; ``toppled`` (k,): the supports will not return upright.
     """
 
     observation: NDArray[np.float32]
@@ -440,7 +440,7 @@ class TrialPresses:
 
 
 class BatchedTrials:
-    """Trials of one piece over one upper outline and one bench; scenes differ in seed and tower.
+    """Trials with the same piece, touched outline and settings; scenes differ in seed and tower.
 
     Raises ValueError for scenes of different pieces, surfaces, settings or numbers of free bodies.
     """
@@ -473,21 +473,21 @@ class BatchedTrials:
 
     @staticmethod
     def shared(scene: Scene) -> tuple[object, ...]:
-        """Return what must be the same in all scenes."""
+        """Return the values that must be equal in all scenes."""
         return scene.piece, scene.surface, scene.settings, _count_free_bodies(scene)
 
     def surfaces(self, rows: NDArray[np.intp]) -> Region:
-        """Return what lies under the faces of the trials ``rows``."""
+        """Return the outline below the faces of the trials ``rows``."""
         return self._first.surface
 
     def start_commands_mm(self) -> FloatArray:
-        """Return (B, 2): commands of the face that put each piece at its scene's start."""
+        """Return (B, 2): commands of the face that place each piece at the start of its scene."""
         return np.stack([start_command_mm(scene)[:2] for scene in self.scenes])
 
     def press(self, trials: Sequence[int], commands_mm: FloatArray) -> TrialPresses:
-        """Press the pieces of the named ``trials`` at ``commands_mm`` (k, 2); slip stays.
+        """Press the pieces of ``trials`` at ``commands_mm`` (k, 2); slip persists.
 
-        Every call is a new probe of these trials, with its own draws, as on the bench.
+        Each call is a new probe of these trials with its own draws, as on the bench.
         """
         rows = np.asarray(trials, dtype=np.intp)
         settings = self._first.settings
@@ -530,7 +530,7 @@ class BatchedTrials:
         return join_support_stacks(stands) if stands else None
 
     def _slide(self, rows: NDArray[np.intp], slide_mm: FloatArray) -> None:
-        """Leave the supports where they have slid to (k, m, 2)."""
+        """Move the supports to the positions they slid to (k, m, 2)."""
         for i, slide in zip(rows.tolist(), slide_mm, strict=True):
             if slide.any():
                 self.bottoms[i] = slide_bottoms(self.bottoms[i], slide)

@@ -1,7 +1,7 @@
 """Physical conditions of a probe, drawn per mounting, per grip and per probe.
 
-Source: bench reference 6. Each scope has its own generator, derived from the seed and its place
-(mounting, grip, probe), so that a draw never depends on how the work was split or ordered.
+Each scope has its own generator, derived from the seed and its numbers (mounting, grip, probe), so
+that draws do not depend on the division or order of the work.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def true_offset_mm(
     """Return (B, 2) true displacement of the face in ``O`` for the ``commanded_mm`` (B, 2).
 
     The grasp offset moves the piece (not only the lever arm), the print offset moves the bottom,
-    the label error is the arm's own. ``slip`` (B, 2, 3): what has slipped in the hand moves it too.
+    the label error belongs to the arm. ``slip`` (B, 2, 3) in the hand moves the piece too.
     """
     shift = conditions.label_error_mm - conditions.print_offset_mm
     moved = commanded_mm + shift
@@ -82,7 +82,7 @@ def true_offset_mm(
 
 
 class SeedScope(IntEnum):
-    """What a generator belongs to (part of its seed)."""
+    """Scope of a generator (part of its seed)."""
 
     MOUNTING = 1
     GRIPPING = 2
@@ -117,7 +117,7 @@ class GripDraw:
 
 @dataclass(frozen=True, slots=True)
 class ProbeDraw:
-    """What belongs to one probe; arrays ``bias_px`` (2, 2), ``ft_offset`` (6,) in N and N·m."""
+    """Draws of one probe; ``bias_px`` (2, 2), ``ft_offset`` (6,) in N and N·m."""
 
     mu: float
     label_error_mm: tuple[float, float]
@@ -130,7 +130,7 @@ def _limited(rng: np.random.Generator, mean: float, sd: float, low: float, high:
 
 
 def draw_mounting(settings: SimulationSettings, rng: np.random.Generator) -> MountingDraw:
-    """Draw what stays while a bottom is mounted."""
+    """Draw the conditions of a mounting."""
     spread = settings.spread
     tilt = np.clip(spread.tilt_rad * rng.standard_normal(2), -0.02, 0.02)
     print_offset = np.clip(spread.print_offset_mm * rng.standard_normal(2), -0.5, 0.5)
@@ -144,7 +144,7 @@ def draw_mounting(settings: SimulationSettings, rng: np.random.Generator) -> Mou
 def draw_gripping(
     settings: SimulationSettings, grip_force_n: float, rng: np.random.Generator
 ) -> GripDraw:
-    """Draw what stays while a piece is gripped with the commanded force per finger."""
+    """Draw the conditions of a grip with the commanded force per finger."""
     spread = settings.spread
     offset = np.clip(spread.grasp_offset_mm * rng.standard_normal(2), -2.0, 2.0)
     gain = np.clip(1.0 + spread.gain * rng.standard_normal(2), 0.8, 1.2)
@@ -159,7 +159,7 @@ def draw_gripping(
 
 
 def draw_probe(settings: SimulationSettings, rng: np.random.Generator) -> ProbeDraw:
-    """Draw what changes with every probe."""
+    """Draw the conditions of a probe."""
     spread, wrist = settings.spread, settings.wrist
     label_error = np.clip(spread.label_error_mm * rng.standard_normal(2), -0.3, 0.3)
     scale = np.repeat([wrist.offset_n, wrist.offset_nm], 3)

@@ -1,12 +1,11 @@
 """Batched equilibrium of an elastic face contact, solved by a damped Newton method.
 
-Elastic foundation on the true overlap, with sliders that remember friction (bench reference 3.3
-and 3.4). The face below the pivot has the constant height r_z, so the six motions q act on it
-through three in the plane (p, t, rotation about z) and three out of it (q_z, rot_x, rot_y); all
-sums over cells are moments of {1, x, y, x², xy, y²}. Newton's method solves R(q) = contact wrench
-- K (q - q°) = 0. Each probe takes the first halving of its step that lowers its residual. Probes
-that have one are not tried again, and for the few that are left several halvings are tried at
-once; the result does not depend on how many are tried together.
+Elastic foundation on the true overlap, with sliders that store friction. The face below the pivot
+has the constant height r_z, so the six motions q act on it through three in the plane (p, t,
+rotation about z) and three out of it (q_z, rot_x, rot_y); all sums over cells are moments of
+{1, x, y, x², xy, y²}. Newton's method solves R(q) = contact wrench - K (q - q°) = 0. Each probe
+uses the first halving of its step that lowers its residual. For the last few probes several
+halvings are evaluated at once; the result does not depend on their number.
 """
 
 from __future__ import annotations
@@ -83,7 +82,7 @@ class ContactForces:
 def pack_cells(
     points_mm: FloatArray, inside: NDArray[np.bool_]
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Move the cells that are ``inside`` (B, N) to the front; return (B, n, 2) and which exist."""
+    """Move the cells ``inside`` (B, N) to the front; return (B, n, 2) and (B, n) existing."""
     count = inside.sum(axis=1)
     width = max(int(count.max(initial=0)), 1)
     order = np.argsort(~inside, axis=1, kind="stable")[:, :width]
@@ -180,7 +179,7 @@ TRIALS_PER_CALL = 48  # trials solved in one call; fewer do not pay its fixed co
 
 
 class BatchTrial(Protocol):
-    """Trial solutions of B probes, each with its own ``size`` (B,) of what is missing."""
+    """Trial solutions of B probes with residuals ``size`` (B,)."""
 
     @property
     def size(self) -> FloatArray:
@@ -203,11 +202,11 @@ def halve_steps(
     most: int,
     at: Callable[[NDArray[np.intp], FloatArray], AnyTrial],
 ) -> None:
-    """Replace in ``now`` what full steps gave for ``rows``, none of which lowered its residual.
+    """Replace in ``now`` the full steps of ``rows``, which did not lower their residuals.
 
-    ``before`` (B,): residuals to fall below. ``at``: tries shares (k,) of the steps of the probes
-    (k,). Steps are tried ``most`` times, the full one included; where even the last is no better
-    that one stays.
+    ``before`` (B,): residuals to be lowered. ``at``: evaluates fractions (k,) of the steps of the
+    probes (k,). At most ``most`` steps are tried, the full one included; the last is kept if none
+    is better.
     """
     done = 1
     while len(rows) and done < most:
@@ -252,7 +251,7 @@ def solve_equilibrium(
             break
         few = np.flatnonzero(busy)
         if len(few) <= COMPRESS_BELOW_SHARE * len(start):
-            # Every probe for itself: the others would only be computed again.
+            # Solve the unfinished probes separately.
             q, size = now.q + 0.0, now.size
             q[few], _, size[few] = solve_equilibrium(
                 cells.take(few),
@@ -273,7 +272,7 @@ def solve_equilibrium(
 
 @dataclass(frozen=True, slots=True)
 class _MotionTrial:
-    """Motion ``q`` (B, 6), the forces there, and what is ``left`` (B, 6), as one ``size`` (B,)."""
+    """Motion ``q`` (B, 6), contact forces, residual ``left`` (B, 6) and its norm ``size`` (B,)."""
 
     q: FloatArray
     touch: ContactForces
@@ -290,7 +289,7 @@ class _MotionTrial:
 
 @dataclass(frozen=True, slots=True)
 class _SpringLoad:
-    """What pulls on the cells, as given to ``balance``."""
+    """Inputs of ``solve_equilibrium``."""
 
     cells: ContactCells
     anchor: FloatArray
@@ -311,7 +310,7 @@ class _SpringLoad:
 def _newton_step(
     spring: _SpringLoad, now: _MotionTrial, step: FloatArray, busy: NDArray[np.bool_]
 ) -> _MotionTrial:
-    """Go one Newton step, halved for each probe until its residual falls."""
+    """Apply one Newton step, halved for each probe until its residual falls."""
     after = spring.at(now.q + step)
 
     def at(rows: NDArray[np.intp], share: FloatArray) -> _MotionTrial:

@@ -1,12 +1,12 @@
 """The simulated finger camera: exposure times, marker noise, and rendered tactile images.
 
-Source: bench reference 7. Images are 320x240 BGR, rendered from the displacement of the 63 markers
-as I = B + P + m (core - B - P) + n with the background B, the fixed grain P, the temporal noise n
-and the dot mask m. B + P is computed once; a frame draws the dots and adds a random window of a
-noise bank, because a fresh normal for each of 230,400 values would cost more than everything else.
-Colours are processed one after the other: one plane fits into the cache. The mask is the largest of
-63 logistic discs; discs follow the local displacement gradient as ellipses, and light flecks move
-with their dot. Dot grid, colours and grain of a gel at rest are read from resources/gels.
+Images are 320x240 BGR, rendered from the displacement of the 63 markers as
+I = B + P + m (core - B - P) + n with the background B, the fixed grain P, the temporal noise n and
+the dot mask m. B + P is computed once; a frame draws the dots and adds a random window of a noise
+bank, which is faster than drawing 230,400 normal values. Colours are processed one after the other,
+since one plane fits into the cache. The mask is the maximum of 63 logistic discs, deformed to
+ellipses by the local displacement gradient; light flecks move with their dot. Dot grid, colours and
+grain of a gel at rest are read from resources/gels.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray, Im
 
 @dataclass(frozen=True, slots=True)
 class GelAppearance:
-    """Appearance of one kind of gel (bench reference 7; colours are B, G, R levels).
+    """Appearance of one kind of gel (colours are B, G, R levels).
 
     ``rest_px`` (63, 2) row-major dot centres; ``background`` (3, 4, 3) colours at the centres
     (40 + 80 c, 40 + 80 r); ``radius_px`` at half contrast and ``edge_px`` of the logistic edge;
@@ -73,7 +73,7 @@ def load_gel_appearance(name: str = "large-dot") -> GelAppearance:
 
 
 def mirror_appearance(look: GelAppearance, width_px: int = 320) -> GelAppearance:
-    """Return the look of the opposite finger: flipped left to right, order kept row-major."""
+    """Return the appearance of the opposite finger: mirrored left to right, order row-major."""
     grid = look.rest_px.reshape(GRID_ROWS, GRID_COLS, 2)[:, ::-1].copy()
     grid[..., 0] = width_px - 1 - grid[..., 0]
     return replace(
@@ -93,12 +93,11 @@ Float32 = NDArray[np.float32]
 
 
 class DotRenderer:
-    """The 63 dots of one gel; ``rng`` gives each its darkness and its flecks.
+    """Draws the 63 dots of one gel; ``rng`` determines darkness and flecks.
 
-    Dots that have moved by ``still_px`` or less since they were drawn are not drawn again.
-
-    ``mask``: (240, 320) of the last ``draw``, 0 = no paint. Buffers are kept: fresh large arrays
-    in every frame cost more than the arithmetic on them.
+    Nothing is drawn if no dot moved by more than ``still_px`` since the last drawing. ``mask``:
+    (240, 320) of the last ``draw``, 0 = no paint. Buffers are reused, since allocating them for
+    each frame costs more than the arithmetic.
     """
 
     def __init__(
@@ -119,15 +118,15 @@ class DotRenderer:
         self._paint_level = np.float32(1.0) + np.asarray(mean, dtype=np.float32)
         self._patches = np.empty((MARKERS, _SIZE_PX, _SIZE_PX), dtype=np.float32)
         self._flecks = np.empty_like(self._patches)
-        # The margin takes what lies outside the image.
+        # The margin contains parts outside of the image.
         shape = (HEIGHT_PX + 2 * _SIZE_PX, WIDTH_PX + 2 * _SIZE_PX)
         self._canvas = np.zeros(shape, dtype=np.float32)
         self.mask = self._canvas[_SIZE_PX:-_SIZE_PX, _SIZE_PX:-_SIZE_PX]
 
     def draw(self, displacement_px: FloatArray) -> bool:
-        """Draw the dots at rest + ``displacement_px`` (63, 2) into ``mask``; whether it changed.
+        """Draw the dots at rest + ``displacement_px`` (63, 2) into ``mask``.
 
-        In the air, most of the time, nothing moves: what is drawn is what has to be drawn.
+        Returns True if the mask changed.
         """
         if np.abs(displacement_px - self._drawn_px).max() <= self._still_px:
             return False
@@ -140,7 +139,7 @@ class DotRenderer:
         self._draw_discs(dx, dy, displacement_px)
         self._patches *= self._paint(dx, dy)
         self._canvas.fill(0.0)
-        # A dot out of sight is drawn on the margin.
+        # Dots outside of the image are drawn on the margin.
         place = np.clip(corner + _SIZE_PX, 0, _LAST_CORNER).tolist()
         for (u, v), patch in zip(place, self._patches, strict=True):
             there = self._canvas[v : v + _SIZE_PX, u : u + _SIZE_PX]
@@ -191,7 +190,7 @@ def _quadratic_form(
     along_u, along_v = slopes @ displacement_px
     stretch_u, stretch_v = 1.0 + along_u[:, 0], 1.0 + along_v[:, 1]
     cross_u, cross_v = along_u[:, 1], along_v[:, 0]
-    # A fold of the gel (determinant near zero) is beyond the model: keep the dot finite.
+    # Keep the dot finite at a fold of the gel (determinant near zero).
     square = np.maximum(stretch_u * stretch_v - cross_u * cross_v, 0.3) ** 2
     a = (stretch_v**2 + cross_u**2) / square
     b = -(stretch_v * cross_v + stretch_u * cross_u) / square
@@ -211,9 +210,9 @@ Smear = tuple[slice, slice, Float32]  # rows and columns that a smear covers, an
 
 
 class TactileRenderer:
-    """One finger's camera. Same seed, same calls: the same bytes.
+    """Renders the images of one finger. Equal seeds and calls give equal bytes.
 
-    ``still_px``: so little may the dots have moved unseen.
+    ``still_px``: motion of dots up to which they are not drawn again.
     """
 
     def __init__(self, look: GelAppearance, seed: int, still_px: float = 0.0) -> None:
@@ -249,15 +248,14 @@ class TactileRenderer:
                 self._shade(channel, smears)
             noise = self._bank[channel, row : row + HEIGHT_PX, column : column + WIDTH_PX]
             cv2.add(self._shaded[channel], noise, self._plane)
-            # Rounds and saturates in one pass; levels are never far below zero, so their sign is
-            # safe.
+            # Rounds and saturates in one pass; the absolute value has no effect on levels.
             cv2.convertScaleAbs(self._plane, self._levels[channel])
         return np.asarray(cv2.merge(self._levels), dtype=np.uint8)
 
     def _shade(self, channel: int, smears: list[Smear]) -> None:
-        """Lay the dots, their coloured shadows and smears over the resting image of a colour."""
+        """Draw dots, their coloured shadows and smears over the background of a colour."""
         plane = self._shaded[channel]
-        # OpenCV takes windows of larger arrays in half the time.
+        # OpenCV processes windows of larger arrays in half the time.
         cv2.max(self._dots.mask, self._fringes[channel], plane)
         np.multiply(self._to_core[channel], plane, out=plane)
         plane += self._back[channel]
@@ -267,13 +265,13 @@ class TactileRenderer:
 
 
 def _shifted_view(wide: Float32, du: int, dv: int) -> Float32:
-    """Return the image within ``wide``, which has a margin, moved by (du, dv)."""
+    """Return the image within ``wide``, which has a margin, shifted by (du, dv)."""
     u, v = _FRINGE_PX - du, _FRINGE_PX - dv
     return wide[v : v + HEIGHT_PX, u : u + WIDTH_PX]
 
 
 def _smear(centre_px: FloatArray) -> Smear | None:
-    """Return what a smear at ``centre_px`` (2,) covers, None out of sight."""
+    """Return the area of a smear at ``centre_px`` (2,), None outside of the image."""
     reach = int(SMEAR_RADIUS_PX + 6)
     u, v = (int(value) for value in np.floor(centre_px))
     u0, u1 = max(u - reach, 0), min(u + reach + 1, WIDTH_PX)
@@ -291,7 +289,7 @@ def _smear(centre_px: FloatArray) -> Smear | None:
 def _background(colours: bytes, shape: tuple[int, ...]) -> Float32:
     """Return (3, 240, 320): cubic interpolation of the colour table, smoothed over 20 px.
 
-    Kept from scene to scene, which all have the same few gels: the blur takes long.
+    Cached between scenes, since the blur is slow.
     """
     table = np.frombuffer(colours).reshape(shape).astype(np.float32)
     large = cv2.resize(table, (WIDTH_PX, HEIGHT_PX), interpolation=cv2.INTER_CUBIC)
@@ -305,7 +303,7 @@ def _background(colours: bytes, shape: tuple[int, ...]) -> Float32:
 def _noise_bank(state: str, deviation: float) -> Float32:
     """Return (3, 480, 640) noise drawn by a generator in ``state``.
 
-    Kept for the fingers of two scenes: one that is set anew with the same seed is ready sooner.
+    Cached for the fingers of two scenes, so that a repeated seed starts sooner.
     """
     draws = np.random.Generator(np.random.PCG64())
     draws.bit_generator.state = json.loads(state)
@@ -326,7 +324,7 @@ def _grain(look: GelAppearance, rng: np.random.Generator) -> Float32:
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """One picture: number of the exposure (gaps are lost frames), time, (240, 320, 3) BGR image."""
+    """One image (240, 320, 3) BGR, its time and number; gaps in the numbers are lost frames."""
 
     sequence: int
     t_us: int
@@ -335,7 +333,7 @@ class Exposure:
 
 @dataclass(frozen=True, slots=True)
 class MarkerMotion:
-    """Markers of one finger over a cycle: (63, 2) px at its beginning and end, and (2,) bias."""
+    """Markers of one finger over a cycle: (63, 2) px at its start and end, and (2,) bias."""
 
     before_px: FloatArray
     after_px: FloatArray
@@ -343,7 +341,7 @@ class MarkerMotion:
 
 
 class FingerCamera:
-    """Exposes at the camera's rate with jitter and drops; adds drift, bias and covering smears."""
+    """Exposes at the camera rate with jitter and drops; adds drift, bias and smears."""
 
     def __init__(self, settings: TactileSettings, optics: TactileRenderer, seed: int) -> None:
         self._settings, self._optics = settings, optics
@@ -361,7 +359,7 @@ class FingerCamera:
     def shots(
         self, start_us: int, end_us: int, sight: MarkerMotion, *, watched: bool = True
     ) -> list[Exposure]:
-        """Return the pictures taken in ``start_us < t <= end_us``; none unless ``watched``."""
+        """Return the images exposed in ``start_us < t <= end_us``; none unless ``watched``."""
         taken: list[Exposure] = []
         while self._due_us <= end_us:
             t_us, sequence = self._due_us, self._next
@@ -384,7 +382,7 @@ class FingerCamera:
         self._due_us = max(due, self._due_us + 1)
 
     def _step_noise(self, t_us: int) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        """Move drift and losses on to ``t_us``; return which markers are covered."""
+        """Advance drift and losses to ``t_us``; return the covered markers (63,)."""
         gap_s = max(t_us - self._last_us, 0) * 1e-6
         self._last_us = t_us
         walk = self._settings.drift_px_sqrt_s * np.sqrt(gap_s)

@@ -1,8 +1,7 @@
-"""The simulated gripper: jaws, and the piece that they hold.
+"""The simulated gripper: jaws and held piece.
 
-Applies the batched mechanics to a single piece over many probes. Random conditions are drawn for
-the mounting, for every grip and for every probe; slip and gel state carry over from probe to probe
-until the jaws open.
+Applies the batched mechanics to a single piece over many probes. Random conditions are drawn per
+mounting, grip and probe; slip and gel state persist until the jaws open.
 """
 
 from __future__ import annotations
@@ -40,14 +39,14 @@ LET_GO_MM = 0.1  # the piece is released when the jaws are wider than it by this
 
 @dataclass(frozen=True, slots=True)
 class JawEvents:
-    """What happened to the piece during a cycle."""
+    """Changes of the held piece in a cycle."""
 
     taken: bool = False
     let_go: bool = False
 
 
 class SimulatedJaws:
-    """Moves in cycles; ``halt`` may come from any thread. Widths in mm, force per finger in N."""
+    """Jaws stepped in cycles; ``halt`` from any thread. Widths in mm, force per finger in N."""
 
     def __init__(self, open_mm: float, piece_mm: float) -> None:
         self.width_mm, self.force_n, self.holding = open_mm, 0.0, False
@@ -61,11 +60,11 @@ class SimulatedJaws:
 
     @property
     def moving(self) -> bool:
-        """True if a command is under way."""
+        """True if a command is in progress."""
         return self._target_mm is not None
 
     def close(self, force_n: float) -> None:
-        """Begin to close until the piece is held with ``force_n`` per finger, or to nothing."""
+        """Start closing until the piece is held with ``force_n`` per finger, or completely."""
         with self._lock:
             self._target_mm = self._piece_mm if self.piece_present else 0.0
             way = max(self.width_mm - self._target_mm, 0.0)
@@ -73,7 +72,7 @@ class SimulatedJaws:
             self.asked_n = force_n
 
     def open_to(self, width_mm: float, speed_mm_s: float) -> None:
-        """Begin to open (or close, at most to the piece) to ``width_mm``."""
+        """Start opening (or closing, at most to the piece) to ``width_mm``."""
         with self._lock:
             least = self._piece_mm if self.piece_present else 0.0
             self._target_mm = max(width_mm, least)
@@ -81,12 +80,12 @@ class SimulatedJaws:
             self.asked_n = 0.0
 
     def lose(self) -> None:
-        """Let the piece slip out, for good; with the next step nothing is held."""
+        """Lose the piece for good in the next step."""
         with self._lock:
             self.piece_present, self._slips_out = False, self.holding
 
     def halt(self) -> None:
-        """Stop where they are; the grip is kept."""
+        """Stop; the grip is kept."""
         with self._lock:
             self._target_mm = None
 
@@ -131,14 +130,14 @@ NEAR_MM = 1.0  # contact is solved below this height above first touch; above, t
 
 
 class HeldPiece:
-    """One gripping of the piece. Positions are commands of ``G`` (3,), mm in ``O``."""
+    """One grip of the piece. Positions are commands of ``G`` (3,), mm in ``O``."""
 
     def __init__(
         self, scene: Scene, grip: int, force_n: float, bottoms: Tower | None = None
     ) -> None:
-        """``grip``: number of this gripping; ``force_n``: what was asked of each finger.
+        """``grip``: number of this grip; ``force_n``: commanded force per finger.
 
-        ``bottoms``: those of the scene, where they have slid to by now.
+        ``bottoms``: those of the scene at the positions to which they slid.
         """
         self._scene, self._grip = scene, grip
         self._bottoms = bottoms or scene.bottoms
@@ -166,7 +165,7 @@ class HeldPiece:
         self._lowered = False
 
     def begin_probe(self, probe: ProbeSettings) -> None:
-        """Draw the nuisances of the next probe; they hold until the one after it."""
+        """Draw the nuisances of the next probe, valid until the one after it."""
         self.probe += 1
         self.conditions = self._draw(probe)
         self.sensed = True
@@ -191,14 +190,14 @@ class HeldPiece:
         return self._values
 
     def turn(self, angle_rad: float) -> None:
-        """Turn the piece between the pads: as a torsion slip of both, felt in contact alone."""
+        """Rotate the piece between the pads, as torsion slip of both; effective in contact only."""
         if self._state is not None:
             slip = self._state.slip + np.array([0.0, 0.0, angle_rad])
             self._state = replace(self._state, slip=slip)
 
     @property
     def touch_height_mm(self) -> float:
-        """Command at which the face first touches while nothing has slipped."""
+        """Height of first touch without slip."""
         return self._scene.grip_height_mm + self.gripping.grasp_offset_mm[1]
 
     @property
@@ -213,25 +212,25 @@ class HeldPiece:
 
     @property
     def bottoms(self) -> Tower:
-        """The tower below where it is by now: free bottoms stay where they slid to."""
+        """The tower below; free bottoms stay where they slid to."""
         if self._state is None or not self._state.pose.slide_mm.any():
             return self._bottoms
         return slide_bottoms(self._bottoms, self._state.pose.slide_mm[0])
 
     @property
     def toppled(self) -> bool:
-        """True if the press has tipped the bottoms so far that they will not come back."""
+        """True if the press has tipped the bottoms beyond return."""
         return self._state is not None and bool(self._state.toppled[0])
 
     @property
     def slip_mm(self) -> float:
-        """Largest slip of a pad in this gripping."""
+        """Largest slip of a pad in this grip."""
         if self._state is None:
             return 0.0
         return float(np.hypot(self._state.slip[0, :, 0], self._state.slip[0, :, 1]).max())
 
     def dragged_mm(self, command_mm: FloatArray) -> float:
-        """Return how far the arm went sideways since the contact began, 0 in air."""
+        """Return the lateral travel of the arm since the start of contact, 0 in air."""
         if self._state is None or self.press_n <= 0.0:
             return 0.0
         return float(np.hypot(*(command_mm[:2] - self._base_mm)))
@@ -244,7 +243,7 @@ class HeldPiece:
         return float(true[0] + self._slip_x_mm() - x), float(true[1] - y)
 
     def gap_mm(self, command_mm: FloatArray) -> float:
-        """Return how high the face is over first touch, 0 while pressing."""
+        """Return the height of the face above first touch, 0 while pressing."""
         if self.press_n > 0.0:
             return 0.0
         return max(float(command_mm[2]) - self.touch_height_mm, 0.0)
@@ -253,7 +252,7 @@ class HeldPiece:
         return 0.0 if self._state is None else float(self._state.slip[0, :, 0].mean())
 
     def _contact(self, command_mm: FloatArray) -> mechanics.ContactState:
-        """Return the contact at this place; in air it may be a new place."""
+        """Return the contact state at this position; a new one after a move in air."""
         state, here = self._state, command_mm[:2]
         moved = bool(np.abs(here - self._base_mm).max() > 1e-6)
         settled = self.press_n > 0.0 or not moved
@@ -277,7 +276,7 @@ class HeldPiece:
         rng = scoped_generator(scene.seed, SeedScope.PROBE, scene.mounting, self._grip, self.probe)
         draw = draw_probe(scene.settings, rng)
         if self.probe == 0:
-            # Before the first press the piece is where the scene says.
+            # Before the first press the piece is at the start of the scene.
             draw = replace(draw, label_error_mm=(0.0, 0.0))
         return conditions_from_draws(
             scene.settings,
@@ -296,9 +295,9 @@ def scene_mounting(scene: Scene) -> MountingDraw:
 
 
 def start_command_mm(scene: Scene) -> FloatArray:
-    """Return the command (3,) of ``G`` that puts the first gripping of the piece at the start.
+    """Return the command (3,) of ``G`` that places the first grip of the piece at the start.
 
-    A jig is where it was taught, whatever the errors of this gripping.
+    The position of a jig does not include the errors of the grip.
     """
     if scene.jig:
         return np.array([*scene.start_mm, scene.grip_height_mm + scene.start_height_mm])

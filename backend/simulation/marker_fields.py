@@ -1,10 +1,9 @@
 """Simulated marker fields: displacement on both pads, sampled by the finger cameras.
 
-Source: bench reference 5. Markers follow the elastic strain of the gel. Marker order is row-major,
-row 0 on top and column 0 on the left of the image as displayed; the right camera looks the other
-way, so that its u axis points along -X. The field at a tick is interpolated between the last frame
-before and the first frame after it (each with its own noise and its own lost markers), as the
-episode is assembled on the bench.
+Markers follow the elastic strain of the gel. Marker order is row-major, row 0 on top and column 0
+on the left of the image; the right camera faces the opposite way, so that its u axis points along
+-X. The field at a tick is interpolated between the last frame before and the first frame after it
+(each with its own noise and lost markers), as in the assembly of an episode.
 """
 
 from __future__ import annotations
@@ -76,7 +75,7 @@ IMAGE_PX = (320.0, 240.0)
 
 @dataclass(frozen=True, slots=True)
 class CameraDraw:
-    """Random course of both cameras in one press.
+    """Random numbers of both cameras in one press.
 
     ``t_s`` (2, 72) frame times, inf where dropped; ``lost`` (2, 72, 63) bool; ``white_px``
     (20, 2, 2, 63, 2) tick, finger, frame before/after, marker, axis; ``drift_px`` (20, 2, 2).
@@ -97,7 +96,7 @@ def draw_camera(settings: TactileSettings, rng: np.random.Generator) -> CameraDr
     t_s = phase + period * np.arange(FRAMES_PER_PRESS) - LEAD_TIME_S + jitter
     white = rng.standard_normal((SAMPLES_PER_PROBE, 2, 2, MARKERS, 2), dtype=np.float32)
     white *= np.float32(settings.white_px)
-    # From the reference, about 1.5 s before the press, the field has drifted already.
+    # The field has drifted since the reference, about 1.5 s before the press.
     steps = rng.standard_normal((SAMPLES_PER_PROBE, 2, 2))
     steps *= (
         settings.drift_px_sqrt_s
@@ -144,9 +143,9 @@ def frames_around_ticks(
 
 @dataclass(frozen=True, slots=True)
 class PadImaging:
-    """How B pads are seen: ``gain`` (B, 2), ``bias_px`` (B, 2, 2), ``grip_force_n`` (B,).
+    """Imaging of B pads: ``gain`` (B, 2), ``bias_px`` (B, 2, 2), ``grip_force_n`` (B,).
 
-    A marker nearer than ``border_px`` to the image border is not seen; ``infer`` fills it in.
+    A marker nearer than ``border_px`` to the image border is not seen and filled by ``infer``.
     """
 
     gel: Gel
@@ -164,7 +163,7 @@ def fields_at_ticks(
     draws: list[CameraDraw],
     sight: PadImaging,
 ) -> FloatArray:
-    """Return (B, 20, 2, 63, 2) marker displacements in px as they reach the model.
+    """Return (B, 20, 2, 63, 2) marker displacements in px, as in the model input.
 
     ``air`` (B, 14): values with the piece held in air (the reference).
     """
@@ -191,7 +190,7 @@ def fields_at_ticks(
 
 
 def _inputs(values: FloatArray, sight: PadImaging) -> FloatArray:
-    """Return (B, 2, ..., 4) inputs of the gel's map, each finger's own, from (B, 2, ..., 14)."""
+    """Return (B, 2, ..., 4) inputs of the gel map for each finger, from (B, 2, ..., 14)."""
     strain = values[..., 6:12].reshape(*values.shape[:-1], 2, 3)
     normal = values[..., 12:14] / sight.grip_force_n[:, None, None, None, None] - 1.0
     both = np.concatenate([strain, normal[..., None]], axis=-1)

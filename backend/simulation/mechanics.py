@@ -1,10 +1,9 @@
 """Quasi-static equilibrium of grasped pieces pressed on a bottom, batched over probes.
 
-Source: bench reference 3.1, 3.2, 3.5 to 3.7. The grasp has series springs, an elastic zero, a limit
-surface and an optional Maxwell branch. One call of ``advance_probes`` is one time step: Newton with
-step halving per probe, return mapping of the grip slip around it, then the slider anchors move. On
-rigid supports all probes of a batch take equally many passes; where supports give way a pass costs
-far more, and each probe ends with its own last one.
+The grasp has series springs, an elastic zero, a limit surface and an optional Maxwell branch. One
+call of ``advance_probes`` is one time step: Newton with step halving per probe, return mapping of
+the grip slip around it, then the slider anchors move. On rigid supports all probes of a batch run
+the same number of passes; on moving supports, where a pass is expensive, each probe ends by itself.
 
 Finger index 0 is left (y = +w/2), 1 is right. Axes of ``slip`` and ``strain``: x (mm), z (mm),
 rotation about the jaw axis (rad).
@@ -40,7 +39,7 @@ SIGN = np.array([1.0, -1.0])
 
 @dataclass(frozen=True, slots=True)
 class Springs:
-    """Stiffness during one time step of B grasps, and where the springs are unloaded.
+    """Stiffness and unloaded positions of the springs of B grasps in one time step.
 
     ``finger`` (B, 4): x, z, torsion, y of one finger, Maxwell branch included. ``series`` (B, 3)
     k̄ and ``matrix_diagonal`` (B, 6) of K. ``give`` (B, 3) = k̄ / K_r. ``hidden`` (B, 2, 4): shift
@@ -159,11 +158,11 @@ MAX_SLIP_PASSES = 200
 
 @dataclass(frozen=True, slots=True)
 class TimeStep:
-    """What a time step of B probes is given.
+    """Inputs of a time step of B probes.
 
-    ``commanded_mm`` (B, 3); ``stand``: what carries the touched face, None if that is rigid;
-    ``pivot_mm`` (B, 2): ``G`` over ``O``; ``pose`` of the supports at its beginning. ``last``: the
-    step is not split any further.
+    ``commanded_mm`` (B, 3); ``stand``: supports of the touched face, None if rigid; ``pivot_mm``
+    (B, 2): ``G`` over ``O``; ``pose`` of the supports at the start. ``last``: the step is not split
+    any further.
     """
 
     cells: ContactCells
@@ -208,9 +207,9 @@ class TimeStep:
 class GripSolution:
     """A trial solution of B probes.
 
-    ``q`` (B, 6); ``pose`` of the supports; ``slip`` (B, 2, 3), for which everything is in balance;
-    ``d`` (B, 2, 4): motion relative to the pads; ``normal_n`` (B, 2); ``residual`` (B,);
-    ``alive`` (B,): probes whose supports have found their balance so far.
+    ``q`` (B, 6); ``pose`` of the supports; ``slip`` (B, 2, 3) of this equilibrium; ``d``
+    (B, 2, 4): motion relative to the pads; ``normal_n`` (B, 2); ``residual`` (B,); ``alive`` (B,):
+    probes whose supports were in equilibrium so far.
     """
 
     q: FloatArray
@@ -225,7 +224,7 @@ class GripSolution:
     def begun(
         cls, q: FloatArray, pose: SupportMotion, slip: FloatArray, alive: NDArray[np.bool_]
     ) -> GripSolution:
-        """Return where to begin the search."""
+        """Return the start of the search."""
         count = len(q)
         return cls(
             q, pose, slip, np.zeros((count, 2, 4)), np.zeros((count, 2)), np.zeros(count), alive
@@ -253,9 +252,9 @@ class GripSolution:
 
 
 def solve_with_slip(step: TimeStep, start: GripSolution) -> tuple[GripSolution, ContactForces]:
-    """Return the equilibrium near ``start`` in which no pad slips any more, and its cell forces.
+    """Return the equilibrium near ``start`` after slip of the pads, and its cell forces.
 
-    Never raises for lack of convergence: the residual is infinite then.
+    Without convergence the residual is infinite; never raises.
     """
     if step.stand is None:
         return _solve_on_rigid(step, start)
@@ -320,7 +319,7 @@ def _elastic_zero_of(step: TimeStep, slip: FloatArray) -> FloatArray:
 def _map_slip(
     step: TimeStep, now: GripSolution, zero: FloatArray
 ) -> tuple[GripSolution, FloatArray]:
-    """Return ``now`` with the motion of the pads, and the slip mapped back."""
+    """Return ``now`` with the motion of the pads, and the slip after return mapping."""
     conditions, spring = step.conditions, step.spring
     d = pad_motion(now.q, zero, step.commanded_mm, spring.give, conditions.width_mm)
     normal_n = normal_force_n(d, spring, conditions.grip_force_n)
@@ -336,27 +335,27 @@ class Region(Protocol):
     """A flat outline (``touchdown.backend.geometry.outlines.Outline`` is one)."""
 
     def contains(self, points_mm: FloatArray, /) -> NDArray[np.bool_]:
-        """Return which points (..., 2) lie inside."""
+        """Return True for points (..., 2) inside."""
 
 
 @dataclass(frozen=True, slots=True)
 class GraspHistory:
-    """What a gripping takes from probe to probe: ``slip`` (B, 2, 3) and ``relaxed`` (B, 2, 4)."""
+    """State of a grip between probes: ``slip`` (B, 2, 3) and ``relaxed`` (B, 2, 4)."""
 
     slip: FloatArray
     relaxed: FloatArray
 
     @classmethod
     def fresh(cls, count: int) -> GraspHistory:
-        """Return ``count`` grippings that have not slipped."""
+        """Return ``count`` grips without slip."""
         return cls(np.zeros((count, 2, 3)), np.zeros((count, 2, 4)))
 
     def take(self, index: NDArray[np.intp]) -> GraspHistory:
-        """Return the grippings ``index``."""
+        """Return the grips ``index``."""
         return GraspHistory(self.slip[index], self.relaxed[index])
 
     def replaced(self, index: NDArray[np.intp], by: GraspHistory) -> GraspHistory:
-        """Return a copy in which the grippings ``index`` are those of ``by``."""
+        """Return a copy in which the grips ``index`` are those of ``by``."""
         slip, relaxed = self.slip.copy(), self.relaxed.copy()
         slip[index], relaxed[index] = by.slip, by.relaxed
         return GraspHistory(slip, relaxed)
@@ -364,14 +363,14 @@ class GraspHistory:
 
 @dataclass(frozen=True, slots=True)
 class ContactState:
-    """What B probes carry from one time step to the next.
+    """State of B probes between time steps.
 
     ``q`` (B, 6) mm and rad; ``slip`` (B, 2, 3); ``anchor`` (2, B, n); ``relaxed`` (B, 2, 4);
-    ``residual`` (B,): worst of the probe so far. ``depth_mm`` (B,): last command; ``slope`` (B, 6):
-    change of q per mm of it, for the first guess of the next step. ``stand``: what carries the
-    touched face, None if that is rigid; ``pose`` of it; ``pivot_mm`` (B, 2): ``G`` over ``O``;
-    ``toppled`` (B,): the supports would not come back upright. ``splits``: how often a step in
-    which moving supports find no balance is gone again in halves.
+    ``residual`` (B,): largest of the probe so far. ``depth_mm`` (B,): last command; ``slope``
+    (B, 6): change of q per mm of it, for the initial guess of the next step. ``stand``: supports of
+    the touched face, None if rigid; ``pose`` of them; ``pivot_mm`` (B, 2): ``G`` over ``O``;
+    ``toppled`` (B,): the supports would not return upright. ``splits``: number of times that a step
+    without equilibrium of moving supports is halved.
     """
 
     cells: contact.ContactCells
@@ -390,7 +389,7 @@ class ContactState:
     splits: int = MAX_SPLITS
 
     def on(self, stand: SupportStack | None, splits: int = MAX_SPLITS) -> ContactState:
-        """Return the state on supports that can rock and slide, upright by now; None: rigid."""
+        """Return the state on supports that can rock and slide, now upright; None: rigid."""
         if stand is None:
             return self
         pose = SupportMotion.upright(len(self.q), stand.interfaces)
@@ -458,9 +457,9 @@ def begin_probes(
 ) -> ContactState:
     """Start B probes at the true displacements ``offset_mm`` (B, 2) above one bottom ``outline``.
 
-    ``face_points_mm`` (N, 2): lattice of ``pitch_mm`` on the face, in ``F``. From ``previous``
-    (same gripping) grip slip and gel state are kept; the slider anchors start afresh. The bottom is
-    rigid; see ``ContactState.on``.
+    ``face_points_mm`` (N, 2): lattice of ``pitch_mm`` on the face, in ``F``. Slip and gel state of
+    ``previous`` (same grip) are kept; the slider anchors are reset. The bottom is rigid; see
+    ``ContactState.on``.
     """
     cos, sin = np.cos(conditions.yaw_rad)[:, None], np.sin(conditions.yaw_rad)[:, None]
     s_x = cos * face_points_mm[:, 0] - sin * face_points_mm[:, 1]
@@ -509,8 +508,8 @@ def advance_probes(
     """Solve the next time step of ``dt_s`` for the command ``commanded_mm`` (B, 3).
 
     The command is relative to the height of first touch (z below it is negative) and to the probing
-    position. Where moving supports find no balance the step is gone again in halves.
-    Never raises for lack of convergence: check ``residual`` against ``RESIDUAL_LIMIT``.
+    position. Steps without equilibrium of moving supports are halved. Never raises: compare
+    ``residual`` with ``RESIDUAL_LIMIT``.
     """
     after, solved = _advance_once(state, commanded_mm, dt_s)
     alive = state.residual <= RESIDUAL_LIMIT
@@ -581,7 +580,7 @@ def _advance_once(
 
 
 def _with_rows(values: Any, rows: NDArray[np.intp], by: Any) -> Any:
-    """Return the array ``values`` with ``rows`` from ``by``; which array it is, the name says."""
+    """Return a copy of the array ``values`` with ``rows`` from ``by``."""
     changed = values.copy()
     changed[rows] = by
     return changed

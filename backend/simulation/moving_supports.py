@@ -1,10 +1,10 @@
 """Equilibrium of a piece pressed on bottoms that may rock or slide, batched over probes.
 
 Unknowns: the motion q of the piece, and at each interface the rocking a and the sliding s. Both
-obey the same law: the resultant c lies in the support polygon and a is normal to it there; the
-lateral force T lies in the friction disc and s is normal to it there. Each is written as ``c =
-nearest point to (c + a)`` and solved together with the piece by Newton's method. Probes whose
-supports do not move cost one check.
+obey the same law: the resultant c is in the support polygon and a is normal to it there; the
+lateral force T is in the friction disc and s is normal to it there. Each is written as ``c =
+nearest point to (c + a)`` and solved together with the piece by Newton's method. Probes with
+supports at rest need one check only.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ AXES = np.eye(2)
 
 @dataclass(frozen=True, slots=True)
 class SolutionInputs:
-    """Grasp and place of B probes during one solution.
+    """Grasp and position of B probes during one solution.
 
     ``zero`` q° (B, 6) and ``stiffness`` (B, 6) of the grasp; ``pivot_mm`` (B, 2): the pivot over
-    ``O``; ``slid_mm``, ``leaned_rad`` (B, m, 2): sliding and rocking so far. ``drag_mm_rad``: the
-    resultant is taken as shifted back by so much per radian of rocking further than that.
+    ``O``; ``slid_mm``, ``leaned_rad`` (B, m, 2): sliding and rocking so far. ``drag_mm_rad``: shift
+    of the resultant per radian of further rocking.
     """
 
     cells: ContactCells
@@ -77,9 +77,9 @@ class SolutionInputs:
 
 @dataclass(frozen=True, slots=True)
 class SupportLaw:
-    """How far the supports are from their laws, and what is needed to linearise that.
+    """Residuals of the support laws and their derivatives.
 
-    ``load_n`` (B, m); ``centre_mm`` (B, m, 2): where the resultant is; ``corner_mm`` and
+    ``load_n`` (B, m); ``centre_mm`` (B, m, 2): position of the resultant; ``corner_mm`` and
     ``corner_slope``: the nearest point of the polygon; ``rock``, ``slide`` (B, m, 2): residuals in
     mm and N; ``reach``, ``reach_load``: derivative of the nearest lateral force by force and load.
     """
@@ -144,7 +144,7 @@ class SupportLaw:
 
 
 def moment_arms(held: SolutionInputs) -> FloatArray:
-    """Return (B, m, 2, 6): moments of a unit wrench on the piece, as resultant times load."""
+    """Return (B, m, 2, 6): moments of a unit wrench on the piece."""
     up = held.stand.height_mm - held.cells.r_z[:, None]
     levers = np.zeros((*up.shape, 2, 6))
     levers[..., 0, 0] = levers[..., 1, 1] = -up
@@ -154,7 +154,7 @@ def moment_arms(held: SolutionInputs) -> FloatArray:
 
 
 def face_motion(cells: ContactCells, q: FloatArray) -> FloatArray:
-    """Return (B, 2): motion of the middle of the face, which the press moves with."""
+    """Return (B, 2): motion of the centre of the face."""
     along = np.stack([q[:, 4], -q[:, 3]], axis=1)
     return np.asarray(q[:, :2] + cells.r_z[:, None] * along)
 
@@ -196,8 +196,8 @@ def solve_on_supports(
 ) -> SupportSolution:
     """Return the equilibrium nearest to the guess ``q`` (B, 6), ``pose``.
 
-    The supports of probes that are no longer ``alive`` (B,) stay, with a residual of infinity.
-    ``eased``: search harder where nothing was found.
+    The supports of probes that are not ``alive`` (B,) stay, with an infinite residual. ``eased``:
+    use a relaxed drag if the first search fails.
     """
     start = _resting_solution(held, q, pose)
     rows = np.flatnonzero(alive & ~(start.residual <= TOLERANCE))
@@ -209,13 +209,13 @@ def solve_on_supports(
     if eased and len(lost):
         again = _relaxed_drag(loose.take(lost), start.q[rows[lost]], start.pose.take(rows[lost]))
         found = found.replaced(lost, again)
-    # A press without balance goes on as on rigid supports: no forces out of a lost search.
+    # Without an equilibrium the press continues on rigid supports.
     usable = np.flatnonzero(found.residual <= RESIDUAL_LIMIT)
     return start.replaced(rows[usable], found.take(usable))
 
 
 def _resting_solution(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:
-    """Return the equilibrium on supports that stay; residual infinity where they may not."""
+    """Return the equilibrium on resting supports; infinite residual if they would move."""
     q, now, residual = _solve_fixed(held, q, pose)
     law = SupportLaw.at(held, q, pose, now)
     return SupportSolution(q, pose, np.where(law.size <= TOLERANCE, residual, np.inf))
@@ -226,7 +226,7 @@ def carried_motion(
 ) -> FloatArray:
     """Return (B, 6): motion of the touched face as a motion about the pivot, like q.
 
-    ``edge_mm`` (B, m, 2): points that stay down; None: those that the rocking leaves down.
+    ``edge_mm`` (B, m, 2): points that stay down; None: those of the present rocking.
     """
     stand = held.stand
     rocked = pose.rock_rad.sum(axis=1)
@@ -241,10 +241,10 @@ def carried_motion(
 
 
 def _relaxed_drag(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:
-    """Let the supports give way against a drag, and take it away by and by.
+    """Solve with a drag on the supports that is reduced step by step.
 
-    Between sticking and sliding of the faces lies a way of 0.001 mm, a micro-radian of a tower:
-    without drag the search leaps over it.
+    Sticking and sliding of the faces are 0.001 mm apart, a micro-radian of a tower; without drag
+    the search steps over it.
     """
     now = SupportSolution(q, pose, np.full(len(q), np.inf))
     for drag in DRAGS_MM_RAD:
@@ -267,10 +267,10 @@ def _solve_fixed(
 
 
 def _solve_newton(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:
-    """Newton with step halving on piece and supports at once; finished probes are laid aside.
+    """Newton with step halving on piece and supports; finished probes are removed.
 
-    During one step the edges stay where the last one found them: the lift of a body about a given
-    edge is smooth through its upright position, that about the edge it happens to lean on is not.
+    During one step the edges are those of the last one: the lift of a body about a fixed edge is
+    smooth at its upright position, the lift about the present edge is not.
     """
     ends = SupportSolution(q, pose, np.full(len(q), np.inf))
     rows = np.arange(len(q))
@@ -295,7 +295,7 @@ def _solve_newton(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> S
 
 
 def _newton_step(held: SolutionInputs, edge_mm: FloatArray, rest: _ResidualTrial) -> _ResidualTrial:
-    """Go one Newton step, halved for each probe until its residual falls."""
+    """Apply one Newton step, halved for each probe until its residual falls."""
     count, m = rest.law.load_n.shape
     matrix = _jacobian(held, rest.q, rest.now, rest.law, edge_mm)
     laws = np.concatenate([rest.law.rock, rest.law.slide], axis=1).reshape(count, 4 * m)
@@ -313,8 +313,9 @@ def _newton_step(held: SolutionInputs, edge_mm: FloatArray, rest: _ResidualTrial
 
 @dataclass(frozen=True, slots=True)
 class _ResidualTrial:
-    """A trial, and what is missing there to balance: of the piece ``force`` (B, 6) in N and N·mm,
-    of the ``law``. ``size`` (B,): both as one number in N.
+    """A trial and its residuals: ``force`` (B, 6) of the piece in N and N·mm, and ``law``.
+
+    ``size`` (B,): norm of both in N.
     """
 
     q: FloatArray
@@ -339,7 +340,7 @@ class _ResidualTrial:
         return SupportSolution(self.q, self.pose, self.size)
 
     def gone(self, step: FloatArray) -> tuple[FloatArray, SupportMotion]:
-        """Return motion and supports one ``step`` (B, 6 + 4m) further."""
+        """Return motion and supports after ``step`` (B, 6 + 4m)."""
         m = step.shape[1] // 4 - 1
         rock, slide = step[:, 6 : 6 + 2 * m], step[:, 6 + 2 * m :]
         return self.q + step[:, :6], SupportMotion(
@@ -429,7 +430,7 @@ def _carried_slope(held: SolutionInputs, edge_mm: FloatArray) -> FloatArray:
 
 
 def _for_both_axes(per_pair: FloatArray) -> FloatArray:
-    """Return (B, m, 2, 2m): the number of each pair of interfaces, for both axes."""
+    """Return (B, m, 2, 2m): the value of each pair of interfaces, for both axes."""
     m = per_pair.shape[1]
     both = per_pair[:, :, None, :, None] * AXES[None, None, :, None, :]
     return np.asarray(both.reshape(-1, m, 2, 2 * m))

@@ -1,10 +1,10 @@
 """A batch of presses: descent, detection on noisy samples, back-dating, ramp and hold.
 
-The same law as on the stepped bench: the command falls at the approach speed until detection is
-acted on at the next cycle boundary, then to the depth of the ramp counted from the back-dated
-onset, never up. During the descent the time steps are those of the bench; afterwards they end at
-the ticks (and where the command starts to move again): the press is quasi-static and monotone.
-Times count from an instant less than one cycle before the true first touch.
+The same law as on the stepped bench: the command falls at the approach speed until the cycle after
+detection, then follows the ramp from the back-dated onset, and never rises. During the descent the
+time steps are those of the bench; afterwards they end at the ticks and at the corners of the ramp,
+since the press is quasi-static and monotone. Time zero is less than one cycle before the true first
+touch.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ TIMELINE_VALUES = 14
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """``t_s`` (B, M), never falling; ``values`` (B, M, 14): wrench at ``G``, strain, pad forces."""
+    """``t_s`` (B, M), ascending; ``values`` (B, M, 14): wrench at ``G``, strain, pad forces."""
 
     t_s: FloatArray
     values: FloatArray
@@ -52,7 +52,7 @@ class Timeline:
         return np.asarray(low + share[..., None] * (high - low), dtype=np.float64)
 
     def followed_by(self, later: Self) -> Timeline:
-        """Join two stretches."""
+        """Return both timelines in sequence."""
         return Timeline(
             np.concatenate([self.t_s, later.t_s], axis=1),
             np.concatenate([self.values, later.values], axis=1),
@@ -75,8 +75,8 @@ FIRST_BLOCK, NEXT_BLOCK, MAX_CYCLES = 15, 3, 60
 class PressBatch:
     """B presses. ``onset_s`` (B,) back-dated; ``detected`` (B,): contact was found in time.
 
-    ``touch_s`` (B,): when the faces really met; ``ticks_s`` (B, 20); ``air`` (B, 14): values before
-    the descent; ``state``: at the end of the hold.
+    ``touch_s`` (B,): true first touch; ``ticks_s`` (B, 20); ``air`` (B, 14): values before the
+    descent; ``state``: at the end of the hold.
     """
 
     timeline: Timeline
@@ -109,7 +109,7 @@ def air_samples(rule: OnsetRule) -> int:
 
 
 def noise_samples(rule: OnsetRule, cycle_s: float) -> int:
-    """Return how many samples of press-force noise ``press`` may need."""
+    """Return the largest number of press-force noise samples that ``press_batch`` needs."""
     return air_samples(rule) + MAX_CYCLES * round(cycle_s * rule.rate_hz)
 
 
@@ -123,7 +123,7 @@ def press_batch(
 ) -> PressBatch:
     """Press B probes.
 
-    ``phase_s`` (B,) in [0, cycle): where the cycle boundaries lie relative to the contact.
+    ``phase_s`` (B,) in [0, cycle): phase of the cycle boundaries relative to the contact.
     ``noise_n`` (B, ``noise_samples``): errors of the press force on the sample grid.
     """
     speed = probe.approach_mm_s
@@ -211,7 +211,7 @@ def _first_stretch(descent: _Descent, acted: NDArray[np.intp]) -> Timeline:
 
 
 def _state_at(states: list[ContactState], acted: NDArray[np.intp]) -> ContactState:
-    """Return for each probe its own state at the cycle end ``acted``."""
+    """Return the state of each probe at its cycle end ``acted``."""
     rows = np.arange(len(acted))
     used = states[: int(acted.max()) + 1]
     anchors = np.stack([state.anchor for state in used])[acted, :, rows]
@@ -238,7 +238,7 @@ def _state_at(states: list[ContactState], acted: NDArray[np.intp]) -> ContactSta
 
 @dataclass(frozen=True, slots=True)
 class _Ramp:
-    """The command after detection: where motion stopped, then the ramp from the onset."""
+    """The command after detection: hold, then the ramp from the onset."""
 
     probe: ProbeSettings
     onset_s: FloatArray
@@ -256,7 +256,7 @@ class _Ramp:
         return np.asarray(self.probe.approach_mm_s * travelled, dtype=np.float64)
 
     def corners_s(self) -> FloatArray:
-        """Return (B, 2): when the command moves again, and when it has arrived."""
+        """Return (B, 2): times at which the command moves again and at which it ends."""
         again = self.reached_mm * self.length_s / self.probe.depth_mm
         return self.onset_s[:, None] + np.stack([again, np.full_like(again, self.length_s)], axis=1)
 

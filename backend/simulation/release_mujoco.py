@@ -1,9 +1,9 @@
 """Release of a tower simulated with MuJoCo, as a second opinion and for the animation of a fall.
 
-Optional. Shapes do not touch each other. Every flat face carries tiny massless spheres, centred
-over its outline and tangent to the face from inside, and only spheres touch shapes. The built-in
-contact between cylinders (MuJoCo 4.0) misplaces the toppling edge by up to 1.3 mm on a radius of
-7.5 mm; this model by 0.06 mm. It never replaces the exact analysis of ``geometry.tower``.
+Optional. Shapes do not collide with each other. Each flat face has tiny massless spheres along its
+outline, tangent to the face from inside, and only spheres collide with shapes. The built-in contact
+of cylinders (MuJoCo 4.0) misplaces the toppling edge by up to 1.3 mm at a radius of 7.5 mm; this
+model by 0.06 mm. It never replaces the exact analysis of ``geometry.tower``.
 """
 
 from __future__ import annotations
@@ -47,13 +47,12 @@ def simulate_release(
     frame_hz: float = 60.0,
     disturbance_mm: Point = (0.0, 0.0),
 ) -> tuple[bool, Fall]:
-    """Let go of a tower and watch it for ``seconds`` of simulated time.
+    """Simulate the release of a tower for ``seconds``.
 
-    ``disturbance_mm``: kick of the opening fingers, as for ``objects.tower.judge``.
-
-    Returns whether a free body tilted by more than 12 degrees, and the motion at ``frame_hz``:
-    per body the centre of its lower face (m; z = 0 where the topmost body rests) and quaternion.
-    Raises ``InputError`` if the optional package is missing.
+    ``disturbance_mm``: effect of the opening fingers, as in ``judge_tower``. Returns True if a free
+    body tilted by more than 12 degrees, and the motion at ``frame_hz``: per body the centre of its
+    lower face (m; z = 0 at the base of the topmost body) and quaternion. Raises ``InputError``
+    without MuJoCo.
     """
     mujoco = import_mujoco()
     model = mujoco.MjModel.from_xml_string(model_xml(_kicked(tower, disturbance_mm)))
@@ -76,16 +75,16 @@ def simulate_release(
 
 
 def contradicts_analysis(verdict: TowerVerdict, fallen: bool) -> bool:
-    """Return whether the engine contradicts the exact judge beyond its own error.
+    """Return True if MuJoCo contradicts the exact analysis beyond its own error.
 
-    That is 0.2 mm of margin, and 0.25 mm in towers of three and more bodies.
+    The error is 0.2 mm of margin, 0.25 mm for towers of three or more bodies.
     """
     band_mm = PAIR_BAND_MM if len(verdict.margins_mm) < 3 else TOWER_BAND_MM
     return fallen == verdict.stands and abs(verdict.margin_mm) > band_mm
 
 
 def mujoco_available() -> bool:
-    """Return whether the optional package is installed."""
+    """Return True if the optional package is installed."""
     try:
         import_mujoco()
     except InputError:
@@ -99,7 +98,7 @@ def import_mujoco() -> Any:
         return import_module("mujoco")
     except ImportError as error:
         raise InputError(
-            "The second judge needs the package mujoco-core, which is not installed.",
+            "The simulated release requires the package mujoco-core, which is not installed.",
             "optional extra 'mujoco'",
             'Install it with: pip install "touchdown[mujoco]".',
         ) from error
@@ -149,19 +148,19 @@ def _body_xml(body: Body, tag: str, height_mm: float, meshes: list[str]) -> str:
         half = body.height_mm / 2
         parts.append(shape_xml(body.lower, 0.0, half, f"{tag}l", meshes))
         parts.append(shape_xml(body.upper, half, body.height_mm, f"{tag}u", meshes))
-    # An end that carries nothing has spheres too: without them a fallen body sinks into the floor.
+    # Spheres at both ends keep a fallen body from sinking into the floor.
     parts.append(_rim_xml(body.upper or body.lower, body.height_mm - SPHERE_RADIUS_MM))
     free = "" if body.fixed else f"<freejoint/>{inertia_xml(body)}"
     return f'<body pos="{at}" quat="{quat}">{free}{"".join(parts)}</body>'
 
 
 def format_metres(*lengths_mm: float) -> str:
-    """Write lengths in SI units, with a space between."""
+    """Return lengths in SI units, separated by spaces."""
     return " ".join(repr(float(length) * 1e-3) for length in lengths_mm)
 
 
 def inertia_xml(body: Body) -> str:
-    """Give the inertia of a solid block, or cylinder, of the lower outline's size."""
+    """Return the inertia of a solid block, or cylinder, with the size of the lower outline."""
     mass = body.mass_g * 1e-3
     x, y = (extent * 1e-3 for extent in body.lower.half_extents_mm)
     share = 1 / 4 if body.lower.kind == "circle" else 1 / 3
@@ -173,7 +172,7 @@ def inertia_xml(body: Body) -> str:
 
 
 def shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes: list[str]) -> str:
-    """Write the body between two heights as cylinder, box, or prism mesh.
+    """Return the shape between two heights as cylinder, box, or prism mesh.
 
     A prism is added to ``meshes`` under the name ``tag``.
     """
@@ -193,7 +192,7 @@ def shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes:
 
 
 def _rim_xml(outline: Outline, height_mm: float) -> str:
-    """Write the spheres along the outline."""
+    """Return the spheres along the outline."""
     return "".join(
         f'<geom class="rim" pos="{format_metres(x, y, height_mm)}"/>'
         for x, y in rim_points(outline)

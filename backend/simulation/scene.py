@@ -1,6 +1,6 @@
 """Scene of a simulated trial: set-up and ground truth.
 
-The ground truth serves scoring and display after the trial only.
+The ground truth is used for scoring and for the display after a trial only.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from touchdown.backend.simulation.release_mujoco import (
 class Scene:
     """A piece in a jig between the open jaws, a tower of bottoms below it, and a seed.
 
-    ``bottoms``: from the lowest up; the topmost carries the bench frame ``O``. ``start_mm``: true
-    displacement of the piece's face from ``O`` before the first probe, errors of grasp and print
-    included. ``start_height_mm``: height of the commanded face above the support at the start.
-    ``mounting``: number of the fitting of bottom and gels. With ``jig`` the piece stands in a jig
-    at ``start_mm``: it can be put back there and taken again.
+    ``bottoms``: from the lowest up; ``O`` is on the topmost. ``start_mm``: true displacement of the
+    face from ``O`` before the first probe, errors of grasp and print included.
+    ``start_height_mm``: height of the commanded face above the support at the start. ``mounting``:
+    number of the mounting of bottom and gels. With ``jig`` the piece stands in a jig at
+    ``start_mm``, where it can be put back and gripped again.
     """
 
     piece: Piece
@@ -65,12 +65,12 @@ MAX_RELEASE_GAP_MM = 2.0  # released higher above the support, the piece counts 
 
 @dataclass(frozen=True, slots=True)
 class SceneTruth:
-    """How things really are.
+    """Ground truth of a scene.
 
     ``offset_mm``: displacement of the face from ``O``. ``margin_mm``: signed margin of the whole
     tower, as if released here; after the release the one that decided. ``stands``: None before the
-    release. ``slip_mm``: largest slip of a pad in the present gripping. ``contradicted``: whether
-    the physics engine disagrees with the exact judge beyond its own error, None if not asked.
+    release. ``slip_mm``: largest slip of a pad in the present grip. ``contradicted``: True if
+    MuJoCo disagrees with the exact analysis beyond its own error, None if it did not run.
     """
 
     offset_mm: tuple[float, float]
@@ -101,7 +101,7 @@ def true_margin_mm(
 
 
 def release_kick_mm(scene: Scene, release: int) -> tuple[float, float]:
-    """Return the kick of the opening fingers, normal per axis (settings: equivalent CoM shift)."""
+    """Return the effect of the opening fingers as a random shift of the centre of mass."""
     sigma = scene.settings.release_disturbance_mm
     seed = np.random.SeedSequence([scene.seed, 5, release])
     x, y = sigma * np.random.Generator(np.random.PCG64(seed)).standard_normal(2)
@@ -109,16 +109,16 @@ def release_kick_mm(scene: Scene, release: int) -> tuple[float, float]:
 
 
 def falls_on_release(gap_mm: float) -> bool:
-    """Return whether a piece let go at this height counts as fallen."""
+    """Return True if a piece released at this height counts as fallen."""
     return not (math.isfinite(gap_mm) and gap_mm <= MAX_RELEASE_GAP_MM)
 
 
 def mujoco_opinion(
     scene: Scene, offset_mm: tuple[float, float], yaw_rad: float, kick_mm: tuple[float, float]
 ) -> tuple[Fall | None, bool] | None:
-    """Ask the physics engine: (motion if the piece fell, whether it contradicts the exact judge).
+    """Simulate the release with MuJoCo: (motion of a fall, True if it contradicts the analysis).
 
-    None where the optional engine is not installed.
+    None if MuJoCo is not installed.
     """
     if not mujoco_available():
         return None

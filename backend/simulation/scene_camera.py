@@ -38,7 +38,7 @@ def camera_matrix() -> FloatArray:
 def render_scene(
     scene: Scene, offset_mm: tuple[float, float], yaw_rad: float, height_mm: float
 ) -> ImageArray:
-    """Return (480, 640, 3) BGR with the face of the piece at ``offset_mm``, ``height_mm`` up."""
+    """Return (480, 640, 3) BGR with the face at ``offset_mm`` and ``height_mm``."""
     image = np.full((HEIGHT_PX, WIDTH_PX, 3), TABLE, dtype=np.uint8)
     _board(image)
     top = scene.bottoms.bodies[-1]
@@ -49,7 +49,7 @@ def render_scene(
         at_mm = (body.at_mm[0] - top.at_mm[0], body.at_mm[1] - top.at_mm[1])
         upper = body.upper or body.lower
         if body.fixed:
-            # A face printed on the board itself: its body lies below.
+            # A face on the board itself; its body is below.
             _fill(image, _placed(upper, at_mm, 0.0), 0.0, BOTTOM)
             continue
         _prism(image, (_placed(body.lower, at_mm, 0.0), base_mm),
@@ -63,7 +63,7 @@ def render_scene(
 
 
 def _board(image: ImageArray) -> None:
-    """Draw board and dots, in the plane of the touched face as the calibration takes them."""
+    """Draw board and dots in the plane of the touched face."""
     corners = BOARD_MM * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     _fill(image, corners, 0.0, BOARD)
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)

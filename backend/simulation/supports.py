@@ -1,12 +1,12 @@
 """Free-standing bottoms that rock and slide: geometry, weights, and the resultant on each.
 
-Every interface of the bottoms (table below the lowest included) carries the press and the weight of
-what is above it. The body above rocks about the edge of the support polygon when the resultant
-leaves it, and slides when the lateral force exceeds friction. Derivation: docs/simulated-bench.md.
+Each interface of the bottoms (table below the lowest included) carries the press and the weight
+above it. The body above rocks about the edge of the support polygon when the resultant leaves it,
+and slides when the lateral force exceeds friction. Derivation: docs/simulated-bench.md.
 
-The support area is the overlap of two convex faces. Each face is a polygon grown all round by a
-radius (a disc is a point that has grown), so that the edge of a disc turns evenly: Newton's method
-would get stuck on the corners of a 128-gon.
+The support area is the overlap of two convex faces. Each face is a polygon offset outwards by a
+radius (a disc is a point with an offset), so that the edge of a disc is smooth; Newton's method
+would stall at the corners of a 128-gon.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ class SupportArea:
     """Overlaps of pairs of faces with leading axes (...): (B, m), or none for a single one.
 
     ``core_mm`` (..., 2 faces, v, 2) counter-clockwise, padded with copies of a corner; ``grown_mm``
-    (..., 2); ``corner_mm`` (..., c, 2): where the edges cross, padded with infinity.
+    (..., 2): offset radius; ``corner_mm`` (..., c, 2): crossings of the edges, padded with
+    infinity.
     """
 
     core_mm: FloatArray
@@ -69,7 +70,7 @@ class SupportArea:
         The slope is the identity inside, a projection outside, zero at a corner.
         """
         if self._alike():
-            # A body on the table: its own face alone.
+            # A body on the table: only its own face.
             feet, slopes = _project(
                 self.core_mm[..., :1, :, :], self.grown_mm[..., :1], points_mm[..., None, :]
             )
@@ -80,7 +81,7 @@ class SupportArea:
         distance = np.where(usable, ((points_mm[..., None, :] - feet) ** 2).sum(axis=-1), np.inf)
         corner = ((points_mm[..., None, :] - self.corner_mm) ** 2).sum(axis=-1)
         every = np.concatenate([feet, self.corner_mm], axis=-2)
-        # Where rounding leaves no candidate at all, the foot on the first face is as good.
+        # Without a candidate, due to rounding, the foot on the first face is used.
         distance = np.concatenate([np.minimum(distance, 1e30), corner], axis=-1)
         best = distance.argmin(axis=-1)
         foot = np.take_along_axis(every, best[..., None, None], axis=-2)[..., 0, :]
@@ -89,7 +90,7 @@ class SupportArea:
         return foot, np.asarray(slope * (best < 2)[..., None, None])
 
     def _alike(self) -> bool:
-        """Return whether both faces are the same everywhere, and nothing crosses."""
+        """Return True if both faces are equal everywhere, without crossings."""
         core, grown = self.core_mm, self.grown_mm
         return (
             not self.corner_mm.shape[-2]
@@ -141,7 +142,7 @@ def _face(body: Body, outline: Outline, origin_mm: FloatArray) -> tuple[FloatArr
 
 
 def _crossings(faces: Sequence[tuple[FloatArray, float]]) -> FloatArray:
-    """Return the two points (2, 2) where two circles cross, (0, 2) where they do not."""
+    """Return the crossings (2, 2) of two circles, (0, 2) if there are none."""
     (a, r), (b, s) = ((core[0], grown) for core, grown in faces)
     apart = float(np.hypot(*(b - a)))
     if not abs(r - s) < apart < r + s:
@@ -160,7 +161,7 @@ def _edge_distance_mm(core_mm: FloatArray, grown_mm: float, points_mm: FloatArra
 
 
 def _pad_areas(areas: Sequence[SupportArea]) -> list[SupportArea]:
-    """Return the areas with equally many corners each."""
+    """Return the areas padded to equal numbers of corners."""
     most = max(area.core_mm.shape[-2] for area in areas)
     crossings = max(area.corner_mm.shape[-2] for area in areas)
     padded = []
@@ -176,7 +177,7 @@ def _pad_areas(areas: Sequence[SupportArea]) -> list[SupportArea]:
 def _project(
     core_mm: FloatArray, grown_mm: FloatArray, points_mm: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the nearest points of grown polygons to points (..., 2), and the slope."""
+    """Return the points of offset polygons nearest to points (..., 2), and the slope."""
     foot, slope = _project_on_core(core_mm, points_mm)
     away = points_mm - foot
     distance = np.hypot(away[..., 0], away[..., 1])[..., None]
@@ -194,7 +195,7 @@ def _project(
 
 def _project_on_core(core_mm: FloatArray, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
     if core_mm.shape[-2] == 1:
-        # Discs alone, as most bottoms are: nothing to look for.
+        # Discs only, the usual bottoms.
         return core_mm[..., 0, :] + np.zeros_like(points_mm), np.zeros((*points_mm.shape, 2))
     along = np.roll(core_mm, -1, axis=-2) - core_mm
     length2 = (along**2).sum(axis=-1)
@@ -222,12 +223,12 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class SupportStack:
-    """What carries the touched face of B probes: m interfaces each, lowest first, mm in ``O``.
+    """Supports of the touched face of B probes: m interfaces each, lowest first, mm in ``O``.
 
-    ``area`` (B, m): what each interface can carry on. ``height_mm`` (B, m): touched face above it.
+    ``area`` (B, m): support area of each interface. ``height_mm`` (B, m): touched face above it.
     ``weight_n`` (B, m) of all bodies above it; ``centre_nmm`` (B, m, 2): weight times their common
-    centre of mass. ``rocked_nmm`` (B, m, m): growth of that moment at i per radian of rocking at j;
-    ``moved_n`` (B, m, m): per mm of sliding at j. ``mu`` (B, m); infinite where nothing slides.
+    centre of mass. ``rocked_nmm`` (B, m, m): derivative of that moment at i by rocking at j, per
+    rad; ``moved_n`` (B, m, m): by sliding at j, per mm. ``mu`` (B, m); infinite without sliding.
     """
 
     area: SupportArea
@@ -263,7 +264,7 @@ class SupportMotion:
 
     @classmethod
     def upright(cls, count: int, interfaces: int) -> SupportMotion:
-        """Return B stands in which nothing has moved."""
+        """Return B stacks without motion."""
         return cls(np.zeros((count, interfaces, 2)), np.zeros((count, interfaces, 2)))
 
     def take(self, index: NDArray[np.intp]) -> SupportMotion:
@@ -278,7 +279,7 @@ class SupportMotion:
 
 
 def support_stack(bottoms: Tower, settings: SupportSettings) -> SupportStack | None:
-    """Return how one tower stands (B = 1); None where nothing in it can move."""
+    """Return the supports of one tower (B = 1); None if nothing in it can move."""
     first = 1 if bottoms.bodies[0].fixed else 0
     bodies = bottoms.bodies[first:]
     if not bodies or not (settings.rocks or settings.slides):
@@ -317,14 +318,14 @@ def slide_bottoms(bottoms: Tower, slide_mm: FloatArray) -> Tower:
 
 
 def join_support_stacks(stands: Sequence[SupportStack]) -> SupportStack:
-    """Join stands of equally many interfaces along B."""
+    """Join stacks with equal numbers of interfaces along B."""
     names = [f.name for f in fields(SupportStack) if f.name != "area"]
     joined = {name: np.concatenate([getattr(stand, name) for stand in stands]) for name in names}
     return SupportStack(area=SupportArea.stacked([stand.area for stand in stands]), **joined)
 
 
 def topples(stand: SupportStack, pose: SupportMotion) -> BoolArray:
-    """Return (B,): whether without the press some centre of mass is beyond its edge by now."""
+    """Return (B,): True if, without the press, a centre of mass is beyond its edge."""
     moment = stand.centre_nmm + weight_moment_growth(stand, pose)
     centre = moment / stand.weight_n[..., None] - polygon_drift_mm(stand, pose)
     foot, _ = stand.area.nearest(centre)
@@ -332,12 +333,12 @@ def topples(stand: SupportStack, pose: SupportMotion) -> BoolArray:
 
 
 def weight_moment_growth(stand: SupportStack, pose: SupportMotion) -> FloatArray:
-    """Return (B, m, 2) N·mm: how the moments of the weights have grown since the probe began."""
+    """Return (B, m, 2): change of the moments of the weights since the probe began, N·mm."""
     return np.asarray(stand.rocked_nmm @ pose.rock_rad + stand.moved_n @ pose.slide_mm)
 
 
 def polygon_drift_mm(stand: SupportStack, pose: SupportMotion) -> FloatArray:
-    """Return (B, m, 2): how far each support polygon has moved since the probe began."""
+    """Return (B, m, 2): motion of each support polygon since the probe began, mm."""
     lever = interface_heights_mm(stand)
     return np.asarray(lever @ pose.rock_rad + np.cumsum(pose.slide_mm, axis=1))
 
@@ -349,5 +350,5 @@ def interface_heights_mm(stand: SupportStack) -> FloatArray:
 
 
 def _sum_above(values: FloatArray) -> FloatArray:
-    """Return for each body the sum over itself and all above."""
+    """Return for each body the sum over it and all above."""
     return np.asarray(np.cumsum(values[::-1], axis=0)[::-1], dtype=np.float64)

@@ -1,7 +1,7 @@
-"""The simulated bench as a world in cycles of 10 ms: arm, jaws, piece, contact, sensors.
+"""The simulated bench in cycles of 10 ms: arm, jaws, piece, contact, sensors.
 
-All randomness comes from the seed of the scene, everything else from the commands and the cycles in
-which they came: the same scene and commands give the same bytes for any division of time.
+Random numbers depend only on the seed of the scene. The same scene with the same commands in the
+same cycles gives the same bytes for any division of time.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _AIR_HISTORY_US = 400_000  # air samples kept for the baseline of the next press
 
 @dataclass(frozen=True, slots=True)
 class CycleRecord:
-    """What one cycle brought: wrist samples (n,), (n, 6), pictures, and ``G`` (3,) at its end."""
+    """Result of one cycle: wrist samples (n,), (n, 6), images, and ``G`` (3,) at its end."""
 
     end_us: int
     t_s: FloatArray
@@ -60,9 +60,9 @@ class CycleRecord:
 
 
 class World:
-    """Steps the scene. Commands come between steps; ``drive`` and ``jaws`` halt at any time.
+    """Steps the scene. Commands are given between steps; ``drive`` and ``jaws`` halt at any time.
 
-    ``still_px``: dots that moved no more than this look as they did, which costs less.
+    ``still_px``: motion of dots up to which an image is not rendered again.
     """
 
     def __init__(
@@ -99,36 +99,36 @@ class World:
     # -- commands ---------------------------------------------------------------------------------
 
     def travel(self, target_mm: FloatArray, speed_mm_s: float) -> SimTravel:
-        """Begin a straight move of ``G`` to ``target_mm`` (3,)."""
+        """Start a straight move of ``G`` to ``target_mm`` (3,)."""
         program = SimTravel(self.drive.command_mm, target_mm, speed_mm_s)
         self.drive.run(program)
         return program
 
     def follow(self, program: SimProgram) -> None:
-        """Begin a jog, or a program that turns the hand."""
+        """Start a jog, or a program with rotation."""
         self.drive.run(program)
 
     def press(self, law: PressLaw, stiffness_n_mm: tuple[float, float, float]) -> SimPress:
-        """Begin a press; a new probe starts and its nuisances are drawn."""
+        """Start a press: a new probe, whose nuisances are drawn."""
         if self._holding is not None:
             self._holding.begin_probe(ProbeSettings(stiffness_n_mm=stiffness_n_mm))
         air_s, air_n = (np.concatenate(part) for part in zip(*self._air, strict=True))
         self._tare_n = float(np.mean(self._recent_n)) if self._recent_n else 0.0
         start_s = self.now_us * 1e-6
-        # The offset was drawn anew just now: the air of before as this one would have told it.
+        # The air samples are converted to the sensor offset of the new probe.
         air = air_s, air_n + self._sensor_offset()[2]
         program = SimPress(law, float(self.drive.command_mm[2]), start_s, air)
         self.drive.run(program)
         return program
 
     def unload(self, force_n: float, speed_mm_s: float) -> SimUnload:
-        """Begin to rise until the press force over the air before the press is ``force_n``."""
+        """Start rising until the press force above that in air is ``force_n``."""
         program = SimUnload(force_n, self._tare_n, speed_mm_s, float(self.drive.command_mm[2]))
         self.drive.run(program)
         return program
 
     def hear(self, t_s: FloatArray, force_n: FloatArray) -> None:
-        """Tell the arm what the wrist sensor delivered (Fz, untared) in the last cycle."""
+        """Give the arm the samples of the wrist sensor (Fz, untared) of the last cycle."""
         self._heard = (t_s, force_n)
         mean_n = float(force_n.mean()) if len(force_n) else math.nan
         # A mean is finite exactly if all samples are.
@@ -139,7 +139,7 @@ class World:
     # -- time -------------------------------------------------------------------------------------
 
     def step(self, watched: Collection[Finger] = FINGERS) -> CycleRecord:
-        """Advance by one cycle and return what was sensed; pictures of ``watched`` fingers only."""
+        """Advance by one cycle and return its record, with images of ``watched`` fingers only."""
         start_us, end_us = self.now_us, self.now_us + self.cycle_us
         start_s, dt_s = start_us * 1e-6, self.cycle_us * 1e-6
         before = self._load(self._values)
@@ -173,7 +173,7 @@ class World:
     # -- truth ------------------------------------------------------------------------------------
 
     def truth(self, *, animate: bool = False) -> SceneTruth:
-        """Return how things are; the engine is asked only with ``animate``, and once."""
+        """Return the ground truth; MuJoCo runs only with ``animate``, and once."""
         if self._final is not None:
             return self._with_opinion(self._final) if animate else self._final
         offset, yaw = self._placed()
@@ -189,17 +189,17 @@ class World:
 
     @property
     def holding(self) -> HeldPiece | None:
-        """The gripping in progress, None while the jaws hold nothing."""
+        """The present grip, None if the jaws hold nothing."""
         return self._holding
 
     def clear_mm(self, position_mm: FloatArray) -> float:
-        """Return how high a face, of the held piece or of one like it, is over first touch."""
+        """Return the height of the face of a held piece above first touch."""
         holding = self._holding
         touch = self.scene.grip_height_mm if holding is None else holding.touch_height_mm
         return float(position_mm[2]) - touch
 
     def set_up_again(self) -> None:
-        """Be as at the start, but for the hand: somebody put the bottom right and has the piece."""
+        """Restore the start state except for the hand: bottoms in place, piece not held."""
         self._bottoms, self.knocked_over = self.scene.bottoms, False
         self._put_down = self._final = None
         self.jaws.piece_present = True
@@ -214,7 +214,7 @@ class World:
         return self.scene.start_mm, 0.0
 
     def _scene_now(self) -> Scene:
-        """Return the scene with its bottoms where they have slid to."""
+        """Return the scene with its bottoms where they slid to."""
         holding = self._holding
         bottoms = self._bottoms if holding is None else holding.bottoms
         return self.scene if bottoms is self.scene.bottoms else replace(self.scene, bottoms=bottoms)
@@ -242,7 +242,7 @@ class World:
             offset, yaw, margin, stands, None, holding.slip_mm, self.knocked_over
         )
         self._holding = None
-        # A piece that was put down is not taken again: a trial ends with its release.
+        # A trial ends with its release: the piece is not gripped again.
         self.jaws.piece_present = False
 
     def _with_opinion(self, final: SceneTruth) -> SceneTruth:
@@ -270,7 +270,7 @@ class World:
         """Return (6,) at ``G``, in the axes of the hand: contact, gripper and piece, N and N·mm."""
         turn = self.drive.turn
         if turn is not IDENTITY_ROTATION:
-            # In the air only: there is no contact to turn.
+            # The hand rotates in air only, without a contact wrench.
             return values[:6] + self._weights_g(turn)
         load = values[:6] + self._wrist.payload_g
         if self._holding is not None:
@@ -294,7 +294,7 @@ class World:
         return np.asarray(field * holding.conditions.gain[0][:, None, None])
 
     def _bias_px(self, finger: int) -> FloatArray:
-        """Return the creep since the reference: that of the present probe, none in between."""
+        """Return the creep since the reference, zero between probes."""
         holding = self._holding
         if holding is None or not holding.sensed:
             return np.zeros(2)
@@ -307,7 +307,7 @@ class World:
         return np.asarray(holding.conditions.ft_offset[0])
 
     def _measured_mm(self, command: FloatArray) -> FloatArray:
-        """Return where ``G`` really is: the compliant arm gives way to the contact force."""
+        """Return the measured ``G`` of the compliant arm under the contact force."""
         if self._holding is None:
             return command
         return np.asarray(command + self._values[:3] / self._holding.conditions.robot_n_mm[0])

@@ -1,7 +1,4 @@
-"""The simulated wrist sensor: contact wrench, weights and lever arms, noise, offset and drift.
-
-Source: bench reference 4.
-"""
+"""The simulated wrist sensor: contact wrench, weights and lever arms, noise, offset and drift."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ class Load:
     position_mm: tuple[float, float, float]
 
     def wrench_g(self, turn: FloatArray = IDENTITY_ROTATION) -> FloatArray:
-        """Return (6,) weight at ``G`` in N and N·mm, in the axes of a hand turned by (3, 3)."""
+        """Return (6,) weight at ``G`` in N and N·mm, in the axes of a hand rotated by (3, 3)."""
         force = np.array([0.0, 0.0, -self.mass_kg * GRAVITY_M_S2]) @ turn
         return np.concatenate([force, np.cross(self.position_mm, force)])
 
@@ -43,7 +40,7 @@ def held_piece_load(
 def wrist_wrench(wrench_g: FloatArray, height_mm: float, yaw_rad: float = 0.0) -> FloatArray:
     """Return (..., 6) in N and N·m at the sensor ``height_mm`` above ``G``.
 
-    ``wrench_g`` (..., 6) in N and N·mm, axes of ``G``; the sensor is turned by ``yaw_rad`` about z.
+    ``wrench_g`` (..., 6) in N and N·mm, axes of ``G``; the sensor is rotated by ``yaw_rad``.
     """
     w = np.array(wrench_g, dtype=np.float64)
     w[..., 3] += height_mm * wrench_g[..., 1]
@@ -72,7 +69,7 @@ def centre_of_pressure_mm(wrench_w: FloatArray, lever_mm: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class WristLoad:
-    """What acts below the sensor over a cycle: (6,) at ``G`` in N and N·mm, weights included."""
+    """Load below the sensor over a cycle: (6,) at ``G`` in N and N·mm, weights included."""
 
     before_g: FloatArray
     after_g: FloatArray

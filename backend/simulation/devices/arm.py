@@ -1,4 +1,4 @@
-"""The simulated arm as a device, with the joints of an RV-5AS beside the simulated bench."""
+"""The simulated arm as a device, with the kinematics of an RV-5AS."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ MIN_TURNED_HEIGHT_MM = 10.0
 
 
 class SimJoints:
-    """From the place of the hand to the joints and back, and which places are allowed."""
+    """Forward and inverse kinematics of the hand, and check of poses."""
 
     def __init__(self, world: World) -> None:
         arm = MelfaSettings()
@@ -91,20 +91,20 @@ class SimJoints:
         self._last = np.zeros(6)
 
     def of(self, place: HandPose) -> FloatArray:
-        """Return the (6,) joints, rad, of a place, near the last ones; raises ``RefusedError``."""
+        """Return the (6,) joints, rad, of a pose, near the last ones; raises ``RefusedError``."""
         self._last = self._placing.joints(place[0], self._last, place[1])
         return self._last.copy()
 
     def place(self, joints_rad: FloatArray) -> HandPose:
-        """Return where (6,) joints put the hand."""
+        """Return the pose of the hand for (6,) joints."""
         return self._placing.pivot_mm(joints_rad), self._placing.turn(joints_rad)
 
     def allowed(self, place: HandPose) -> Fault | None:
-        """Return why the arm may not be at ``place``, None if it may."""
+        """Return the reason why ``place`` is not allowed, or None."""
         try:
             check_joints(self.of(place))
         except RefusedError as error:
-            return _pose_fault(error.reason, error.detail, "Choose another way or place.")
+            return _pose_fault(error.reason, error.detail, "Choose another path or pose.")
         turned = float(np.linalg.norm(rotation_vector(place[1]))) > LEVEL_TOLERANCE_RAD
         if turned and not self._world.clear_mm(place[0]) >= MIN_TURNED_HEIGHT_MM:
             what = (
@@ -166,12 +166,12 @@ class SimArm(SimDevice):
         return ArmStatus(mode if self._powered else RobotMode.SERVO_OFF, SafetyMode.NORMAL, 1.0, 0)
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Connect at once, with the motors on."""
+        """Connect immediately, with the motors on."""
         super().connect(timeout_s, cancel)
         self._powered = True
 
     def servo(self, on: bool) -> None:
-        """Switch the motors at once; off ends the motion under way."""
+        """Switch the motors immediately; off ends the present motion."""
         self._connection.require_ready()
         if not on:
             self.stop()
@@ -192,7 +192,7 @@ class SimArm(SimDevice):
     def move_to(
         self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S
     ) -> CommandedMotion:
-        """Move straight to ``target``, turning on the way; ValueError for a senseless number."""
+        """Move straight to ``target`` with rotation; ValueError for invalid numbers."""
         self._require_power()
         goal, turn = np.array([target.x_mm, target.y_mm, target.z_mm]), pose_rotation(target)
         speeds = (speed_mm_s, turn_rad_s)
@@ -213,7 +213,7 @@ class SimArm(SimDevice):
     def jog(
         self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL
     ) -> CommandedMotion:
-        """Follow a velocity and a turn for ``for_s``; a renewal goes on without a jerk."""
+        """Follow a velocity and a rotation rate for ``for_s``; a renewal does not jerk."""
         self._require_power()
         velocity, turning = np.array(velocity_mm_s), np.array(turn_rad_s)
         if not (np.isfinite([*velocity, *turning]).all() and 0.0 < for_s < _INF):
@@ -249,11 +249,11 @@ class SimArm(SimDevice):
         return JOINT_RANGES
 
     def place_of(self, joints_rad: Joints) -> Pose:
-        """Return the pose that these joints give the hand."""
+        """Return the pose of the hand for these joints."""
         return _pose(*self._joints.place(np.array(joints_rad)))
 
     def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> CommandedMotion:
-        """Turn the joints for ``for_s``; a renewal goes on without a jerk."""
+        """Rotate the joints for ``for_s``; a renewal continues without a jerk."""
         self._require_power()
         speeds = np.array(speeds_rad_s)
         if not (speeds.shape == (6,) and np.isfinite(speeds).all() and 0.0 < for_s < _INF):
@@ -266,7 +266,7 @@ class SimArm(SimDevice):
             return motion
 
     def move_joints(self, target_rad: Joints, speed_rad_s: float) -> CommandedMotion:
-        """Turn all joints to ``target_rad``; none goes faster than ``speed_rad_s``."""
+        """Rotate all joints to ``target_rad`` with at most ``speed_rad_s``."""
         self._require_power()
         target = np.array(target_rad)
         if not (target.shape == (6,) and np.isfinite(target).all() and 0.0 < speed_rad_s < _INF):
@@ -281,7 +281,7 @@ class SimArm(SimDevice):
     # -- contact ----------------------------------------------------------------------------------
 
     def press(self, command: PressCommand) -> SimPressMotion:
-        """Press compliantly from here straight down; refused while the hand is turned."""
+        """Press compliantly straight down; refused if the hand is rotated."""
         self._require_power()
         require_unrotated(self._world.drive.turn)
         law = PressLaw(
@@ -315,7 +315,7 @@ class SimArm(SimDevice):
             return self._take(CommandedMotion(sent), self._world.unload(force_n, speed_mm_s))
 
     def stop(self) -> None:
-        """Stand still from the next cycle on; the motion under way ends with a fault."""
+        """Stop in the next cycle; the present motion ends with a fault."""
         with self._lock:
             self._world.drive.drop()
             if self._motion is not None:
@@ -323,7 +323,7 @@ class SimArm(SimDevice):
             self._motion = self._program = None
 
     def retreat(self) -> None:
-        """Rise straight from where the arm is, then stand; without motors, stop."""
+        """Rise straight from the present position, then stop; without motors, stop."""
         self.stop()
         if not (self._connection.ready and self._powered):
             return
@@ -333,11 +333,11 @@ class SimArm(SimDevice):
             self._take(motion, self._world.travel(up_mm, RETREAT_MM_S))
 
     def halt(self) -> None:
-        """Stand still from the next cycle on: in a simulation the same as ``stop``."""
+        """Stop in the next cycle; equal to ``stop`` in the simulation."""
         self.stop()
 
     def deliver(self, t_s: float, pose_mm: FloatArray, *, silent: bool) -> None:
-        """Take the measured position of one cycle and see whether the motion ended."""
+        """Process the measured position of one cycle and the end of a motion."""
         if self._connection.ready and not silent:
             at_s = np.array([t_s])
             self._poses.put(at_s, pose_mm[None])
@@ -354,7 +354,7 @@ class SimArm(SimDevice):
     def _begin(
         self, sent: Mapping[str, float], program: SimProgram, fault: Fault | None
     ) -> CommandedMotion:
-        """Begin a move that turns; one whose end is not allowed has failed before it began."""
+        """Start a move with rotation; it fails at once if its end is not allowed."""
         motion = CommandedMotion(sent)
         if fault is not None:
             motion.end(fault)
@@ -365,7 +365,7 @@ class SimArm(SimDevice):
     def _going_on(
         self, kind: type[_P], make: Callable[[], _P], sent: Mapping[str, float]
     ) -> tuple[_P, CommandedMotion]:
-        """Return the program of this kind that goes on, or a new one, and its motion."""
+        """Return the running program of this kind, or a new one, and its motion."""
         program, motion = self._program, self._motion
         if isinstance(program, kind) and not program.done and motion is not None:
             return program, motion

@@ -35,7 +35,7 @@ JUMP_N = 50.0
 
 @dataclass(frozen=True, slots=True)
 class BenchStreams:
-    """Where the devices put what they deliver; streams may outlive a scene."""
+    """Output streams of the devices; they may be shared by successive scenes."""
 
     frames: Mapping[Finger, Stream[TactileFrame]]
     samples: SampleStream
@@ -53,7 +53,7 @@ class BenchStreams:
         )
 
     def clear(self) -> None:
-        """Forget what a former scene left: its clock began at zero as well."""
+        """Remove the samples of a former scene, whose clock started at zero too."""
         for frames in self.frames.values():
             frames.clear()
         self.samples.clear()
@@ -62,7 +62,7 @@ class BenchStreams:
 
 
 class SimulatedBench:
-    """Five devices, a clock, and the truth for scoring. Time moves only by ``advance``."""
+    """Five devices, a clock, and the ground truth. Time moves only by ``advance``."""
 
     def __init__(
         self,
@@ -109,7 +109,7 @@ class SimulatedBench:
             device.connect(1.0, cancel)
 
     def advance(self, step_us: int) -> None:
-        """Move time on by ``step_us``; the world moves at the boundaries of its cycles."""
+        """Advance time by ``step_us``; the world moves at the boundaries of its cycles."""
         end_us = self.clock.now_us + step_us
         while self._world.now_us + self._world.cycle_us <= end_us:
             watched = [f for f in FINGERS if self.tactile[f].state is DeviceState.READY]
@@ -119,11 +119,11 @@ class SimulatedBench:
         self.clock.wind(end_us - self.clock.now_us)
 
     def truth(self, *, animate: bool = False) -> SceneTruth:
-        """Return how things really are; ``animate`` adds the motion of a fall where possible."""
+        """Return the ground truth; ``animate`` adds the motion of a fall if possible."""
         return self._world.truth(animate=animate)
 
     def scene_picture(self) -> ImageArray:
-        """Return what a camera beside the bench sees now: (h, w, 3) BGR."""
+        """Return the present image of the scene camera: (h, w, 3) BGR."""
         truth, holding = self._world.truth(), self._world.holding
         height_mm = self.scene.start_height_mm
         if holding is not None:
@@ -143,7 +143,7 @@ class SimulatedBench:
             self.tactile[finger].deliver(sensed.shots[finger])
 
     def _disturbed(self, sensed: CycleRecord, t_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return times and values of the wrist samples as the sensor would deliver them."""
+        """Return times and values of the wrist samples with the scripted disturbances."""
         script, name = self._script, "force_torque"
         if script.active(name, "stop", t_s):
             return sensed.t_s[:0], sensed.wrench[:0]

@@ -36,11 +36,11 @@ class SimConnection:
 
     @property
     def identity(self) -> Identity | None:
-        """Known once connected."""
+        """Identity, None before the first connection."""
         return self._identity
 
     def open(self) -> None:
-        """Connect; a second time changes nothing."""
+        """Connect; no effect if connected."""
         with self._lock:
             if self.ready:
                 return
@@ -51,7 +51,7 @@ class SimConnection:
             self._state = DeviceState.READY
 
     def close(self) -> None:
-        """Close; a second time changes nothing."""
+        """Close; no effect if closed."""
         self._state = DeviceState.CLOSED
 
     def arrived(self, t_s: float, count: int, lost: int = 0) -> None:
@@ -76,7 +76,7 @@ class SimConnection:
         return Health(recent / span_s, now_s - newest_s, received, lost)
 
     def _forget(self, now_s: float) -> None:
-        """Leave out what came before the last second; asked in every step of the bench."""
+        """Remove arrivals older than the rate window."""
         while self._arrivals and self._arrivals[0][0] <= now_s - RATE_WINDOW_S:
             self._recent -= self._arrivals.popleft()[1]
 
@@ -95,7 +95,7 @@ class SimConnection:
 
 
 class SimDevice:
-    """What all simulated devices answer alike."""
+    """Common base of the simulated devices."""
 
     def __init__(self, connection: SimConnection) -> None:
         self._connection = connection
@@ -112,16 +112,16 @@ class SimDevice:
 
     @property
     def identity(self) -> Identity | None:
-        """Known once connected."""
+        """Identity, None before the first connection."""
         return self._connection.identity
 
     @property
     def health(self) -> Health:
-        """Rate, age and losses of what the device delivers."""
+        """Rate, age and losses of the samples."""
         return self._connection.health
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Connect at once."""
+        """Connect immediately."""
         self._connection.open()
 
     def close(self) -> None:

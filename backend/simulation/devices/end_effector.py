@@ -58,11 +58,11 @@ class SimGripper(SimDevice):
         return {"kind": "simulated", "width_mm": status.width_mm, "force_n": status.force_n}
 
     def status(self) -> GripStatus:
-        """Return what was measured in the last cycle."""
+        """Return the measurement of the last cycle."""
         return self._status
 
     def grip(self, force_n: float) -> CommandedMotion:
-        """Close until the piece is held with ``force_n`` per finger; refused on a turned hand."""
+        """Close until the piece is held with ``force_n`` per finger; refused on a rotated hand."""
         self._connection.require_ready()
         require_unrotated(self._world.drive.turn)
         if not 0.0 < force_n < float("inf"):
@@ -72,7 +72,7 @@ class SimGripper(SimDevice):
             return self._take(CommandedMotion({"force_n": force_n}))
 
     def open_to(self, width_mm: float, speed_mm_s: float) -> CommandedMotion:
-        """Open to ``width_mm``; a held piece is let go."""
+        """Open to ``width_mm``; a held piece is released."""
         self._connection.require_ready()
         if not (0.0 <= width_mm < float("inf") and 0.0 < speed_mm_s < float("inf")):
             raise ValueError("width and speed must be finite, the speed positive")
@@ -81,7 +81,7 @@ class SimGripper(SimDevice):
             return self._take(CommandedMotion({"width_mm": width_mm, "speed_mm_s": speed_mm_s}))
 
     def stop(self) -> None:
-        """Stop where it is; the grip is kept."""
+        """Stop; the grip is kept."""
         with self._lock:
             self._world.jaws.halt()
             if self._motion is not None:
@@ -89,9 +89,9 @@ class SimGripper(SimDevice):
                 self._motion = None
 
     def deliver(self, t_s: float, *, silent: bool = False) -> None:
-        """Measure width and force of one cycle and see whether the motion ended.
+        """Measure width and force of one cycle, and process the end of a motion.
 
-        ``silent``: nothing of it is told; the jaws go on.
+        ``silent``: no status is delivered; the jaws continue.
         """
         jaws = self._world.jaws
         width, force = self._rng.standard_normal(2).tolist()
@@ -115,7 +115,7 @@ FLICKER = 0.25  # amplitude of the brightness, as in the known-truth test of the
 
 
 class SimTactile(SimDevice):
-    """Frames of one finger; a gap in the numbers of the exposures counts as lost frames."""
+    """Frames of one finger; gaps in the sequence numbers count as lost frames."""
 
     def __init__(
         self,
@@ -132,7 +132,7 @@ class SimTactile(SimDevice):
 
     @property
     def finger(self) -> Finger:
-        """Which finger."""
+        """Finger of the camera."""
         return self._finger
 
     @property
@@ -141,7 +141,7 @@ class SimTactile(SimDevice):
         return self._frames
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Connect at once."""
+        """Connect immediately."""
         if not self._connection.ready:
             self._newest = None
         self._connection.open()
@@ -151,7 +151,7 @@ class SimTactile(SimDevice):
         return {"kind": "simulated", "width_px": 320.0, "height_px": 240.0, "gel": "large-dot"}
 
     def deliver(self, shots: list[Exposure]) -> None:
-        """Put the pictures of one cycle into the stream."""
+        """Put the images of one cycle into the stream."""
         if not self._connection.ready:
             return
         for shot in shots:
@@ -207,7 +207,7 @@ class SimForceTorque(SimDevice):
 
     @property
     def slow_since_s(self) -> float | None:
-        """When it began to deliver less than half of its samples; None while it does not."""
+        """Time since which less than half of the samples arrive, or None."""
         return self._pace.slow_since_s
 
     def describe(self) -> Mapping[str, str | float]:
@@ -216,7 +216,7 @@ class SimForceTorque(SimDevice):
         return {"kind": "simulated", "usual_hz": self._usual_hz, **rated}
 
     def deliver(self, t_s: FloatArray, values: FloatArray) -> bool:
-        """Put one block into the stream; return whether anything was delivered."""
+        """Put one block into the stream; return True if samples were delivered."""
         if not (self._connection.ready and len(t_s)):
             return False
         self._samples.put(t_s, values)

@@ -1,12 +1,12 @@
 """MuJoCo model of the piece on springs above its bottoms.
 
 Robot and pads are joints with springs: three slides of the hand, then three slides and three hinges
-of the piece in it, at the pivot ``G``. Faces touch at spheres along both rims, each a spring of its
-own, so that pressure sits at the border of the overlap (on the bench: all over it). Friction is a
+of the piece in it, at the pivot ``G``. Faces touch at spheres along both rims, each with its own
+spring, so that pressure is at the border of the overlap (on the bench: all over it). Friction is a
 cone per sphere that creeps below its limit, with a torsional part. Free bottoms are free bodies.
-After a press the model tells how far they slid and whether they come back: without the press a body
-that leans on the edge of its base comes back as long as the common centre of mass of all it carries
-is on the inner side of that edge. SI units inside; axes of ``O``, the board tilted about it.
+After a press the model determines their sliding and whether they return: a body that leans on an
+edge of its base returns if the common centre of mass of all it carries is on the inner side of that
+edge. SI units inside; axes of ``O``, the board tilted about it.
 """
 
 from __future__ import annotations
@@ -84,13 +84,13 @@ class MountedPiece:
 
 @dataclass(frozen=True, slots=True)
 class _SphereContact:
-    """How the spheres of a face touch: friction, and the foundation (N/mm³) they stand for."""
+    """Contact of the spheres of a face: friction, and equivalent foundation (N/mm³)."""
 
     mu: float
     foundation_n_mm3: float
 
     def rim_xml(self, outline: Outline, height_mm: float, count: int) -> str:
-        """Write spheres along ``outline`` with their centres at ``height_mm``."""
+        """Return spheres along ``outline`` with their centres at ``height_mm``."""
         points = rim_points(outline, count)
         corners = outline.polygon()
         round_mm = float(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum())
@@ -114,8 +114,8 @@ def build_model(
 ) -> MountedPiece:
     """Return the piece under the one set of ``conditions`` at the true displacement ``at_mm`` (2,).
 
-    With all joints at zero its face is at the height of the centre of the touched one. Raises
-    ``InputError`` if the engine is missing.
+    With all joints at zero its face is at the height of the centre of the touched face. Raises
+    ``InputError`` without MuJoCo.
     """
     mujoco = import_mujoco()
     meshes: list[str] = []
@@ -170,7 +170,7 @@ def _bottom_xml(
 def _hand_xml(
     piece: Piece, conditions: Conditions, at_mm: FloatArray, face: _SphereContact, meshes: list[str]
 ) -> str:
-    """Write hand and piece; both have their origin at the pivot, the face is turned in the hand."""
+    """Return hand and piece with origin at the pivot; the face is rotated in the hand."""
     g_x, g_z = (float(g) for g in conditions.grasp_offset_mm[0])
     low_mm = -float(conditions.grip_height_mm[0]) - g_z
     half_yaw = 0.5 * float(conditions.yaw_rad[0])
@@ -204,9 +204,9 @@ FREE_BODY_QPOS = 7  # position values of a free body: metres, quaternion
 
 
 def bottoms_after_press(mounted: MountedPiece, bottoms: Tower) -> tuple[FloatArray, bool]:
-    """Return how far each free bottom slid on what is below it (m, 2) in mm, and whether it falls.
+    """Return the sliding of each free bottom (m, 2) in mm, and True if one falls.
 
-    ``bottoms``: the tower that was mounted.
+    ``bottoms``: the mounted tower.
     """
     model, data, free = mounted.model, mounted.data, mounted.free
     first = len(bottoms.bodies) - free

@@ -1,17 +1,15 @@
 """Trials in the second world, in place of the batched trials of the simulated bench.
 
 Mountings, grips, probes and sensors are drawn as on the bench with the same scenes; the physics
-differs. Presses are solved one after the other, with the same law of the command: down at the
-approach speed until contact is declared at a cycle boundary, then to the depth of the ramp counted
-from the back-dated onset, never up.
+differs. Presses are solved one after the other with the same law of the command.
 
 On the bench a pad is a linear spring with a Maxwell branch, slips at a sharp limit, and the markers
 show its strain at once. Here the spring hardens, the piece creeps along the pad at any load and
-ever faster towards the limit of friction, and the markers follow a strain that saturates, with a
-delay. The gel is an elastic half-space: each pad is gripped over a round patch, and the piece moves
-that patch of the surface as one; outside, the surface follows (on the bench: a flat top with a
-steep roll-off). Closed forms for incompressible gel: traction of a sliding punch (Johnson, Contact
-Mechanics, 3.7), torsion of a patch (Reissner and Sagoci), and gel pressed out sideways.
+faster towards the limit of friction, and the markers show a saturating strain with a delay. The gel
+is an elastic half-space: the piece moves a round patch of the surface of each pad as a whole, and
+the surface outside follows (on the bench: a flat top with a steep roll-off). Closed forms for
+incompressible gel: traction of a sliding punch (Johnson, Contact Mechanics, 3.7), torsion of a
+patch (Reissner and Sagoci), and gel pressed out sideways.
 """
 
 from __future__ import annotations
@@ -74,7 +72,7 @@ def shear_field(x_mm: FloatArray, z_mm: FloatArray, patch_mm: float) -> FloatArr
 
 
 def torsion_share(r_mm: FloatArray, patch_mm: float) -> FloatArray:
-    """Return (n,) rotation of the surface at the radii, for a patch turned by 1."""
+    """Return (n,) rotation of the surface at the radii, for a patch rotated by 1."""
     share = np.minimum(1.0, patch_mm / np.maximum(r_mm, 1e-9))
     turned = np.arcsin(share) - share * np.sqrt(1.0 - share**2)
     return np.asarray(2.0 / np.pi * turned)
@@ -83,7 +81,7 @@ def torsion_share(r_mm: FloatArray, patch_mm: float) -> FloatArray:
 def build_half_space_gel(
     mm_per_px: tuple[float, float], pitch_mm: float, dilation: float, patch_mm: float = PATCH_MM
 ) -> Gel:
-    """Return the gel of two sensors; same inputs and marker order as ``simulation.gel``."""
+    """Return the gel of two sensors; same inputs and marker order as ``build_gel``."""
     row, column = np.divmod(np.arange(MARKERS), GRID_COLS)
     z = (GRID_ROWS // 2 - row) * pitch_mm
     maps, rests = [], []
@@ -93,7 +91,7 @@ def build_half_space_gel(
         along_z = shear_field(z, x, patch_mm)[:, ::-1]
         r = np.hypot(x, z)
         turned = torsion_share(r, patch_mm)[:, None] * np.stack([z, -x], axis=-1)
-        # What leaves the patch crosses every circle round it: 1/r outside.
+        # Incompressible flow out of the patch: 1/r outside.
         out = dilation * np.minimum(1.0, (patch_mm / np.maximum(r, 1e-9)) ** 2)
         pressed = out[:, None] * np.stack([x, z], axis=-1)
         field = np.stack([along_x, along_z, turned, pressed])
@@ -112,9 +110,9 @@ CREEP_MM_S, CREEP_POWER, CREEP_CAP = 0.1, 12, 1.3
 
 
 class CreepingPads:
-    """Both pads of one gripping. ``slip`` (2, 3): finger; x, z in mm, torsion in rad.
+    """Both pads of one grip. ``slip`` (2, 3): finger; x, z in mm, torsion in rad.
 
-    ``seen`` (2, 3): the strain that the markers show. ``normal_n`` (2,).
+    ``seen`` (2, 3): strain shown by the markers. ``normal_n`` (2,).
     """
 
     def __init__(self, conditions: Conditions, slip: FloatArray) -> None:
@@ -133,13 +131,13 @@ class CreepingPads:
         self.seen = _saturated(self.strain)
 
     def rest(self) -> FloatArray:
-        """Return (6,) displacement of the piece in the hand at which the pads are unloaded."""
+        """Return (6,) displacement of the piece in the hand with unloaded pads."""
         unloaded = np.concatenate([self.slip, np.zeros((2, 1))], axis=1)[None]
         zero = elastic_zero(np.zeros((1, 3)), unloaded, np.array([2.0 * self._half_mm]))
         return np.asarray(zero[0])
 
     def follow(self, held: FloatArray, dt_s: float) -> None:
-        """Let ``dt_s`` pass with the piece at ``held`` (6,) in the hand, mm and rad."""
+        """Advance by ``dt_s`` with the piece at ``held`` (6,) in the hand, mm and rad."""
         self.strain = self._strain(held)
         self.normal_n = np.maximum(self._grip_n + SIGN * self._normal_n_mm * held[1], 0.0)
         size2 = float((self.strain[:, :2] ** 2).sum(axis=1).mean())
@@ -166,7 +164,7 @@ class CreepingPads:
 
 
 def _saturated(strain: FloatArray) -> FloatArray:
-    """Return strain (2, 3) as markers show it; the torsion of small angles does not saturate."""
+    """Return the strain (2, 3) shown by the markers; torsion does not saturate."""
     shown = strain.copy()
     size = np.linalg.norm(strain[:, :2], axis=1, keepdims=True)
     shown[:, :2] *= SATURATION_MM * np.tanh(size / SATURATION_MM) / np.maximum(size, 1e-9)
@@ -205,7 +203,7 @@ class DescentRecord:
 
 
 class SecondWorldPress:
-    """A mounted piece on its way down."""
+    """One press of a mounted piece."""
 
     def __init__(
         self,
@@ -224,7 +222,7 @@ class SecondWorldPress:
     ) -> DescentRecord:
         """Press from ``high_mm`` over the centre of the support.
 
-        ``noise_n``: errors of the press force on the sample grid, as for ``pressing.press``.
+        ``noise_n``: errors of the press force on the sample grid, as for ``press_batch``.
         """
         rest = self._pads.rest()
         data, held_z = self._mount.data, float(rest[2])
@@ -315,7 +313,7 @@ class SecondWorldPress:
 
 @dataclass(frozen=True, slots=True)
 class _JoinedPresses:
-    """Presses side by side, as ``episodes.observe`` reads them."""
+    """Presses side by side, as read by ``observe_presses``."""
 
     timeline: Timeline
     ticks_s: FloatArray
@@ -323,7 +321,7 @@ class _JoinedPresses:
 
 
 class SecondWorldTrials(BatchedTrials):
-    """The second world behind the interface of the bench."""
+    """The second world with the interface of the bench."""
 
     def __init__(self, scenes: Sequence[Scene], probe: ProbeSettings | None = None) -> None:
         super().__init__(scenes, probe)
@@ -333,7 +331,7 @@ class SecondWorldTrials(BatchedTrials):
         )
 
     def press(self, trials: Sequence[int], commands_mm: FloatArray) -> TrialPresses:
-        """Press the pieces of the named ``trials`` at ``commands_mm`` (k, 2); slip stays."""
+        """Press the pieces of ``trials`` at ``commands_mm`` (k, 2); slip persists."""
         rows = np.asarray(trials, dtype=np.intp)
         settings, first = self._first.settings, self._first
         conditions = self._conditions(rows)
@@ -378,7 +376,7 @@ def _valid(pressed: list[DescentRecord], toppled: NDArray[np.bool_]) -> NDArray[
 
 
 def _join_presses(pressed: list[DescentRecord]) -> _JoinedPresses:
-    """Join presses; the shorter ones stay as they ended."""
+    """Join presses; shorter ones are extended with their last values."""
     longest = max(len(p.t_s) for p in pressed)
     index = [np.minimum(np.arange(longest), len(p.t_s) - 1) for p in pressed]
     return _JoinedPresses(

@@ -45,9 +45,22 @@ _give_back: Any = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == 
 """Hands freed memory back to the system where the C library would keep it (glibc)."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the journeys: the longest test of all must not be the last one that runs."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the choice of tests by the row of a document."""
+    parser.addoption(
+        "--promise", metavar="ID", help="run the tests of a row of faults.md, window.md"
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Start with the journeys, which take longest; apply ``--promise``."""
     items.sort(key=lambda item: "journeys" not in item.path.parts)
+    if wanted := config.getoption("--promise"):
+        items[:] = [
+            item
+            for item in items
+            if any(wanted in marker.args for marker in item.iter_markers("promise"))
+        ]
 
 
 class NetworkForbiddenError(RuntimeError):

@@ -48,6 +48,7 @@ def test_the_choices_come_in_turn(look):
     assert sorted(seen) == sorted(CHOICES)
 
 
+@pytest.mark.promise("W9")
 def test_a_desktop_that_changes_is_followed_only_if_that_is_chosen(look, qapp, monkeypatch):
     wish = ["light"]
     monkeypatch.setattr(appearance, "system_theme", lambda _: wish[0])

@@ -19,6 +19,7 @@ def states(live):
     return {name: chip.value.state for name, chip in live.bar.chips.items()}
 
 
+@pytest.mark.promise("W6")
 def test_a_device_that_drops_out_changes_only_its_own_chip(live, bench):
     live._chips._now_s = bench.clock_s
     live._chips._drawn_s = float("-inf")

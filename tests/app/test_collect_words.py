@@ -18,6 +18,7 @@ from touchdown.app.collect.requests import probe_text
 from touchdown.backend.geometry.pieces import load_pieces
 
 
+@pytest.mark.promise("W18")
 def test_the_gauge_counts_bytes_of_the_last_two_minutes(tmp_path):
     gauge = RecorderGauge()
     assert gauge.bytes_a_minute(0.0) == 0.0

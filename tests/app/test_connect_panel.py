@@ -100,6 +100,7 @@ def test_the_marks_of_a_row_say_how_far_it_came(line, marks, label):
         assert look.text == "The camera is lost. Plug it in."
 
 
+@pytest.mark.promise("W1")
 def test_real_devices_take_the_words_of_the_simulation_away(lab):
     assert lab.window.windowTitle() == "Touchdown (Bench 2)"
     assert lab.window._banner._word == "Bench 2"
@@ -190,6 +191,7 @@ def test_after_stop_nothing_is_connected_before_reset(lab, bench):
     assert len(bench.connection.missing()) == len(LINES)
 
 
+@pytest.mark.promise("W15")
 def test_on_devices_each_move_is_asked_for(lab):
     form = lab.workspaces["stack"].page.run.form()
     assert (form.mode, form.trials, form.strategy) == ("approve", 3, "paper")

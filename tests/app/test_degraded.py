@@ -48,6 +48,7 @@ def test_a_run_shows_it_while_it_stands_and_its_pause_afterwards(bench):
     assert pill_state(bench).word == "STOPPED"
 
 
+@pytest.mark.promise("P7", "P10")
 def test_a_bench_that_makes_no_step_stands_still_and_one_that_prepares_does_not(bench):
     hangs, made = threading.Event(), threading.Event()
 
@@ -106,6 +107,7 @@ def test_a_silent_sensor_refuses_a_probe_is_degraded_then_a_fault():
     session.close()
 
 
+@pytest.mark.promise("S6")
 def test_a_sensor_that_slows_down_is_yellow_on_the_pill_and_on_its_chip_alone(qtbot):
     faults = ("force_torque:slow=300@1.6+2.0", "tactile_left:slow=5@1.6+2.0")
     session = simulated_session(brisk_bench("quiet", faults=faults), method=brisk_method())

@@ -1,5 +1,7 @@
 """What the window shows of a wrist sensor that drifts: read-out, chip, inspector, card."""
 
+import pytest
+
 from tests.app.conftest import settle
 from touchdown.backend.core.events import Noticed
 from touchdown.backend.runs.calibrations import drift_notice
@@ -13,6 +15,7 @@ def look(live, bench):
     settle(live)
 
 
+@pytest.mark.promise("S8")
 def test_a_little_drift_is_a_figure_and_much_is_yellow_and_named(live, bench):
     live.go("operate")
     look(live, bench)

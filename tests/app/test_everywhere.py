@@ -12,6 +12,7 @@ from touchdown.backend.runs.requests import RunState
 from touchdown.widgets.shell import state
 
 
+@pytest.mark.promise("W9")
 @pytest.mark.parametrize("scale", [0.8, 1.0, 2.0])
 def test_no_text_is_cut_off_on_any_page_at_any_scale(live, scale):
     live.window.resize(1280, 720)
@@ -40,6 +41,7 @@ def test_no_text_is_cut_off_on_any_page_at_any_scale(live, scale):
     assert cut == []
 
 
+@pytest.mark.promise("W9")
 def test_at_200_percent_every_control_can_be_reached(live):
     """What does not fit is scrolled to when it gets the focus."""
     live.window.resize(1280, 720)
@@ -66,6 +68,7 @@ def test_a_page_begins_without_a_chosen_control(live):
     assert focus is None or not live.workspaces["operate"].page.isAncestorOf(focus)
 
 
+@pytest.mark.promise("W12")
 def test_a_change_of_state_is_announced(live, bench, monkeypatch):
     said = []
     monkeypatch.setattr(QAccessible, "isActive", staticmethod(lambda: True))
@@ -80,6 +83,7 @@ def test_a_change_of_state_is_announced(live, bench, monkeypatch):
     assert said == ["RUNNING", "STOPPED"]
 
 
+@pytest.mark.promise("W8")
 def test_reset_of_the_layout_puts_the_page_back(live):
     live.go("operate")
     page = live.workspaces["operate"].page

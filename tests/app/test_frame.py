@@ -23,6 +23,7 @@ from touchdown.widgets.base.theme import THEMES
 from touchdown.widgets.forms.run_form import RunForm
 
 
+@pytest.mark.promise("W11")
 def test_no_two_commands_share_a_key_in_one_context(main):
     rows = main.actions.rows
     for context in main.workspaces:
@@ -51,6 +52,7 @@ def test_only_the_keys_of_the_workspace_in_front_act(live):
     assert live.actions.action("theme").isEnabled()
 
 
+@pytest.mark.promise("W12")
 def test_everything_that_can_be_operated_has_a_name(live):
     nameless = [
         widget
@@ -219,6 +221,7 @@ def test_the_guard_knows_the_bad_pairs(python, pyside, bad):
         assert "pip install" in line
 
 
+@pytest.mark.promise("P6", "W7")
 def test_exceptions_of_slots_and_threads_and_qt_become_cards(main, qtbot):
     before = (sys.excepthook, threading.excepthook, sys.unraisablehook)
     restore = install_error_hooks(main._box)
@@ -260,6 +263,7 @@ def test_the_rail_keeps_its_icons_in_place_whichever_page_is_in_front(live):
         assert icon_columns(live.window.rail[name]) == pytest.approx(chosen, abs=1.1), name
 
 
+@pytest.mark.promise("W7")
 def test_details_are_shown_and_copied(live, bench, qapp):
     bench.tell_fault()
     settle(live)

@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from tests.app.conftest import settle
 from touchdown.app.collect.workspace import LABEL_WORDS
 from touchdown.app.shell.errors import log_to
@@ -98,6 +100,7 @@ def drawn(main):
     settle(main)
 
 
+@pytest.mark.promise("W7")
 def test_the_log_tells_stop_runs_faults_and_reset(live, bench, tmp_path):
     path = log_to(tmp_path)
     bench.tell_start()

@@ -1,5 +1,6 @@
 """A chip opens the raw fields of its device, and they stay live."""
 
+import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
@@ -9,6 +10,7 @@ from touchdown.backend.devices.protocols import Identity
 from touchdown.backend.runs.requests import RunState
 
 
+@pytest.mark.promise("W6")
 def test_a_click_on_a_chip_opens_its_device_and_follows_it(live, bench, qtbot):
     bench.devices["gripper"].describe = lambda: {"kind": "stand-in", "width_mm": -1.25}
     qtbot.mouseClick(live.bar.chips["gripper"], Qt.MouseButton.LeftButton)
@@ -60,6 +62,7 @@ def test_reconnect_runs_beside_the_window_and_says_how_it_went(live, bench, qtbo
     assert "gripper is connected again" in live.window._message.text()
 
 
+@pytest.mark.promise("C6", "W6")
 def test_another_serial_number_is_a_card(live, bench, qtbot):
     device = bench.devices["tactile_left"]
     device.close = lambda: None

@@ -12,6 +12,7 @@ from touchdown.app.shell.errors import ErrorBox
 from touchdown.widgets.shell.keys import PaletteEntry, best_matches, match_score
 
 
+@pytest.mark.promise("W8")
 def test_workspaces_have_their_keys_and_stand_in_the_order_of_the_rail(main):
     keys = [(name, main.actions.action(name).shortcut().toString()) for name in main.workspaces]
     order = [n for n in ("operate", "collect", "train", "stack", "review") if n in main.workspaces]
@@ -55,6 +56,7 @@ def test_two_workspaces_may_use_one_key(main):
     assert key_refusal(main.actions.rows, "stack.pause", "G") == ""
 
 
+@pytest.mark.promise("W11")
 def test_a_changed_key_survives_a_restart_and_acts(qapp, qtbot, tmp_path, main):
     assert main.actions.change_key("stack.pause", "F9") == ""
     assert main.actions.change_key("stack.fit", "") == ""
@@ -85,6 +87,7 @@ def test_remembered_keys_that_clash_are_dropped_and_named(qapp, tmp_path):
         main.deleteLater()
 
 
+@pytest.mark.promise("W11")
 def test_every_action_has_text_tip_and_a_place_in_the_palette(main):
     names = {choice.name for choice in main.dialogs._choices()}
     for row in main.actions.rows:
@@ -120,6 +123,7 @@ def test_what_does_not_occur_is_not_found():
     assert [c.name for c in best_matches("", CHOICES)] == ["a", "b", "c", "d"]
 
 
+@pytest.mark.promise("W11")
 def test_the_palette_works_with_keys_alone(live, qtbot):
     live.actions.action("palette").trigger()
     palette = live.dialogs.palette
@@ -171,6 +175,7 @@ def test_the_key_sheet_shows_the_keys_of_now(live):
 # -- names -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.promise("W12")
 def test_every_widget_that_takes_the_focus_has_a_name(live):
     """A screen reader must find a word for whatever Tab reaches, on every page."""
     nameless = []

@@ -93,6 +93,7 @@ def test_a_book_survives_the_disk(tmp_path):
     assert load_layouts(tmp_path / "layouts.json", NOW) == (book, "")
 
 
+@pytest.mark.promise("D8", "W8")
 @pytest.mark.parametrize(
     "content",
     [
@@ -137,6 +138,7 @@ def test_a_saved_layout_comes_back_after_a_restart(main, qapp, tmp_path):
         again.deleteLater()
 
 
+@pytest.mark.promise("W8")
 def test_a_layout_of_another_version_is_told_once(main, qapp, tmp_path):
     main.close()
     path = tmp_path / "layouts.json"
@@ -155,6 +157,7 @@ def test_a_layout_of_another_version_is_told_once(main, qapp, tmp_path):
         again.deleteLater()
 
 
+@pytest.mark.promise("W8")
 def test_a_locked_layout_keeps_its_panels_and_the_menu_says_so(live):
     live.go("stack")
     live.layouts.turn_panel("stack", "Trials")
@@ -187,6 +190,7 @@ def test_the_palette_offers_the_layouts_of_the_page_in_front(live):
     assert live.dialogs.more() == []
 
 
+@pytest.mark.promise("W8")
 @pytest.mark.parametrize(
     ("window", "screens", "expected"),
     [

@@ -54,6 +54,7 @@ def wind(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return now
 
 
+@pytest.mark.promise("D12")
 def test_the_same_error_in_every_frame_is_counted_and_written_now_and_then(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -76,6 +77,7 @@ def test_the_same_error_in_every_frame_is_counted_and_written_now_and_then(
     assert cards == BOX_SIZE
 
 
+@pytest.mark.promise("P6")
 def test_an_error_whose_text_changes_is_known_by_where_it_was_raised(folder: Path) -> None:
     box = ErrorBox()
     for number in range(50):
@@ -84,6 +86,7 @@ def test_an_error_whose_text_changes_is_known_by_where_it_was_raised(folder: Pat
     assert text.count("ERROR uncaught in the window") == 1
 
 
+@pytest.mark.promise("D12")
 def test_errors_that_are_never_the_same_fill_no_disk(folder: Path) -> None:
     for number in range(2500):
         log.error("error %d %s", number, "x" * 2000)
@@ -94,6 +97,7 @@ def test_errors_that_are_never_the_same_fill_no_disk(folder: Path) -> None:
     assert len(repeats._seen) == REMEMBERED_TEXTS
 
 
+@pytest.mark.promise("D9")
 def test_what_a_terminal_would_obey_is_written_as_its_number(folder: Path) -> None:
     log.error("piece %s", "\x1b[2Jcup\r\x07 \u00e4")
     (text,) = [path.read_text() for path in folder.iterdir()]

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 LEAVING = re.compile(r"(?<!sys)(?<!parser)\.(quit|exit)\(")
 LIMIT_S = 60.0
@@ -36,6 +38,7 @@ sys.exit(2 + status)
 """
 
 
+@pytest.mark.promise("P5")
 def test_no_part_that_runs_on_workers_ends_the_program() -> None:
     found = {
         str(path.relative_to(ROOT))
@@ -47,6 +50,7 @@ def test_no_part_that_runs_on_workers_ends_the_program() -> None:
     assert found == {"app/application.py"}
 
 
+@pytest.mark.promise("P5")
 def test_asked_for_through_the_queue_the_end_comes_whoever_asks_and_whatever_hangs() -> None:
     command = [sys.executable, "-c", ASKED]
     done = subprocess.run(command, cwd=ROOT, timeout=LIMIT_S, check=False)

@@ -137,6 +137,7 @@ def newest(times, cursor_s):
     return max((t for t in times if t <= cursor_s + 1e-9), default=None)
 
 
+@pytest.mark.promise("W16")
 def test_all_views_show_the_newest_sample_not_after_the_cursor(told):
     review, episodes, decided_s = told
     low, high = review.replay.span_s
@@ -264,6 +265,7 @@ def test_an_episode_of_the_dataset_is_shown_with_its_label(start, isolated_setti
     assert "IoU" in review.page.estimate.text()
 
 
+@pytest.mark.promise("W16")
 def test_an_estimate_against_the_truth_by_counting():
     disc = load_pieces().piece("circle15").face
     points = np.array([[0.0, 0.0], [5.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
@@ -273,6 +275,7 @@ def test_an_estimate_against_the_truth_by_counting():
     assert (score.probe, score.iou, score.accuracy) == (4, pytest.approx(1 / 3), 0.5)
 
 
+@pytest.mark.promise("W16")
 def test_pictures_and_tables_are_written(told, tmp_path):
     review, _, decided_s = told
     review.press(KEY.Key_E, Qt.KeyboardModifier.ControlModifier)
@@ -301,6 +304,7 @@ def test_pictures_and_tables_are_written(told, tmp_path):
     assert [row["episode"] for row in rows] == ["e1", "e2", "e3"]
 
 
+@pytest.mark.promise("W16")
 def test_a_page_holds_what_is_shown(told, tmp_path):
     review, *_ = told
     review.press(KEY.Key_E, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)

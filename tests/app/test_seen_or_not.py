@@ -1,5 +1,7 @@
 """A run takes the same course whether a window looks on or not."""
 
+import pytest
+
 from tests.app.conftest import settle
 from tests.backend.brisk import brisk_method
 from tests.backend.runs.oracle_bench import OracleSession, request
@@ -23,6 +25,7 @@ class Watched:
         """No thread."""
 
 
+@pytest.mark.promise("W17")
 def test_the_run_of_a_window_tells_the_same_facts_as_one_without(main, qtbot):
     alone = OracleSession(method=TWO_PROBES)
     alone.session.run(request(trials=1))

@@ -218,6 +218,7 @@ def test_a_new_run_empties_map_and_message(live, bench):
     assert live.workspaces["stack"].page.strip.thumbnails == []
 
 
+@pytest.mark.promise("W15")
 @pytest.mark.parametrize(("key", "mode"), [(Qt.Key.Key_A, "approve"), (Qt.Key.Key_N, "step")])
 def test_approval_is_asked_and_given_by_key(live, bench, key, mode):
     live.workspaces["stack"].page.run.show_form(RunForm(mode=mode))
@@ -235,6 +236,7 @@ def test_approval_is_asked_and_given_by_key(live, bench, key, mode):
     assert bench.answers == [True]
 
 
+@pytest.mark.promise("W15")
 def test_a_question_never_stands_beside_the_decision_before(live, bench):
     decision = live.workspaces["stack"].page.decision
     told(live, bench)
@@ -266,6 +268,7 @@ def test_letters_do_nothing_in_a_text_field(live, bench):
     assert bench.engine.orders == []
 
 
+@pytest.mark.promise("W7")
 def test_a_fault_becomes_a_card_until_reset(live, bench):
     bench.tell_fault()
     bench.tell_fault()
@@ -279,6 +282,7 @@ def test_a_fault_becomes_a_card_until_reset(live, bench):
     assert live.bar.pill.state.word == "READY"
 
 
+@pytest.mark.promise("W5")
 def test_stale_by_the_windows_own_clock(live, bench):
     now_s = [1000.0]
     live.workspaces["stack"].live._now_s = live._chips._now_s = lambda: now_s[0]
@@ -299,6 +303,7 @@ def test_stale_by_the_windows_own_clock(live, bench):
     assert live.workspaces["stack"].page.tactile["left"]._age.value == "fresh"
 
 
+@pytest.mark.promise("W6")
 @pytest.mark.parametrize(
     ("received", "lost", "shown"),
     [(100, 0, 0), (20, 1, 0), (20, 3, 3), (1000, 20, 0), (1000, 30, 30)],
@@ -320,6 +325,7 @@ def test_lost_frames_are_in_the_tips_and_on_the_chip_where_they_are_many(
     assert "0 samples lost" in live.bar.chips["force_torque"].toolTip()
 
 
+@pytest.mark.promise("W5")
 def test_every_frame_is_drawn_once(live, bench):
     before = live.workspaces["stack"].live.frames_shown["left"]
     for _ in range(10):
@@ -328,6 +334,7 @@ def test_every_frame_is_drawn_once(live, bench):
     assert live.workspaces["stack"].live.frames_shown["left"] == before + 10
 
 
+@pytest.mark.promise("W1")
 def test_simulated_is_said_in_banner_pill_and_title(live):
     assert "SIMULATED" in live.window.windowTitle()
     assert live.window._banner.isVisible()

@@ -74,6 +74,7 @@ def put_focus(main, place):
     return lambda: None
 
 
+@pytest.mark.promise("W2")
 @pytest.mark.parametrize("page", PAGES)
 def test_f12_stops_exactly_once_from_everywhere(live, bench, qtbot, page):
     live.go(page)
@@ -89,6 +90,7 @@ def test_f12_stops_exactly_once_from_everywhere(live, bench, qtbot, page):
         assert not bench.interlock.latched
 
 
+@pytest.mark.promise("R14", "W2")
 def test_f12_stops_in_every_state(live, bench):
     for count, state in enumerate(RunState, 1):
         bench.set_state(state)
@@ -100,6 +102,7 @@ def test_f12_stops_in_every_state(live, bench):
         live.reset()
 
 
+@pytest.mark.promise("W2")
 def test_f12_stops_inside_a_modal_loop(live, bench):
     box = QMessageBox(QMessageBox.Icon.NoIcon, "t", "text", parent=live.window)
     QTimer.singleShot(0, box, lambda: press(Qt.Key.Key_F12))
@@ -108,6 +111,7 @@ def test_f12_stops_inside_a_modal_loop(live, bench):
     assert bench.stops == 1
 
 
+@pytest.mark.promise("W2")
 def test_space_stops_only_while_something_moves(live, bench):
     live.workspaces["stack"].page.belief.setFocus()
     press(Qt.Key.Key_Space)
@@ -132,6 +136,7 @@ def test_space_stops_while_the_arm_moves_without_a_run(live, bench):
     assert bench.stops == 1
 
 
+@pytest.mark.promise("W2")
 def test_space_is_a_space_in_a_text_field(live, bench):
     bench.set_state(RunState.RUNNING)
     live.workspaces["stack"].page.run._seed.setFocus()
@@ -149,6 +154,7 @@ def test_space_never_presses_a_button_while_moving(live, bench):
     assert bench.engine.orders == []
 
 
+@pytest.mark.promise("W2")
 def test_a_held_key_is_one_stop(live, bench):
     from PySide6.QtCore import QEvent
     from PySide6.QtGui import QKeyEvent
@@ -172,6 +178,7 @@ def test_the_button_stops_on_the_press(live, bench, qtbot):
     assert bench.stops == 1
 
 
+@pytest.mark.promise("W7")
 def test_stop_needs_reset_before_the_next_start(live, bench, qtbot):
     press(Qt.Key.Key_F12)
     settle(live)

@@ -41,6 +41,7 @@ def test_a_model_of_simulations_says_what_it_lacks(probes):
         assert str(probes) in said
 
 
+@pytest.mark.promise("W9")
 def test_rows_of_a_table_follow_the_text_down_as_well_as_up(qapp, qtbot):
     load_resources()
     theme, heights = Theme(), []

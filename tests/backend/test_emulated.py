@@ -61,6 +61,7 @@ def test_the_truth_is_that_of_the_scene():
         truth.truth()
 
 
+@pytest.mark.promise("P7", "P10")
 def test_a_bench_whose_process_is_dead_is_a_fault(monkeypatch):
     monkeypatch.setattr("touchdown.backend.bench.emulated_child.sys.executable", "/bin/true")
     told = []
@@ -72,6 +73,7 @@ def test_a_bench_whose_process_is_dead_is_a_fault(monkeypatch):
     assert [fault.code for fault in told] == ["BENCH-GONE"]
 
 
+@pytest.mark.promise("P7", "P10")
 def test_a_process_that_never_sets_its_scene_is_a_fault_and_the_next_scene_gets_another(
     monkeypatch, tmp_path
 ):

@@ -28,6 +28,7 @@ def test_a_held_pad_moves_the_arm_and_the_pill_says_so(desk):
     assert main.bar.pill.state.word == "READY"
 
 
+@pytest.mark.promise("R13", "W3", "H12")
 def test_a_frozen_window_ends_the_motion_within_300_ms(desk):
     """The window's thread does nothing for 2 s: neither beats nor draws."""
     main, session = desk
@@ -48,6 +49,7 @@ def test_a_frozen_window_ends_the_motion_within_300_ms(desk):
     assert main.cards.codes == (), "the next order that is carried out withdraws it"
 
 
+@pytest.mark.promise("H6", "H10")
 def test_a_dialog_and_another_page_end_a_jog(desk):
     main, session = desk
     page = main.workspaces["operate"].page
@@ -65,6 +67,7 @@ def test_a_dialog_and_another_page_end_a_jog(desk):
     box.close()
 
 
+@pytest.mark.promise("H11")
 def test_stop_ends_a_jog_and_no_pad_works_until_reset(desk):
     main, session = desk
     page = main.workspaces["operate"].page
@@ -89,6 +92,7 @@ def test_space_stops_a_jog(desk):
     assert session.interlock.latched
 
 
+@pytest.mark.promise("W4")
 def test_a_step_per_press_and_none_for_auto_repeat(desk):
     main, session = desk
     page = main.workspaces["operate"].page
@@ -141,6 +145,7 @@ def test_a_key_of_the_window_system_moves_as_long_as_it_is_held(desk, key, axis,
     assert session.interlock.latched
 
 
+@pytest.mark.promise("H8")
 def test_a_second_key_stops_both(desk):
     main, session = desk
     main.actions.action("operate.arm").trigger()
@@ -205,6 +210,7 @@ def test_grip_probe_once_and_open_with_a_question(desk):
     assert not session.devices["gripper"].status().holding
 
 
+@pytest.mark.promise("W4")
 def test_a_refused_step_names_axis_and_way_left(desk):
     main, session = desk
     jog = session.hand.jog

@@ -93,6 +93,7 @@ def turn_until(main, link, done, most=1500):
     pytest.fail(f"the run did not get there: {link.status()} {told}")
 
 
+@pytest.mark.promise("W15")
 @pytest.mark.slow
 def test_stack_look_back_and_review(desk, qtbot, tmp_path):
     main, link = desk
@@ -124,6 +125,7 @@ def test_stack_look_back_and_review(desk, qtbot, tmp_path):
     assert reviewed.stability.margin_mm == pytest.approx(trial.probes[-1].stability.margin_mm)
 
 
+@pytest.mark.promise("W15")
 @pytest.mark.slow
 def test_approve_then_stop_then_reset(desk, qtbot):
     main, link = desk

@@ -62,6 +62,7 @@ def end_it(main, pad, end):
         box.close()
 
 
+@pytest.mark.promise("W4")
 def test_keys_turn_and_drive_joints_and_level_brings_the_hand_back(desk):
     main, session = desk
     page = main.workspaces["operate"].page

@@ -143,6 +143,7 @@ ENDS = [hide, disable, close, other_page, deactivated, blocked, dialog, focus_mo
         second_axis, refused, other_key, state_left]  # fmt: skip
 
 
+@pytest.mark.promise("W3", "H3", "H4", "H5", "H6", "H8", "H9", "H10", "H11", "H13")
 @pytest.mark.parametrize("end", ENDS, ids=lambda end: end.__name__)
 @pytest.mark.parametrize("source", ["mouse", "touch", "key"])
 def test_it_ends_once_and_is_renewed_no_more(desk, touch, source, end, qtbot):
@@ -157,6 +158,7 @@ def test_it_ends_once_and_is_renewed_no_more(desk, touch, source, end, qtbot):
     assert len(desk.renewed) == count, "a beat that was on its way renews nothing"
 
 
+@pytest.mark.promise("H4")
 def test_an_inactive_window_never_begins(desk, qtbot):
     """Behind another window a button may stay down without telling anybody."""
     other = QWidget()
@@ -167,6 +169,7 @@ def test_an_inactive_window_never_begins(desk, qtbot):
     assert desk.renewed == []
 
 
+@pytest.mark.promise("H4")
 def test_another_window_ends_it(desk, touch, qtbot):
     begin(desk, "mouse", touch)
     other = QWidget()
@@ -175,6 +178,7 @@ def test_another_window_ends_it(desk, touch, qtbot):
     assert not desk.hold.held
 
 
+@pytest.mark.promise("H1")
 def test_letting_go_ends_it(desk, touch):
     begin(desk, "mouse", touch)
     QTest.mouseRelease(desk.button, Qt.MouseButton.LeftButton)
@@ -188,6 +192,7 @@ def test_letting_go_ends_it(desk, touch):
     assert len(desk.renewed) == begin_again + 2
 
 
+@pytest.mark.promise("H2")
 @pytest.mark.parametrize(("away", "held"), [(SLACK_PX - 1, True), (SLACK_PX + 2, False)])
 def test_the_pointer_may_leave_by_the_slack_only(desk, touch, away, held):
     begin(desk, "mouse", touch)
@@ -196,6 +201,7 @@ def test_the_pointer_may_leave_by_the_slack_only(desk, touch, away, held):
     assert desk.hold.held is held
 
 
+@pytest.mark.promise("H7")
 def test_auto_repeat_is_one_hold_without_extra_renewals(desk):
     QTest.keyPress(desk, KEY)
     for _ in range(20):
@@ -208,6 +214,7 @@ def test_auto_repeat_is_one_hold_without_extra_renewals(desk):
     assert desk.causes == ["released"]
 
 
+@pytest.mark.promise("H1")
 def test_only_the_source_that_began_it_lets_it_go(desk, touch):
     begin(desk, "mouse", touch)
     desk.hold.release(int(KEY))
@@ -223,6 +230,7 @@ def test_it_is_renewed_while_held(desk, qtbot):
     assert set(desk.renewed) == {"+x"}
 
 
+@pytest.mark.promise("H13")
 def test_a_refused_press_holds_nothing(desk):
     desk.allowed = False
     QTest.mousePress(desk.button, Qt.MouseButton.LeftButton)
@@ -238,6 +246,7 @@ def test_the_button_takes_no_focus_and_is_large(desk):
     assert desk.renewed == []
 
 
+@pytest.mark.promise("H14")
 def test_destruction_ends_the_renewals(qtbot):
     desk = Desk()
     in_front(qtbot, desk)

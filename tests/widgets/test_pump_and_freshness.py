@@ -87,6 +87,7 @@ def test_the_timer_ticks_and_stops(qtbot):
     pump.stop()
 
 
+@pytest.mark.promise("W5")
 def test_never_fresh_stale_gone():
     fresh = Freshness()
     assert fresh.judge(5.0) is Age.NEVER

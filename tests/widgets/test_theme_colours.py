@@ -78,6 +78,7 @@ def test_known_contrasts():
     assert contrast_ratio(QColor("#777777"), QColor("#ffffff")) == pytest.approx(4.48, abs=0.01)
 
 
+@pytest.mark.promise("W9")
 @pytest.mark.parametrize("tokens", THEMES, ids=IDS)
 @pytest.mark.parametrize("ground", ["bg", "panel", "raised", "hover"])
 @pytest.mark.parametrize("ink", ["text", "muted"])
@@ -95,6 +96,7 @@ def test_verdicts_and_traces_can_be_read(tokens):
             assert ratio(tokens, ink, ground) >= 4.5
 
 
+@pytest.mark.promise("W9")
 @pytest.mark.parametrize("tokens", THEMES, ids=IDS)
 def test_borders_and_focus_are_seen(tokens):
     for line in ("border", "focus"):
@@ -115,6 +117,7 @@ def rules_of(tokens) -> dict[str, dict[str, str]]:
     return rules
 
 
+@pytest.mark.promise("W9")
 @pytest.mark.parametrize("tokens", THEMES, ids=IDS)
 def test_every_pair_of_the_style_sheet_can_be_read(tokens):
     """Ink and ground of every rule; what a rule does not say comes from the rule it refines."""
@@ -200,16 +203,19 @@ def test_pills_and_buttons_can_be_read(tokens):
     assert ratio(tokens, "panel", "text") >= 4.5  # the primary button
 
 
+@pytest.mark.promise("W10")
 @pytest.mark.parametrize("tokens", THEMES, ids=IDS)
 def test_axis_colours_differ_for_every_vision(tokens):
     assert smallest_distance([tokens.axis_x, tokens.axis_y, tokens.axis_z]) >= 30
 
 
+@pytest.mark.promise("W10")
 def test_pills_differ_for_every_vision():
     fills = [DARK.pill_grey, DARK.pill_blue, DARK.pill_green, DARK.pill_yellow, DARK.pill_red]
     assert smallest_distance(fills) >= 20
 
 
+@pytest.mark.promise("W10")
 @pytest.mark.parametrize("tokens", THEMES, ids=IDS)
 def test_good_and_bad_differ_for_every_vision(tokens):
     """They have a mark and a word besides."""

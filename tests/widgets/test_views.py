@@ -90,6 +90,7 @@ def test_tactile_dims_the_picture_to_70_percent(qtbot, theme):
     assert pixels(view)[20:200, 20:200].mean() == pytest.approx(140, abs=2)
 
 
+@pytest.mark.promise("W5")
 def test_a_stale_picture_is_dimmed_and_dated_then_removed(qtbot, theme):
     view = shown(qtbot, TactileView(theme, "left"))
     view.resize(320, 240)
@@ -237,6 +238,7 @@ def test_the_frame_holds_path_and_covered_cells():
 # -- words -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.promise("W15")
 def test_the_decision_names_the_backend_numbers():
     text = decision_text(stability((4.0, 2.0), -2.1), action((4.0, 2.0), -2.1))
     assert text.tone == "bad"
@@ -301,6 +303,7 @@ def test_the_small_maps_go_where_they_leave_the_map_more(qtbot, theme):
     assert wide.view.area().rect == high.view.area().rect, "it depends on the room alone"
 
 
+@pytest.mark.promise("W10")
 def test_small_maps_have_the_chosen_colours_those_to_come_as_well(qtbot, theme):
     panel, strip = map_with_strip(qtbot, theme, (420, 600))
     panel.maps.setCurrentIndex(1)
@@ -323,6 +326,7 @@ def test_probe_strip(qtbot, theme, count):
     assert strip.thumbnails == []
 
 
+@pytest.mark.promise("W10")
 def test_every_pill_shape_differs_in_grey(qtbot, theme):
     pill = StatePill(theme)
     qtbot.addWidget(pill)

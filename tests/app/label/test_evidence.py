@@ -90,6 +90,7 @@ def test_outlines_stand_where_the_homography_puts_them_and_what_was_seen_can_be_
     assert scene_shots(None, edit(), (square, square), hidden=False) == ()
 
 
+@pytest.mark.promise("W13")
 def test_a_deleted_episode_comes_back_with_the_same_bytes_under_the_same_id(desk):
     desk.open()
     desk.settle()

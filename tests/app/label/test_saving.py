@@ -78,6 +78,7 @@ def test_what_the_database_raises_is_shown_as_well(desk, monkeypatch):
     assert "disk I/O error" in desk.page.banner.text.text()
 
 
+@pytest.mark.promise("D4")
 def test_what_waits_for_another_program_is_counted_and_done_in_order(desk, qtbot):
     """A second connection holds the dataset; each try gives up after 20 ms instead of 2 s."""
     dataset, first = desk.workspace.presenter.dataset, desk.uuid
@@ -113,6 +114,7 @@ def work(desk):
     desk.do(KEY.Key_Return, KEY.Key_PageDown)
 
 
+@pytest.mark.promise("W13")
 @pytest.mark.slow
 def test_undo_and_redo_reach_back_over_restarts(start):
     desk = start()

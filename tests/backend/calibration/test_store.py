@@ -129,6 +129,7 @@ def test_a_device_that_tells_no_number_goes_by_the_name_of_its_port(store) -> No
         assert store.standing("payload", by_port(port), NOW).condition == condition
 
 
+@pytest.mark.promise("D13")
 def test_a_changed_or_broken_file_is_said_and_not_used(store) -> None:
     path = store.accept(FOUND, DEVICES, now=NOW)
     good = path.read_text()
@@ -155,6 +156,7 @@ def rewritten(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
     )
 
 
+@pytest.mark.promise("D13")
 @pytest.mark.parametrize("what", CALIBRATION_NAMES)
 def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(
     store: CalibrationStore, what: CalibrationName

@@ -31,6 +31,7 @@ def trials(*words: str) -> dict[str, Any]:
     return answer
 
 
+@pytest.mark.promise("D1", "D3", "W13")
 @pytest.mark.slow
 def test_death_at_every_step(place: Path) -> None:
     answer = trials("steps", str(place))
@@ -40,6 +41,7 @@ def test_death_at_every_step(place: Path) -> None:
     assert {name.split()[1] for name in answer["steps"]} >= wanted
 
 
+@pytest.mark.promise("D1", "D3", "W13")
 def test_death_at_random(place: Path) -> None:
     answer = trials("random", str(place), "10")
     assert answer["wrong"] == []

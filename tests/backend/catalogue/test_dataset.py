@@ -66,6 +66,7 @@ def test_everything_is_there_after_reopening(tmp_path: Path) -> None:
             again.labels.flag("ann", entry.uuid)
 
 
+@pytest.mark.promise("D11")
 def test_a_second_writer_is_refused_by_name(tmp_path: Path) -> None:
     with Dataset.open(tmp_path, person="ann"):
         with pytest.raises(DatasetInUseError, match=rf"ann \(process {os.getpid()} on ") as caught:

@@ -51,6 +51,7 @@ def whole(dataset: Dataset, uuid: str, seed: int) -> bool:
     return np.array_equal(dataset.read(uuid).observation, small_episode(seed=seed).observation)
 
 
+@pytest.mark.promise("D2")
 @pytest.mark.parametrize("limit", [1, 500, 5_000, 15_000])
 def test_a_full_disk_is_one_fault_and_costs_one_episode(tmp_path: Path, limit: int) -> None:
     folder = tmp_path / "data"
@@ -74,6 +75,7 @@ def test_a_full_disk_is_one_fault_and_costs_one_episode(tmp_path: Path, limit: i
 Refusal = Callable[[], None]
 
 
+@pytest.mark.promise("D1", "D3")
 @pytest.mark.parametrize("nth", range(1, 7))
 @pytest.mark.parametrize("name", ["fsync", "replace"])
 def test_the_nth_refusal_loses_nothing_acknowledged(

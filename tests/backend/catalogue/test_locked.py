@@ -32,6 +32,7 @@ def record(dataset: Dataset) -> str:
     return dataset.record(small_episode(), LABEL, source="measured", context=context).uuid
 
 
+@pytest.mark.promise("D4")
 def test_a_catalogue_that_stays_locked_is_one_fault_and_nothing_is_lost(dataset: Dataset) -> None:
     first = record(dataset)
     # As long as the settings of the connection say; the test has no time for it.
@@ -53,6 +54,7 @@ def test_a_catalogue_that_stays_locked_is_one_fault_and_nothing_is_lost(dataset:
     assert dataset.database.one("PRAGMA integrity_check") == ("ok",)
 
 
+@pytest.mark.promise("D4")
 def test_a_writer_waits_for_a_lock_that_is_let_go(dataset: Dataset) -> None:
     first = record(dataset)
     dataset.database.first("PRAGMA busy_timeout = 30000")

@@ -58,6 +58,7 @@ def lay_out(root: Path, files: dict[str, bytes]) -> None:
         path.write_bytes(content)
 
 
+@pytest.mark.promise("D1", "D3")
 @pytest.mark.slow
 def test_power_lost_at_any_step_loses_nothing_acknowledged(place: Path) -> None:
     trace = traced(place)

@@ -118,6 +118,7 @@ def mutants(data: bytes, count: int) -> Iterator[bytes]:
                 yield data[:at] + rng.bytes(8) + data[at + 8 :]
 
 
+@pytest.mark.promise("D5")
 def test_mutants_give_a_typed_error_or_the_true_data(tmp_path: Path, whole: bytes) -> None:
     truth = {topic: [bytes(m) for m in ms] for topic, ms in _messages(tmp_path, whole).items()}
     refused = 0

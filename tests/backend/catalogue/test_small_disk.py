@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[3]
 SMALL = 'mount -t tmpfs -o size=48m none "$0" && exec "$@"'
 
 
+@pytest.mark.promise("D2")
 @pytest.mark.slow
 def test_labels_and_a_campaign_outlast_a_full_disk(tmp_path: Path) -> None:
     try:

@@ -67,6 +67,7 @@ def test_a_file_without_a_version_is_refused(tmp_path):
         load_lab(written(tmp_path, "[ft]\nsign = -1\n"))
 
 
+@pytest.mark.promise("D8")
 @pytest.mark.parametrize(
     ("text", "key"),
     [

@@ -88,6 +88,7 @@ def test_a_missing_file_a_folder_and_wrong_bytes_are_named(tmp_path):
         assert caught.value.where == str(path)
 
 
+@pytest.mark.promise("D8")
 def test_a_huge_file_is_refused_unread(tmp_path):
     path = tmp_path / "huge.toml"
     with path.open("wb") as file:

@@ -51,6 +51,7 @@ def test_the_clock_of_a_real_bench_waits_and_makes_up_for_nothing():
     assert clock.now_s() - begun_s >= 0.03
 
 
+@pytest.mark.promise("P2")
 @pytest.mark.parametrize(
     ("wall_s", "steady_s", "told_s"),
     [

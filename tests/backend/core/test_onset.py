@@ -52,6 +52,7 @@ def test_the_baseline_ends_200_ms_before_the_sample() -> None:
         assert over[i] == pytest.approx(force[i] - force[i - 400 : i - 200].mean())
 
 
+@pytest.mark.promise("S8")
 def test_a_constant_load_and_a_slow_drift_are_no_contact() -> None:
     force = 14.7 + 0.5 * T_S
     found, onset = onset_of(force)

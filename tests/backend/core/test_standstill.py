@@ -34,6 +34,7 @@ def looks(watch, until):
     return False
 
 
+@pytest.mark.promise("P7", "P10")
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are seen on Linux only")
 @pytest.mark.parametrize("child", [WAITS], indirect=True)
 def test_one_that_waits_for_ever_stands_still_and_a_gone_one_does_not(child):
@@ -46,6 +47,7 @@ def test_one_that_waits_for_ever_stands_still_and_a_gone_one_does_not(child):
     assert not watch.look(1e9)
 
 
+@pytest.mark.promise("P7", "P10")
 @pytest.mark.parametrize("child", [BUSY], indirect=True)
 def test_one_that_is_stopped_stands_still_until_it_goes_on(child):
     watch = ProcessStallDetector(child.pid)

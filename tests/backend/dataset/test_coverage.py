@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry.outlines import circle, overlap_area_mm2
@@ -30,6 +31,7 @@ def test_reachable_bins_are_those_with_overlap() -> None:
     assert seen.covered == 0.0
 
 
+@pytest.mark.promise("W13")
 def test_one_more_displacement_fills_one_hole() -> None:
     seen = count_coverage(np.empty((0, 2)), FACE, BOTTOM)
     more = seen.with_offset((3.9, -6.2))

@@ -120,6 +120,7 @@ def test_the_lag_of_a_late_gel_is_measured(clean) -> None:
         assert np.abs(list(lags_s(row.observation))).max() < 0.02
 
 
+@pytest.mark.promise("W13")
 def test_the_same_signals_under_other_labels_are_twins(clean) -> None:
     rng = np.random.default_rng(2)
     copy = clean[5].observation + rng.normal(0, 0.01, (20, 258)).astype(np.float32)

@@ -137,6 +137,7 @@ def test_a_reader_that_takes_too_long_is_given_up(tmp_path: Path) -> None:
         list(read_foreign("robomimic", path, deadline_s=1e-3))
 
 
+@pytest.mark.promise("P7", "P10")
 def test_a_reader_that_dies_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="crashed"):
         list(read_foreign("no such reader", tmp_path))

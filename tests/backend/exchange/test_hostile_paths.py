@@ -43,6 +43,7 @@ def snapshot(folder: Path) -> dict[str, bytes]:
     return {str(p): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
+@pytest.mark.promise("D7")
 @pytest.mark.parametrize("name", HOSTILE)
 def test_an_export_names_only_files_of_its_own(name: str, place: Path) -> None:
     listed = {"path": name, "bytes": 6, "sha256": hashlib.sha256(b"secret").hexdigest()}
@@ -52,6 +53,7 @@ def test_an_export_names_only_files_of_its_own(name: str, place: Path) -> None:
     assert str(place / MANIFEST_NAME) in str(caught.value)
 
 
+@pytest.mark.promise("D7")
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_merge_writes_nothing_outside_its_dataset(name: str, place: Path, tmp_path: Path) -> None:
     theirs = tmp_path / "theirs"
@@ -63,6 +65,7 @@ def test_a_merge_writes_nothing_outside_its_dataset(name: str, place: Path, tmp_
     assert snapshot(tmp_path) == before
 
 
+@pytest.mark.promise("D7")
 def test_a_link_that_leads_out_of_the_other_dataset_is_not_followed(
     place: Path, tmp_path: Path
 ) -> None:
@@ -72,6 +75,7 @@ def test_a_link_that_leads_out_of_the_other_dataset_is_not_followed(
     assert list((place / "raw").iterdir()) == []
 
 
+@pytest.mark.promise("D7")
 def test_no_archive_is_unpacked_anywhere() -> None:
     texts = {path: path.read_text() for path in (ROOT / "backend").rglob("*.py")}
     assert len(texts) > 100

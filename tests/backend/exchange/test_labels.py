@@ -49,12 +49,14 @@ def test_unchanged_labels_come_back_as_the_same(kind: str, hand: Hand, dataset: 
     assert (done.changed, done.unchanged, done.refused, done.warnings) == (0, 6, (), ())
 
 
+@pytest.mark.promise("D9")
 @pytest.mark.parametrize("name", ["=1+1", "+cmd|'x'!A1", "-2", "@sum(a1)", "\t=1"])
 def test_a_cell_that_a_spreadsheet_would_calculate_is_text(name: str) -> None:
     assert csv_tables.as_text(name) == f"'{name}"
     assert csv_tables.as_text(f"ann {name}") == f"ann {name}"
 
 
+@pytest.mark.promise("D9")
 def test_the_person_of_a_table_is_shown_as_written(hand: Hand, dataset: Dataset) -> None:
     with dataset.database.transaction() as rows:
         rows.execute("UPDATE episode SET person = '=HYPERLINK(1)'")

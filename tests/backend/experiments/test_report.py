@@ -64,6 +64,7 @@ def test_one_panel_per_probe_and_one_row_per_trial(tmp_path: Path) -> None:
     assert "+1.25 mm" in text
 
 
+@pytest.mark.promise("D9")
 def test_text_from_outside_is_escaped(tmp_path: Path) -> None:
     text = page(tmp_path, facts(piece="<script>alert(1)</script>"))
     assert "<script>" not in text

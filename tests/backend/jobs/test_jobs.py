@@ -144,6 +144,7 @@ def test_a_killed_worker_loses_no_finished_job(tmp_path: Path) -> None:
     assert store.sweep() == 0
 
 
+@pytest.mark.promise("P7", "P10")
 def test_a_job_that_always_kills_its_worker_is_given_up(tmp_path: Path) -> None:
     store = JobStore(tmp_path / "store")
     deadly = JobSpec("die", {"diary": str(tmp_path / "diary"), "times": 99})

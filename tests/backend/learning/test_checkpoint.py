@@ -79,6 +79,7 @@ def test_the_expected_arrays_are_those_of_the_network(shape: NetworkShape) -> No
     assert {name: array.shape for name, array in arrays.items()} == expected_arrays(shape)
 
 
+@pytest.mark.promise("D6")
 def test_a_pickled_model_is_refused_and_never_run(path: Path, tmp_path: Path) -> None:
     witness = tmp_path / "ran"
 
@@ -93,6 +94,7 @@ def test_a_pickled_model_is_refused_and_never_run(path: Path, tmp_path: Path) ->
     assert not witness.exists()
 
 
+@pytest.mark.promise("D6")
 def test_a_truncated_file_is_refused(path: Path) -> None:
     whole = path.read_bytes()
     for size in (0, 7, 8, 100, len(whole) // 2, len(whole) - 1):
@@ -124,6 +126,7 @@ def test_a_flipped_bit_is_refused(path: Path) -> None:
     refused(path, "SHA-256 differs")
 
 
+@pytest.mark.promise("D6")
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 @pytest.mark.parametrize("name", ["lstm.weight_hh_l1", "head.bias", "mean"])
 def test_weights_that_are_not_finite_are_refused(path: Path, name: str, value: float) -> None:
@@ -134,6 +137,7 @@ def test_weights_that_are_not_finite_are_refused(path: Path, name: str, value: f
     refused(path, f"'{name}' holds values that are not finite")
 
 
+@pytest.mark.promise("D6")
 def test_other_tensors_are_refused(path: Path) -> None:
     good = parse_arrays(path.read_bytes(), path)
     cases = {

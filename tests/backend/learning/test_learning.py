@@ -178,6 +178,7 @@ def test_coarse_products_train_float32_weights_to_nearly_the_same_loss() -> None
     assert {w.dtype for w in coarse.model.state_dict().values()} == {torch.float32}
 
 
+@pytest.mark.promise("W14")
 def test_resume_equals_uninterrupted_bit_for_bit(tmp_path: Path) -> None:
     data = rows(24)
     name = fingerprint(data)

@@ -54,6 +54,7 @@ def test_the_child_trains_and_equals_training_here(tmp_path: Path, write_data: D
     assert here.read_bytes() == out.read_bytes()
 
 
+@pytest.mark.promise("W14")
 def test_cancelled_then_resumed_equals_uninterrupted(tmp_path: Path, write_data: Data) -> None:
     data = write_data(tmp_path / "data")
     whole, parts = tmp_path / "whole.safetensors", tmp_path / "parts.safetensors"
@@ -101,6 +102,7 @@ def test_bad_input_of_the_child_is_an_input_error_here(tmp_path: Path) -> None:
     assert error.value.where == str(tmp_path / "bad.mcap")
 
 
+@pytest.mark.promise("P7", "P10")
 def test_a_child_that_dies_is_a_fault_with_the_next_step(tmp_path: Path, write_data: Data) -> None:
     settings = TrainingSettings(hidden=12, epochs=100_000, patience=100_000, batch=8)
     endless = job(write_data(tmp_path / "data"), tmp_path / "pot.safetensors", settings=settings)

@@ -112,6 +112,7 @@ def test_the_hash_follows_the_content_not_the_text(tmp_path: Path) -> None:
     assert load_pieces(tmp_path).piece("cup").sha256 != first
 
 
+@pytest.mark.promise("D8")
 @pytest.mark.parametrize(
     ("old", "new", "key"),
     [

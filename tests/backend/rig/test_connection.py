@@ -105,6 +105,7 @@ def test_another_device_than_the_first_time_is_closed_again():
     assert "other answers instead of tactile_right-1" in found.fault.what
 
 
+@pytest.mark.promise("C6")
 def test_a_number_of_the_file_is_asked_for_from_the_start():
     connection, _, _ = made(serials={"gripper": "G7", "arm": ""})
     connection.begin()

@@ -102,6 +102,7 @@ def test_the_word_and_the_message_of_one_stop_are_one():
     assert not rig.latched
 
 
+@pytest.mark.promise("P9")
 def test_without_a_backend_it_stops_and_leaves():
     out = core().step(0.004, FailsafeInput(1, 0, FOREVER, moving=True, gone=True))
     assert (out.stop, out.leave) == (True, True)

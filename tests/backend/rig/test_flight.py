@@ -74,6 +74,7 @@ def reserves(folder):
     return able
 
 
+@pytest.mark.promise("D2")
 def test_a_full_disk_still_takes_the_last_seconds(tmp_path):
     small = 'mount -t tmpfs -o size=6m none "$0" && exec "$@"'
     inside = ["unshare", "-Urm", "sh", "-c", small, str(tmp_path), *child(tmp_path, "full")]

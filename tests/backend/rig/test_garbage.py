@@ -70,6 +70,7 @@ def test_hostile_lengths_and_depths_end_the_pipe_too(content):
     assert listen(content, lambda message: None) == 1
 
 
+@pytest.mark.promise("P8", "P9")
 @settings(max_examples=60)
 @given(st.lists(MESSAGES, min_size=1, max_size=4))
 def test_messages_of_a_known_kind_with_senseless_content_move_nothing(rig, messages):
@@ -83,6 +84,7 @@ def test_messages_of_a_known_kind_with_senseless_content_move_nothing(rig, messa
     assert rig.log.count("stop gripper") == len(rig.log)
 
 
+@pytest.mark.promise("P8", "P9")
 def test_a_pipe_full_of_nonsense_stops_an_arm_that_moves(rig):
     rig.host.take({"kind": "reset", "stops": 10**6, "faults": 10**6})
     stops = rig.arms.wires.stops
@@ -95,6 +97,7 @@ def test_a_pipe_full_of_nonsense_stops_an_arm_that_moves(rig):
     assert rig.rounds(0.004)
 
 
+@pytest.mark.promise("P8", "P9")
 @settings(max_examples=30)
 @given(
     st.sampled_from([STATE, WRENCH, POSES, ROUNDS, NOTES]),

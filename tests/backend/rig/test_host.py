@@ -69,6 +69,7 @@ def test_a_backend_that_falls_silent_leaves_an_arm_that_stands(rig):
     assert moved_mm(rig, 0.1) > 0.5
 
 
+@pytest.mark.promise("R13")
 def test_a_lease_that_is_not_renewed_ends_the_motion_and_nothing_else(rig):
     motion = rig.lift()
     rig.rounds(0.05)
@@ -96,6 +97,7 @@ def test_stop_ends_the_stream_in_the_same_round(rig):
     assert reason(rig.lift) == "STOPPED"
 
 
+@pytest.mark.promise("R14")
 def test_stop_that_comes_while_an_order_is_begun_is_not_forgotten(rig):
     begin = rig.arm.move_to
 
@@ -121,6 +123,7 @@ def test_without_a_backend_the_rig_stops_the_arm_and_wants_to_leave(rig):
     assert rig.arm.describe()["stream"] in ("ending", "idle")
 
 
+@pytest.mark.promise("P9")
 def test_who_notices_that_the_backend_is_gone_stops_the_arm_at_once_and_waits_for_no_round(rig):
     rig.lift()
     rig.rounds(0.05)
@@ -144,6 +147,7 @@ def test_a_retreat_draws_back_and_goes_on_although_nobody_holds_a_lease_any_more
     assert reason(rig.lift) == "NO-LEASE"
 
 
+@pytest.mark.promise("G8")
 def test_the_rig_refuses_what_is_past_the_limits_whoever_asks(rig):
     def move(z_mm, speed_mm_s=20.0):
         target = (0.0, 0.0, z_mm, 0.0, 0.0, 0.0)
@@ -245,6 +249,7 @@ def test_the_last_seconds_are_written_beside_the_journal(rig, tmp_path):
     assert notes[-2:] == ["stop", "motion 1 ended: STOPPED"]
 
 
+@pytest.mark.promise("P6")
 def test_an_error_of_this_program_is_told_and_ends_no_thread(rig):
     with pytest.raises(FaultError) as caught:
         rig.order("arm.servo")

@@ -7,6 +7,7 @@ from tests.bench.children.logged_arm import ahead_of
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 
 
+@pytest.mark.promise("P4")
 def test_what_was_missed_and_is_made_up_is_a_burst_and_one_late_command_is_none():
     grid_s = 1e3 + CYCLE_S * np.arange(100.0)
     assert ahead_of(np.array([])) == 0.0

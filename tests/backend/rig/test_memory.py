@@ -105,6 +105,7 @@ def test_notes_are_kept_in_order_and_cut_where_too_long(both):
     assert notes[-1][1] == "é" * 240
 
 
+@pytest.mark.promise("P11")
 def test_what_a_killed_program_left_is_swept_at_the_next_start():
     gone = subprocess.run(
         [sys.executable, "-c", "from touchdown.backend.rig.memory import make; print(make()[1])"],

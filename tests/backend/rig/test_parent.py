@@ -20,6 +20,7 @@ NORMAL, EXITING = 0x400100, 0x400104
 KILL, TERM = 1 << 8, 1 << 14
 
 
+@pytest.mark.promise("P9")
 @pytest.mark.parametrize(
     ("state", "flags", "signals", "found"),
     [

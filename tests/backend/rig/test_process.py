@@ -61,6 +61,7 @@ def test_stop_reaches_the_controller_and_after_reset_the_arm_moves_on(served, ba
     assert loaded(backend.link.hello["pid"]) == []
 
 
+@pytest.mark.promise("P8")
 def test_a_rig_that_is_killed_is_told_at_once_and_starts_only_with_a_new_connection(backend):
     motion = backend.moving()
     first = backend.link.hello["pid"]
@@ -84,6 +85,7 @@ def test_a_rig_that_is_killed_is_told_at_once_and_starts_only_with_a_new_connect
     assert backend.link.hello["pid"] != first
 
 
+@pytest.mark.promise("P8")
 def test_a_rig_that_stands_still_is_lost_too(backend):
     motion = backend.moving()
     number = backend.link.hello["pid"]
@@ -95,6 +97,7 @@ def test_a_rig_that_stands_still_is_lost_too(backend):
     assert not psutil.pid_exists(number)
 
 
+@pytest.mark.promise("R12", "P9")
 def test_a_backend_that_is_killed_leaves_a_stopped_arm_and_no_process(served):
     command = [sys.executable, "-m", "tests.backend.rig.served", served.settings.model_dump_json()]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
@@ -112,6 +115,7 @@ def addresses(number):
     return {(c.laddr.ip if c.laddr else "") for c in open_ones}
 
 
+@pytest.mark.promise("D10")
 def test_nobody_can_come_in_but_to_emulated_devices_and_those_only_from_here(backend):
     backend.connect()
     # The rig calls its devices; whoever would call it finds nothing.

@@ -48,6 +48,7 @@ def test_with_all_conditions_it_opens():
     refuse_opening(JIG, replace(MEASURED, press_n=math.nan, wrench_age_s=math.nan))
 
 
+@pytest.mark.promise("G7")
 @pytest.mark.parametrize(("name", "value", "row"), ONE_BAD)
 def test_one_bad_measurement_refuses_by_its_own_name(name, value, row):
     assert refusal(TOLD, replace(MEASURED, **{name: value})) == row
@@ -56,6 +57,7 @@ def test_one_bad_measurement_refuses_by_its_own_name(name, value, row):
 NUMBERS = [f.name for f in fields(ReleaseEvidence) if f.type == "float"]
 
 
+@pytest.mark.promise("G7")
 @given(st.sampled_from(NUMBERS), st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1.0]))
 def test_no_number_of_the_evidence_can_be_senseless(name, value):
     harmless = {
@@ -69,6 +71,7 @@ def test_no_number_of_the_evidence_can_be_senseless(name, value):
     assert refusal(replace(TOLD, **{name: value}), MEASURED)
 
 
+@pytest.mark.promise("G7")
 @given(st.sampled_from([f.name for f in fields(ReleaseEvidence) if f.type == "bool"]))
 def test_no_condition_of_the_evidence_can_be_left_out(name):
     assert refusal(replace(TOLD, **{name: False}), MEASURED)

@@ -47,6 +47,7 @@ def spoilt(given, rng):
     return {**given, name: bad}
 
 
+@pytest.mark.promise("P1")
 def test_no_order_with_a_senseless_number_moves_anything(rig):
     rng, before = random.Random(1), rig.arm.describe()["z_mm"]
     sent, taken = len(rig.arms.wires.packets), []
@@ -67,6 +68,7 @@ def test_no_order_with_a_senseless_number_moves_anything(rig):
     assert rig.arm.describe()["z_mm"] == before
 
 
+@pytest.mark.promise("G7", "P1")
 def test_no_right_with_a_senseless_number_or_without_a_condition_lets_go():
     rng, numbers = random.Random(2), [f.name for f in fields(TOLD) if f.type == "float"]
     felt = ["press_n", "wrench_age_s", "moved_mm", "width_change_mm"]

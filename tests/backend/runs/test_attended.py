@@ -101,6 +101,7 @@ def test_without_a_set_scene_nothing_moves(tmp_path):
     assert attended.of(RunFinished)[-1].ending == "cancelled"
 
 
+@pytest.mark.promise("S10")
 @pytest.mark.parametrize(
     ("fault", "code", "asked"),
     [

@@ -215,6 +215,7 @@ def test_a_bottom_that_is_not_there_is_refused() -> None:
         measured(BlindBench(request.scene()), measure_board, request)
 
 
+@pytest.mark.promise("R5")
 @pytest.mark.parametrize(("voids", "fault"), [(2, UNFELT), (6, VOID)])
 def test_a_void_touch_is_made_again_but_not_for_ever(voids, fault, monkeypatch) -> None:
     """What a real arm ends a touch with while replies, or samples, stay away for a moment."""

@@ -115,6 +115,7 @@ def test_a_board_felt_on_another_bottom_is_no_board_of_this_one(tmp_path) -> Non
     assert calibrations_for(CollectRequest(bottom="square15"), "hardware", store, {})
 
 
+@pytest.mark.promise("C6")
 def test_cameras_are_kept_as_they_sit_whatever_the_settings_were(tmp_path) -> None:
     devices = {
         f"tactile_{finger}": Camera(serial, mirror)

@@ -116,6 +116,7 @@ def test_a_failing_sensor_within_a_press_is_no_probe_and_the_campaign_goes_on(
     assert np.isfinite(failing.dataset.film(entry.uuid).episode.observation).all()
 
 
+@pytest.mark.promise("G1")
 @pytest.mark.parametrize("phase", ["approach", "hold"])
 def test_a_piece_that_is_lost_within_a_probe_is_no_probe(phase: str, failing: Failing) -> None:
     lost_s: list[float] = []
@@ -134,6 +135,7 @@ def test_a_piece_that_is_lost_within_a_probe_is_no_probe(phase: str, failing: Fa
     assert told.t_s - lost_s[0] <= 0.2
 
 
+@pytest.mark.promise("G1")
 def test_a_piece_that_turns_in_the_grasp_is_no_probe(failing: Failing) -> None:
     failing.fail_in_press(1, "gripper", "turn", 3.0)
     failing.run(count=1)

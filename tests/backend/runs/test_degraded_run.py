@@ -60,6 +60,7 @@ class Slowed(OracleSession):
         )
 
 
+@pytest.mark.promise("S9")
 @pytest.mark.parametrize(
     ("until", "kind"), [("stands", "nan"), ("stands", "stop"), ("paused", "stop")]
 )
@@ -86,6 +87,7 @@ def test_a_sensor_lost_while_its_run_stands_degraded_ends_it_and_keeps_the_probe
     bench.session.close()
 
 
+@pytest.mark.promise("S6")
 def test_with_a_slow_sensor_the_arm_only_jogs_away_and_holds_what_it_holds() -> None:
     made = simulated_session(
         brisk_bench(faults=("force_torque:slow=300@0",)), keep=RecordingOptions(None)

@@ -68,6 +68,7 @@ def test_a_drift_in_still_air_is_told_once_before_it_reaches_1_n(bench: Bench) -
     assert "Zero it in air (Z)" in told.text
 
 
+@pytest.mark.promise("S8")
 def test_what_creeps_in_contact_is_no_drift_however_long(bench: Bench) -> None:
     bench.at = replace(bench.at, z_mm=SURFACE_MM + 0.2)
     bench.force_n += 8.0

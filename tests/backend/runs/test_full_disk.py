@@ -68,6 +68,7 @@ def _stacked(folder: Path, seed: int, then: str) -> tuple[list[str], bool, list[
     return codes, stands, list(read_events(Path(run)))
 
 
+@pytest.mark.promise("D2", "W18")
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits of POSIX")
 def test_a_full_disk_pauses_the_run_which_goes_on_and_loses_nothing(tmp_path: Path) -> None:
     codes, stands, told = _stacked(tmp_path, 3, "resume")
@@ -108,6 +109,7 @@ def test_what_was_placed_stays_placed_where_nobody_makes_room(tmp_path: Path) ->
     assert read_episode(file).quality.accepted
 
 
+@pytest.mark.promise("D2", "W18")
 def test_a_run_is_refused_below_1_gb_and_pauses_before_the_next_probe_below_half_of_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -141,6 +143,7 @@ def test_a_run_is_refused_below_1_gb_and_pauses_before_the_next_probe_below_half
     assert bench.session.interlock.faults == ()
 
 
+@pytest.mark.promise("D2")
 def test_a_journal_without_room_is_held_in_memory_and_written_in_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

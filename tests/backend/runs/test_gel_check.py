@@ -27,6 +27,7 @@ def drawn(rest_px) -> Gel:
     return Gel(replace(LEFT, rest_px=np.asarray(rest_px, dtype=float).reshape(63, 2)), 5)
 
 
+@pytest.mark.promise("C6")
 def test_the_same_gels_are_accepted_in_other_light_and_as_a_setting_mirrors_them(bench):
     bench.gels = {"left": Gel(LEFT, 90, (1.2, -0.8), 0.9), "right": FINE["right"]}
     assert bench.connect() == {}
@@ -35,6 +36,7 @@ def test_the_same_gels_are_accepted_in_other_light_and_as_a_setting_mirrors_them
     assert bench.connection.ready
 
 
+@pytest.mark.promise("C6")
 def test_gels_that_changed_places_are_refused_and_whose_they_are_is_said(bench):
     bench.gels = {"left": FINE["right"], "right": FINE["left"]}
     bench.log.clear()
@@ -46,6 +48,7 @@ def test_gels_that_changed_places_are_refused_and_whose_they_are_is_said(bench):
     assert bench.log.index("close tactile_left") < bench.log.index("connect arm")
 
 
+@pytest.mark.promise("C6")
 def test_one_other_gel_or_one_turned_round_is_refused_and_the_other_camera_stays(bench):
     bench.gels = {**FINE, "left": Gel(LEFT, 5, fitted=other_gel)}
     found = bench.faults()
@@ -63,6 +66,7 @@ def test_one_other_gel_or_one_turned_round_is_refused_and_the_other_camera_stays
     assert "mirrored in y" in bench.faults()["tactile_left"].next_step
 
 
+@pytest.mark.promise("C6")
 def test_a_held_piece_may_press_the_dots_out_of_their_rest(bench):
     outwards = LEFT.rest_px + 1.5 * np.sign(LEFT.rest_px - [160, 120])
     bench.gels = {"left": drawn(outwards), "right": FINE["left"]}
@@ -71,6 +75,7 @@ def test_a_held_piece_may_press_the_dots_out_of_their_rest(bench):
     assert bench.connect() == {"tactile_right": "GEL-OTHER"}
 
 
+@pytest.mark.promise("C6")
 def test_a_calibration_without_a_fingerprint_stays_valid_and_says_so(tmp_path):
     bench = GelBench(tmp_path, FINE)
     bench.calibrate(fingerprint=False)
@@ -81,6 +86,7 @@ def test_a_calibration_without_a_fingerprint_stays_valid_and_says_so(tmp_path):
     bench.connection.close()
 
 
+@pytest.mark.promise("C7")
 def test_a_camera_without_pictures_and_one_of_another_grid_are_named(bench):
     bench.gels = {"right": Gel(LOOKS["right"], 6, fitted=small_dots)}
     found = bench.faults()

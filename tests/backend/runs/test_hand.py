@@ -86,6 +86,7 @@ def test_a_held_jog_moves_at_its_speed_and_a_release_ends_it_at_once(high):
     assert not high.hand.active
 
 
+@pytest.mark.promise("W3")
 def test_a_frozen_window_stops_the_arm_within_the_lease(high):
     facts = told(high)
     last_s = hold(high, 0.4)
@@ -102,6 +103,7 @@ def test_a_frozen_window_stops_the_arm_within_the_lease(high):
     assert not high.hand.active
 
 
+@pytest.mark.promise("R13")
 @pytest.mark.parametrize("speed", [5.0, 50.0])
 def test_no_order_of_a_jog_outlasts_its_lease(high, monkeypatch, speed):
     """Braking at 500 mm/s2 included: a bench that hangs as well cannot end what was ordered."""
@@ -139,6 +141,7 @@ def test_a_bench_that_falls_behind_stops_by_the_wall_clock(high, monkeypatch):
     assert "came late as well, by 200 ms: this computer is overloaded" in refused.text
 
 
+@pytest.mark.promise("H12")
 def test_after_expiry_only_a_new_press_moves(high):
     hold(high, 0.1)
     for _ in range(20):
@@ -161,6 +164,7 @@ def test_the_arm_stops_by_itself_when_nobody_ticks_the_lease(high):
     assert 0.0 < moved_s - last_s <= MOST_S
 
 
+@pytest.mark.promise("W3")
 @pytest.mark.parametrize("sequence", [1, 0, -5])
 def test_a_replayed_renewal_is_refused(session, sequence):
     session.hand.jog.renew(order(session, 1))
@@ -168,6 +172,7 @@ def test_a_replayed_renewal_is_refused(session, sequence):
         session.hand.jog.renew(order(session, sequence))
 
 
+@pytest.mark.promise("W3")
 @pytest.mark.parametrize("late_s", [LEASE_S + 0.001, 5.0, -0.001, float("nan")])
 def test_a_renewal_of_another_time_is_refused(session, late_s):
     with pytest.raises(RefusedError, match="JOG-STALE"):
@@ -224,6 +229,7 @@ def test_a_piece_that_presses_is_lifted_before_anything_starts(session):
     session.engine.tick()
 
 
+@pytest.mark.promise("W4")
 def test_near_the_surface_it_is_slow_and_says_so(session):
     """The hand starts 3 mm above the height of contact."""
     before = position(session)
@@ -241,6 +247,7 @@ def test_an_order_for_references_is_answered_once(session):
     assert len([f for f in facts if isinstance(f, (Said, Refused))]) == 1
 
 
+@pytest.mark.promise("W4")
 @pytest.mark.parametrize("distance", [0.1, 1.0, -5.0])
 def test_a_step_goes_exactly_so_far(session, distance):
     session.hand.jog.step("x", "XYZ", 0.0 + distance, 20.0)

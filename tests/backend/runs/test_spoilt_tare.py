@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.backend.runs.oracle_bench import OracleSession, request
 from touchdown.backend.core.events import Event, FaultRaised, PhaseEntered, TrialFinished
 from touchdown.backend.core.values import Outcome
@@ -33,6 +35,7 @@ def approaches(bench: OracleSession) -> list[float]:
     return [f.t_s for f in bench.of(PhaseEntered) if getattr(f, "phase", "") == "approach"]
 
 
+@pytest.mark.promise("S8")
 def test_a_spoilt_tare_is_taken_again() -> None:
     bursts = 3
     bench = OracleSession()
@@ -49,6 +52,7 @@ def test_a_spoilt_tare_is_taken_again() -> None:
     assert approaches(bench)[0] > began[0] + 0.4 + EVERY_S * (bursts - 1) + BURST_S
 
 
+@pytest.mark.promise("S8")
 def test_a_tare_that_stays_spoilt_ends_the_run_before_a_probe() -> None:
     bench = OracleSession()
     began = spoil(bench, 40)

@@ -46,6 +46,7 @@ def recorded(folder: Path, monkeypatch: pytest.MonkeyPatch, back_ns: int) -> tup
     return episode.observation.tobytes(), entry.recorded_ns
 
 
+@pytest.mark.promise("P2")
 def test_a_clock_set_back_by_an_hour_in_mid_press_changes_no_number_and_no_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -43,6 +43,7 @@ class Hanging:
         self.error_n = self.error_n + np.array([0.0, 0.0, n_per_s * seconds])
 
 
+@pytest.mark.promise("S8")
 @pytest.mark.parametrize(
     ("hz", "n_per_s"),
     [(100.0, 0.002), (100.0, 0.05), (1000.0, 0.05), (1000.0, -0.05), (100.0, -0.1)],
@@ -55,6 +56,7 @@ def test_a_drift_is_named_between_half_a_newton_and_one(n_per_s: float, hz: floa
     assert WARN_DRIFT_N - 0.1 < true_n < 0.8
 
 
+@pytest.mark.promise("S8")
 def test_in_a_run_it_is_named_though_each_probe_tares() -> None:
     """Half a second of air before each probe, five seconds out of it."""
     sensor = Hanging()
@@ -65,6 +67,7 @@ def test_in_a_run_it_is_named_though_each_probe_tares() -> None:
     assert sensor.named_at[0][1] < 1.0
 
 
+@pytest.mark.promise("S8")
 def test_what_is_touched_or_hung_on_is_a_load_and_no_drift() -> None:
     sensor = Hanging()
     sensor.stand(6.0)
@@ -77,6 +80,7 @@ def test_what_is_touched_or_hung_on_is_a_load_and_no_drift() -> None:
     assert not sensor.named_at
 
 
+@pytest.mark.promise("S8")
 def test_a_good_sensor_is_never_named_in_a_day_of_probes() -> None:
     """Air, a press out of it, air again: 24 hours, with the wandering of the simulated sensor."""
     rng = np.random.default_rng(8)

@@ -126,6 +126,7 @@ def test_lost_and_inferred_markers() -> None:
     assert build(with_state(7, MarkerState.LOST)).quality.reasons == ("7 of 126 markers were lost",)
 
 
+@pytest.mark.promise("C5")
 def test_a_bridged_tick_is_named() -> None:
     keep = np.ones(60, dtype=bool)
     times = ONSET_S - 0.3 + 0.013 + 0.04 * np.arange(60)
@@ -138,6 +139,7 @@ def test_a_bridged_tick_is_named() -> None:
     assert np.isfinite(episode.observation).all()
 
 
+@pytest.mark.promise("P1")
 def test_a_limit_of_nan_or_bad_position_refuses() -> None:
     recording = record(frames())
     strict = assemble_episode(
@@ -154,6 +156,7 @@ def test_a_limit_of_nan_or_bad_position_refuses() -> None:
     assert not nowhere.quality.accepted
 
 
+@pytest.mark.promise("C5")
 def test_verdict_values_and_marks_equal_the_oracle_for_random_drop_patterns() -> None:
     # 500 of them: figure "dropped_frames".
     wrong, accepted = broken(48, record(frames()))

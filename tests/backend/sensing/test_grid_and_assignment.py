@@ -50,6 +50,7 @@ def test_missing_cells_are_named() -> None:
     assert (ordered.index == -1).sum() == 2
 
 
+@pytest.mark.promise("C7")
 @pytest.mark.parametrize(
     ("rows", "cols", "words"),
     [(8, 10, "8x10 small-dot"), (6, 9, "6 rows x 9"), (7, 8, "7 rows x 8"), (3, 3, "3 rows x 3")],

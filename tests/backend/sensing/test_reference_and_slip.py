@@ -58,6 +58,7 @@ def tracked(name: str) -> list[MarkerField]:
     return [tracker.track(TactileFrame("left", k, k / 25, image)) for k in range(10)]
 
 
+@pytest.mark.promise("C7")
 def test_a_pressed_gel_is_refused_against_the_stored_template() -> None:
     template = take_reference(tracked("nocontact_train_sensor.png"))
     with pytest.raises(RefusedError) as refused:

@@ -34,6 +34,7 @@ def test_a_real_gel_at_rest_is_accepted() -> None:
     assert away.max() <= 0.3
 
 
+@pytest.mark.promise("C7")
 @pytest.mark.parametrize("name", [PRESSED.name, *LARGE])
 def test_every_real_gel_in_contact_is_refused(name: str, tmp_path: Path) -> None:
     # One frame of each, so that it is not the motion of the clip that is refused.
@@ -45,6 +46,7 @@ def test_every_real_gel_in_contact_is_refused(name: str, tmp_path: Path) -> None
     assert "--template" in refused.value.fix
 
 
+@pytest.mark.promise("C6")
 def test_a_gel_of_its_own_shape_is_checked_against_its_own_template() -> None:
     with pytest.raises(InputError, match="no-contact shape"):
         rest_reference(PRESSED, template=REST_FRAME)
@@ -119,6 +121,7 @@ def test_the_loop_refuses_a_later_reference_in_contact() -> None:
     sensing.take_references(5)
 
 
+@pytest.mark.promise("C7")
 def test_a_reference_of_a_gel_with_another_grid_is_refused_and_names_it() -> None:
     frames = {finger: Stream[TactileFrame](finger, 64) for finger in FINGERS}
     fields = {finger: Stream(finger, 64) for finger in FINGERS}

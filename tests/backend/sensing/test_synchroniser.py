@@ -97,6 +97,7 @@ def test_nothing_is_extrapolated() -> None:
     assert np.isnan(ticks.left.displacement_px[0]).all()
 
 
+@pytest.mark.promise("C5")
 def test_long_holes_are_not_bridged() -> None:
     kept = [
         field("left", i, float(t))

@@ -45,6 +45,7 @@ def test_still_air_is_never_refused() -> None:
         take_tare(T_S, air(seed, PAYLOAD), PAYLOAD)
 
 
+@pytest.mark.promise("S8")
 def test_tare_while_touching_is_refused_100_times_of_100() -> None:
     touching = PAYLOAD + np.array([0.0, 0.0, 3.4, 0.0, 0.0, 0.0])
     for seed in range(100):

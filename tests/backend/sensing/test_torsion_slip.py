@@ -45,6 +45,7 @@ def gels():
     return made
 
 
+@pytest.mark.promise("G1")
 @pytest.mark.parametrize("angle", [-0.05, -0.0055, 0.0055, 0.05])
 def test_a_piece_that_turns_is_seen_in_the_next_picture(gels, angle):
     assert gels.show(angle, -angle)
@@ -55,6 +56,7 @@ def test_one_that_turns_over_some_pictures_is_seen_as_well(gels):
     assert any(gels.show(0.0027 * k, 0.0027 * k) for k in range(1, 5))
 
 
+@pytest.mark.promise("G1")
 def test_a_press_that_turns_the_gels_slowly_is_none(gels):
     assert not any(gels.show(0.0009 * k, 0.0009 * k) for k in range(40))
 

@@ -186,6 +186,7 @@ def test_draws_keep_their_limits() -> None:
         assert 0.2 <= conditions.draw_probe(wild, rng).mu <= 0.6
 
 
+@pytest.mark.promise("C5")
 def test_frames_round_a_tick_skip_those_that_were_dropped() -> None:
     t_s = np.full((1, 2, 72), np.inf)
     t_s[0, :, :60] = 0.04 * np.arange(60)

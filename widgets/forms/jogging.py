@@ -45,7 +45,13 @@ class JogPace(QWidget):
         self.steps = self._step_buttons()
         self._unit = label(self._pace.unit, "muted")
         self.speed, self._slider = QDoubleSpinBox(), QSlider(Qt.Orientation.Horizontal)
-        self._wire_speed()
+        self.speed.setDecimals(0)
+        inset_spin_boxes(self.speed)
+        for widget in (self.speed, self._slider):
+            widget.setAccessibleName("Jog speed")
+            widget.setToolTip("At most 2 mm/s near the surface and in contact")
+        self.speed.valueChanged.connect(self._follow_spin)
+        self._slider.valueChanged.connect(self.speed.setValue)
         self._arrange()
         self.show_pace(0)
 
@@ -96,21 +102,9 @@ class JogPace(QWidget):
         made[0].setToolTip("Hold to run ([ and ])")
         return made
 
-    def _wire_speed(self) -> None:
-        self.speed.setDecimals(0)
-        inset_spin_boxes(self.speed)
-        for widget in (self.speed, self._slider):
-            widget.setAccessibleName("Jog speed")
-            widget.setToolTip("At most 2 mm/s near the surface and in contact")
-        self.speed.valueChanged.connect(self._follow_spin)
-        self._slider.valueChanged.connect(self._follow_slider)
-
     def _follow_spin(self, value: float) -> None:
         self._kept[self._pace.unit] = value
         self._slider.setValue(round(value))
-
-    def _follow_slider(self, value: int) -> None:
-        self.speed.setValue(value)
 
     def _arrange(self) -> None:
         steps = hbox(*((button, 1) for button in self.steps), self._unit, spacing=4)
@@ -185,7 +179,13 @@ class JogPad(Panel):
         self._ready = self._turns = False
         self._pose, self._note = ElidedLabel(""), label("", "small")
         self._field = QWidget()
-        self._wire()
+        self.keys.toggled.connect(self.keys_toggled)
+        self.level.clicked.connect(self.level_requested)
+        self.level.setToolTip("Turn the hand to straight down, in place (Shift+T)")
+        self.turn.setToolTip("Turn the hand about these axes instead of moving it (T)")
+        self.level.setEnabled(False)
+        self.frame.currentIndexChanged.connect(self._show_frame)
+        self.turn.toggled.connect(self._show_frame)
         self._arrange()
         self.show_turning("")
         self._show_frame()
@@ -321,15 +321,6 @@ class JogPad(Panel):
             return False
         self.step_pressed.emit(what)
         return True
-
-    def _wire(self) -> None:
-        self.keys.toggled.connect(self.keys_toggled)
-        self.level.clicked.connect(self.level_requested)
-        self.level.setToolTip("Turn the hand to straight down, in place (Shift+T)")
-        self.turn.setToolTip("Turn the hand about these axes instead of moving it (T)")
-        self.level.setEnabled(False)
-        self.frame.currentIndexChanged.connect(self._show_frame)
-        self.turn.toggled.connect(self._show_frame)
 
     def _arrange(self) -> None:
         add_items(self.header, self.level, self.keys)

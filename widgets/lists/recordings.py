@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from PySide6.QtCore import QAbstractListModel, QModelIndex, QRectF, QSize, Qt
+from PySide6.QtCore import QAbstractListModel, QRectF, QSize, Qt
 from PySide6.QtGui import QFontMetrics, QKeyEvent, QPainter, QPen
 from PySide6.QtWidgets import (
     QListWidget,
@@ -44,6 +44,11 @@ class RecordingRow:
         """Both lines, for search and screen readers."""
         return "\n".join(filter(None, (self.title, self.detail)))
 
+    @property
+    def tip(self) -> str:
+        """Text of the tool tip."""
+        return self.detail or self.title
+
 
 class RecordingList(RowList):
     """List that can filter and sort its rows; ``chosen`` gets the number of the selected row.
@@ -54,7 +59,7 @@ class RecordingList(RowList):
 
     def __init__(self, theme: Theme, name: str, chosen: Callable[[int], None]) -> None:
         super().__init__(name)
-        self._rows, self._chosen = _RecordingModel(self), chosen
+        self._rows, self._chosen = _RowModel(self), chosen
         self.current = -1  # number of the selected row, -1 for none; kept while it is filtered out
         self._telling = True
         self.draw_rows(self._rows, _RecordingPainter(theme, self))
@@ -113,10 +118,12 @@ class RecordingList(RowList):
             self._chosen(self.current)
 
 
-class _RecordingModel(QAbstractListModel):
+class _RowModel(QAbstractListModel):
+    """Some of ``rows``, in the order of their numbers in ``order``."""
+
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
-        self.rows: list[RecordingRow] = []
+        self.rows: list[Any] = []
         self.order: list[int] = []
 
     def rowCount(self, parent: ModelIndex = ROOT) -> int:
@@ -129,7 +136,7 @@ class _RecordingModel(QAbstractListModel):
         if role == Qt.ItemDataRole.DisplayRole:
             return row.text
         if role in (Qt.ItemDataRole.AccessibleTextRole, Qt.ItemDataRole.ToolTipRole):
-            return row.detail or row.title
+            return row.tip
         return row if role == Qt.ItemDataRole.UserRole else None
 
     def show(self, order: Sequence[int]) -> None:
@@ -180,21 +187,28 @@ class LabelListRow:
     state: str
     badges: tuple[str, ...] = ()
 
+    @property
+    def text(self) -> str:
+        """All words of the row, for search and screen readers."""
+        return ", ".join((self.title, self.detail, self.state, *self.badges))
+
+    tip = text
+
 
 class LabelList(RowList):
     """List of thousands of episodes; ``chosen`` gets the index of the clicked row."""
 
     def __init__(self, theme: Theme, chosen: Callable[[int], None]) -> None:
         super().__init__("Episodes of the queue")
-        self._rows = _LabelRows(self)
+        self._rows = _RowModel(self)
         self.draw_rows(self._rows, _LabelPainter(theme, self))
         self.setMinimumWidth(170)
-        self.clicked.connect(self._on_clicked)
-        self._chosen = chosen
+        self.clicked.connect(lambda index: chosen(index.row()))
 
     def show_rows(self, rows: Sequence[LabelListRow]) -> None:
         """Replace all rows."""
-        self._rows.show(rows)
+        self._rows.rows = list(rows)
+        self._rows.show(range(len(rows)))
 
     def show_row(self, at: int, row: LabelListRow) -> None:
         """Update one row."""
@@ -213,33 +227,6 @@ class LabelList(RowList):
         self.setCurrentIndex(index)
         self.scrollTo(index)
 
-    def _on_clicked(self, index: QModelIndex) -> None:
-        self._chosen(index.row())
-
-
-class _LabelRows(QAbstractListModel):
-    def __init__(self, parent: QWidget) -> None:
-        super().__init__(parent)
-        self.rows: list[LabelListRow] = []
-
-    def rowCount(self, parent: ModelIndex = ROOT) -> int:
-        return 0 if parent.isValid() else len(self.rows)
-
-    def data(self, index: ModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
-        if not 0 <= index.row() < len(self.rows):
-            return None
-        row = self.rows[index.row()]
-        if role == Qt.ItemDataRole.DisplayRole:
-            return row
-        if role in (Qt.ItemDataRole.AccessibleTextRole, Qt.ItemDataRole.ToolTipRole):
-            return ", ".join((row.title, row.detail, row.state, *row.badges))
-        return None
-
-    def show(self, rows: Sequence[LabelListRow]) -> None:
-        self.beginResetModel()
-        self.rows = list(rows)
-        self.endResetModel()
-
 
 class _LabelPainter(RowPainter):
     """Two lines: title and chip, then detail and badges."""
@@ -249,7 +236,7 @@ class _LabelPainter(RowPainter):
         return QSize(160, round(2.3 * line) + 8)
 
     def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: ModelIndex) -> None:
-        row = index.data()
+        row = index.data(Qt.ItemDataRole.UserRole)
         if not isinstance(row, LabelListRow):
             return
         painter.save()
@@ -296,7 +283,6 @@ class HistoryList(QWidget):
 
     def __init__(self, restore: Callable[[str], None]) -> None:
         super().__init__()
-        self._restore = restore
         self._rows: list[HistoryRow] = []
         self.list = _KeylessListWidget()
         self.list.setAccessibleName("Versions of the label")
@@ -307,7 +293,7 @@ class HistoryList(QWidget):
         foot = hbox((self.count, 1), self.restore)
         vbox((self.list, 1), foot, parent=self, margins=(0, 0, 0, 0), spacing=6)
         self.list.currentRowChanged.connect(self._choose)
-        self.restore.clicked.connect(self._restore_chosen)
+        self.restore.clicked.connect(lambda: restore(self._rows[self.list.currentRow()].rev_uuid))
         self.show_rows([])
 
     def show_rows(self, rows: Sequence[HistoryRow]) -> None:
@@ -324,11 +310,6 @@ class HistoryList(QWidget):
 
     def _choose(self, at: int) -> None:
         self.restore.setEnabled(0 <= at < len(self._rows) and not self._rows[at].head)
-
-    def _restore_chosen(self) -> None:
-        at = self.list.currentRow()
-        if 0 <= at < len(self._rows):
-            self._restore(self._rows[at].rev_uuid)
 
 
 def revision_text(row: HistoryRow) -> str:

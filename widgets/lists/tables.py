@@ -9,8 +9,6 @@ from typing import Any
 from PySide6.QtCore import (
     QAbstractTableModel,
     QItemSelectionModel,
-    QModelIndex,
-    QPersistentModelIndex,
     QPoint,
     QSignalBlocker,
     QSize,
@@ -27,10 +25,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import Theme, ui_font
+from touchdown.widgets.base import ROOT, ModelIndex, Theme, ui_font
 
-ModelIndex = QModelIndex | QPersistentModelIndex
-ROOT = QModelIndex()
 HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time", "Grip", "Person")
 RIGHT = frozenset((0, 3, 4))
 WIDTHS_EM = (2.9, 4.5, 3.8, 5.3, 4.1, 3.4, 4.6)

@@ -117,7 +117,7 @@ class DistributionView(QWidget):
         if event.button() is not Qt.MouseButton.LeftButton or not len(points):
             return
         area, at = self.area(), event.position()
-        x, y = _pixels(area, points)
+        x, y = area.columns(points[:, 0]), area.rows(points[:, 1])
         away = np.hypot(x - at.x(), y - at.y())
         nearest = int(np.argmin(away))
         if away[nearest] <= NEAR_PX:
@@ -173,7 +173,7 @@ class DistributionView(QWidget):
         scene, t = self.scene, self._theme.tokens
         low, high = scene.span
         shades = map_colours((scene.values - low) / (high - low), self._map)
-        x, y = _pixels(area, scene.points_mm)
+        x, y = area.columns(scene.points_mm[:, 0]), area.rows(scene.points_mm[:, 1])
         rim = QPen(t.colour("border"), 1)
         for k in range(len(x)):
             at = QPointF(x[k], y[k])
@@ -193,11 +193,11 @@ class DistributionView(QWidget):
     def _draw_chosen(self, painter: QPainter, area: PlotArea) -> None:
         if not 0 <= self.scene.chosen < len(self.scene.points_mm):
             return
-        x, y = _pixels(area, self.scene.points_mm[self.scene.chosen][None])
+        x, y = self.scene.points_mm[self.scene.chosen].tolist()
         painter.setBrush(Qt.BrushStyle.NoBrush)
         for colour, width in (("bg", 4.0), ("focus", 2.0)):
             painter.setPen(QPen(self._theme.tokens.colour(colour), width))
-            painter.drawEllipse(QPointF(x[0], y[0]), 9, 9)
+            painter.drawEllipse(QPointF(area.x(x), area.y(y)), 9, 9)
 
     def _draw_scale(self, painter: QPainter, area: PlotArea) -> None:
         t, (low, high) = self._theme.tokens, self.scene.span
@@ -217,13 +217,6 @@ class DistributionView(QWidget):
                 continue
             box = QRectF(bar.right() + 4, scale.y(value) - height / 2, 60, height)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignVCenter), tick_text(value, step))
-
-
-def _pixels(area: PlotArea, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    scale = area.rect.width() / (area.x1 - area.x0)
-    x = area.rect.left() + (points[:, 0] - area.x0) * scale
-    y = area.rect.bottom() - (points[:, 1] - area.y0) * scale
-    return x, y
 
 
 def reach_of(bottom: FloatArray, points_mm: FloatArray) -> float:

@@ -112,7 +112,8 @@ class FaultCard(QFrame):
         if then:
             words.addWidget(label(then, wrap=True))
         words.addWidget(self._foot)
-        details = self._button("Details", self._toggle)
+        shown = self._details
+        details = self._button("Details", lambda: shown.setVisible(shown.isHidden()))
         row = hbox((words, 1), self.more, self.fold, details, self._button("Copy", self._copy))
         if self.text.offer is not None:
             offer = self._button(self.text.offer[0], self._accept)
@@ -131,9 +132,6 @@ class FaultCard(QFrame):
         button.setAccessibleName(f"{text}: {self.text.what}")
         button.clicked.connect(slot)
         return button
-
-    def _toggle(self) -> None:
-        self._details.setVisible(self._details.isHidden())
 
     def _copy(self) -> None:
         QGuiApplication.clipboard().setText(f"{self._plain()}\n{self._details.toPlainText()}")
@@ -176,19 +174,6 @@ class FoldedCards(QFrame):
         self.reset.setVisible(text.reset)
         set_property(self, "role", text.role)
         self.show()
-
-
-class _AnswerButton(QPushButton):
-    """Answer of a question: withdraws the question, then acts."""
-
-    def __init__(self, text: str, withdraw: Callable[[], None], action: Callable[[], None]) -> None:
-        super().__init__(text)
-        self._withdraw, self._action = withdraw, action
-        self.clicked.connect(self._give)
-
-    def _give(self) -> None:
-        self._withdraw()
-        self._action()
 
 
 class FaultCards(QWidget):
@@ -248,7 +233,8 @@ class FaultCards(QWidget):
         frame.setProperty("role", "question")
         row = hbox((label(question.text, "title", wrap=True), 1), parent=frame)
         for text, action in question.answers:
-            answer = _AnswerButton(text, self.withdraw, action)
+            answer = QPushButton(text)
+            answer.clicked.connect(lambda _=False, action=action: self._answer(action))
             answer.setAccessibleName(f"{text}: {question.text}")
             row.addWidget(answer)
         self._question, self.asks = frame, question
@@ -258,6 +244,10 @@ class FaultCards(QWidget):
         self.show()
         if focused:
             frame.findChildren(QPushButton)[0].setFocus()
+
+    def _answer(self, action: Callable[[], None]) -> None:
+        self.withdraw()
+        action()
 
     def withdraw(self) -> None:
         """Remove the question."""

@@ -125,7 +125,7 @@ class CommandPalette(QDialog):
         self.list.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.field.textChanged.connect(self._filter)
-        self.list.itemClicked.connect(self._clicked)
+        self.list.itemClicked.connect(self._take)
         self.field.installEventFilter(self)
         vbox(self.field, (self.list, 1), parent=self, margins=(12, 12, 12, 12), spacing=8)
 
@@ -183,9 +183,6 @@ class CommandPalette(QDialog):
         """Describe the selected command at the field, which screen readers follow."""
         text = self.list.currentItem().text() if self.list.count() else "No match"
         self.field.setAccessibleDescription(text)
-
-    def _clicked(self, item: QListWidgetItem) -> None:
-        self._take(item)
 
     def _take(self, item: QListWidgetItem | None) -> None:
         if item is not None:
@@ -280,7 +277,7 @@ class KeyDialog(QDialog):
         none.setToolTip("The command stays available in the palette")
         for button in (none, close):
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        none.clicked.connect(self._take_none)
+        none.clicked.connect(lambda: self._try(""))
         close.clicked.connect(self.close)
         row = hbox(1, none, close)
         vbox(self.head, self.said, row, parent=self, margins=(18, 14, 18, 14), spacing=10)
@@ -314,9 +311,6 @@ class KeyDialog(QDialog):
         modifiers = event.modifiers() & ~Qt.KeyboardModifier.KeypadModifier
         pressed = QKeySequence(QKeyCombination(modifiers, key))
         self._try(pressed.toString(QKeySequence.SequenceFormat.PortableText))
-
-    def _take_none(self) -> None:
-        self._try("")
 
     def _try(self, key: str) -> None:
         reason = self._change(key)

@@ -67,7 +67,7 @@ class TrialPanel(Panel):
     def __init__(self, theme: Theme) -> None:
         super().__init__("Your turn")
         self.text = label("", wrap=True)
-        self.picture = OffsetView(theme, _stay, _drop)
+        self.picture = OffsetView(theme, lambda _: None, lambda: None)
         self.picture.editable = False
         self.picture.setAccessibleName("Start of the trial, seen from above")
         self.yes, self.no = QPushButton("Ready"), QPushButton("Not now")
@@ -81,7 +81,14 @@ class TrialPanel(Panel):
         self.photo.setToolTip("Store a photo of the bench with this trial")
         self._ready, self._judging = QWidget(), QWidget()
         self._arrange()
-        self._wire()
+        self.yes.clicked.connect(lambda: self.answered.emit(True))
+        self.no.clicked.connect(lambda: self.answered.emit(False))
+        self.photo.clicked.connect(self.photo_requested)
+        self.no.setToolTip("End the run; nothing has moved")
+        self.yes.setToolTip("Continue (Y)")
+        self.reason.returnPressed.connect(lambda: self.judge(Outcome.ABORTED))
+        for outcome, button in self.outcomes.items():
+            button.clicked.connect(lambda _=False, outcome=outcome: self.judge(outcome))
         self.show_look(None)
 
     def show_look(self, look: TrialPrompt | None) -> None:
@@ -121,28 +128,6 @@ class TrialPanel(Panel):
         judging.addWidget(self.reason, 1, 0, 1, 3)
         judging.addWidget(self.photo, 1, 3)
         add_items(self.column, self.text, (self.picture, 1), self._ready, self._judging)
-
-    def _wire(self) -> None:
-        self.yes.clicked.connect(lambda: self.answered.emit(True))
-        self.no.clicked.connect(lambda: self.answered.emit(False))
-        self.photo.clicked.connect(self.photo_requested)
-        self.no.setToolTip("End the run; nothing has moved")
-        self.yes.setToolTip("Continue (Y)")
-        self.reason.returnPressed.connect(lambda: self.judge(Outcome.ABORTED))
-        for outcome, button in self.outcomes.items():
-            button.clicked.connect(_judged(self, outcome))
-
-
-def _judged(panel: TrialPanel, outcome: Outcome) -> Callable[[], None]:
-    return lambda: panel.judge(outcome)
-
-
-def _stay(_at_mm: tuple[float, float]) -> None:
-    """Do nothing: the start is drawn by the run."""
-
-
-def _drop() -> None:
-    """Do nothing: nothing is dragged."""
 
 
 MINUS = "\N{MINUS SIGN}"

@@ -134,12 +134,15 @@ class FilmView(QWidget):
     def step(self, by: int) -> None:
         """Move the cursor to the next (1) or previous (-1) frame of any finger."""
         self.stop()
-        stamps = np.unique([t_s for track in self._reel.values() for t_s in _stamps(track)])
-        later, earlier = (
-            stamps[stamps > self.cursor_s + 1e-9],
-            stamps[stamps < self.cursor_s - 1e-9],
-        )
-        found = later[:1] if by > 0 else earlier[-1:]
+        tracks = self._reel.values()
+        stamps = np.unique([
+            t_s for one in tracks
+            for t_s in (one.picture_t_s if len(one.picture_t_s) else one.field_t_s)
+        ])  # fmt: skip
+        if by > 0:
+            found = stamps[stamps > self.cursor_s + 1e-9][:1]
+        else:
+            found = stamps[stamps < self.cursor_s - 1e-9][-1:]
         if len(found):
             self._seek(float(found[0]))
 
@@ -170,10 +173,6 @@ class FilmView(QWidget):
             kept = len(track.picture_t_s) > 0
             note.setText(f"{finger}, {'before the first picture' if kept else 'no picture kept'}")
         view.show_frame(TactileFrame(finger, index, t_s, image), field)
-
-
-def _stamps(track: FilmTrack) -> FloatArray:
-    return track.picture_t_s if len(track.picture_t_s) else track.field_t_s
 
 
 @dataclass(frozen=True, slots=True)

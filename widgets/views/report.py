@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import QEvent, QModelIndex, QPersistentModelIndex, QRect, QSize, Qt, Signal
+from PySide6.QtCore import QEvent, QRect, QSize, Qt, Signal
 from PySide6.QtGui import QFont, QFontMetrics, QImage, QPainter, QPixmap, QResizeEvent
 from PySide6.QtWidgets import (
     QAbstractButton,
@@ -27,6 +27,7 @@ from PySide6.QtWidgets import (
 
 from touchdown.widgets.base import (
     ElidedLabel,
+    ModelIndex,
     Theme,
     WrappedItemDelegate,
     hbox,
@@ -179,7 +180,6 @@ def _button(text: str, tip: str) -> QPushButton:
     return button
 
 
-ModelIndex = QModelIndex | QPersistentModelIndex
 PAD_X, PAD_Y = 9, 6
 
 

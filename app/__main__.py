@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the arguments of the window (read before Qt is imported)."""
+    """Return the command-line arguments of the window. Does not import Qt."""
     made = argparse.ArgumentParser(prog="touchdown app", description="Open the window.")
     made.add_argument("--theme", choices=("dark", "light", "contrast", "system"),
                       help="start in this theme; system: as the desktop")  # fmt: skip
@@ -34,7 +34,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Open the window; returns the exit status (3: this Qt cannot work here)."""
+    """Open the window; return the exit status. Status 3: this version of Qt cannot be used."""
     args = parser().parse_args(argv)
     if (args.grab or args.measure) and not _display():
         os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")

@@ -54,7 +54,7 @@ from touchdown.widgets.shell import CardText, FaultCards, PillState, TopBar, Tou
 
 
 class BenchLoader:
-    """At most one bench on its way. ``take`` is called by the pump."""
+    """Builds one bench at a time on a thread. The pump calls ``take``."""
 
     def __init__(self) -> None:
         self._arrived: list[Session | Exception] = []
@@ -62,21 +62,21 @@ class BenchLoader:
         self.waiting = False
 
     def begin(self, make: Callable[[], Session]) -> None:
-        """Build the bench; does nothing while one is on its way."""
+        """Start building the bench. Does nothing while another one is being built."""
         if self.waiting:
             return
         self.waiting, self._make = True, make
         threading.Thread(target=self._build, args=(make,), name="connect", daemon=True).start()
 
     def again(self) -> bool:
-        """Try once more what failed; False if nothing was ever begun."""
+        """Build the bench once more; return False if none was ever built."""
         if self._make is None:
             return False
         self.begin(self._make)
         return True
 
     def take(self) -> Session | Exception | None:
-        """Return what arrived, or None."""
+        """Return the finished bench or the error, None while there is neither."""
         if not self._arrived:
             return None
         self.waiting = False
@@ -89,12 +89,12 @@ class BenchLoader:
         except (TouchdownError, OSError, ValueError, ImportError, RuntimeError) as error:
             arrived = error
         finally:
-            # Whatever happened, the window stops saying "connecting".
+            # Also after an unexpected error, to end the state "connecting".
             self._arrived.append(arrived)
 
 
 def bench_failed_card(error: Exception, again: Callable[[], None]) -> CardText:
-    """Return the card of a bench that could not be prepared; ``again`` tries once more."""
+    """Return the card of a bench that could not be built; ``again`` repeats the attempt."""
     return CardText(
         "CONNECT",
         f"The bench could not be prepared: {error}",
@@ -105,12 +105,11 @@ def bench_failed_card(error: Exception, again: Callable[[], None]) -> CardText:
     )
 
 
-MOST_PARTS = 8
-"""A page is drawn in at most so many pieces."""
+MOST_PARTS = 8  # maximum number of parts in which a page is drawn
 
 
 class TouchdownApp(QObject):
-    """Owns window, workspaces and pump. The bench arrives later, from a thread."""
+    """Owns window, workspaces and pump. The bench is built on a thread and attached later."""
 
     bench: Session | None = None
     panels: BenchDialogs | None = None
@@ -131,12 +130,12 @@ class TouchdownApp(QObject):
         self.cards = FaultCards(self.reset)
         self.bar = TopBar(self.theme, self.stop)
         self._speed = SpeedOverride(self.bar, self.say)
-        desk = WorkspaceContext(
+        context = WorkspaceContext(
             self.theme, self.cards, runs, self.say, self.go, self._show_keys, self.remember
         )
-        self.workspaces = Workspaces(desk, settings.pages, self._place, self._warn)
+        self.workspaces = Workspaces(context, settings.pages, self._place, self._warn)
         self.window = MainWindow(self.theme, self.bar, self.cards, self.workspaces.all)
-        self.window.may_close = self._may_close
+        self.window.may_close = lambda: self._closing.may_close(self.bench)
         self._closing = CloseConfirmation(self.cards, self.stop, self.window.close)
         self._arrival, self._mailbox = BenchLoader(), EventQueue()
         self._chips: DeviceChipsPresenter | None = None
@@ -162,7 +161,7 @@ class TouchdownApp(QObject):
         warning = f"{warning} {ignored_words(self.actions.refused)}".strip()
         self._warn(warning, self.layouts.load(tuple(self.workspaces)))
         front = settings.front if settings.front in self.workspaces else FIRST
-        # Under a style sheet its page would take twice as long.
+        # Building a page takes twice as long with a style sheet.
         self.workspaces[front]
         self.look.refit = self._refit
         self.look.dress(self.window)
@@ -176,12 +175,12 @@ class TouchdownApp(QObject):
     # -- life -------------------------------------------------------------------------------------
 
     def connect_bench(self, make: Callable[[], Session]) -> None:
-        """Build the bench on a thread of its own; the window stays alive meanwhile."""
+        """Build the bench on a separate thread; the window stays responsive."""
         self._show_connecting()
         self._arrival.begin(make)
 
     def attach(self, bench: Session) -> None:
-        """Take a bench that is ready and show it."""
+        """Connect the window to a bench."""
         self.bench = bench
         bench.events.subscribe(self._mailbox)
         self._chips = DeviceChipsPresenter(bench, self.bar)
@@ -193,16 +192,16 @@ class TouchdownApp(QObject):
         self._speed.attach(bench)
         self._servo = ServoSwitch(bench, self.bar, self.cards)
         bench.open()
-        # Whoever has gone to another page meanwhile has begun to work.
+        # No tour if the user has gone to another page meanwhile.
         fresh = self.tour_due and not self.toured and self.window.front == FIRST
         if fresh and bench.simulated:
-            # Noted first: after a crash it must not take the page in front away from its user.
+            # Stored first, so that a crash during the tour does not repeat it.
             self.toured = True
             self.remember()
             self.tour.begin()
 
     def start(self) -> None:
-        """Show the window and begin to pump."""
+        """Show the window and start the pump."""
         if self._geometry is not None:
             self.window.setGeometry(*self._geometry)
         self._pull_back()
@@ -211,7 +210,7 @@ class TouchdownApp(QObject):
         self.workspaces.make_ahead(self, self._hushed)
 
     def close(self) -> None:
-        """Remember the window, end the bench; safe to call twice."""
+        """Save the settings and close the bench. May be called twice."""
         self.pump.stop()
         self._application.removeEventFilter(self._stop_key)
         self.remember()
@@ -222,7 +221,7 @@ class TouchdownApp(QObject):
             bench.close()
 
     def remember(self) -> None:
-        """Write the settings as they are now; a disk that refuses becomes a card."""
+        """Write the present settings; show a card if the disk refuses."""
         area = self.window.normalGeometry()
         settings = WindowSettings(
             theme=self.look.choice,
@@ -242,7 +241,7 @@ class TouchdownApp(QObject):
         self._box.exception(OSError, error, None, doing)
 
     def quit_at_once(self, status: int = 0) -> None:
-        """Close without a question (for pictures and measurements)."""
+        """Close without a question (for screenshots and measurements)."""
         self._closing.allowed = True
         self.window.close()
         self._application.exit(status)
@@ -253,42 +252,39 @@ class TouchdownApp(QObject):
         return self.bench.pace if self.bench is not None else 0.0
 
     def _place(self, ws: Workspace) -> Iterator[None]:
-        if ws.pieces is not None:
-            ws.pieces.take_out()
+        if ws.lazy_pages is not None:
+            ws.lazy_pages.take_out()
         self.window.add_page(ws.name, ws.page)
-        if ws.pieces is not None:
-            yield from ws.pieces.put_back()
+        if ws.lazy_pages is not None:
+            yield from ws.lazy_pages.put_back()
         self._warn(self.layouts.add(ws.name, ws.columns))
 
     def _warn(self, *notices: str) -> None:
         for text in filter(None, notices):
             self.cards.show_card(CardText("SETTINGS", text, "", "", reset=False, notice=True))
 
-    def _may_close(self) -> bool:
-        return self._closing.may_close(self.bench)
-
     # -- orders -----------------------------------------------------------------------------------
 
     def stop(self) -> None:
-        """Software stop: returns at once, legal in every state."""
+        """Stop by software. Returns at once; allowed in every state."""
         if self.bench is not None:
             self.bench.stop()
             log.info("STOP by the operator")
             self.cards.show_card(stopped_card(time_of_day()))
 
     def reset(self) -> None:
-        """Clear the latch and the cards."""
+        """Clear the stop latch and the cards."""
         if self.bench is not None:
             self.bench.reset()
         self.cards.clear()
 
     def say(self, text: str, holds: Callable[[], bool] | None = None) -> None:
-        """Show a sentence in the foot; with ``holds`` only as long as that is true."""
+        """Show a sentence in the footer. With ``holds``, only while it returns True."""
         self._holds = holds
         self.window.show_message(text)
 
     def go(self, name: str) -> None:
-        """Bring a workspace to the front; its keys come with it."""
+        """Bring a workspace to the front and enable its keys."""
         front, coming = self.window.front, self.workspaces[name]
         if front and front != name:
             self.workspaces[front].leave()
@@ -308,24 +304,32 @@ class TouchdownApp(QObject):
             *pages,
             WindowCommand("connect", "Connect the bench", "Ctrl+L", self._connect_again),
             WindowCommand("limits", "Limits of motion and force", "", self._show_limits),
-            WindowCommand("calibrate", "Calibrate: payload, board, tool, wrist, cameras", "Ctrl+Shift+K",
+            WindowCommand("calibrate", "Calibrate: payload, board, tool, wrist, cameras",
+                          "Ctrl+Shift+K",
                     self._show_calibrations),
             WindowCommand("layout", "Reset the layout", "Ctrl+0", self._reset_layout),
-            WindowCommand("layouts", "Layouts of this workspace", "Ctrl+Alt+L", self._show_layouts),
-            WindowCommand("lock", "Lock or unlock the layout", "", lambda: self.layouts.toggle_lock()),
+            WindowCommand("layouts", "Layouts of this workspace", "Ctrl+Alt+L",
+                    lambda: self.layout_menu.show(self.window.rail["layouts"])),
+            WindowCommand("lock", "Lock or unlock the layout", "",
+                          lambda: self.layouts.toggle_lock()),
             WindowCommand("save-layout", "Save the layout under a name", "",
                     lambda: self.layout_menu.ask_name()),
-            WindowCommand("theme", "Next theme: dark, light, high contrast, as the system", "Ctrl+T",
+            WindowCommand("theme", "Next theme: dark, light, high contrast, as the system",
+                          "Ctrl+T",
                     self._next_theme),
             WindowCommand("larger", "Larger text", "Ctrl++", self.look.larger),
             WindowCommand("smaller", "Smaller text", "Ctrl+-", self.look.smaller),
             WindowCommand("keys", "Key sheet", "F1", self._show_keys),
-            WindowCommand("palette", "Find a command", "Ctrl+K", self._show_palette),
+            WindowCommand("palette", "Find a command", "Ctrl+K",
+                          lambda: self.dialogs.show_palette()),
             *self._speed.commands,
             WindowCommand("fullscreen", "Full screen", "F11", self._full_screen),
             WindowCommand("tour", "Tour of the window", "Ctrl+F1", lambda: self.tour.begin()),
             WindowCommand("quit", "Quit", "Ctrl+Q", self._quit),
         ]  # fmt: skip
+
+    def _quit(self) -> None:
+        self.window.close()
 
     def _wire_rail(self) -> None:
         for name, button in self.window.rail.items():
@@ -359,9 +363,6 @@ class TouchdownApp(QObject):
         screens = [screen.availableGeometry() for screen in QApplication.screens()]
         self.window.setGeometry(move_on_screen(self.window.geometry(), screens))
 
-    def _show_layouts(self) -> None:
-        self.layout_menu.show(self.window.rail["layouts"])
-
     def _next_theme(self) -> None:
         self.look.next_theme()
         self.say(f"Theme: {self.look.words()}.")
@@ -381,20 +382,14 @@ class TouchdownApp(QObject):
     def _show_keys(self) -> None:
         self.dialogs.show_keys()
 
-    def _show_palette(self) -> None:
-        self.dialogs.show_palette()
-
     def _full_screen(self) -> None:
         full = self.window.isFullScreen()
         self.window.showNormal() if full else self.window.showFullScreen()
 
-    def _quit(self) -> None:
-        self.window.close()
-
     # -- the pump ---------------------------------------------------------------------------------
 
     def _add_parts(self) -> None:
-        """Give the page in front as many turns in a tick as it can have parts."""
+        """Add one call of the pump for each part that a page may have."""
         for turn in range(MOST_PARTS):
             self.pump.add(partial(self._draw_part, turn))
         self.pump.add(self._draw_frame)
@@ -419,18 +414,18 @@ class TouchdownApp(QObject):
         if failure is not None:
             self.cards.show_card(failure)
             return True
-        fact = self._mailbox.take()
-        if fact is None:
+        event = self._mailbox.take()
+        if event is None:
             return False
-        self._take(fact)
+        self._take(event)
         return True
 
-    def _take(self, fact: Event) -> None:
-        self.workspaces.take(fact)
+    def _take(self, event: Event) -> None:
+        self.workspaces.take(event)
         if self.panels is not None:
-            self.panels.calibrate.take(fact)
-        log_event(fact)
-        show_event(fact, self.bench, self.cards, self.say)
+            self.panels.calibrate.take(event)
+        log_event(event)
+        show_event(event, self.bench, self.cards, self.say)
 
     def _show_connecting(self) -> None:
         self.bar.pill.show_state(PillState("CONNECTING", "ring", "blue", "preparing the bench"))

@@ -16,12 +16,12 @@ from touchdown.backend.core import ActionChosen, Event
 from touchdown.backend.runs import StackRequest
 
 HEARTBEAT_MS = 10
+# More trials than any measurement lasts, so that trial changes are part of the load.
 TRIALS, FIRST_SEED = 500, 100
-"""More trials than any measurement lasts: changes of the trial belong to the load."""
 
 
 class Measurement(QObject):
-    """Waits for the bench, starts a long run, measures for ``seconds``, reports, and quits."""
+    """Waits for the bench, starts a long run, measures for ``seconds``, reports and quits."""
 
     def __init__(
         self, main: TouchdownApp, seconds: float, report: Callable[[dict[str, float]], None]
@@ -38,7 +38,7 @@ class Measurement(QObject):
         self._warm_s = 0.0
 
     def _wait(self) -> None:
-        """Begin two seconds after the bench is there and a run goes on."""
+        """Start the measurement two seconds after the run has begun."""
         if self._main.bench is None:
             self._give_up_if_failed()
             return
@@ -52,10 +52,10 @@ class Measurement(QObject):
         self._timer.timeout.connect(self._beat)
         self._begin()
 
-    def _take(self, fact: Event) -> None:
-        """Note each decision (on the bench's thread: an append is all it may cost)."""
-        if isinstance(fact, ActionChosen):
-            self._latencies_ms.append(fact.latency_ms)
+    def _take(self, event: Event) -> None:
+        """Record a decision. Runs on the thread of the bench, so it only appends."""
+        if isinstance(event, ActionChosen):
+            self._latencies_ms.append(event.latency_ms)
 
     def _give_up_if_failed(self) -> None:
         if self._main.cards.codes:
@@ -115,7 +115,7 @@ class Measurement(QObject):
 
 
 def _decisions(latencies_ms: list[float]) -> dict[str, float]:
-    """Return count, median, 99th percentile and worst; the count alone if there were none."""
+    """Return count, median, 99th percentile and maximum; only the count if there were none."""
     if not latencies_ms:
         return {"decisions": 0}
     p50, p99 = np.percentile(latencies_ms, [50, 99])

@@ -26,12 +26,10 @@ from touchdown.backend.bench import Session
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import calibrations_folder, data_folder, models_folder
 
+# Switch interval of the interpreter. A decision makes hundreds of short library calls, each of
+# which waits for the interpreter lock. On two busy cores 2 ms gave a median of 20 ms per decision
+# and 40 ms of lag (p99), 0.5 ms gave 13 ms and 23 ms.
 THREAD_SWITCH_S = 0.0005
-"""Window and bench hand over to each other this often.
-
-A decision is hundreds of short library calls, each of which waits for its turn again. On two busy
-cores 2 ms gave a median of 20 ms a decision and 40 ms of lag (p99), 0.5 ms gave 13 ms and 23 ms.
-"""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -56,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         return application.exec()
     finally:
         main.close()
-        # What hangs now holds no label and moves nothing.
+        # Threads that still hang hold no labels and move nothing.
         exit_after_timeout()
         restore()
 
@@ -76,7 +74,7 @@ def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
         review = main.workspaces["review"]
         assert isinstance(review, ReviewWorkspace)
         review.presenter.open(args.replay)
-    # Whoever asks for something at the start wants that, not a tour.
+    # No tour if the command line asks for something else.
     main.tour_due = not (args.grab or args.measure or args.page or args.replay)
     main.connect_bench(partial(open_bench, args.bench, tuple(args.inject)))
 
@@ -84,11 +82,11 @@ def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
 def open_simulated_bench(
     settings: Path | None = None, disturbances: tuple[str, ...] = ()
 ) -> Session:
-    """Build the simulated bench with a first scene to look at (on the connecting thread).
+    """Build the simulated bench with a first scene. Called on the connecting thread.
 
     ``disturbances``: texts such as ``force_torque:stop@30``, in seconds of the bench clock.
     """
-    # Imported here, on the connecting thread: the window is there meanwhile.
+    # Imported on the connecting thread, so that the window appears first.
     from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
     from touchdown.backend.calibration import CalibrationStore
     from touchdown.backend.learning import ModelRegistry
@@ -98,8 +96,8 @@ def open_simulated_bench(
     session = simulated_session(
         SimulatedBenchChoice(file=settings, disturbances=disturbances),
         keep=RecordingOptions(data_folder() / "runs"),
-        # Asked, it is loaded: while that goes on nothing else runs, for 70 to 130 ms, and at the
-        # first release the window stood still that long.
+        # The check loads MuJoCo, which takes 70 to 130 ms. Later, at the first release, that would
+        # stop the window.
         animate=mujoco_available(),
         registry=ModelRegistry(models_folder()),
     )
@@ -110,9 +108,9 @@ def open_simulated_bench(
 
 
 def open_bench(file: Path | None, disturbances: tuple[str, ...] = ()) -> Session:
-    """Build the bench of a file: a lab's devices, not yet connected, or a simulated bench.
+    """Build the bench of a file: the devices of a lab, not yet connected, or a simulated bench.
 
-    Raises ``InputError`` for ``disturbances`` of a lab's devices.
+    Raises ``InputError`` for ``disturbances`` of real devices.
     """
     from touchdown.backend.config import is_lab_file
 
@@ -138,17 +136,17 @@ def open_bench(file: Path | None, disturbances: tuple[str, ...] = ()) -> Session
 
 
 def freeze_garbage() -> None:
-    """Take everything loaded so far out of the garbage collector's sight.
+    """Exclude all objects created so far from garbage collection.
 
-    Modules, widgets and models stay until the end. Each full collection walked all of them, and
-    stopped window and bench for 100 ms, now and then in the middle of a decision.
+    Modules, widgets and models live until the end. Each full collection visited all of them and
+    stopped window and bench for 100 ms, sometimes during a decision.
     """
     gc.collect()
     gc.freeze()
 
 
 class _WindowGrab(QObject):
-    """Starts a run once the bench is there and saves a picture after a while."""
+    """Starts a run once the bench is attached and saves a picture after a while."""
 
     def __init__(self, main: TouchdownApp, args: argparse.Namespace) -> None:
         super().__init__(main)
@@ -180,10 +178,10 @@ INSTALL = 'pip install "PySide6-Essentials>=6.8,!=6.9.1,<6.12"'
 
 
 def incompatibility(python: tuple[int, int], pyside: str) -> str | None:
-    """Return one line on what is wrong with this pair, or None.
+    """Return an error for an incompatible pair of Python and PySide6, else None.
 
-    6.12.0 loses reference counts of True and None on CPython before 3.12 and aborts; 6.9.1 draws
-    no curves (pyqtgraph issue 3326).
+    6.12.0 loses reference counts of True and None on CPython before 3.12 and aborts; 6.9.1 draws no
+    curves (pyqtgraph issue 3326).
     """
     broken = pyside == "6.9.1" or (pyside == "6.12.0" and python < (3, 12))
     if not broken:

@@ -21,9 +21,9 @@ FOLLOWED = frozenset({QEvent.Type.Resize, QEvent.Type.Move, QEvent.Type.Show, QE
 
 
 class Tour(QObject):
-    """``make`` gives the stops when it begins; ``done`` is told when it ends, however it ends.
+    """The tour of the window. ``make`` returns the stops; ``done`` is called at the end.
 
-    ``cards`` of the window stay bright and uncovered: a fault does not wait for the tour.
+    Fault cards stay visible during the tour.
     """
 
     def __init__(
@@ -46,11 +46,11 @@ class Tour(QObject):
 
     @property
     def active(self) -> bool:
-        """Whether it is on."""
+        """True during the tour."""
         return self.at >= 0
 
     def begin(self) -> None:
-        """Begin with the first stop."""
+        """Start with the first stop."""
         self.end()
         self.spotlight = Spotlight(self._theme, self._window)
         self.card = TourCard(self._window, self.turn, self.end)
@@ -60,7 +60,7 @@ class Tour(QObject):
         self._show()
 
     def turn(self, by: int) -> None:
-        """Go on, or back; past the last stop it ends."""
+        """Go to the next or previous stop; the tour ends after the last one."""
         self.at += by
         if self.at >= len(self.stops):
             self.end()
@@ -69,7 +69,7 @@ class Tour(QObject):
             self._show()
 
     def end(self) -> None:
-        """End; ending twice is harmless."""
+        """End the tour. May be called twice."""
         if not self.active or self.card is None or self.spotlight is None:
             return
         self.at = -1
@@ -82,13 +82,13 @@ class Tour(QObject):
         self._done()
 
     def eventFilter(self, _watched: QObject, event: QEvent) -> bool:
-        """Follow the size of the window, and its cards as they come and go."""
+        """Follow changes of the window and of its cards."""
         if event.type() in FOLLOWED:
             self.fit()
         return False
 
     def fit(self) -> None:
-        """Stand where the place is now."""
+        """Move to the present position of the stop."""
         if not self.active or self.card is None or self.spotlight is None:
             return
         hole = QRect() if self._place is None else self._hole(self._place)
@@ -101,7 +101,7 @@ class Tour(QObject):
         stop = self.stops[self.at]
         if stop.workspace and stop.workspace != self._window.front:
             self._go(stop.workspace)
-        # The page that came to the front has its places only after its layout.
+        # The positions are known only after the layout of the page.
         QApplication.sendPostedEvents(None, QEvent.Type.LayoutRequest)
         self._place = stop.place()
         scroll = _scroll_of(self._place)
@@ -122,7 +122,7 @@ class Tour(QObject):
 def tour_stops(
     window: MainWindow, bar: TopBar, workspaces: Mapping[str, Workspace]
 ) -> tuple[TourStop, ...]:
-    """Return the stops, in the order of a day at the bench."""
+    """Return the stops, in the order of a working day."""
     return (
         TourStop("", lambda: bar.pill, "This bench is simulated",
                  "Fingers, wrench, arm and gripper are computed, so nothing can break. Here stands "
@@ -157,7 +157,6 @@ WorkspaceT = TypeVar("WorkspaceT", bound=Workspace)
 
 
 def _of(workspaces: Mapping[str, Workspace], kind: type[WorkspaceT]) -> WorkspaceT:
-    """Return the workspace of this kind, with its page."""
     found = workspaces[kind.name]
     assert isinstance(found, kind)
     return found

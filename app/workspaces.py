@@ -29,71 +29,67 @@ WORKSPACES: tuple[Callable[[WorkspaceContext], Workspace], ...] = (
     StackWorkspace,
     ReviewWorkspace,
 )
-FIRST = "stack"
-"""In front at the first start."""
-IDLE_MS = 20
-"""Between two pieces of pages that are made ahead."""
-AT_ONCE = 25
-"""So many widgets take the style sheet in one piece: some 5 ms."""
+FIRST = "stack"  # in front at the first start
+IDLE_MS = 20  # pause between two steps of building pages in advance
+AT_ONCE = 25  # number of widgets styled in one step, which takes about 5 ms
 
 
 class Workspaces(Mapping[str, Workspace]):
-    """The workspaces by name. A page is made when it is first asked for.
+    """The workspaces by name. A page is built when it is first needed.
 
-    It then hears what the others have heard: the memory of it, the bench, the facts so far.
-    ``place`` gives a page that was just made its place in the window, in pieces; ``warn`` shows a
-    sentence.
+    A new page receives its stored settings, the bench and the events so far. ``place`` adds a new
+    page to the window in steps; ``warn`` shows a sentence.
     """
 
     def __init__(
         self,
-        desk: WorkspaceContext,
+        context: WorkspaceContext,
         remembered: Mapping[str, Memory],
         place: Callable[[Workspace], Iterator[None]],
         warn: Callable[[str], None],
     ) -> None:
-        self.all: Sequence[Workspace] = [make(desk) for make in WORKSPACES]
-        """All of them; those without a page have a name and commands only."""
+        # All workspaces; those without a page have a name and commands only.
+        self.all: Sequence[Workspace] = [make(context) for make in WORKSPACES]
         self._remembered, self._place, self._warn = remembered, place, warn
         self._ready: dict[str, Workspace] = {}
         self._begun: dict[str, Iterator[None]] = {}
         self._ahead: QTimer | None = None
         self._waiting = ("", "")
         self._bench: Session | None = None
-        self._facts: list[Event] = []
+        self._events: list[Event] = []
 
     def __getitem__(self, name: str) -> Workspace:
-        """Return a workspace with its page; raises KeyError."""
+        """Return a workspace with its page. Raises ``KeyError``."""
         while name not in self._ready:
             next(self._making(name))
         return self._ready[name]
 
     def __contains__(self, name: object) -> bool:
-        """Whether there is such a workspace, with a page or without."""
+        """Return True for the name of a workspace, built or not."""
         return any(ws.name == name for ws in self.all)
 
     def __iter__(self) -> Iterator[str]:
-        """Go through the names, in the order of the rail."""
+        """Iterate over the names in the order of the rail."""
         return (ws.name for ws in self.all)
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of workspaces."""
         return len(self.all)
 
     @property
     def ready(self) -> Sequence[Workspace]:
-        """Those that have a page."""
+        """The workspaces with a page."""
         return [ws for ws in self.all if ws.name in self._ready]
 
     @property
     def missing(self) -> Sequence[str]:
-        """The names of those that have none yet."""
+        """The names of the workspaces without a page."""
         return [name for name in self if name not in self._ready]
 
     def make_ahead(self, parent: QObject, hold: Callable[[], bool]) -> None:
-        """Make the other pages, piece by piece, so that a first visit is a quick one.
+        """Build the other pages in steps, so that the first visit is fast.
 
-        Nothing is made while ``hold`` asks for quiet.
+        Nothing is built while ``hold`` returns True.
         """
         timer = self._ahead = QTimer(parent)
 
@@ -105,7 +101,7 @@ class Workspaces(Mapping[str, Workspace]):
         timer.start(IDLE_MS)
 
     def prepare(self) -> bool:
-        """Do one piece of the pages that are missing; False when none is."""
+        """Do one step of building; return False if all pages exist."""
         name = next(iter((*self._begun, *self.missing)), None)
         if name is None:
             return False
@@ -115,40 +111,40 @@ class Workspaces(Mapping[str, Workspace]):
     # -- to all that have a page; the others hear of it when theirs is made ------------------------
 
     def attach(self, bench: Session) -> None:
-        """Take a bench that is ready."""
+        """Connect all pages to a bench."""
         self._bench = bench
         for ws in self.ready:
             ws.attach(bench)
 
-    def take(self, fact: Event) -> None:
-        """Take one fact of the bench."""
+    def take(self, event: Event) -> None:
+        """Pass an event to all pages."""
         for ws in self.ready:
-            ws.take(fact)
+            ws.take(event)
         if self.missing:
-            self._facts.append(fact)
+            self._events.append(event)
 
     def show_waiting(self, word: str, why: str) -> None:
-        """Say why there is no bench yet."""
+        """Show why no bench is connected yet."""
         self._waiting = word, why
         for ws in self.ready:
             ws.show_waiting(word, why)
 
     def fit_to_theme(self) -> None:
-        """Take the sizes and icons of the theme."""
+        """Apply the sizes and icons of the theme."""
         for ws in self.ready:
             ws.fit_to_theme()
 
     def memory(self) -> dict[str, dict[str, object]]:
-        """Return what to remember of each; of those without a page what was remembered."""
+        """Return the settings of all workspaces to store; unbuilt pages keep the stored ones."""
         before = {name: dict(kept) for name, kept in self._remembered.items() if name in self}
         return before | {ws.name: dict(ws.memory()) for ws in self.ready}
 
     def close(self) -> None:
-        """End what runs beside the window."""
+        """Close all workspaces."""
         if self._ahead is not None:
             self._ahead.stop()
         for name in [*self._begun]:
-            # What a page that is half made has begun, the whole one can end.
+            # Complete a half-built page, so that it can be closed.
             self[name]
         for ws in self.ready:
             ws.close()
@@ -156,7 +152,7 @@ class Workspaces(Mapping[str, Workspace]):
     # -- inside -----------------------------------------------------------------------------------
 
     def _making(self, name: str) -> Iterator[None]:
-        """Return the making of a page, as far as it has come; raises KeyError."""
+        """Return the iterator that builds a page. Raises ``KeyError``."""
         if name not in self._begun:
             made = next((ws for ws in self.all if ws.name == name), None)
             if made is None:
@@ -175,10 +171,10 @@ class Workspaces(Mapping[str, Workspace]):
             self._warn(ignored_words(ws.recall(self._remembered[ws.name])))
         if self._bench is not None:
             ws.attach(self._bench)
-        for fact in self._facts:
-            ws.take(fact)
+        for event in self._events:
+            ws.take(event)
         if not self.missing:
-            self._facts.clear()
+            self._events.clear()
         parts = ws.page.findChildren(QWidget)
         for first in range(0, len(parts), AT_ONCE):
             yield

@@ -1,7 +1,7 @@
-"""Makes the pictures of README and guide anew, from the simulated bench (``make pictures``).
+"""Render the pictures of README and guide from the simulated bench (``make pictures``).
 
-A day at the window on a clock that is turned here, so the pictures show the same on every machine
-but for dates and the free disk. Nothing is taken from this computer's own data.
+The bench clock is advanced by the program, so that the pictures are the same on every machine
+except for dates and free disk space. No data of this computer are used.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from PySide6.QtCore import QDeadlineTimer, QEventLoop
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication
 
-from tests.picture_files import PictureFiles, told
+from tests.picture_files import PictureFiles, run_reporting
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.__main__ import main as touchdown
@@ -37,14 +37,12 @@ SIZE = (1280, 720)
 PARTS = ("operate", "stack", "review", "collect", "train")
 PERSON = "Ann"
 PROBES = 12
-PRESSED_S = 1.6
-"""After so long a press is at its full force."""
-STEPS = 100_000
-"""Turns of the bench's clock after which something has gone wrong."""
+PRESSED_S = 1.6  # time after which a press has reached its full force
+STEPS = 100_000  # steps of the bench clock after which something has gone wrong
 
 
-class Turned:
-    """A session without a thread: its time passes where it is turned."""
+class SteppedSession:
+    """Session without a thread; the caller advances its time."""
 
     def __init__(self, session: Session) -> None:
         object.__setattr__(self, "session", session)
@@ -60,7 +58,7 @@ class Turned:
 
 
 class Day:
-    """One window on one bench, brought to what its pictures show."""
+    """One window on one bench, brought into the states of the pictures."""
 
     def __init__(self, application: QApplication, folder: Path, files: PictureFiles) -> None:
         self._folder, self._files = folder, files
@@ -71,14 +69,14 @@ class Day:
         self.main.look.show("dark", 1.0)
         self.main.window.show()
         self.main.window.resize(*SIZE)
-        self.main.attach(Turned(self.session))  # type: ignore[arg-type]
-        # Data are old by the bench's own clock only: drawing pictures takes its time.
+        self.main.attach(SteppedSession(self.session))  # type: ignore[arg-type]
+        # Judge the age of data by the bench clock: rendering takes long.
         live = [getattr(workspace, "live", None) for workspace in self.main.workspaces.values()]
         for follower in (self.main._chips, *filter(None, live)):
             follower._now_s = self.session.clock_s
 
     def until(self, there: Callable[[], bool]) -> None:
-        """Let bench time pass until ``there``."""
+        """Advance the bench until ``there`` returns True."""
         for count in range(STEPS):
             self.session.engine.tick()
             self.session.advance()
@@ -90,7 +88,7 @@ class Day:
         raise RuntimeError(f"The bench did not get there: {self.session.status()}")
 
     def wait(self, there: Callable[[], bool]) -> None:
-        """Let the window's own threads come to an end."""
+        """Wait for the threads of the window."""
         until = QDeadlineTimer(300_000)
         while not there():
             if until.hasExpired():
@@ -99,22 +97,22 @@ class Day:
             self.main.pump.tick()
 
     def idle(self) -> bool:
-        """Whether no run has the bench."""
+        """Return True if no run is active."""
         return self.session.status().state is RunState.IDLE
 
     def go_on(self) -> None:
-        """Let ``PRESSED_S`` pass on the bench."""
+        """Advance the bench by ``PRESSED_S``."""
         until_s = self.session.clock_s() + PRESSED_S
         self.until(lambda: self.session.clock_s() > until_s)
 
     def press(self, probe: int) -> None:
-        """Go on until the press of this probe is at its full force."""
+        """Advance to the full force of the press of this probe."""
         status = self.session.status
         self.until(lambda: (status().probe, status().phase) == (probe, "press"))
         self.go_on()
 
     def grab(self, name: str, theme: str = "dark") -> None:
-        """Save what stands in the window in a theme."""
+        """Save the window in a theme."""
         self.main.look.show(theme, 1.0)
         for _ in range(20):
             self.main.pump.tick()
@@ -122,13 +120,13 @@ class Day:
         image = self.main.window.grab().toImage().convertToFormat(QImage.Format.Format_BGR888)
         rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
         pixels = rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3)
-        # The last bit of a level is noise of the simulated cameras, and a sixth of the file.
+        # The lowest bit is camera noise and takes a sixth of the file.
         _, png = cv2.imencode(".png", pixels & 0xFE, [cv2.IMWRITE_PNG_COMPRESSION, 9])
         self._files.keep(name, png.tobytes())
         self.main.look.show("dark", 1.0)
 
     def stack(self) -> None:
-        """Stack once; its pictures show the third probe."""
+        """Stack once; the pictures show the third probe."""
         main, workspace = self.main, self.main.workspaces["stack"]
         main.go("stack")
         self.until(lambda: main.bar.pill.state.word == "READY")
@@ -141,7 +139,7 @@ class Day:
         self.go_on()
 
     def operate(self) -> None:
-        """Probe once by hand; the picture shows it pressing."""
+        """Probe once by hand; the picture shows the press."""
         self.main.go("operate")
         self.until(lambda: self.main.bar.pill.state.word == "READY")
         self.main.actions.action("operate.probe").trigger()
@@ -150,7 +148,7 @@ class Day:
         self.until(self.idle)
 
     def collect(self) -> None:
-        """Collect a small campaign, then open the first of its probes to be labelled."""
+        """Collect a small campaign, then open its first probe for labelling."""
         main, workspace = self.main, self.main.workspaces["collect"]
         main.go("collect")
         self.until(lambda: main.bar.pill.state.word == "READY")
@@ -167,12 +165,12 @@ class Day:
         workspace.page.show_half("label")
         label = workspace.label
         self.wait(lambda: label.presenter is not None and label.presenter.walk.begun)
-        self.wait(lambda: not label.label_page.nothing.isVisible() and not label.commits.busy)
+        self.wait(lambda: not label.label_page.nothing.isVisible() and not label.worker.busy)
         self.grab("label")
         workspace.page.show_half("collect")
 
     def train(self) -> None:
-        """Train twice on simulated packs; the first one is looked at."""
+        """Train twice on simulated packs; the picture shows the first training."""
         packs = self._folder / "packs"
         plan = "--piece pot --episodes 300 --probes-per-grip 10 --grips-per-mounting 1 --workers 1"
         if touchdown(["simulate", *plan.split(), "--out", str(packs)]):
@@ -185,12 +183,12 @@ class Day:
         self.main.go("train")
         self.go_on()
         workspace.take_folder(packs)
-        self.wait(lambda: bool(workspace.presenter.runs) and not workspace._commits.busy)
-        self.wait(lambda: workspace.page.form.start.isEnabled() and not workspace._commits.busy)
+        self.wait(lambda: bool(workspace.presenter.runs) and not workspace._worker.busy)
+        self.wait(lambda: workspace.page.form.start.isEnabled() and not workspace._worker.busy)
         self.grab("train")
 
     def review(self) -> None:
-        """Look at the stacking run again."""
+        """Open the recorded stacking run."""
         self.main.go("review")
         workspace = self.main.workspaces["review"]
         self.wait(lambda: not workspace.presenter.recordings.describing)
@@ -199,7 +197,7 @@ class Day:
         self.grab("review")
 
     def close(self) -> None:
-        """End window and bench."""
+        """Close window and bench."""
         self.main.quit_at_once()
         self.main.close()
 
@@ -210,11 +208,11 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--only", nargs="*", default=list(PARTS), choices=PARTS,
                         help="these alone; review shows what stack leaves")  # fmt: skip
     args = parser.parse_args(argv)
-    return told(lambda: draw(args.out, args.only))
+    return run_reporting(lambda: draw(args.out, args.only))
 
 
 def draw(out: Path, parts: Sequence[str]) -> int:
-    """Make the pictures of these parts of the day; all or none of them are put in ``out``."""
+    """Render these parts of the day; writes all of their pictures to ``out`` or none."""
     files = PictureFiles(out)
     with tempfile.TemporaryDirectory() as folder:
         for name in ("TOUCHDOWN_DATA", "TOUCHDOWN_CONFIG"):

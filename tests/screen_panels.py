@@ -1,4 +1,4 @@
-"""States of the window that need more than the stand-in bench: devices, hands, wizards, models."""
+"""States that need more than the stand-in bench: devices, jogging, wizards, models."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.backend.runs.test_calibrated import SEEN
 from touchdown.app.calibrate.presenter import CalibratePresenter
 from touchdown.app.connect.devices import DevicesPresenter
 from touchdown.app.connect.presenter import ConnectPresenter
-from touchdown.backend.bench.laboratory import calibrations_of, otherwise_named
+from touchdown.backend.bench.laboratory import calibrations_of, find_camera_conflicts
 from touchdown.backend.calibration.records import CalibrationStore, DeviceName
 from touchdown.backend.config.bench_description import BenchDescription
 from touchdown.backend.config.lab import load_lab
@@ -74,7 +74,7 @@ FULL = Fault("DISK-FULL", "Only 0.42 GB are free on the disk of the dataset.", C
 
 
 class Hand:
-    """A hand in air that may be jogged everywhere."""
+    """Hand in air that can be jogged everywhere."""
 
     rotates, powered, active, holding, pressing_n = True, True, False, True, 0.0
     switching = False
@@ -92,7 +92,7 @@ class Hand:
 
 
 def train_models(folder: Path) -> None:
-    """Train two tiny models on tiny packs in ``folder``: a finished run each."""
+    """Train two tiny models on tiny packs in ``folder``."""
     folder.mkdir()
     write_tiny_packs(folder)
     for modality, layers in (("FT+Tac", 1), ("FT", 2)):
@@ -126,7 +126,7 @@ def by_hand(stage: Stage) -> Iterator[str]:
 
 
 def beside_the_queue(stage: Stage) -> Iterator[str]:
-    """Beside the queue: agreement, log, many at once, health; a random audit; no queue left."""
+    """Panels beside the queue: agreement, log, bulk edit, health; random audit; empty queue."""
     label = stage.main.workspaces["collect"].label
     page = label.label_page
     for tab, name in ((1, "agree"), (2, "log"), (3, "bulk"), (4, "health")):
@@ -165,21 +165,21 @@ def trained(stage: Stage, packs: Path) -> Iterator[str]:
     main, workspace = stage.main, stage.main.workspaces["train"]
     main.go("train")
     workspace.take_folder(packs)
-    stage.until(lambda: bool(workspace.presenter.runs) and not workspace._commits.busy)
+    stage.until(lambda: bool(workspace.presenter.runs) and not workspace._worker.busy)
     yield "train-one"
     runs = [run.uuid for run in workspace.presenter.runs.values()]
     workspace.page.runs.choose(runs[:2])
-    stage.until(lambda: not workspace._commits.busy)
+    stage.until(lambda: not workspace._worker.busy)
     yield "train-compared"
     workspace.presenter._show_progress("epoch 3 of 16, about 4 min left")
     workspace.page.form.divide.setChecked(True)
-    stage.until(lambda: not workspace._commits.busy)
+    stage.until(lambda: not workspace._worker.busy)
     yield "train-leakage"
     workspace.page.form.divide.setChecked(False)
 
 
 def attended(stage: Stage) -> Iterator[str]:
-    """A trial on devices: set the scene, hand the piece over, say the outcome."""
+    """Trial on devices: set the scene, hand the piece over, report the outcome."""
     main, bench = stage.main, stage.bench
     page = main.workspaces["stack"].page
     main.go("stack")
@@ -213,7 +213,7 @@ def attended(stage: Stage) -> Iterator[str]:
 
 
 def _photo(stage: Stage) -> Iterator[str]:
-    """A picture of the trial is asked for, then kept beside the journal."""
+    """Photo of a trial: file dialog, then the stored photo."""
     asks, folder = stage.main.workspaces["stack"].attended, stage.folder / "photographed"
     folder.mkdir()
     stage.main.window.grab().save(str(folder / "bench.png"))
@@ -231,7 +231,7 @@ def _photo(stage: Stage) -> Iterator[str]:
 
 
 def in_large_text(stage: Stage, percent: int) -> Iterator[str]:
-    """The label half and a report in text of another size."""
+    """Label half and report at another font scale."""
     main = stage.main
     main.go("collect")
     main.workspaces["collect"].page.show_half("label")
@@ -256,7 +256,7 @@ def _report(stage: Stage, name: str, rows: tuple[int, ...]) -> Iterator[str]:
 
 
 def _exchanged(folder: Path) -> Path:
-    """Write a lab file, and a calibration that found its cameras at the other fingers."""
+    """Write a lab file and a calibration with the cameras of the fingers exchanged."""
     path = folder / "exchanged" / "lab.toml"
     path.parent.mkdir(exist_ok=True)
     template = Path(str(files("touchdown.resources"))) / "benches" / "lab.toml"
@@ -283,9 +283,9 @@ def _connecting(stage: Stage, folder: Path) -> Iterator[str]:
     stage.until(lambda: not connection.busy)
     panel.draw(at_once=True)
     yield "connect-failed"
-    # With the real words: a lab file that has the cameras at the other fingers.
+    # Real texts: a lab file with the cameras exchanged.
     lab = load_lab(_exchanged(folder))
-    connection.notices = otherwise_named(lab)
+    connection.notices = find_camera_conflicts(lab)
     panel.draw(at_once=True)
     yield "connect-exchanged"
     panel.sheet.close()
@@ -324,7 +324,7 @@ def sheets(stage: Stage, folder: Path) -> Iterator[str]:
 
 
 def _devices(stage: Stage, file: Path, name: str) -> Iterator[str]:
-    """The device wizard of a lab file."""
+    """Device wizard of a lab file."""
     bench = stage.bench
     source, bench.limits_source = bench.limits_source, str(file)
     file.write_text(LAB, "utf-8")
@@ -337,7 +337,7 @@ def _devices(stage: Stage, file: Path, name: str) -> Iterator[str]:
 
 
 def pauses(stage: Stage) -> Iterator[str]:
-    """A full disk, and the question before the window closes."""
+    """Full disk; question on closing the window."""
     main, bench = stage.main, stage.bench
     main.go("collect")
     bench.set_state(RunState.PAUSED, text=FULL.what)

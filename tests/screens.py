@@ -1,7 +1,7 @@
-"""Renders every workspace and every important state to PNG, to be looked at (``make screens``).
+"""Render every workspace and important state as PNG for inspection (``make screens``).
 
-The window stands on the stand-in bench and on a small dataset that is made here; nothing is taken
-from this computer's own data.
+The window runs on the stand-in bench and a small generated dataset. No data of this computer are
+used.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from PySide6.QtWidgets import QApplication
 from tests import screen_faults, screen_panels, screen_states
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
-from tests.picture_files import PictureFiles, told
+from tests.picture_files import PictureFiles, run_reporting
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.annotations.dataset import Dataset
@@ -46,7 +46,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--scale", default="1", help="device pixels per pixel: 1, 1.25, 1.5, 2")
     parser.add_argument("--only", nargs="*", default=[""], help="states whose name begins so")
     args = parser.parse_args(argv)
-    return told(lambda: _render_in_a_folder(args))
+    return run_reporting(lambda: _render_in_a_folder(args))
 
 
 def _render_in_a_folder(args: argparse.Namespace) -> int:
@@ -62,7 +62,7 @@ def _render_in_a_folder(args: argparse.Namespace) -> int:
 
 
 def _use_large_screen(file: Path) -> None:
-    """Stand dialogs where a desk's screen would: the platform's own is 800 px wide."""
+    """Simulate a desktop screen; that of the offscreen platform is 800 px wide."""
     screen = {"name": "desk", "x": 0, "y": 0, "width": 1920, "height": 1200,
               "logicalDpi": 96, "dpr": 1}  # fmt: skip
     file.write_text(json.dumps({"screens": [screen]}), encoding="utf-8")
@@ -110,7 +110,7 @@ def _make_dataset(folder: Path) -> None:
 
 
 class Stage:
-    """One window and the states it is brought into, in this order."""
+    """One window and the sequence of its states."""
 
     def __init__(self, application: QApplication, folder: Path, theme: str) -> None:
         folder.mkdir()
@@ -124,14 +124,14 @@ class Stage:
         for _ in range(20):
             self.main.pump.tick()
             QApplication.processEvents()
-        commits = self.main.workspaces["collect"].label.commits
+        commits = self.main.workspaces["collect"].label.worker
         until = QDeadlineTimer(3000)
         while commits is not None and commits.busy and not until.hasExpired():
             QApplication.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents, 20)
             self.main.pump.tick()
 
     def until(self, there: Callable[[], bool]) -> None:
-        """Turn pump and event loop until ``there``, a while at most."""
+        """Run pump and event loop until ``there`` returns True, 20 s at most."""
         until = QDeadlineTimer(20_000)
         while not there() and not until.hasExpired():
             QApplication.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents, 20)
@@ -139,7 +139,7 @@ class Stage:
         self.settle()
 
     def grab(self) -> bytes:
-        """Return the window with whatever dialog or menu stands over it, as PNG."""
+        """Return the window with open dialogs and menus as PNG."""
         window = self.main.window
         picture = window.grab()
         painter = QPainter(picture)
@@ -159,10 +159,10 @@ class Stage:
         self.main.deleteLater()
 
     def states(self) -> Iterator[str]:
-        """Bring the window into each state and yield its name."""
+        """Bring the window into each state and yield the name of the state."""
         yield from self._without_a_bench()
         self.main.attach(self.bench)
-        # Data are old by the bench's own clock only: drawing pictures takes its time.
+        # Judge the age of data by the bench clock: rendering takes long.
         live = [getattr(ws, "live", None) for ws in self.main.workspaces.values()]
         for follower in (self.main._chips, *filter(None, live)):
             follower._now_s = self.bench.clock_s
@@ -324,7 +324,7 @@ class Stage:
         main.look.show(main.look.choice, 1.0)
 
     def live(self, press: float) -> None:
-        """Let two seconds pass with this share of the press."""
+        """Advance two seconds at this share of the press."""
         self.bench.press = press
         for _ in range(10):
             self.bench.turn(0.2)

@@ -81,12 +81,13 @@ STEPS: dict[CalibrationName, tuple[str, ...]] = {
     ),
 }
 
+# Message after accepting a result that needs another step.
 AFTER: dict[CalibrationName, str] = {
     "camera": ". The pictures stay as they are until the bench is started again: close the window "
     "and open it anew."
 }
-"""What is said once a result is accepted that does not hold at once."""
 
+# Figure of the residuals that the limit applies to.
 COUNTS: dict[CalibrationName, str] = {
     "payload": "largest",
     "wrist": "largest",
@@ -94,11 +95,10 @@ COUNTS: dict[CalibrationName, str] = {
     "tool": "rms",
     "camera": "rms",
 }
-"""Which figure of the residuals is held against the limit."""
 
 
 def validity_text(days_left: float) -> str:
-    """Say for how long a calibration still holds."""
+    """Return the remaining validity of a calibration as text."""
     days = int(days_left)
     return "less than a day" if days < 1 else "1 day" if days == 1 else f"{days} days"
 
@@ -110,7 +110,7 @@ NO_STORE = "This bench keeps no calibrations"
 
 
 class CalibratePresenter:
-    """One sheet per bench; a run that another page began is only waited for."""
+    """Keeps one calibration sheet per bench. A run started elsewhere is waited for."""
 
     def __init__(
         self,
@@ -133,7 +133,7 @@ class CalibratePresenter:
         self._drawn_s = self._read_s = float("-inf")
 
     def open(self) -> None:
-        """Show the wizard."""
+        """Show the calibration sheet."""
         if self.sheet is None:
             catalogue = self._bench.catalogue
             self.sheet = CalibrateSheet(
@@ -152,40 +152,40 @@ class CalibratePresenter:
         self.sheet.raise_()
 
     def _usual(self) -> CalibrateRequest:
-        """Return what the form begins with."""
+        """Return the request that the form starts with."""
         usual, on_bench = CalibrateRequest("board"), self._bench.usual
         if self._bench.simulated:
             return usual
         return replace(usual, piece=on_bench.piece, bottom=on_bench.bottoms[-1])
 
-    def take(self, fact: Event) -> None:
-        """Follow a calibration, whoever began it."""
-        if isinstance(fact, RunStarted):
+    def take(self, event: Event) -> None:
+        """Follow calibration runs, also those started elsewhere."""
+        if isinstance(event, RunStarted):
             known = {str(what): what for what in CALIBRATION_NAMES}
-            self._running = known.get(fact.strategy) if fact.activity == "calibrate" else None
-            self._progress = Progress(fact.t_s, 0, 1, "")
+            self._running = known.get(event.strategy) if event.activity == "calibrate" else None
+            self._progress = Progress(event.t_s, 0, 1, "")
             return
         if self._running is None:
             return
-        if isinstance(fact, Progress):
-            self._progress = fact
-        elif isinstance(fact, CalibrationMeasured):
-            self._measured[self._running] = fact
+        if isinstance(event, Progress):
+            self._progress = event
+        elif isinstance(event, CalibrationMeasured):
+            self._measured[self._running] = event
             self._said.pop(self._running, None)
-        elif isinstance(fact, HandOverAwaited) and self.sheet is not None:
+        elif isinstance(event, HandOverAwaited) and self.sheet is not None:
             answer = self._bench.answer
             self.sheet.question.ask(
-                hand_over_message(fact), "End the run", "Done", lambda: answer(True)
+                hand_over_message(event), "End the run", "Done", lambda: answer(True)
             )
-        elif isinstance(fact, RunFinished):
-            if fact.ending != "finished":
-                self._said[self._running] = fact.reason
+        elif isinstance(event, RunFinished):
+            if event.ending != "finished":
+                self._said[self._running] = event.reason
             self._running = None
             if self.sheet is not None:
                 self.sheet.question.withdraw()
 
     def draw(self, *, at_once: bool = False) -> None:
-        """Show how it stands, ten times a second while the wizard is open."""
+        """Update the sheet ten times a second while it is open."""
         sheet, now_s = self.sheet, self._now_s()
         if sheet is None or not (at_once or sheet.isVisible()):
             return
@@ -294,7 +294,7 @@ class CalibratePresenter:
         return " ".join(text for text in (found.obstacle, found.note) if text)
 
     def _empty(self, what: CalibrationName) -> str:
-        """Return what stands in place of residuals: what is kept, and from when."""
+        """Return the text shown in place of residuals: the stored result and its date."""
         standing = self._standings.get(what)
         if standing is None or standing.record is None:
             return "Measure first."
@@ -307,7 +307,7 @@ class CalibratePresenter:
         if standing is None:
             return NO_STORE, ""
         if standing.condition != "valid" or standing.record is None:
-            # Only hardware must have them.
+            # Calibrations are required on hardware only.
             needed = standing.condition != "missing" or self._bench.facts.mode == "hardware"
             return standing.why[:1].upper() + standing.why[1:], "bad" if needed else ""
         file = standing.record.file

@@ -38,7 +38,7 @@ MOST_BARS = 126
 
 
 class ResidualBars(QWidget):
-    """Sizes of the residuals; the dashed line is the limit of the figure that counts."""
+    """Bar chart of residuals; the dashed line is the limit of the checked figure."""
 
     def __init__(self, theme: Theme) -> None:
         super().__init__()
@@ -50,18 +50,18 @@ class ResidualBars(QWidget):
         self.setAccessibleName("Residuals")
 
     def sizeHint(self) -> QSize:
-        """Return a comfortable size."""
+        """Return the preferred size."""
         em = round(10 * self._theme.scale)
         return QSize(36 * em, 11 * em)
 
     def minimumSizeHint(self) -> QSize:
-        """Return the least size in which bars can be told apart."""
+        """Return the smallest size in which bars can be distinguished."""
         return QSize(200, 80)
 
     def show_residuals(
         self, residuals: Sequence[float], limit: float, unit: str, counts: str
     ) -> None:
-        """Show signed ``residuals`` by size; ``counts``: the figure that the limit is for."""
+        """Show the magnitudes of ``residuals``; the limit applies to ``counts``."""
         self._sizes = tuple(abs(value) for value in residuals[:MOST_BARS])
         self._limit, self._unit, self._counts = limit, unit, counts
         largest = max(self._sizes, default=0.0)
@@ -162,12 +162,12 @@ class PlaceForm(QWidget):
             column.addLayout(row)
 
     def show_pitch(self, on: bool) -> None:
-        """Show the pitch of the dots, which cameras alone are measured by."""
+        """Show or hide the dot pitch, which only camera calibrations need."""
         for widget in (self.pitch_mm, self._titles[self.pitch_mm]):
             widget.setVisible(on)
 
     def request(self, what: CalibrationName) -> CalibrateRequest:
-        """Return what the fields say."""
+        """Return the request that the form describes."""
         return CalibrateRequest(
             what,
             self.piece.currentText(),
@@ -184,12 +184,13 @@ VALUE_COLUMNS = 2
 
 @dataclass(frozen=True, slots=True)
 class CalibrationView:
-    """Everything that changes. ``rows``: (condition, tone) per calibration; ``chosen`` of them.
+    """State of the calibration sheet.
 
-    ``steps`` with the number of the one under way (-1: none); ``figure`` is the residual in words;
-    ``within`` its limit, None while there is none; ``kind`` says what of the residuals counts;
-    ``empty`` stands in their place while there are none.
-    ``why``: what stands against measuring, "" if nothing does.
+    ``rows`` holds (condition, tone) per calibration and ``chosen`` the index of the selected one.
+    ``step`` is the index of the current step, -1 for none. ``figure`` is the residual as text and
+    ``within`` tells if it is inside its limit, None without a limit. ``kind`` names the checked
+    figure of the residuals. ``empty`` is shown while there are no residuals. ``why`` is the reason
+    why no measurement can start, "" if one can.
     """
 
     rows: tuple[tuple[str, str], ...]
@@ -220,7 +221,7 @@ class CalibrationView:
 
 
 class CalibrateSheet(QDialog):
-    """List on the left; steps, live values, residual and buttons of the chosen one on the right."""
+    """List on the left; steps, live values, residual and buttons on the right."""
 
     calibration_chosen = Signal(int)
     measure_requested = Signal()
@@ -255,7 +256,7 @@ class CalibrateSheet(QDialog):
         self._wire()
 
     def show_look(self, look: CalibrationView) -> None:
-        """Show how it stands now."""
+        """Update the sheet."""
         before, self._shown = self._shown, look
         if look == before:
             return
@@ -357,7 +358,6 @@ class CalibrateSheet(QDialog):
         return page
 
     def _seen(self) -> QHBoxLayout:
-        """Return the pictures beside the residuals."""
         pair = QHBoxLayout(self._pictures)
         pair.setContentsMargins(0, 0, 0, 0)
         for finger, view in self.fingers.items():

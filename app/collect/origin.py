@@ -11,34 +11,33 @@ from pathlib import Path
 
 from touchdown.backend.core import OriginChecked
 
-WINDOW_S = 120.0
-"""The rate is that of the last two minutes."""
+WINDOW_S = 120.0  # time window of the recording rate
 LOW_BYTES = 2_000_000_000
 
 
 class RecorderGauge:
-    """Counts what was written; all times are those of one clock."""
+    """Measures the recording rate. All times are of the same clock."""
 
     def __init__(self) -> None:
         self._written: deque[tuple[float, int]] = deque()
 
     def note(self, now_s: float, count_bytes: int) -> None:
-        """Take an episode of ``count_bytes`` that is on the disk."""
+        """Add an episode of ``count_bytes`` that was written."""
         self._written.append((now_s, count_bytes))
 
     def bytes_a_minute(self, now_s: float) -> float:
-        """Return the rate over the last two minutes; 0 before two episodes are there."""
+        """Return the rate over the last two minutes; 0 before two episodes were written."""
         while self._written and now_s - self._written[0][0] > WINDOW_S:
             self._written.popleft()
         if len(self._written) < 2:
             return 0.0
         span_s = now_s - self._written[0][0]
-        # The first one was written before the span began.
+        # The first episode was written before the time span.
         later = sum(size for _, size in self._written) - self._written[0][1]
         return 60.0 * later / span_s if span_s > 0 else 0.0
 
     def words(self, folder: Path, now_s: float) -> str:
-        """Return the gauge in words; a folder that cannot be looked at says so."""
+        """Return free space and rate as text, or that the folder is not readable."""
         try:
             free = shutil.disk_usage(folder).free
         except OSError as error:
@@ -51,22 +50,22 @@ class RecorderGauge:
 
 
 class CampaignPace:
-    """How long the rest of a campaign takes, from the last probes."""
+    """Estimates the remaining time of a campaign from the last probes."""
 
     def __init__(self) -> None:
         self._at_s: deque[float] = deque(maxlen=21)
 
     def restart(self, now_s: float) -> None:
-        """Begin to count: a run begins."""
+        """Start counting for a new run."""
         self._at_s.clear()
         self._at_s.append(now_s)
 
     def note(self, now_s: float) -> None:
-        """One more probe is there."""
+        """Count one more probe."""
         self._at_s.append(now_s)
 
     def words(self, left: int) -> str:
-        """Return the time for ``left`` probes in words, "" while unknown."""
+        """Return the time for ``left`` probes as text, "" while unknown."""
         if len(self._at_s) < 2 or left <= 0:
             return ""
         each_s = (self._at_s[-1] - self._at_s[0]) / (len(self._at_s) - 1)
@@ -74,7 +73,7 @@ class CampaignPace:
 
 
 def duration_text(seconds: float) -> str:
-    """Write a length of time with two figures at most: "40 s", "12 min", "3 h 20 min", "8 days"."""
+    """Return a duration with at most two figures: "40 s", "12 min", "3 h 20 min", "8 days"."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
@@ -87,7 +86,10 @@ def duration_text(seconds: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class OriginCheckNote:
-    """Felt centre of the bottom minus the origin, in mm; ``used``: the origin was moved there."""
+    """Measured centre of the bottom minus the origin, in mm.
+
+    ``used``: the origin was corrected by it.
+    """
 
     residual_mm: tuple[float, float]
     sigma_mm: float
@@ -96,21 +98,21 @@ class OriginCheckNote:
     used: bool = False
 
     @classmethod
-    def of(cls, fact: OriginChecked, at: datetime) -> OriginCheckNote:
+    def of(cls, event: OriginChecked, at: datetime) -> OriginCheckNote:
         """Return the note of a check made at ``at``."""
-        return cls(fact.residual_mm, fact.sigma_mm, fact.agrees, f"{at:%Y-%m-%d %H:%M}")
+        return cls(event.residual_mm, event.sigma_mm, event.agrees, f"{at:%Y-%m-%d %H:%M}")
 
     def taken(self) -> OriginCheckNote:
-        """Return the note once the origin was moved by it."""
+        """Return the note after the origin was corrected by it."""
         return replace(self, used=True)
 
     def memory(self) -> dict[str, object]:
-        """Return it JSON-ready."""
+        """Return the note as JSON-ready values."""
         return asdict(self)
 
 
 def origin_note(memory: object) -> OriginCheckNote | None:
-    """Return a remembered note; None for none. Raises ``ValueError`` for what makes no sense."""
+    """Return a stored note, None for none. Raises ``ValueError`` for invalid values."""
     if memory is None:
         return None
     if not isinstance(memory, Mapping):
@@ -125,7 +127,7 @@ def origin_note(memory: object) -> OriginCheckNote | None:
 
 
 def residual_text(note: OriginCheckNote | None) -> str:
-    """Write residual, uncertainty, judgement and date."""
+    """Return residual, uncertainty, judgement and date as text."""
     if note is None:
         return "Origin not checked yet."
     x, y = (f"{v:+.2f}".replace("-", "\N{MINUS SIGN}") for v in note.residual_mm)

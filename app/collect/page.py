@@ -20,14 +20,14 @@ from touchdown.widgets.lists import EpisodeTable
 from touchdown.widgets.plots import DistributionView, TracePlot
 from touchdown.widgets.views import TactileView
 
+# Maximum share of the page height for the finger images; the maps need the rest.
 FINGER_SHARE = 0.22
-"""The thumbnails take at most this share of the page's height: the maps need the rest."""
 
 
 class CollectPage(QWidget):
     """Target on the left, live views and maps in the middle, probes on the right.
 
-    It is whole only once ``build`` has come to its end.
+    The page is complete after ``build`` has finished.
     """
 
     decided = Signal(str)
@@ -43,7 +43,7 @@ class CollectPage(QWidget):
         self.target = TargetPanel(theme)
 
     def build(self) -> Iterator[None]:
-        """Make the rest of what stands on the page, in pieces of some ms."""
+        """Create the other widgets of the page, a few milliseconds per step."""
         theme, choose = self._theme, self.dot_chosen.emit
         titles = {"left": "Left", "right": "Right"}
         self.tactile: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
@@ -66,14 +66,14 @@ class CollectPage(QWidget):
         self._recorder_panel = Panel("Recorder")
         self.recorder = self._recorder_panel.detail
         self.recorder.setAccessibleName("Recorder")
-        # Whoever has said their name decides by letters next: they belong to the page again.
+        # Return the focus to the page, whose commands are single letters.
         self.target.person.returnPressed.connect(self.setFocus, Qt.ConnectionType.QueuedConnection)
         self.signal.currentIndexChanged.connect(self.filter_changed)
         self.deleted.toggled.connect(self.filter_changed)
         self._arrange()
 
     def heightForWidth(self, _width: int) -> int:
-        """Ask for no more than the least height: the views share what there is."""
+        """Return the minimum height, so that the views share the available height."""
         return self.minimumHeight()
 
     def fit(self) -> None:
@@ -82,26 +82,26 @@ class CollectPage(QWidget):
         self.moment.fit()
 
     def fit_to_theme(self) -> None:
-        """Give the controls the width that their text needs."""
+        """Set the widths of the controls for the size of the text."""
         em = QFontMetrics(ui_font(self._theme.scale)).height()
         self._left.setMinimumWidth(round(17.5 * em))
         self._left.setMaximumWidth(round(22 * em))
         self._right.setMinimumWidth(round(22 * em))
         for plot in (self.force, self.moment):
-            # With large text the figures would leave no room for the curves.
+            # Large axis labels need larger plots.
             plot.setMinimumSize(max(200, round(12 * em)), max(104, round(6.1 * em)))
         self.table.fit_to_theme()
         self.target.draw_icons()
 
     def show_waiting(self, why: str) -> None:
-        """Say why nothing is shown yet."""
+        """Show why there are no live data yet."""
         for view in self.tactile.values():
             view.show_age(Age.NEVER, 0.0, why)
         for plot in (self.force, self.moment):
             plot.show_age(Age.NEVER, 0.0, why)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Leave room for the maps."""
+        """Limit the height of the finger images."""
         super().resizeEvent(event)
         for view in self.tactile.values():
             view.limit_height(round(FINGER_SHARE * self.height()))
@@ -168,25 +168,24 @@ def _column() -> tuple[QWidget, QVBoxLayout]:
     return holder, column
 
 
-AGE_S = 1.0
-"""A pose that is older is not where the arm is."""
+AGE_S = 1.0  # maximum age of an arm pose that is used as the origin
 
 
 class OriginField:
-    """x and y of the origin, and the note of the last check."""
+    """Origin x and y with the result of the last origin check."""
 
     def __init__(self, target: TargetPanel) -> None:
         self._target = target
         self.note: OriginCheckNote | None = None
 
     def show_note(self, note: OriginCheckNote | None) -> None:
-        """Show what the last check found."""
+        """Show the result of the last origin check."""
         self.note = note
         usable = note is not None and not note.used
         self._target.show_residual(residual_text(note), usable=usable)
 
     def take_residual(self) -> None:
-        """Add the residual of the last check, once."""
+        """Add the residual of the last check to the origin, once."""
         if self.note is not None and not self.note.used:
             x, y = self._target.origin
             x.setValue(x.value() + self.note.residual_mm[0])
@@ -194,7 +193,7 @@ class OriginField:
             self.show_note(self.note.taken())
 
     def set_here(self, bench: Session | None) -> None:
-        """Set it to where the arm is now: the operator jogged it over the centre of the bottom."""
+        """Set the origin to the present position of the arm."""
         arm = None if bench is None else bench.devices.get("arm")
         if bench is None or arm is None:
             return

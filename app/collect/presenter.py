@@ -58,8 +58,10 @@ from touchdown.widgets.shell import CardText, FaultCards
 
 
 class ProbesPresenter:
-    """Maps, table and findings of one pair. ``chosen``: the probe that is looked at, "" for the
-    one that was recorded ``last``. ``failed`` is told what could not be read.
+    """Maps, table and findings of the probes of one pair.
+
+    ``chosen`` is the selected probe, "" to follow ``last``, the newest one. ``failed`` receives
+    read errors.
     """
 
     def __init__(
@@ -80,31 +82,31 @@ class ProbesPresenter:
 
     @property
     def shown(self) -> str:
-        """Uuid of the probe that is shown, "" if there is none."""
+        """Uuid of the shown probe, "" for none."""
         return self.chosen or self.last
 
     def held(self) -> ProbeRecord | None:
-        """Return the probe that is shown, None if it is not of this pair."""
+        """Return the shown probe, None if it is not of this pair."""
         return None if self.harvest is None else self.harvest.get(self.shown)
 
     def restyle(self) -> None:
-        """Draw maps and table anew."""
+        """Redraw maps and table."""
         self._stale = True
 
     def choose(self, uuid: str) -> None:
-        """Show one probe; the last one follows the run again."""
+        """Select a probe; selecting the newest one follows the run again."""
         self.chosen = "" if uuid == self.last else uuid
         self._stale = True
 
     def choose_dot(self, index: int) -> None:
-        """Show the probe of a dot."""
+        """Select the probe of a dot."""
         if self.harvest is not None:
             self.choose(self.harvest.shown()[index].entry.uuid)
 
     # -- reading ----------------------------------------------------------------------------------
 
     def show_pair(self, piece: str, bottom: str) -> None:
-        """Read what the dataset holds of a pair, unless it is the one that is shown."""
+        """Read the probes of a pair from the dataset, unless it is shown already."""
         pair = piece, bottom
         if pair == self._pair and self.dataset is self._read_from:
             return
@@ -127,7 +129,7 @@ class ProbesPresenter:
         self._reader.submit(lambda: read_pair(dataset, *pair), done, self._failed)
 
     def read(self, uuid: str, came: Callable[[ProbeRecord], None] | None = None) -> None:
-        """Read a probe again; with ``came`` it is new, read with its signals and handed on."""
+        """Read a probe again. With ``came`` it is new: read its signals and report it."""
         dataset = self.dataset
         if dataset is None:
             return
@@ -144,14 +146,14 @@ class ProbesPresenter:
         )
 
     def put(self, held: ProbeRecord) -> None:
-        """Take a probe, or a later state of one, if it is of the pair."""
+        """Add or update a probe, if it is of this pair."""
         if self.harvest is not None and (held.entry.piece, held.entry.bottom) == self._pair:
             self.harvest.put(held)
             self._stale = True
             self._judge()
 
     def _judge(self) -> None:
-        """Look for findings, one judgement at a time."""
+        """Check the quality of the pair, one check at a time."""
         if self._judging or self.harvest is None:
             return
         rows, self._judging = self.harvest.examined, True
@@ -173,7 +175,7 @@ class ProbesPresenter:
     # -- showing ----------------------------------------------------------------------------------
 
     def draw(self, words: Callable[[ProbeRecord | None], ProbeText]) -> None:
-        """Show the probes if they changed; ``words`` tells of the one that is shown."""
+        """Redraw the probes if they changed; ``words`` describes the shown one."""
         if not self._stale or self.harvest is None:
             return
         self._stale, page = False, self._page
@@ -195,7 +197,7 @@ DISCARDING_DECISIONS = frozenset(("discard", "redo", "skip"))
 
 
 class CampaignProgress:
-    """Follows the facts of a run, and what is decided beside it about probes of its campaign."""
+    """Counts the probes of a campaign from run events and from later decisions."""
 
     def __init__(self) -> None:
         self.campaign, self.total = "", 1
@@ -206,28 +208,31 @@ class CampaignProgress:
 
     @property
     def done(self) -> int:
-        """Accepted probes that are still there."""
+        """Number of accepted probes that were not deleted."""
         return self._done - len(self._beside)
 
-    def begin(self, fact: CampaignBegan) -> None:
-        """Take the count with which a run begins: what the dataset holds."""
-        self.campaign, self.total, self._done = fact.campaign, fact.total, fact.done
+    def begin(self, event: CampaignBegan) -> None:
+        """Take the number of probes in the dataset at the start of a run."""
+        self.campaign, self.total, self._done = event.campaign, event.total, event.done
         self._accepted, self._taken_back, self._beside = set(), set(), set()
 
-    def collected(self, fact: ProbeCollected) -> None:
-        """Take one more probe."""
-        self._done, self.total = fact.done, fact.total
-        if not fact.reasons:
-            self._accepted.add(fact.uuid)
+    def collected(self, event: ProbeCollected) -> None:
+        """Count one more probe."""
+        self._done, self.total = event.done, event.total
+        if not event.reasons:
+            self._accepted.add(event.uuid)
 
-    def decided(self, fact: EpisodeDecided) -> None:
-        """Take a decision that the run carried out; its next probe tells the same number."""
-        if fact.decision in DISCARDING_DECISIONS and fact.uuid in self._accepted - self._taken_back:
-            self._taken_back.add(fact.uuid)
+    def decided(self, event: EpisodeDecided) -> None:
+        """Count a decision of the run. The next probe repeats the number."""
+        if (
+            event.decision in DISCARDING_DECISIONS
+            and event.uuid in self._accepted - self._taken_back
+        ):
+            self._taken_back.add(event.uuid)
             self._done -= 1
 
     def stored(self, entry: EpisodeEntry) -> None:
-        """Take a probe as it is in the dataset now, of which the run knows nothing."""
+        """Update a probe from the dataset that the run does not know about."""
         if entry.campaign != self.campaign or not entry.quality.accepted:
             return
         if entry.uuid in self._taken_back:
@@ -243,7 +248,7 @@ LIFT_MM, LIFT_MM_S = 5.0, 5.0
 
 
 class CollectPresenter:
-    """Follows the campaign that runs, and the probes that the dataset holds of the chosen pair."""
+    """Follows the running campaign and shows the stored probes of the chosen pair."""
 
     def __init__(
         self,
@@ -273,20 +278,20 @@ class CollectPresenter:
 
     @property
     def dataset(self) -> Dataset | None:
-        """The dataset that is open."""
+        """The open dataset."""
         return self.probes.dataset
 
     def attach(self, bench: Session) -> None:
-        """Take a bench; it collects into the dataset that is open."""
+        """Connect to a bench; it records into the open dataset."""
         self.bench = bench
         bench.dataset = self.dataset
         if not bench.simulated:
             self._show_pair(bench.usual.piece, bench.usual.bottoms[-1])
 
     def take_dataset(self, dataset: Dataset, *, read: bool) -> None:
-        """Take the dataset that was opened; ``read`` what it holds of the pair, if it is seen.
+        """Use a dataset that was opened; with ``read``, read its probes of the pair.
 
-        Ten thousand probes take five seconds, in which every turn of the window waits.
+        Reading ten thousand probes takes five seconds and slows the window down.
         """
         self.probes.dataset = dataset
         if self.bench is not None:
@@ -303,7 +308,7 @@ class CollectPresenter:
     # -- orders -----------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """F5: say yes to what waits (keep the probe, the hand at the jaws), else begin anew."""
+        """Confirm what the run waits for, or start a campaign (F5)."""
         if self._asked is not None:
             self._answer(True)
         elif self._asking:
@@ -312,7 +317,7 @@ class CollectPresenter:
             self._begin(collect_request(self._page.target.form(), self.person))
 
     def go_on(self) -> None:
-        """Continue the newest campaign, or say that its mounting is as it was."""
+        """Continue the newest campaign, or confirm that its mounting is unchanged."""
         if isinstance(self._asked, MountingAwaited):
             self._answer(False)
         elif self._campaign:
@@ -329,7 +334,7 @@ class CollectPresenter:
         if bench is None or bench.status().state in ACTIVE_STATES:
             return
         if not request.person:
-            # The line below the button says so; here the name can be typed at once.
+            # The line below the button shows the reason; focus the name.
             self._page.target.ask_person()
             return
         try:
@@ -344,7 +349,7 @@ class CollectPresenter:
             )
 
     def lift(self) -> None:
-        """Rise off what is below, so that something can be started."""
+        """Lift the arm out of contact, so that a run can start."""
         if self.bench is None or self.bench.hand is None:
             return
         try:
@@ -356,7 +361,7 @@ class CollectPresenter:
         self._cards.show_card(refusal_card(error, f"{datetime.now():%H:%M:%S}"))
 
     def pause_or_resume(self) -> None:
-        """Pause at the next safe place, or go on."""
+        """Pause at the next safe place, or resume."""
         if self.bench is None or not self._mine:
             return
         if self.bench.status().state in (RunState.PAUSED, RunState.PAUSING):
@@ -365,12 +370,12 @@ class CollectPresenter:
             self.bench.engine.pause()
 
     def end(self) -> None:
-        """End the run in an orderly way; the campaign can go on later."""
+        """End the run in order; the campaign can be continued later."""
         if self.bench is not None and self._mine:
             self.bench.engine.cancel()
 
     def decide(self, decision: EpisodeDecision) -> None:
-        """Say what becomes of the probe that is shown: the chosen one, else the last."""
+        """Decide on the selected probe, or on the last one if none is selected."""
         uuid, held = self.probes.shown, self.probes.held()
         if self.dataset is None or held is None or not self.person:
             return
@@ -389,7 +394,7 @@ class CollectPresenter:
         self.probes.restyle()
 
     def _decided_beside(self, held: ProbeRecord) -> None:
-        """Have the bar and *Continue* follow a decision that is in the dataset by now."""
+        """Update progress bar and *Continue* after a decision that the dataset already holds."""
         self.probes.put(held)
         if self._mine:
             self._progress.stored(held.entry)
@@ -398,7 +403,7 @@ class CollectPresenter:
             self._read_campaign()
 
     def set_origin_here(self) -> None:
-        """Take the place of the arm as the origin."""
+        """Set the origin to the position of the arm."""
         if self._buttons is not None and not self._buttons.end:
             self.origin.set_here(self.bench)
 
@@ -409,75 +414,74 @@ class CollectPresenter:
 
     # -- facts ------------------------------------------------------------------------------------
 
-    def take(self, fact: Event) -> None:
-        """Follow a run that collects."""
-        if isinstance(fact, RunStarted):
-            self._mine = fact.activity == "collect"
+    def take(self, event: Event) -> None:
+        """Follow the events of a collecting run."""
+        if isinstance(event, RunStarted):
+            self._mine = event.activity == "collect"
             if self._mine:
                 self._pace.restart(self._now_s())
                 self.probes.chosen = ""
-                self._show_pair(fact.piece, fact.bottom)
+                self._show_pair(event.piece, event.bottom)
         if not self._mine:
             return
-        if isinstance(fact, CampaignBegan):
-            self._campaign = fact.campaign
-            self._progress.begin(fact)
+        if isinstance(event, CampaignBegan):
+            self._campaign = event.campaign
+            self._progress.begin(event)
             self._show_done()
-        elif isinstance(fact, ProbeCollected):
-            self._collected(fact)
-        elif isinstance(fact, DecisionAwaited):
-            self._asking, self.probes.last = True, fact.uuid
+        elif isinstance(event, ProbeCollected):
+            self._collected(event)
+        elif isinstance(event, DecisionAwaited):
+            self._asking, self.probes.last = True, event.uuid
             self.probes.restyle()
-        elif isinstance(fact, EpisodeDecided):
+        elif isinstance(event, EpisodeDecided):
             self._asking = False
-            self._progress.decided(fact)
+            self._progress.decided(event)
             self._show_done()
-            self.probes.read(fact.uuid)
-        elif isinstance(fact, RunFinished):
-            self._ended(fact)
+            self.probes.read(event.uuid)
+        elif isinstance(event, RunFinished):
+            self._ended(event)
         else:
-            self._tell(fact)
+            self._tell(event)
 
-    def _tell(self, fact: Event) -> None:
-        """Show where the run is."""
-        if isinstance(fact, HandOverAwaited | MountingAwaited):
-            self._asked = fact
-        elif isinstance(fact, Gripped):
-            text = f"mounting {fact.mounting}, grip {fact.grip}, {fact.mass_g:.1f} g held"
+    def _tell(self, event: Event) -> None:
+        if isinstance(event, HandOverAwaited | MountingAwaited):
+            self._asked = event
+        elif isinstance(event, Gripped):
+            text = f"mounting {event.mounting}, grip {event.grip}, {event.mass_g:.1f} g held"
             self._page.live.detail.setText(text)
-        elif isinstance(fact, PhaseEntered):
+        elif isinstance(event, PhaseEntered):
             self._asked = None
-            self._page.target.detail.setText(fact.phase)
-        elif isinstance(fact, OriginChecked):
-            self.origin.show_note(OriginCheckNote.of(fact, datetime.now()))
+            self._page.target.detail.setText(event.phase)
+        elif isinstance(event, OriginChecked):
+            self.origin.show_note(OriginCheckNote.of(event, datetime.now()))
 
     def _show_pair(self, piece: str, bottom: str) -> None:
-        """Follow a campaign of another pair: one that goes on has its own plan."""
+        """Show the pair of the campaign that started."""
         target = self._page.target
         target.show_form(replace(target.form(), piece=piece, bottom=bottom))
 
-    def _collected(self, fact: ProbeCollected) -> None:
+    def _collected(self, event: ProbeCollected) -> None:
         self._pace.note(self._now_s())
-        self.probes.last = fact.uuid
-        self._progress.collected(fact)
+        self.probes.last = event.uuid
+        self._progress.collected(event)
         self._show_done()
-        self.probes.read(fact.uuid, lambda held: self._gauge.note(self._now_s(), held.entry.bytes))
+        self.probes.read(event.uuid, lambda held: self._gauge.note(self._now_s(), held.entry.bytes))
 
     def _show_done(self) -> None:
         done, total = self._progress.done, self._progress.total
         self._page.target.show_progress(done, total, self._pace.words(total - done))
 
-    def _ended(self, fact: RunFinished) -> None:
+    def _ended(self, event: RunFinished) -> None:
         self._mine = self._asking = False
         self._asked = None
         self._page.target.detail.setText("")
         self._page.live.detail.setText("")
-        self._page.target.eta.setText(fact.reason)
+        self._page.target.eta.setText(event.reason)
         self._read_campaign()
         self.probes.restyle()
 
     def _read_campaign(self) -> None:
-        """Find out how far the last campaign came, and whether it can go on."""
+        """Read the progress of the last campaign and decide if it can be continued."""
         dataset = self.dataset
         if dataset is None:
             return
@@ -511,7 +515,7 @@ class CollectPresenter:
     # -- showing ----------------------------------------------------------------------------------
 
     def draw(self) -> None:
-        """Show what changed."""
+        """Redraw what changed."""
         now = CampaignState(self.person, self.dataset, self._mine, self._go_on, self._asked)
         wanted = campaign_buttons(self.bench, now)
         if wanted != self._buttons:
@@ -519,7 +523,7 @@ class CollectPresenter:
             focused = QApplication.focusWidget()
             self._page.target.show_buttons(wanted)
             if focused is not None and not focused.isEnabled():
-                # Qt would have handed the focus on to some field.
+                # Otherwise Qt moves the focus to another field.
                 self._page.setFocus()
         now_s = self._now_s()
         if now_s - self._gauge_s >= GAUGE_S and self.dataset is not None:
@@ -527,7 +531,7 @@ class CollectPresenter:
             self._page.recorder.setText(self._gauge.words(self.dataset.folder, now_s))
 
     def draw_maps(self) -> None:
-        """Show the probes if they changed."""
+        """Redraw the probes if they changed."""
         self.probes.draw(self._words)
 
     def _words(self, held: ProbeRecord | None) -> ProbeText:

@@ -21,6 +21,7 @@ from touchdown.backend.runs import (
 from touchdown.widgets.lists import EpisodeTableRow
 from touchdown.widgets.plots import Bins, DistributionScene, reach_of
 
+# Signals that colour the distribution, in the order of ``ProbeCollected.signals``.
 SIGNALS: tuple[tuple[str, str, float], ...] = (
     ("Largest marker shift u", "px", 1.0),
     ("Largest marker shift v", "px", 1.0),
@@ -28,16 +29,13 @@ SIGNALS: tuple[tuple[str, str, float], ...] = (
     ("Ty", "mN\N{MIDDLE DOT}m", 1e3),
     ("Fz", "N", 1.0),
 )
-"""What the distribution is coloured by, in the order of ``ProbeCollected.signals``."""
+# Number of the newest probes whose signals are read when a dataset is opened.
 MAX_SIGNALS_READ = 400
-"""Signals of so many of the newest probes are read when a dataset is opened."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProbeRecord:
-    """One probe: its row of the index and where it was; if it was read, where it was meant to go
-    and its signals.
-    """
+    """One probe: its index entry and displacement; if it was read, also its target and signals."""
 
     entry: EpisodeEntry
     offset_mm: tuple[float, float]
@@ -47,12 +45,12 @@ class ProbeRecord:
 
     @property
     def counts(self) -> bool:
-        """Whether it covers its place."""
+        """True if the probe counts for the coverage."""
         return counts_for_coverage(self.entry)
 
 
 def read_probe(dataset: Dataset, entry: EpisodeEntry, *, signals: bool) -> ProbeRecord:
-    """Read one probe; a damaged file leaves its signals unknown."""
+    """Read one probe. The signals of a damaged file stay unknown."""
     x_mm, y_mm = dataset.labels.head(entry.uuid).label.offset_mm.tolist()
     held = ProbeRecord(entry, (x_mm, y_mm))
     if not signals or entry.deleted:
@@ -70,14 +68,14 @@ def read_probe(dataset: Dataset, entry: EpisodeEntry, *, signals: bool) -> Probe
 
 
 def read_pair(dataset: Dataset, piece: str, bottom: str) -> list[ProbeRecord]:
-    """Read the probes of a pair, oldest first; signals of the newest ``MOST_READ`` only."""
+    """Read the probes of a pair, oldest first; signals only of the newest ``MAX_SIGNALS_READ``."""
     entries = dataset.episodes(EpisodeFilter(piece=piece, bottom=bottom, deleted=None))
     late = len(entries) - MAX_SIGNALS_READ
     return [read_probe(dataset, e, signals=at >= late) for at, e in enumerate(entries)]
 
 
 class PairProbes:
-    """The probes of one pair in the order in which they were recorded."""
+    """The probes of one pair, in the order of recording."""
 
     def __init__(self, face: Outline, bottom: Outline, held: Iterable[ProbeRecord] = ()) -> None:
         self._face, self._bottom = face, bottom
@@ -93,7 +91,7 @@ class PairProbes:
         return uuid in self._held
 
     def put(self, held: ProbeRecord) -> None:
-        """Take a probe, or a later state of one."""
+        """Add or update a probe."""
         before = self._held.get(held.entry.uuid)
         if before is not None and held.seen is None:
             held = replace(
@@ -111,17 +109,17 @@ class PairProbes:
 
     @property
     def newest(self) -> str:
-        """Uuid of the probe that was recorded last, "" if there is none."""
+        """Uuid of the newest probe, "" for none."""
         return next(reversed(self._held), "")
 
     @property
     def examined(self) -> list[ExaminedEpisode]:
-        """What the health checks look at."""
+        """Return the input of the quality checks."""
         return [h.seen for h in self._held.values() if h.seen is not None and not h.entry.deleted]
 
     @property
     def covered(self) -> Coverage:
-        """Coverage by the observations that count."""
+        """Return the coverage by the probes that count."""
         if self._coverage is None:
             offsets = np.array([h.offset_mm for h in self._held.values() if h.counts])
             self._coverage = count_coverage(offsets.reshape(-1, 2), self._face, self._bottom)
@@ -130,7 +128,7 @@ class PairProbes:
     # -- shown ------------------------------------------------------------------------------------
 
     def shown(self) -> list[ProbeRecord]:
-        """Return what is drawn as dots: all that is not deleted and has a displacement."""
+        """Return the probes drawn as dots: not deleted and with a displacement."""
         return [
             h for h in self._held.values() if not h.entry.deleted and np.isfinite(h.offset_mm).all()
         ]
@@ -163,7 +161,7 @@ class PairProbes:
         )
 
     def _corners(self) -> FloatArray:
-        """Return the outermost bins that can be probed, so that the scale does not jump."""
+        """Return the outermost reachable bins, so that the scale stays constant."""
         rows, columns = np.nonzero(self._none.possible)
         return np.array(
             [
@@ -173,13 +171,13 @@ class PairProbes:
         ).reshape(-1, 2)
 
     def rows(self, *, deleted: bool) -> list[EpisodeTableRow]:
-        """Return the table, newest first."""
+        """Return the table rows, newest first."""
         made = [probe_row(at, h) for at, h in enumerate(self._held.values(), 1)]
         return [row for row in reversed(made) if deleted or not row.deleted]
 
 
 def probe_row(number: int, held: ProbeRecord) -> EpisodeTableRow:
-    """Write one probe as a row of the table."""
+    """Return a probe as a table row."""
     entry = held.entry
     local = datetime.fromtimestamp(entry.recorded_ns * 1e-9, UTC).astimezone()
     today = datetime.now(UTC).astimezone().date()
@@ -199,17 +197,17 @@ def probe_row(number: int, held: ProbeRecord) -> EpisodeTableRow:
 
 
 def grip_text(grip_id: str) -> str:
-    """Return mounting and grip of a campaign such as "1.3", or the name that others gave."""
+    """Return mounting and grip such as "1.3", or the identifier as it is."""
     return ".".join(part.rpartition("-")[2] for part in grip_id.split("/")[-2:])
 
 
 def quality_text(quality: EpisodeQuality) -> str:
-    """Return "ok" or the first reason against it."""
+    """Return "ok" or the first reason of rejection."""
     return "ok" if quality.accepted else "; ".join(quality.reasons) or "refused"
 
 
 def displacement_text(at_mm: tuple[float, float], digits: int = 1, unit: str = "") -> str:
-    """Write a displacement such as "+1.5, +0.3"; "none" for a probe that has none."""
+    """Return a displacement such as "+1.5, +0.3", or "none"."""
     if not np.isfinite(at_mm).all():
         return "none"
     x, y = (f"{v:+.{digits}f}".replace("-", "\N{MINUS SIGN}") for v in at_mm)

@@ -28,7 +28,7 @@ from touchdown.widgets.lists import TableArrangement
 
 
 def probe_text(held: ProbeRecord | None, *, asking: bool, running: bool, back: bool) -> ProbeText:
-    """Return a probe in words. ``back``: an older one is looked at, or no run goes on."""
+    """Return the description of a probe. ``back``: an older one is shown, or no run is active."""
     if held is None:
         detail = "The first one is on its way." if running else "Press Start collecting (F5)."
         return ProbeText("No probe yet", detail=detail)
@@ -52,7 +52,7 @@ def probe_text(held: ProbeRecord | None, *, asking: bool, running: bool, back: b
 
 
 def _place_text(held: ProbeRecord) -> str:
-    """Say the displacement, if it is known, and the item of the plan, if there was one."""
+    """Return the displacement, if known, and the item of the plan, if any."""
     at = f"x, y {displacement_text(held.offset_mm, 2, ' mm')}"
     if not np.isfinite(held.offset_mm).all():
         at = "No displacement"
@@ -90,11 +90,10 @@ def _allowed_decisions(held: ProbeRecord, *, live: bool) -> tuple[str, ...]:
 def apply_decision(
     dataset: Dataset, person: str, uuid: str, decision: EpisodeDecision
 ) -> ProbeRecord:
-    """Carry out a decision about a probe that no run waits for; return it as it is then.
+    """Apply a decision on a stored probe; return its new index entry.
 
-    A discarded one is probed again when its campaign goes on, a skipped one is not; keep brings a
-    deleted one back, a second flag takes the first one off. Raises ``RefusedError`` as the labels
-    do.
+    A discarded probe is repeated when its campaign continues, a skipped one is not. Keep restores a
+    deleted probe; a second flag removes the first. Raises ``RefusedError`` like the label store.
     """
     labels, entry = dataset.labels, dataset.entry(uuid)
     if decision == "flag":
@@ -106,15 +105,14 @@ def apply_decision(
     return read_probe(dataset, dataset.entry(uuid), signals=True)
 
 
-ANSWERS = "Fitted anew", "As it was"
-"""To the question about the mounting."""
+ANSWERS = "Fitted anew", "As it was"  # answers to the question about the mounting
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignState:
-    """How things stand: whose page it is, what is open, and what the run in progress waits for.
+    """Everything that decides which buttons of the page are enabled.
 
-    ``mine``: the run that goes on collects. ``go_on``: what the last campaign still lacks.
+    ``mine``: the active run collects. ``go_on``: remaining work of the last campaign.
     """
 
     person: str
@@ -125,7 +123,7 @@ class CampaignState:
 
 
 def campaign_buttons(bench: Session | None, now: CampaignState) -> TargetButtons:
-    """Return which buttons may be pressed."""
+    """Return the enabled buttons."""
     state = RunState.IDLE if bench is None else bench.status().state
     active = state in ACTIVE_STATES
     why = campaign_obstacle(bench, now)
@@ -151,7 +149,7 @@ def _open_question(now: CampaignState) -> str:
 
 
 def campaign_obstacle(bench: Session | None, now: CampaignState) -> str:
-    """Return why nothing can be started, "" if it can, or if the campaign runs."""
+    """Return why no campaign can start, "" if one can or is running."""
     if bench is None or not bench.devices:
         return "The bench is being prepared"
     if bench.status().state in ACTIVE_STATES:
@@ -175,7 +173,7 @@ def _in_contact(bench: Session | None) -> bool:
 
 
 def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> CollectRequest:
-    """Return the request of a form; with ``campaign`` the plan of that one holds."""
+    """Return the request of a form. With ``campaign``, the plan of that campaign applies."""
     patterns: dict[str, Pattern] = {"grid": "grid", "adaptive": "adaptive"}
     return CollectRequest(
         piece=form.piece,
@@ -195,7 +193,7 @@ def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> Col
 
 
 def remembered_target_form(memory: Mapping[str, object]) -> tuple[TargetForm, list[str]]:
-    """Return (form, names of what made no sense); those fields get their defaults."""
+    """Return (form, names of invalid fields); invalid fields get their defaults."""
     default, known, dropped = TargetForm(), {}, []
     for entry in fields(TargetForm):
         value = memory.get(entry.name, getattr(default, entry.name))
@@ -207,7 +205,7 @@ def remembered_target_form(memory: Mapping[str, object]) -> tuple[TargetForm, li
 
 
 def remembered_table(memory: object) -> TableArrangement:
-    """Return columns and order of the list; raises ``ValueError`` for what makes no sense."""
+    """Return columns and order of the table. Raises ``ValueError`` for invalid values."""
     match memory:
         case None:
             return TableArrangement()

@@ -33,10 +33,10 @@ def join_half_commands(
     titles: Mapping[str, str],
     commands: Mapping[str, Sequence[WindowCommand]],
 ) -> tuple[WindowCommand, ...]:
-    """Return all commands; a key that several halves use becomes one row that names them all.
+    """Merge the commands of both halves; a key used by several halves becomes one row.
 
-    ``front`` tells the half in front; ``titles`` and ``commands`` by name of the half. A command of
-    a half behind does nothing.
+    ``front`` returns the name of the visible half; ``titles`` and ``commands`` are keyed by that
+    name. Commands of a hidden half do nothing.
     """
     rows: dict[str, WindowCommand] = {}
     acts: dict[str, dict[str, Callable[[], None]]] = {}
@@ -67,24 +67,27 @@ def _run_in_front(
 
 COLLECT, LABEL = "collect", "label"
 TITLES = {COLLECT: "Collect", LABEL: "Label"}
+# Main keys of the label half, which has no buttons for them.
 LABEL_WORDS = "Enter accepts the label and goes on, arrows move it, D rejects; F1 shows all keys."
-"""The keys of the half that has no button for them."""
 
 
 class CollectWorkspace(Workspace):
-    """Collecting needs a bench, labelling does not; both work on the dataset that Label opens."""
+    """Collecting needs a bench, labelling does not.
+
+    Both use the dataset opened by the label half.
+    """
 
     name, title, key = "collect", "Collect & Label", "Ctrl+2"
     page: HalvesPage
 
-    def __init__(self, desk: WorkspaceContext) -> None:
-        self._desk = desk
-        self.label = LabelWorkspace(desk)
+    def __init__(self, context: WorkspaceContext) -> None:
+        self._context = context
+        self.label = LabelWorkspace(context)
         self.live: LivePresenter | None = None
         self._bench: Session | None = None
         self._told_keys = False
+        # Read-only dataset, open while no person is named.
         self._looked_at: Dataset | None = None
-        """The dataset as it is looked at before anybody is named; nothing is written to it."""
         self.label.opened = self._take_dataset
         self.label.person_changed = self._show_person
         halves = {COLLECT: self._commands(), LABEL: self.label.commands}
@@ -99,31 +102,31 @@ class CollectWorkspace(Workspace):
         self.held_keys = self.label.held_keys
 
     def build(self) -> Iterator[None]:
-        """Make both halves, and the thread that reads for them."""
-        self.page = self.pieces = HalvesPage()
-        self.collect_page = CollectPage(self._desk.theme)
+        """Create both halves and the thread that reads for them."""
+        self.page = self.lazy_pages = HalvesPage()
+        self.collect_page = CollectPage(self._context.theme)
         yield
         yield from self.collect_page.build()
         self.page.add(COLLECT, TITLES[COLLECT], self.collect_page)
         yield
         self.label.build_in(self.page)
         yield
-        self.reader = SaveWorker(self.label.post, "collect-reader")
+        self.reader = SaveWorker(self.label.main_thread, "collect-reader")
         catalogue = load_pieces()
         self.presenter = CollectPresenter(
-            self.collect_page, self._desk.cards, self.reader, catalogue
+            self.collect_page, self._context.cards, self.reader, catalogue
         )
         self._wire()
         self.collect_page.target.show_catalogue(
             [(name, catalogue.piece(name).title) for name in catalogue.tops],
             [(name, catalogue.piece(name).title) for name in catalogue.bottoms],
         )
-        self.page.tell(self._half_came)
+        self.page.half_shown.connect(self._half_came)
 
     # -- life -------------------------------------------------------------------------------------
 
     def attach(self, bench: Session) -> None:
-        """Show this bench."""
+        """Connect to a bench."""
         self._bench, page = bench, self.collect_page
         self.live = LivePresenter(
             bench, LiveViews(page.tactile, page.captions, page.force, page.moment)
@@ -134,30 +137,30 @@ class CollectWorkspace(Workspace):
             self.live.draw_headers, self.presenter.draw, self.presenter.draw_maps,
         )  # fmt: skip
 
-    def take(self, fact: Event) -> None:
-        """Follow the runs."""
-        self.presenter.take(fact)
+    def take(self, event: Event) -> None:
+        """Handle one event of the bench."""
+        self.presenter.take(event)
 
     def show_waiting(self, word: str, why: str) -> None:
-        """Say why there is no bench yet."""
+        """Show why no bench is connected yet."""
         self.collect_page.show_waiting(why)
 
     def enter(self) -> None:
-        """Open the dataset if somebody is named; label what came in meanwhile."""
+        """Show the dataset; open it for writing if the person is known."""
         self._half_came(self.page.front)
 
     def leave(self) -> None:
-        """Save what is being labelled; a campaign goes on unseen."""
+        """Save the label in edit; a campaign continues in the background."""
         self.label.leave()
         self._hush_keys()
 
     def fit_to_theme(self) -> None:
-        """Take the sizes of the theme."""
+        """Apply the sizes and icons of the theme."""
         self.collect_page.fit_to_theme()
         self.label.fit_to_theme()
 
     def memory(self) -> Memory:
-        """Return what both halves remember."""
+        """Return the settings of both halves to store."""
         note = self.presenter.origin.note
         return {
             **self.label.memory(),
@@ -169,7 +172,7 @@ class CollectWorkspace(Workspace):
         }
 
     def recall(self, memory: Memory) -> Sequence[str]:
-        """Take what was remembered; return what makes no sense."""
+        """Restore stored settings; return the names of invalid fields."""
         dropped = list(self.label.recall(memory))
         target, half = memory.get("target", {}), memory.get("half", COLLECT)
         if isinstance(target, Mapping):
@@ -199,7 +202,7 @@ class CollectWorkspace(Workspace):
         return dropped
 
     def close(self) -> None:
-        """End the bench first: what it still records belongs into the dataset that closes here."""
+        """Close the bench before the dataset that it records into."""
         if self._bench is not None:
             self._bench.close()
             self._bench.dataset = None
@@ -214,7 +217,7 @@ class CollectWorkspace(Workspace):
         self._stop_looking()
 
     def _look(self) -> None:
-        """Show what the dataset holds while nobody is named yet who could write to it."""
+        """Show the dataset read-only while no person is named."""
         folder = self.label.folder
         self.presenter.choose_pair()
         if self.presenter.dataset is None and (folder / DESCRIPTION).is_file():
@@ -234,7 +237,7 @@ class CollectWorkspace(Workspace):
     def _stop_looking(self) -> None:
         dataset, self._looked_at = self._looked_at, None
         if dataset is not None:
-            # After the reads that are under way: they are on the same thread.
+            # On the same thread, after the reads in progress.
             self.reader.submit(dataset.close, _ignore_unseen, _ignore_unseen)
 
     def _show_person(self, name: str) -> None:
@@ -244,7 +247,7 @@ class CollectWorkspace(Workspace):
     def _half_came(self, name: str) -> None:
         if name == LABEL:
             self.label.enter()
-            self._desk.say(LABEL_WORDS)
+            self._context.say(LABEL_WORDS)
             self._told_keys = True
             return
         self.label.leave()
@@ -255,10 +258,10 @@ class CollectWorkspace(Workspace):
         self.presenter.probes.restyle()
 
     def _hush_keys(self) -> None:
-        """Take the keys of Label out of the foot: they mean something else elsewhere."""
+        """Remove the key hint of the label half from the footer."""
         if self._told_keys:
             self._told_keys = False
-            self._desk.say("")
+            self._context.say("")
 
     def _show_other_half(self) -> None:
         self.page.show_half(COLLECT if self.page.front == LABEL else LABEL)
@@ -319,4 +322,4 @@ class CollectWorkspace(Workspace):
 
 
 def _ignore_unseen(_: object) -> None:
-    """Do nothing: whoever opens the dataset to write to it is told what is wrong with it."""
+    """Ignore the error: opening the dataset for writing reports it."""

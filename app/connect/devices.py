@@ -28,10 +28,10 @@ from touchdown.widgets.base import label, rule, set_property
 
 @dataclass(frozen=True, slots=True)
 class DeviceField:
-    """One value of the file: its dotted key, the device it belongs to, what it is called.
+    """One value of the lab file: dotted key, device and title.
 
-    ``chosen``: there is something to choose from; what is not in sight can be typed as well.
-    ``empty``: what it means to leave it empty.
+    ``chosen``: shown as a list of choices; other values can be typed. ``empty``: meaning of an
+    empty value.
     """
 
     key: str
@@ -42,7 +42,7 @@ class DeviceField:
 
 
 class DevicesSheet(QDialog):
-    """Shows and hands back texts; what they mean is the presenter's."""
+    """Form of the device settings. The presenter interprets the texts."""
 
     look_requested = Signal()
     swap_requested = Signal()
@@ -68,7 +68,7 @@ class DevicesSheet(QDialog):
         self._arrange(parent, fields)
 
     def values(self) -> dict[str, str]:
-        """Return what stands in the form, by key."""
+        """Return the texts of the form by key."""
         return {key: _text(editor).strip() for key, editor in self.editors.items()}
 
     def set_values(self, values: Mapping[str, str]) -> None:
@@ -81,7 +81,7 @@ class DevicesSheet(QDialog):
                 editor.setText(text)
 
     def offer(self, choices: Mapping[str, Sequence[str]]) -> None:
-        """Show what can be chosen; what stands in the form stays."""
+        """Show the available choices; entered texts stay."""
         for key, texts in choices.items():
             editor = self.editors.get(key)
             if isinstance(editor, QComboBox):
@@ -91,12 +91,12 @@ class DevicesSheet(QDialog):
                 editor.setCurrentText(kept)
 
     def say(self, text: str, *, bad: bool) -> None:
-        """Say what came of the last order."""
+        """Show the result of the last action."""
         self.said.setText(text)
         set_property(self.said, "tone", "bad" if bad else "")
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Keep the rows as high as their text wants: a scrolled form else squeezes them first."""
+        """Keep the height of the rows, which a scrolled form would shrink otherwise."""
         super().showEvent(event)
         self._form.setMinimumHeight(self._form.sizeHint().height())
 
@@ -143,7 +143,6 @@ class DevicesSheet(QDialog):
         self.resize(QSize(48 * em, 44 * em).boundedTo(parent.size()))
 
     def _scrolled(self, grid: QGridLayout) -> QScrollArea:
-        """Return the form so that it fits small screens and large text."""
         scroll = QScrollArea()
         grid.setContentsMargins(0, 0, 0, 0)
         self._form.setLayout(grid)
@@ -178,7 +177,7 @@ FIELDS = (
 
 
 class DevicesPresenter:
-    """Keeps one form; made where the bench comes from a lab file."""
+    """Edits the device settings of a bench that has a lab file."""
 
     def __init__(self, bench: Session, window: QWidget) -> None:
         self._path, self._window = Path(bench.limits_source), window
@@ -187,7 +186,7 @@ class DevicesPresenter:
         self.sheet: DevicesSheet | None = None
 
     def open(self) -> None:
-        """Show what the file says now."""
+        """Show the present content of the file."""
         if self.sheet is None:
             self.sheet = DevicesSheet(self._window, FIELDS)
             self.sheet.look_requested.connect(self._look)
@@ -209,7 +208,7 @@ class DevicesPresenter:
     def _look(self) -> None:
         if self.sheet is None or self._settings is None:
             return
-        # The drivers are needed by nobody else in this process: only who chooses waits for them.
+        # Imported here, as nothing else in this process needs the drivers.
         from touchdown.backend.devices import choices
 
         self._found = found = choices(self._settings)
@@ -243,7 +242,7 @@ class DevicesPresenter:
         self._write(self.sheet, values)
 
     def _wrong(self, one: DeviceField, text: str) -> str:
-        """Return why ``text`` cannot stand there; "" if the file may say it."""
+        """Return why ``text`` is not valid for a field, "" if it is."""
         if isinstance(self._held(one.key), int) and not text.isdecimal():
             return f"{one.device}, {one.title.lower()}: write a number."
         if one.key.endswith(".driver") and text not in self._found[one.key]:

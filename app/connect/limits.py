@@ -34,13 +34,12 @@ from touchdown.widgets.shell import CardText, FaultCards
 
 WIDEST = 2000.0
 COLUMNS = 2
-FINE = "N\N{MIDDLE DOT}m"
-"""Values of this unit have more decimals."""
+FINE = "N\N{MIDDLE DOT}m"  # unit whose values have more decimals
 
 
 @dataclass(frozen=True, slots=True)
 class LimitRow:
-    """One limit: its name in the file, what it is, value and unit as it follows the value."""
+    """One limit: name in the file, title, value, and unit as text after the value."""
 
     name: str
     title: str
@@ -49,7 +48,10 @@ class LimitRow:
 
 
 class LimitsSheet(QDialog):
-    """``offer`` tries values by name and returns "" or why they cannot be taken."""
+    """Form of the limits.
+
+    ``offer`` applies values by name and returns "" or the reason of refusal.
+    """
 
     def __init__(self, parent: QWidget, offer: Callable[[Mapping[str, float]], str]) -> None:
         super().__init__(parent)
@@ -61,7 +63,7 @@ class LimitsSheet(QDialog):
         self.question = QuestionRow()
         self._grid = QGridLayout()
         self._grid.setHorizontalSpacing(20)
-        # The least window shows the sheet below its bar.
+        # The sheet must fit below the top bar of the smallest window.
         self._grid.setVerticalSpacing(2)
         self.boxes: dict[str, QDoubleSpinBox] = {}
         self._shown: dict[str, tuple[float, float]] = {}
@@ -75,7 +77,7 @@ class LimitsSheet(QDialog):
         self._arrange()
 
     def show_rows(self, rows: Sequence[LimitRow], source: str) -> None:
-        """Show the limits that hold and where they come from; locked again."""
+        """Show the present limits and their source; the form is locked."""
         if not self.boxes:
             self._build(rows)
         for row in rows:
@@ -130,7 +132,7 @@ class LimitsSheet(QDialog):
 
     def _unlock(self, on: bool) -> None:
         for box in self.boxes.values():
-            # Not disabled: locked values are there to be read, in full contrast.
+            # Read-only instead of disabled: locked values keep full contrast.
             box.setReadOnly(not on)
         self.take.setEnabled(on)
         if not on:
@@ -140,12 +142,13 @@ class LimitsSheet(QDialog):
         self.said.setText(self._offer({name: self._value(name) for name in self.boxes}))
 
     def _value(self, name: str) -> float:
-        """Return a limit; one that nobody touched keeps the digits that its box does not show."""
+        """Return a limit; an unedited one keeps digits that its box does not show."""
         value, shown = self._shown[name]
         now = self.boxes[name].value()
         return value if now == shown else now
 
 
+# All limits in the order of the sheet.
 TITLES = {
     "reach_mm": "Reach about the bench's axis",
     "least_x_mm": "Box, least x",
@@ -172,9 +175,7 @@ TITLES = {
     "wrench_age_s": "Oldest wrench",
     "frame_age_s": "Oldest picture",
 }
-"""Every limit, in the order of the sheet."""
-ANGLES = ("_rad", "_rad_s")
-"""Names that end so hold radians; people read and write degrees."""
+ANGLES = ("_rad", "_rad_s")  # name endings of values in radians, which are shown in degrees
 BOUNDS = {"gt": "must be above", "ge": "must be at least", "le": "must be at most"}
 UNITS = {
     "mm_s": "mm/s",
@@ -188,7 +189,7 @@ UNITS = {
 
 
 class LimitsPresenter:
-    """Keeps one sheet; every bench has limits."""
+    """Edits the limits of a bench."""
 
     def __init__(
         self,
@@ -203,7 +204,7 @@ class LimitsPresenter:
         self.sheet: LimitsSheet | None = None
 
     def open(self) -> None:
-        """Show the limits as they hold now."""
+        """Show the present limits."""
         if self.sheet is None:
             self.sheet = LimitsSheet(self._window, self._offer)
         self._show()
@@ -216,7 +217,7 @@ class LimitsPresenter:
         self.sheet.show_rows(limit_rows(self._bench.interlock.limits), source)
 
     def _offer(self, values: Mapping[str, float]) -> str:
-        """Ask whether to take ``values``; return why they cannot be taken, "" if they can."""
+        """Ask for confirmation of ``values``; return why they cannot be applied, "" if they can."""
         held = asdict(self._bench.interlock.limits)
         try:
             settings = LimitSettings(**{n: entered_limit(n, v, held[n]) for n, v in values.items()})
@@ -227,8 +228,8 @@ class LimitsPresenter:
         if not pairs:
             return "Nothing is changed."
         told = "; ".join(
-            f"{TITLES[name]} {displayed_limit(name, old):g} \N{RIGHTWARDS ARROW} {displayed_limit(name, new):g}"
-            f"{unit_suffix(limit_unit(name))}"
+            f"{TITLES[name]} {displayed_limit(name, old):g} \N{RIGHTWARDS ARROW} "
+            f"{displayed_limit(name, new):g}{unit_suffix(limit_unit(name))}"
             for name, (old, new) in pairs.items()
         )
         assert self.sheet is not None
@@ -258,7 +259,7 @@ class LimitsPresenter:
 
 
 def limit_rows(limits: Limits) -> list[LimitRow]:
-    """Return all limits, with units."""
+    """Return all limits with units."""
     values = asdict(limits)
     return [
         LimitRow(name, title, displayed_limit(name, values[name]), unit_suffix(limit_unit(name)))
@@ -267,12 +268,13 @@ def limit_rows(limits: Limits) -> list[LimitRow]:
 
 
 def limit_problem(error: ValidationError) -> str:
-    """Return what is wrong with the first limit that is, by the words of the sheet."""
+    """Return the error of the first invalid limit, in the terms of the sheet."""
     first = error.errors()[0]
     name = str(first["loc"][0]) if first["loc"] else ""
     for bound, value in first.get("ctx", {}).items():
         if name in TITLES and bound in BOUNDS:
-            return f"{TITLES[name]}: {BOUNDS[bound]} {displayed_limit(name, value):g}{unit_suffix(limit_unit(name))}."
+            limit = f"{displayed_limit(name, value):g}{unit_suffix(limit_unit(name))}"
+            return f"{TITLES[name]}: {BOUNDS[bound]} {limit}."
     text = first["msg"].removeprefix("Value error, ")
     for known, title in TITLES.items():
         text = text.replace(f"'{known}'", f"'{title}'")
@@ -280,22 +282,22 @@ def limit_problem(error: ValidationError) -> str:
 
 
 def displayed_limit(name: str, value: float) -> float:
-    """Return a limit as people read it: what turns in degrees, all else as it is kept."""
+    """Return a limit in displayed units: angles in degrees, others unchanged."""
     return round(math.degrees(value), 9) if name.endswith(ANGLES) else value
 
 
 def entered_limit(name: str, read: float, held: float) -> float:
-    """Return the limit that people mean by ``read``; one that nobody touched stays ``held``."""
+    """Return the limit for an entered value; an unedited one stays ``held``."""
     if read == displayed_limit(name, held):
         return held
     return math.radians(read) if name.endswith(ANGLES) else read
 
 
 def unit_suffix(unit: str) -> str:
-    """Return a unit as it follows its number: degrees without a space."""
+    """Return a unit as it follows its number; degrees have no space."""
     return unit if unit.startswith("\N{DEGREE SIGN}") else f" {unit}"
 
 
 def limit_unit(name: str) -> str:
-    """Return the unit that the name of a limit ends with."""
+    """Return the unit at the end of a limit's name."""
     return next(text for ending, text in UNITS.items() if name.endswith(f"_{ending}"))

@@ -30,7 +30,7 @@ NOTHING_MOVES = "Nothing moves while connecting. The arm is switched on last, an
 
 
 class ConnectPresenter:
-    """Keeps one panel; made where the bench has devices that are connected by hand."""
+    """Presents the connection of devices that are connected by hand."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class ConnectPresenter:
         self._drawn_s = float("-inf")
 
     def open(self) -> None:
-        """Show the panel; shown already, begin to connect, or cancel what goes on."""
+        """Show the panel. If it is visible, connect, or cancel a connection in progress."""
         if not self.sheet.isVisible():
             self.draw(at_once=True)
             self.sheet.show()
@@ -65,7 +65,7 @@ class ConnectPresenter:
             self._connect()
 
     def draw(self, *, at_once: bool = False) -> None:
-        """Show how the devices stand, ten times a second while the panel is open."""
+        """Update the panel ten times a second while it is open."""
         now_s = self._now_s()
         if not at_once and (not self.sheet.isVisible() or now_s - self._drawn_s < PERIOD_S):
             return
@@ -86,7 +86,7 @@ class ConnectPresenter:
         self._ordered(lambda: self._leave(()))
 
     def _leave(self, names: tuple[str, ...]) -> None:
-        # Without one of its devices nothing may move.
+        # Nothing may move without all devices.
         self._bench.leave_scene()
         self._connection.disconnect(names)
 
@@ -145,14 +145,14 @@ class ConnectPresenter:
 
 
 def device_row(line: DeviceStatus, *, can: bool) -> DeviceRowView:
-    """Return the look of one device."""
+    """Return the row of one device."""
     failed = line.state == "failed"
     marks = [
         "done" if step < line.steps else "open" if step > line.steps else _at(line)
         for step in range(len(CONNECTION_STEPS))
     ]
     if failed and line.steps == len(CONNECTION_STEPS):
-        # It was connected and is lost: what is missing is its samples.
+        # A lost device is missing its samples.
         marks[-1] = "failed"
     text = ""
     if line.fault is not None:
@@ -170,12 +170,12 @@ def device_row(line: DeviceStatus, *, can: bool) -> DeviceRowView:
 
 
 def _at(line: DeviceStatus) -> str:
-    """Return the mark of the step that is next."""
+    """Return the mark of the next step."""
     return {"connecting": "now", "failed": "failed"}.get(line.state, "open")
 
 
 class BenchDialogs:
-    """Made with the bench; devices that are connected by hand are asked for at once."""
+    """Dialogs of a bench: connection, limits, calibration."""
 
     def __init__(self, bench: Session, theme: Theme, window: QWidget, cards: FaultCards) -> None:
         self.calibrate = CalibratePresenter(bench, theme, window, cards)
@@ -185,14 +185,14 @@ class BenchDialogs:
             self.connect = ConnectPresenter(bench, bench.connection, window, cards, self.limits)
 
     def open_connect(self) -> bool:
-        """Show the Connect panel, or connect, or cancel; False where there is none."""
+        """Show the connection panel, connect or cancel; return False without such a panel."""
         if self.connect is None:
             return False
         self.connect.open()
         return True
 
     def draw(self) -> None:
-        """Follow the bench."""
+        """Update the open dialogs."""
         self.calibrate.draw()
         if self.connect is not None:
             self.connect.draw()

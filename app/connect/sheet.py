@@ -34,7 +34,8 @@ TONES = {"done": "good", "failed": "bad"}
 class DeviceRowView:
     """One device: ``marks`` of its steps (done, now, failed, open), a sentence, its buttons.
 
-    ``order`` is what the first button does: "connect" or "disconnect"; ``extra`` a second one.
+    ``order`` is the action of the first button, "connect" or "disconnect"; ``extra`` that of the
+    second.
     """
 
     title: str
@@ -50,7 +51,7 @@ class DeviceRowView:
 
 @dataclass(frozen=True, slots=True)
 class ConnectView:
-    """Everything that the panel shows."""
+    """State of the connection panel."""
 
     head: str
     text: str
@@ -71,7 +72,7 @@ class _DeviceRow:
 
 
 class ConnectSheet(QDialog):
-    """Not modal: STOP and every page stay at hand."""
+    """Connection panel. Not modal: STOP and all pages stay available."""
 
     connect_requested = Signal()
     cancel_requested = Signal()
@@ -102,7 +103,7 @@ class ConnectSheet(QDialog):
         self._wire()
 
     def show_look(self, look: ConnectView) -> None:
-        """Show how the bench stands now."""
+        """Update the panel."""
         self.head.setText(look.head)
         self.text.setText(look.text)
         if len(look.rows) != len(self._rows):
@@ -186,7 +187,7 @@ class ConnectSheet(QDialog):
             mark.setAccessibleName(f"{look.title}, {step}: {word}")
             set_property(mark, "tone", TONES.get(word, ""))
         row.text.setText(look.text)
-        # A label in a grid does not claim the lines that its text needs.
+        # A label in a grid does not request the height of its wrapped text.
         metrics, least = self.fontMetrics(), 3 if look.bad else 2
         room = QRect(0, 0, (25 if look.extra else 30) * metrics.height(), TALLEST_PX)
         high = metrics.boundingRect(room, Qt.TextFlag.TextWordWrap, look.text).height()

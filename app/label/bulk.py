@@ -28,21 +28,21 @@ AGREEMENT, LOG = 1, 2
 
 
 class SideTabsPresenter:
-    """Reads on the thread of the saves; shows only what is in front."""
+    """Fills the visible side tab, reading on the thread of the saves."""
 
-    def __init__(self, side: SideTabs, presenter: LabelPresenter, commits: SaveWorker) -> None:
-        self._side, self._presenter, self._commits = side, presenter, commits
+    def __init__(self, side: SideTabs, presenter: LabelPresenter, worker: SaveWorker) -> None:
+        self._side, self._presenter, self._worker = side, presenter, worker
 
     def show(self, text: str) -> None:
-        """Fill the view in front; ``text`` is what to look for in the log."""
+        """Fill the visible tab; ``text`` filters the log."""
         if self._side.tab == LOG:
             book = self._presenter.shown
-            self._commits.submit(
+            self._worker.submit(
                 lambda: book.log(text=text, limit=MOST_LINES), self._show_log, self._failed
             )
         elif self._side.tab == AGREEMENT:
             dataset = self._presenter.dataset
-            self._commits.submit(
+            self._worker.submit(
                 lambda: agreement_text(dataset), self._side.agreement.setText, self._failed
             )
 
@@ -57,7 +57,7 @@ YES = (("1", "Change them"),)
 
 
 class BulkPresenter:
-    """Holds the preview; what is applied is what was previewed, or nothing."""
+    """Keeps the preview of a bulk change. Only the previewed change can be applied."""
 
     def __init__(
         self, form: BulkForm, presenter: LabelPresenter, catalogue: PieceLibrary, choice: ChoiceBar
@@ -66,11 +66,11 @@ class BulkPresenter:
         self._preview: BulkPreview | None = None
 
     def preview(self) -> None:
-        """Work out what would change in the queue that is shown."""
+        """Compute the changes to the labels of the shown queue."""
         self._begin(ask=False)
 
     def preview_and_ask(self) -> None:
-        """Do so, and ask whether to do it: for whoever has no mouse."""
+        """Compute the changes and ask whether to apply them, for use by keyboard."""
         self._begin(ask=True)
 
     def _begin(self, *, ask: bool) -> None:
@@ -82,7 +82,7 @@ class BulkPresenter:
         except ValueError as error:
             self._form.found.setText(str(error))
             return
-        book, person, order = self._on.book, self._on.sitting.person, self._mine()
+        book, person, order = self._on.book, self._on.session.person, self._mine()
 
         async def preview() -> None:
             found = await self._on.saving.save(lambda: book.preview(person, order, change))
@@ -96,15 +96,15 @@ class BulkPresenter:
         self._on.flushed(preview)
 
     def _mine(self) -> list[str]:
-        """Return the queue without the gold in it, which no bulk change may touch."""
+        """Return the queue without control items, which bulk changes must not touch."""
         return [uuid for uuid in self._on.walk.order if not self._on.shown.hides(uuid)]
 
     def apply(self) -> None:
-        """Do what was previewed; refused if a label changed since."""
+        """Apply the previewed change; refused if a label changed meanwhile."""
         wanted = self._preview
         if wanted is not None:
             self._form.apply.setEnabled(False)
-            book, person = self._on.book, self._on.sitting.person
+            book, person = self._on.book, self._on.session.person
 
             async def apply() -> None:
                 count = await self._on.saving.save(lambda: book.bulk(person, wanted))
@@ -145,7 +145,7 @@ class BulkPresenter:
 
 
 def preview_text(found: BulkPreview) -> str:
-    """Return what a change would do, and why it leaves some labels alone."""
+    """Return the number of changes, and why some labels are excluded."""
     lines = [f"{_labels(len(found.rows))} will change."]
     for reason, count in Counter(reason for _, reason in found.refused).most_common(3):
         lines.append(f"{_labels(count)} will not: {reason}")
@@ -156,12 +156,11 @@ def _labels(count: int) -> str:
     return "1 label" if count == 1 else f"{count} labels"
 
 
-MOST = 9
-"""So many answers have a digit."""
+MOST = 9  # answers with a digit
 
 
 class SideTabKeys:
-    """Brings a view to the front and asks what to do there, by digits and typed words."""
+    """Opens side tabs and asks for actions by keyboard."""
 
     def __init__(
         self,
@@ -180,7 +179,7 @@ class SideTabKeys:
 
     def _ask_version(self) -> None:
         now = self._on.present
-        if now is None or self._on.sitting.opines:
+        if now is None or self._on.session.opines:
             self._page.say("No versions are shown here.", bad=True)
             return
         self._page.side.choose(HISTORY)
@@ -195,12 +194,12 @@ class SideTabKeys:
         )
 
     def agreement(self) -> None:
-        """Show the figures of agreement."""
+        """Show the agreement figures."""
         self._page.side.choose(AGREEMENT)
         self._side.show("")
 
     def log(self) -> None:
-        """Show the log, ready to be searched: Enter or Esc leaves."""
+        """Show the log and focus its search field."""
         needle = self._page.side.needle
         self._page.side.choose(LOG)
         self._side.show(needle.text())
@@ -208,7 +207,7 @@ class SideTabKeys:
         needle.selectAll()
 
     def many(self) -> None:
-        """Ask what to change in every label of the queue, and by how much."""
+        """Ask for a bulk change of the queue and its value."""
         choices = [(str(n), text) for n, (_, text, _) in enumerate(KINDS, start=1)]
         names = {text: name for name, text, _ in KINDS}
         self._after(
@@ -229,5 +228,4 @@ class SideTabKeys:
             self._bulk.preview_and_ask()
 
     def _after(self, ask: Callable[[], None]) -> None:
-        """Ask after the saves that are under way, unless one has failed."""
         self._on.do(ask)

@@ -20,20 +20,20 @@ IN_USE = "-"
 
 
 class DatasetTasks:
-    """Has a thread of its own, so that labels are saved meanwhile."""
+    """Long tasks on the dataset, on a separate thread, so that saving goes on."""
 
     def __init__(
         self,
         page: LabelPage,
         presenter: LabelPresenter,
         opened: OpenedDataset,
-        post: MainThreadQueue,
+        main_thread: MainThreadQueue,
     ) -> None:
-        self._page, self._on, self._opened, self._post = page, presenter, opened, post
-        self._jobs, self._ended = SaveWorker(post, "label-jobs"), threading.Event()
+        self._page, self._on, self._opened, self._main_thread = page, presenter, opened, main_thread
+        self._jobs, self._ended = SaveWorker(main_thread, "label-jobs"), threading.Event()
 
     def score(self) -> None:
-        """Let the model judge every episode: fills four queues, changes no label."""
+        """Let the model judge every episode. Fills four queues; changes no label."""
         if self._jobs.busy:
             self._page.say("This is being done already.")
             return
@@ -46,7 +46,7 @@ class DatasetTasks:
         )
 
     def look_through(self, done: Callable[[QualityReport], None]) -> None:
-        """Look for what is out of order in any episode."""
+        """Check the quality of all episodes."""
         if self._jobs.busy:
             self._page.say("Wait until the dataset is looked through or scored.")
             return
@@ -60,7 +60,7 @@ class DatasetTasks:
         self._jobs.submit(lambda: check_dataset_quality(dataset, progress), looked, self._failed)
 
     def choose_models(self) -> None:
-        """Ask which models pre-label the piece in front: those below a folder."""
+        """Ask for the folder of the models that pre-label the piece of the present episode."""
         now = self._on.present
         if now is None:
             self._page.say("Show an episode of the piece first.", bad=True)
@@ -70,7 +70,7 @@ class DatasetTasks:
         self._page.ask_words(hint, "", lambda words: self._choose_models(piece, words))
 
     def _choose_models(self, piece: str, words: str) -> None:
-        person, registry = self._on.sitting.person, ModelRegistry(models_folder())
+        person, registry = self._on.session.person, ModelRegistry(models_folder())
 
         def choose() -> int:
             models = [] if words == IN_USE else models_below(Path(words).expanduser(), piece)
@@ -89,21 +89,21 @@ class DatasetTasks:
         self._jobs.submit(choose, chosen, self._failed)
 
     def merge(self) -> None:
-        """Ask for the folder of another copy, and bring in what is new there."""
+        """Ask for the folder of another copy and merge its changes."""
         self._page.ask_words("Folder of the other copy", "", self._merge)
 
     def close(self) -> None:
-        """End what runs; what was found until then is kept."""
+        """Stop the running task; results so far are kept."""
         self._ended.set()
         self._jobs.close()
 
     def _teller(self, doing: str) -> Callable[[int, int], bool]:
-        """Return what tells progress now and then, and ends the job when the window closes."""
+        """Return a progress callback, which also cancels the task when the window closes."""
 
         def tell(done: int, count: int) -> bool:
             if done % TELL_EVERY == 0:
                 text = f"{doing} the dataset: {done:,} of {count:,}"
-                self._post.put(lambda: self._page.say(text))
+                self._main_thread.put(lambda: self._page.say(text))
             return not self._ended.is_set()
 
         return tell
@@ -112,7 +112,7 @@ class DatasetTasks:
         self._on.read_anew(f"{count} episodes were scored by the model.")
 
     def _merge(self, folder: str) -> None:
-        person, dataset = self._on.sitting.person, self._opened.dataset
+        person, dataset = self._on.session.person, self._opened.dataset
         self._page.say("Merging …")
         self._jobs.submit(
             lambda: dataset.merge(person, Path(folder).expanduser()), self._merged, self._failed

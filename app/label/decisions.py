@@ -9,45 +9,44 @@ from touchdown.app.label.page import LabelPage
 from touchdown.app.label.presenter import LabelPresenter
 from touchdown.backend.annotations import REJECT_REASONS, Operation, Verdict
 
-REVIEWING = ("review", "audit")
-"""Queues in which Enter approves."""
+REVIEWING = ("review", "audit")  # queues in which Enter approves
 VERDICTS: tuple[tuple[str, str], ...] = (("S", "stable"), ("U", "unstable"), ("?", "unsure"))
 
 
 class LabelDecisions:
-    """Keys that end in one operation on the dataset."""
+    """Actions that end in one operation on the dataset."""
 
     def __init__(self, page: LabelPage, presenter: LabelPresenter) -> None:
         self._page, self._on = page, presenter
 
     def enter(self) -> None:
-        """Accept (approve, while reviewing) and go on; save again what could not be saved."""
+        """Accept (approve, while reviewing) and go on. Repeats a save that failed."""
         if self._on.saving.failure:
             self._on.saving.try_again()
         else:
             self._on.do(self._accept)
 
     async def _accept(self) -> None:
-        now, sitting = self._on.present, self._on.sitting
+        now, session = self._on.present, self._on.session
         if now is None:
             return
-        if sitting.opines:
+        if session.opines:
             await self._answer_blind()
             return
-        if sitting.queue in REVIEWING and now.edit.base.state != "draft" and not now.edit.changed:
+        if session.queue in REVIEWING and now.edit.base.state != "draft" and not now.edit.changed:
             labels, uuid, looked = self._on.book, now.item.entry.uuid, self._on.looked()
-            await self._on.saving.save(lambda: labels.approve(sitting.person, uuid, looked=looked))
+            await self._on.saving.save(lambda: labels.approve(session.person, uuid, looked=looked))
             self._on.go_on()
             return
         model = now.item.model
-        if not now.edit.label.is_set and model is not None and not sitting.hides:
+        if not now.edit.label.is_set and model is not None and not session.hides:
             fit = model.fit
             now.edit = now.edit.estimated(*fit.offset_mm, fit.sigma_mm, model.source)
         if not now.edit.label.is_set:
             self._on.refuse("There is no displacement yet: type one as x,y, or nudge.")
             return
         await self._on.editing.add_sigma()
-        now, book, person = self._on.present, self._on.shown, sitting.person
+        now, book, person = self._on.present, self._on.shown, session.person
         if now is None:
             return
         uuid, edit, looked = now.item.entry.uuid, now.edit, self._on.looked()
@@ -63,7 +62,7 @@ class LabelDecisions:
             self._on.refuse("Set the displacement as you see it: x,y or the arrows.")
             return
         await self._on.editing.add_sigma()
-        now, book, person = self._on.present, self._on.book, self._on.sitting.person
+        now, book, person = self._on.present, self._on.book, self._on.session.person
         if now is None:
             return
         uuid, label, verdict = now.item.entry.uuid, now.edit.label, now.verdict
@@ -94,20 +93,20 @@ class LabelDecisions:
         )
 
     def flag(self) -> None:
-        """Set the flag or take it off."""
+        """Set or remove the flag."""
         now = self._on.present
         if now is not None:
             wanted = not self._on.walk.entries[now.item.entry.uuid].flagged
             self._with_present(lambda person, uuid: self._on.book.flag(person, uuid, wanted))
 
     def verdict(self) -> None:
-        """Ask what the person thinks of the piece; the displacement keeps its source."""
+        """Ask for the person's verdict on stability; the displacement keeps its source."""
         self._ask("Would it stand? Your verdict", VERDICTS, self._say_verdict)
 
     def _say_verdict(self, word: str) -> None:
         said: dict[str, Verdict] = {"stable": "stable", "unstable": "unstable", "unsure": "unsure"}
         now = self._on.present
-        if now is not None and self._on.sitting.opines:
+        if now is not None and self._on.session.opines:
             now.verdict = said[word]
             self._on.show_edit()
         elif now is not None:
@@ -119,17 +118,17 @@ class LabelDecisions:
             )
 
     def take_over(self) -> None:
-        """Make another's draft one's own."""
+        """Take over another person's draft."""
         self._with_present(lambda person, uuid: self._on.shown.of(uuid).take_over(person, uuid))
 
     def restore(self, rev_uuid: str) -> None:
-        """Bring an old version back as a new one."""
+        """Restore an old version as a new one."""
         self._with_present(
             lambda person, uuid: self._on.shown.of(uuid).restore_revision(person, uuid, rev_uuid)
         )
 
     def delete(self) -> None:
-        """Ask why, then hide the episode; undo brings it back."""
+        """Ask for the reason, then hide the episode; undo restores it."""
         self._page.ask_words("Delete the episode because", "", self._delete)
 
     def _delete(self, reason: str) -> None:
@@ -138,7 +137,7 @@ class LabelDecisions:
         )
 
     def resolve(self) -> None:
-        """Let the chosen version of a conflict hold."""
+        """Ask which version of a conflict is valid."""
         now = self._on.present
         if now is None:
             return
@@ -156,13 +155,13 @@ class LabelDecisions:
         self._ask("Which label holds?", choices[:9], take)
 
     def undo(self) -> None:
-        """Take back the person's last action, whatever it was and whenever."""
-        person, book = self._on.sitting.person, self._on.book
+        """Undo the person's last action."""
+        person, book = self._on.session.person, self._on.book
         self._reversed(lambda: book.undo(person), "Undone")
 
     def redo(self) -> None:
-        """Take back the last undo."""
-        person, book = self._on.sitting.person, self._on.book
+        """Redo the last undone action."""
+        person, book = self._on.session.person, self._on.book
         self._reversed(lambda: book.redo(person), "Done again")
 
     def _reversed(self, work: Callable[[], Operation | None], word: str) -> None:
@@ -192,7 +191,7 @@ class LabelDecisions:
         """Save the edit, then run ``work`` with the person and the episode."""
 
         async def save() -> None:
-            now, person = self._on.present, self._on.sitting.person
+            now, person = self._on.present, self._on.session.person
             if now is not None:
                 uuid = now.item.entry.uuid
                 await self._on.saving.save(lambda: work(person, uuid))

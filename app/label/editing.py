@@ -15,14 +15,13 @@ from touchdown.backend.annotations import ControlItemLabels
 from touchdown.widgets.views import Point
 
 OFFERED_MM = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
-USUAL_MM = 0.2
-"""What is marked when a person is asked for the first time."""
+USUAL_MM = 0.2  # marked when a person is asked for the first time
 
 
 def ask_uncertainty(page: LabelPage, known_mm: float | None, take: Callable[[float], None]) -> None:
-    """Offer uncertainties, the present one marked; ``take`` gets mm.
+    """Ask for an uncertainty in mm, with the present one marked; ``take`` receives the answer.
 
-    Digits are no answers: what is typed meanwhile begins a displacement, whole.
+    Digits do not answer the question: they start the entry of a displacement.
     """
     marked_mm = known_mm or USUAL_MM
     words = {_word(mm): mm for mm in sorted({*OFFERED_MM, marked_mm})}
@@ -44,7 +43,7 @@ NUDGES_MS = 500
 
 
 class EpisodeView(Protocol):
-    """What an edit needs of whoever shows the episode in front."""
+    """The view of the present episode, as used by label editing."""
 
     present: PresentEpisode | None
 
@@ -53,27 +52,27 @@ class EpisodeView(Protocol):
         ...
 
     def show_edit(self) -> None:
-        """Show where the face is now."""
+        """Show the edited label."""
         ...
 
     def reload(self) -> None:
-        """Show what the dataset says of the episode now."""
+        """Show the stored label of the episode."""
         ...
 
 
 class LabelEditing:
-    """Changes the edit in front; saves it half a second after the last nudge, or when asked."""
+    """Changes the label of the present episode. Saves 0.5 s after the last nudge."""
 
     def __init__(
         self,
         front: EpisodeView,
         page: LabelPage,
         book: ControlItemLabels,
-        sitting: AnnotationSession,
+        session: AnnotationSession,
         saving: SaveQueue,
     ) -> None:
         self._front, self._page, self._book = front, page, book
-        self._sitting, self._saving = sitting, saving
+        self._session, self._saving = session, saving
         self._nudging = QTimer(page)
         self._nudging.setSingleShot(True)
         self._nudging.setInterval(NUDGES_MS)
@@ -81,11 +80,11 @@ class LabelEditing:
 
     @property
     def waits(self) -> bool:
-        """Whether an edit waits for the end of the nudges."""
+        """True while a nudged label is not saved yet."""
         return self._nudging.isActive()
 
     def give_up(self) -> None:
-        """Go back to what holds."""
+        """Return to the stored label."""
         now = self._front.present
         if now is not None:
             self._nudging.stop()
@@ -95,15 +94,15 @@ class LabelEditing:
     # -- changes ----------------------------------------------------------------------------------
 
     def nudge(self, dx_um: int, dy_um: int) -> None:
-        """Move the face by whole µm; nudges within half a second are one revision."""
+        """Move the face by whole µm. Nudges within half a second make one revision."""
         self._front.do(lambda: self._change(lambda edit: edit.nudged(dx_um, dy_um)))
 
     def nudged(self) -> None:
-        """Save what was nudged; no question comes between typing or another question."""
-        unsure, asked = self._sitting.sigma_mm is None, self._page.choice
+        """Save the nudged label, unless the person is typing or answering a question."""
+        unsure, asked = self._session.sigma_mm is None, self._page.choice
         asks_sigma = asked.isVisible() and bool(asked.marked)
         if unsure and asks_sigma:
-            # What is nudged while sigma is asked is saved with the answer.
+            # Nudges made while sigma is asked are saved with the answer.
             self._nudging.stop()
         elif asks_sigma or (unsure and (self._page.typing or asked.isVisible())):
             self._nudging.start()
@@ -111,15 +110,15 @@ class LabelEditing:
             self._front.do(self.save)
 
     def place(self, at_mm: Point) -> None:
-        """Move the face to a place (while it is dragged)."""
+        """Move the face to a position while it is dragged."""
         self._front.do(lambda: self._change(lambda edit: edit.placed(*at_mm)))
 
     def drop(self) -> None:
-        """Save what was dragged."""
+        """Save the dragged position."""
         self._front.do(self.save)
 
     def typed(self, text: str) -> None:
-        """Set what was typed."""
+        """Set the typed displacement."""
         try:
             x, y, sigma = parse_displacement(text)
         except ValueError as error:
@@ -132,15 +131,15 @@ class LabelEditing:
             return placed if sigma is None else placed.trusted(sigma)
 
         if sigma is not None:
-            self._sitting.sigma_mm = sigma
+            self._session.sigma_mm = sigma
         self._front.do(lambda: self._change(change))
         self._front.do(self.save)
 
     def take_model(self) -> None:
-        """Take the model's displacement as a draft with the model as its source."""
+        """Set the model's displacement as a draft with the model as its source."""
         now = self._front.present
         model = None if now is None else now.item.model
-        if model is None or self._sitting.hides:
+        if model is None or self._session.hides:
             self._page.say("There is no model in sight.", bad=True)
             return
         fit, source = model.fit, model.source
@@ -155,7 +154,7 @@ class LabelEditing:
             return
         now.edit = change(now.edit)
         self._front.show_edit()
-        waits = now.edit.changed and not self._sitting.opines
+        waits = now.edit.changed and not self._session.opines
         self._nudging.start() if waits else self._nudging.stop()
 
     # -- saves ------------------------------------------------------------------------------------
@@ -164,10 +163,10 @@ class LabelEditing:
         """Save the edit in front, if it was changed."""
         self._nudging.stop()
         now = self._front.present
-        if now is None or not now.edit.changed or self._sitting.opines:
+        if now is None or not now.edit.changed or self._session.opines:
             return
         await self.add_sigma()
-        now, person = self._front.present, self._sitting.person
+        now, person = self._front.present, self._session.person
         if now is not None:
             uuid, edit = now.item.entry.uuid, now.edit
             await self._saving.save(
@@ -177,11 +176,11 @@ class LabelEditing:
 
     async def add_sigma(self) -> None:
         """Give a changed edit the uncertainty of the person, who is asked once per session."""
-        if self._lacks_sigma() and self._sitting.sigma_mm is None:
-            self._sitting.sigma_mm = await Question[float](
+        if self._lacks_sigma() and self._session.sigma_mm is None:
+            self._session.sigma_mm = await Question[float](
                 lambda answer: ask_uncertainty(self._page, None, answer)
             )
-        now, sigma_mm = self._front.present, self._sitting.sigma_mm
+        now, sigma_mm = self._front.present, self._session.sigma_mm
         if now is not None and sigma_mm is not None and self._lacks_sigma():
             now.edit = now.edit.trusted(sigma_mm)
 
@@ -190,31 +189,31 @@ class LabelEditing:
         return now is not None and now.edit.changed and now.edit.label.sigma_um is None
 
     def ask_sigma(self) -> None:
-        """Ask for the uncertainty of the person; save afterwards, with it, an edit made meanwhile."""
+        """Ask for the person's uncertainty, then save an edit made meanwhile."""
 
         def take(sigma_mm: float) -> None:
-            self._sitting.sigma_mm = sigma_mm
+            self._session.sigma_mm = sigma_mm
             self._front.do(self.save)
 
-        ask_uncertainty(self._page, self._sitting.sigma_mm, take)
+        ask_uncertainty(self._page, self._session.sigma_mm, take)
 
 
 PAUSE_S = 60.0
 
 
 class ViewingTimer:
-    """Adds up the time between signs of life; gaps longer than a minute count nothing."""
+    """Adds up the time between inputs; gaps longer than a minute are not counted."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s = now_s
         self._last_s, self._seen_s = now_s(), 0.0
 
     def restart(self) -> None:
-        """Another episode is shown."""
+        """Start timing another episode."""
         self._last_s, self._seen_s = self._now_s(), 0.0
 
     def alive(self) -> None:
-        """Take note of a key or a click."""
+        """Record a key press or a click."""
         now_s = self._now_s()
         if now_s - self._last_s <= PAUSE_S:
             self._seen_s += now_s - self._last_s

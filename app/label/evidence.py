@@ -11,36 +11,34 @@ from touchdown.backend.annotations import Revision
 from touchdown.backend.placement import NOTABLE_SIGMAS, OffsetFit, sigmas_apart
 from touchdown.widgets.views import Ghost, offset_text
 
-LEAST_SIGMA_MM = 0.05
-"""What a label is trusted at best when it is compared with other evidence."""
+LEAST_SIGMA_MM = 0.05  # lower bound of the label's uncertainty in comparisons
 
 
 def sigmas_from_model(edit: LabelDraft, item: LabelItem) -> float | None:
-    """Return how many joint uncertainties the label lies from the model's; None: no telling."""
+    """Return the distance to the model's label in joint sigmas, None without one."""
     if item.model is None or edit.source == item.model.source:
         return None
     return _sigmas_between(edit, item.model.fit)
 
 
 def sigmas_from_scene(edit: LabelDraft, item: LabelItem) -> float | None:
-    """Return how many joint uncertainties the label lies from what the camera saw."""
+    """Return the distance to the camera measurement in joint sigmas."""
     seen = item.scene.place if item.scene is not None else None
     return None if seen is None else _sigmas_between(edit, seen)
 
 
 def sigmas_from_signals(edit: LabelDraft, item: LabelItem) -> float | None:
-    """Return how many deviations the signals are likelier elsewhere; None: this was not judged."""
+    """Return by how many sigmas the signals fit another place better; None if not judged."""
     if item.doubt is None or edit.changed or item.doubt[0] != edit.base.rev_uuid:
         return None
     return math.sqrt(item.doubt[1])
 
 
 def evidence_badges(edit: LabelDraft, item: LabelItem) -> tuple[str, ...]:
-    """Return the badge of a notable difference from the surest evidence, if there is one.
+    """Return the badge of a notable difference from the most certain evidence, if any.
 
-    Where the camera measured the face nothing else is asked: it is ten times as sure. Next come
-    the other episodes of the pair, where the dataset was scored: they tell how far the model errs
-    at this place. The model alone is asked last.
+    The camera measurement is used where there is one: it is ten times as certain. Next come the
+    other episodes of the pair, if the dataset was scored. The model is used last.
     """
     name, distance = "scene", sigmas_from_scene(edit, item)
     if distance is None and (item.scene is None or item.scene.place is None):
@@ -53,7 +51,7 @@ def evidence_badges(edit: LabelDraft, item: LabelItem) -> tuple[str, ...]:
 
 
 def evidence_ghosts(item: LabelItem, history: Sequence[Revision]) -> tuple[Ghost, ...]:
-    """Return where the bench was told to go, where arm, camera and model put the face."""
+    """Return the commanded displacement and those measured by arm, camera and model."""
     said = {r.source: r.label for r in history if r.label.is_set}
     ghosts = []
     commanded = said.get("commanded")
@@ -73,7 +71,7 @@ def evidence_ghosts(item: LabelItem, history: Sequence[Revision]) -> tuple[Ghost
 
 
 def scene_evidence_text(edit: LabelDraft, item: LabelItem, *, hidden: bool) -> str:
-    """Say what the scene camera makes of it."""
+    """Return the measurement of the scene camera as text."""
     if hidden:
         return ""
     if item.scene is None:
@@ -86,7 +84,7 @@ def scene_evidence_text(edit: LabelDraft, item: LabelItem, *, hidden: bool) -> s
 
 
 def model_evidence_text(edit: LabelDraft, item: LabelItem, *, hidden: bool) -> str:
-    """Say what the model makes of it."""
+    """Return the model's estimate as text."""
     if hidden:
         return "Model and other sources are hidden."
     model = item.model

@@ -28,7 +28,7 @@ from touchdown.widgets.views import FilmView, OffsetView, SceneShotView
 
 
 class DatasetHealthPanel(QWidget):
-    """``look`` is asked for a look through the dataset, ``choose`` gets the row of a finding."""
+    """List of dataset problems. ``look`` starts a check, ``choose`` receives the chosen row."""
 
     def __init__(self, look: Callable[[], None], choose: Callable[[int], None]) -> None:
         super().__init__()
@@ -48,7 +48,7 @@ class DatasetHealthPanel(QWidget):
         column.addWidget(self.look)
 
     def show_findings(self, said: str, lines: Sequence[str]) -> None:
-        """Show one line a kind, and one sentence on the whole."""
+        """Show a summary and one line per kind of problem."""
         self.said.setText(said)
         self.list.clear()
         self.list.addItems(list(lines))
@@ -56,9 +56,9 @@ class DatasetHealthPanel(QWidget):
 
 @dataclass(frozen=True, slots=True)
 class EmptyState:
-    """Why nothing is shown. ``button`` says what ``command`` (its name) does about it.
+    """Reason why nothing is shown. ``button`` is the text of the button that runs ``command``.
 
-    Without a button there is only to wait.
+    Without a button the person can only wait.
     """
 
     title: str
@@ -114,7 +114,7 @@ EMPTY_QUEUE = EmptyState(
 
 
 class EmptyStateView(QWidget):
-    """Says in the middle why there is nothing; ``act`` is told the command of the button."""
+    """Centred reason why nothing is shown; ``act`` receives the command of the button."""
 
     def __init__(self, act: Callable[[str], None]) -> None:
         super().__init__()
@@ -210,7 +210,7 @@ class LabelPage(QWidget):
         self.words = KeyboardLineEdit("Words", "", self._take_words, self.leave_entry)
         for line in (self.caption, self.entry, self.words):
             line.hide()
-        self._answer: Callable[[str], None] = _nothing
+        self._answer: Callable[[str], None] = lambda _text: None
         self.banner = UnsavedBanner(self.retry_requested.emit, self.discard_requested.emit)
         self.film = FilmView(theme, self.show_cursor)
         self.shots = SceneShotView(theme)
@@ -268,7 +268,7 @@ class LabelPage(QWidget):
         column.setSpacing(8)
         column.addWidget(self.banner)
         column.addWidget(self.view_panel, 1)
-        # Below the view, not over it: a question must not cover the face it is about.
+        # Below the view: a question must not cover the face.
         column.addWidget(self.choice)
         return column
 
@@ -303,7 +303,7 @@ class LabelPage(QWidget):
         self.film_panel.detail.setText(f"{t_s:+.2f} s".replace("-", "\N{MINUS SIGN}"))
 
     def show_queue(self, name: str, title: str = "") -> None:
-        """Show which queue is chosen; one that is no standing queue is named by ``title``."""
+        """Show the chosen queue; ``title`` names a queue that is not in the list."""
         at = self.queue.findData(name)
         if at < 0:
             at = self.queue.count()
@@ -313,16 +313,16 @@ class LabelPage(QWidget):
         self.queue.setCurrentIndex(at)
 
     def sheets(self) -> LabelSheets:
-        """Return what curves are drawn on at the present size and theme."""
+        """Return the present sizes and theme of the curves."""
         return LabelSheets(self.forces.sheet(), self.moments.sheet(), self.phase.sheet())
 
     @property
     def typing(self) -> bool:
-        """Whether a line to type is open."""
+        """True while an entry line is open."""
         return self.entry.isVisible() or self.words.isVisible()
 
     def open_entry(self, first: str) -> None:
-        """Begin to type a displacement."""
+        """Open the entry of a displacement with its first characters."""
         if not self.entry.isVisible():
             self.entry.clear()
             self._show_line(self.entry, "x,y in mm, or x,y,sigma: Enter sets, Esc leaves")
@@ -330,7 +330,7 @@ class LabelPage(QWidget):
         self.entry.insert(first)
 
     def ask_words(self, hint: str, first: str, answer: Callable[[str], None]) -> None:
-        """Ask for words; an empty line is no answer."""
+        """Ask for a text; an empty line is not an answer."""
         self._answer = answer
         self.words.setText(first)
         self.words.selectAll()
@@ -339,7 +339,7 @@ class LabelPage(QWidget):
         self.words.setFocus()
 
     def _show_line(self, line: KeyboardLineEdit, caption: str) -> None:
-        """Show one line to type, and above it what it is for."""
+        """Show one entry line with its caption."""
         for other in (self.entry, self.words):
             other.setVisible(other is line)
         self.caption.setText(caption)
@@ -353,20 +353,20 @@ class LabelPage(QWidget):
             self._answer(text.strip())
 
     def leave_entry(self) -> None:
-        """Stop typing."""
+        """Close the entry line."""
         self.close_lines()
         self.setFocus()
 
     def close_lines(self) -> None:
-        """Hide what was to be typed: it was said elsewhere."""
+        """Hide the entry lines."""
         if self.entry.hasFocus() or self.words.hasFocus():
-            # Else the next control would have the keyboard.
+            # Otherwise the next control would get the focus.
             self.setFocus()
         for line in (self.caption, self.entry, self.words):
             line.hide()
 
     def say(self, text: str, *, bad: bool = False) -> None:
-        """Show one sentence below the view; ``bad``: something was refused."""
+        """Show one sentence below the view; ``bad`` marks a refusal."""
         tone = "bad" if bad else ""
         if tone != self.message.property("tone"):
             self.message.setProperty("tone", tone)
@@ -376,13 +376,13 @@ class LabelPage(QWidget):
         self.message.setToolTip(text)
 
     def show_nobody(self) -> None:
-        """Say that the queue depends on who labels."""
+        """Show that a person must be named first."""
         self.queue_panel.detail.setText("nobody is named")
         self.show_nothing(NO_PERSON)
         self.say("")
 
     def show_nothing(self, nothing: EmptyState) -> None:
-        """Show that no episode is in front, and why: nothing of the former one stays."""
+        """Show why there is no episode, and clear the previous one."""
         self.nothing.show_why(nothing)
         self._swap(here=False)
         self.view.show_scene(None)
@@ -398,7 +398,7 @@ class LabelPage(QWidget):
         self.side.history.show_rows([])
 
     def show_something(self) -> None:
-        """Make place for an episode."""
+        """Make room for an episode."""
         if self.nothing.isVisibleTo(self):
             self._swap(here=True)
 
@@ -411,7 +411,7 @@ class LabelPage(QWidget):
             self.setFocus()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Hand over what can begin a typed displacement, and Space."""
+        """Report keys that start a displacement, and Space."""
         firm = event.modifiers() & ~(
             Qt.KeyboardModifier.ShiftModifier | Qt.KeyboardModifier.KeypadModifier
         )
@@ -422,11 +422,11 @@ class LabelPage(QWidget):
             super().keyPressEvent(event)
 
     def next_pictures(self) -> None:
-        """Show the other pictures: the film, or those of the scene camera."""
+        """Switch between the tactile film and the scene camera."""
         self.pictures.setCurrentIndex(1 - self.pictures.currentIndex())
 
     def list_curves(self) -> None:
-        """Open the list of what can be drawn on one axis: arrows and Enter choose."""
+        """Open the list of curves; arrows and Enter choose."""
         self.curves.setFocus()
         self.curves.showPopup()
 
@@ -435,7 +435,7 @@ class LabelPage(QWidget):
         self.setFocus()
 
     def _pictures_chosen(self, at: int) -> None:
-        """Show film or scene in one place: neither changes the size of what is below."""
+        """Switch film and scene in place, without changing the layout below."""
         if at == 1:
             self.shots.setFixedHeight(self.film.height())
         self.film.stop()
@@ -453,13 +453,9 @@ class LabelPage(QWidget):
 
 
 def _choice(name: str, texts: Sequence[str]) -> QComboBox:
-    """Return a narrow list for the header of a panel."""
+    """Return a narrow combo box for a panel header."""
     made = QComboBox()
     made.setProperty("role", "compact")
     made.setAccessibleName(name)
     made.addItems(list(texts))
     return made
-
-
-def _nothing(_text: str) -> None:
-    """Do nothing: nothing was asked."""

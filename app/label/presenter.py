@@ -60,7 +60,7 @@ from touchdown.widgets.views import OffsetScene, offset_text, verdict_text
 
 
 def show_item(page: LabelPage, item: LabelItem) -> None:
-    """Show what was recorded."""
+    """Show the recorded data of an episode."""
     page.show_something()
     first, last = item.span_s
     at_s = min(max(CURSOR_S, first), last)
@@ -77,7 +77,7 @@ def show_item(page: LabelPage, item: LabelItem) -> None:
 def show_edit(
     page: LabelPage, item: LabelItem, edit: LabelDraft, history: Sequence[Revision], *, hidden: bool
 ) -> None:
-    """Show where the face is, and what follows from it."""
+    """Show the edited label and its consequences."""
     scene = offset_scene(item, edit, history, hidden=hidden)
     page.view.show_scene(scene)
     page.verdict.setText(verdict_text(scene))
@@ -96,7 +96,7 @@ def show_edit(
 def offset_scene(
     item: LabelItem, edit: LabelDraft, history: Sequence[Revision], *, hidden: bool
 ) -> OffsetScene:
-    """Return the scene of an edit; ``hidden``: nothing of a model, nor of other sources."""
+    """Return the scene of an edit; ``hidden`` leaves out the model and other sources."""
     ghosts = () if hidden else evidence_ghosts(item, history)
     offset = edit.offset_mm
     if offset is None:
@@ -110,34 +110,34 @@ def offset_scene(
 
 
 class LabelPresenter:
-    """Joins one dataset to the page. ``close`` it: it owns a thread."""
+    """Connects one dataset to the label page. Owns a thread: call ``close``."""
 
     def __init__(
         self,
         page: LabelPage,
         dataset: Dataset,
         prelabel: PrelabelFunction,
-        commits: SaveWorker,
-        post: MainThreadQueue,
-        sitting: AnnotationSession,
+        worker: SaveWorker,
+        main_thread: MainThreadQueue,
+        session: AnnotationSession,
     ) -> None:
         self._page, self.dataset, self.book = page, dataset, dataset.labels
+        # Labels as the person sees them: control items look like the rest.
         self.shown = ControlItemLabels(self.book)
-        """The labels as the person sees and changes them: gold looks like the rest."""
-        self.sitting = sitting
+        self.session = session
         self.present: PresentEpisode | None = None
-        self.saving = SaveQueue(commits, self.refuse, self._show_saving)
-        self.editing = LabelEditing(self, page, self.shown, sitting, self.saving)
+        self.saving = SaveQueue(worker, self.refuse, self._show_saving)
+        self.editing = LabelEditing(self, page, self.shown, session, self.saving)
         self._sheets: LabelSheets | None = None
         read = item_reader(dataset, prelabel, lambda: self._sheets)
-        self._prefetch = Prefetcher(read, post, self._arrived)
+        self._prefetch = Prefetcher(read, main_thread, self._arrived)
         self.walk = QueueCursor(page.list, self._prefetch)
         self.clock = ViewingTimer()
         self._news = ""
         self._badges: tuple[str, ...] = ()
 
     def close(self) -> None:
-        """End the reading ahead; an edit that waits is saved first."""
+        """Save a pending edit and end the prefetching."""
         if self.editing.waits:
             self.saving.start(self.editing.save())
         self._prefetch.close()
@@ -146,10 +146,10 @@ class LabelPresenter:
 
     async def read_queue(self, *, stay: bool = True) -> None:
         """Read the chosen queue again. With ``stay`` the present episode stays if it can."""
-        sitting, here = replace(self.sitting), (self.walk.uuid or "") if stay else ""
-        order, entries, gold = await self.saving.save(lambda: read_queue(self.dataset, sitting))
+        session, here = replace(self.session), (self.walk.uuid or "") if stay else ""
+        order, entries, gold = await self.saving.save(lambda: read_queue(self.dataset, session))
         self._cover_rows()
-        self.shown.begin(self.sitting.person, gold)
+        self.shown.begin(self.session.person, gold)
         self.walk.begin(order, entries | {u: self.shown.entry(entries[u]) for u in gold}, here)
         self._show_present()
 
@@ -158,12 +158,12 @@ class LabelPresenter:
         self.saving.start(self.read_queue())
 
     def read_with_news(self, text: str) -> None:
-        """Read the queue anew because of ``text``, which is said beside it."""
+        """Read the queue again and show ``text`` as the reason."""
         self._news = text
         self.flushed(self.read_queue)
 
     def read_anew(self, text: str) -> None:
-        """Read the episodes themselves anew: other models judge them."""
+        """Read all episodes again after a change of models."""
 
         async def again() -> None:
             self.present, self._news = None, text
@@ -173,30 +173,33 @@ class LabelPresenter:
         self.flushed(again)
 
     def choose_queue(self, name: str) -> None:
-        """Change to another queue, and begin with its first."""
-        self.sitting.queue = name
+        """Change to another queue and show its first episode."""
+        self.session.queue = name
         self.flushed(lambda: self.read_queue(stay=False))
 
     def open_chosen(self, chosen: FindingQueue) -> None:
-        """Walk through these episodes, each with what is said of it."""
-        self.sitting.chosen = chosen
+        """Open the queue of a finding."""
+        self.session.chosen = chosen
         self._page.show_queue(FINDING, chosen.title)
         self.choose_queue(FINDING)
 
     def go_to(self, at: int) -> None:
-        """Bring another episode of the queue to the front."""
+        """Show another episode of the queue."""
         self.flushed(lambda: self._go(at))
 
     def go_to_number(self, text: str) -> None:
-        """Go to a place that was typed, counted from 1."""
+        """Show the episode with a typed number, counted from 1."""
         if text.isdecimal() and 1 <= int(text) <= len(self.walk.order):
             self.go_to(int(text) - 1)
         else:
             self._page.say(f"The queue has no number {text}.", bad=True)
 
     def move(self, by: int) -> None:
-        """Go on (1) or back (-1) without a decision; going on over an undecided one skips it."""
-        now, person = self.present, self.sitting.person
+        """Go forward (1) or back (-1) without a decision.
+
+        Going forward skips an undecided episode.
+        """
+        now, person = self.present, self.session.person
         undecided = now is not None and now.edit.base.state in ("unlabelled", "draft")
 
         async def move() -> None:
@@ -208,10 +211,10 @@ class LabelPresenter:
         self.flushed(move)
 
     def go_on(self) -> None:
-        """Go to the next episode after a decision; until it is there the decided one stays."""
+        """Show the next episode after a decision."""
         now = self.present
         if now is not None and isinstance(self.walk.ahead(), LabelItem):
-            # Nobody will see the decided label again here: only its row is shown anew.
+            # The label is not shown again, so only its row is updated.
             self._take(now)
             self.walk.note(now.item.entry.uuid, self._badges_of(now))
         else:
@@ -219,7 +222,7 @@ class LabelPresenter:
         self._go(self.walk.at + 1)
 
     def show_at(self, at: int, said: str) -> None:
-        """Show another place of the queue, and say something there; there is no edit to save."""
+        """Show another place of the queue with a message. There must be no unsaved edit."""
         self._news = said
         self._go(at)
 
@@ -238,7 +241,7 @@ class LabelPresenter:
             self.saving.drain()
 
     def _show_present(self) -> None:
-        """Show the present episode; while it is being read the former picture stays."""
+        """Show the present episode; the previous one stays visible while it is being read."""
         ready = self.walk.ready()
         self.saving.hold(ready is None)
         if ready is None:
@@ -267,18 +270,18 @@ class LabelPresenter:
         """Return why the queue is empty."""
         if not self.walk.entries:
             return NO_PROBES
-        return EMPTY_QUEUES.get(self.sitting.queue, EMPTY_QUEUE)
+        return EMPTY_QUEUES.get(self.session.queue, EMPTY_QUEUE)
 
     def _said_of(self, now: PresentEpisode) -> str:
-        """Say why the episode is in this queue, where that asks for something."""
-        s = self.sitting
+        """Return why the episode is in this queue, where it needs an action."""
+        s = self.session
         if s.queue == FINDING and s.chosen is not None:
             return s.chosen.said.get(now.item.entry.uuid, "")
         return next_step_text(now.edit.base, reviewing=s.queue == "review", opines=s.opines)
 
     def _begin(self, uuid: str) -> LabelDraft:
         head = self.shown.of(uuid).head(uuid)
-        return LabelDraft.blank(head) if self.sitting.opines else LabelDraft.of(head)
+        return LabelDraft.blank(head) if self.session.opines else LabelDraft.of(head)
 
     # -- what is shown of the label ---------------------------------------------------------------
 
@@ -288,26 +291,26 @@ class LabelPresenter:
         if now is None:
             return
         self.show_edit()
-        told = [] if self.sitting.opines else history_rows(now.history, now.edit.base)
+        told = [] if self.session.opines else history_rows(now.history, now.edit.base)
         self._page.side.history.show_rows(told)
         self.walk.note(now.item.entry.uuid, self._badges)
 
     def show_edit(self) -> None:
-        """Show where the face is now, saved or not."""
+        """Show the label in edit, saved or not."""
         now = self.present
         if now is not None:
             self._badges = self._badges_of(now)
             self._cover_rows()
-            hides = self.sitting.hides
+            hides = self.session.hides
             show_edit(self._page, now.item, now.edit, now.history, hidden=hides)
             self._show_saving()
 
     def _cover_rows(self) -> None:
-        self.walk.cover(blind=self.sitting.opines, hides=self.sitting.hides)
+        self.walk.cover(blind=self.session.opines, hides=self.session.hides)
 
     def _badges_of(self, now: PresentEpisode) -> tuple[str, ...]:
-        """Return the badge of a label, if other evidence differs notably."""
-        return () if self.sitting.hides else evidence_badges(now.edit, now.item)
+        """Return the badge of a notable difference to other evidence."""
+        return () if self.session.hides else evidence_badges(now.edit, now.item)
 
     def _show_saving(self) -> None:
         page, now, failure = self._page, self.present, self.saving.failure
@@ -319,7 +322,7 @@ class LabelPresenter:
         if now is None:
             page.strip.show_label("", (), "")
             return
-        if self.sitting.opines:
+        if self.session.opines:
             said = (f"says {now.verdict}",) if now.verdict else ()
             answered = now.item.entry.uuid in self.walk.answered
             saved = "answered blind" if answered else "blind, not answered yet"
@@ -341,7 +344,7 @@ class LabelPresenter:
         self._page.queue_panel.detail.setText(place)
 
     def refuse(self, reason: str) -> None:
-        """Say why something was not done; the edit goes back to what holds."""
+        """Show why an action was refused; the edit returns to the stored label."""
         self.editing.give_up()
         self._page.say(reason, bad=True)
 
@@ -367,7 +370,7 @@ class LabelPresenter:
         self.do(save_and_run)
 
     def reload(self) -> None:
-        """Show what the dataset says of the present episode now."""
+        """Show the stored label of the present episode."""
         now = self.present
         if now is not None:
             asked = self._said_of(now)
@@ -377,22 +380,20 @@ class LabelPresenter:
                 self._page.say(self._said_of(now))
 
     def _take(self, now: PresentEpisode) -> None:
-        """Take what the dataset says of an episode."""
         uuid = now.item.entry.uuid
         now.edit, now.history = self._begin(uuid), self.shown.of(uuid).history(uuid)
         self.walk.entries[uuid] = self.entry(uuid)
 
     def entry(self, uuid: str) -> EpisodeEntry:
-        """Return what is to be seen of an episode now."""
+        """Return the index entry of an episode as the person may see it."""
         return self.shown.entry(self.dataset.entry(uuid))
 
     def looked(self) -> AnswerContext:
-        """Return how the person came to the answer."""
-        return AnswerContext(self.clock.seen_ms(), self.sitting.hides)
+        """Return the context of the person's answer."""
+        return AnswerContext(self.clock.seen_ms(), self.session.hides)
 
 
 def _waiting_words(count: int) -> str:
-    """Say what waits until another program lets go of the dataset."""
     what = "1 action waits and is" if count == 1 else f"{count} actions wait and are"
     return f"another program is writing to the dataset. {what} done as soon as it lets go."
 
@@ -402,7 +403,7 @@ DIGITS = 9
 
 @dataclass(frozen=True, slots=True)
 class FindingGroup:
-    """All findings of one kind: what is said of each episode, and the first in words."""
+    """All findings of one kind: text by episode, and the first text."""
 
     name: str
     said: dict[str, str]
@@ -416,7 +417,7 @@ class FindingGroup:
 
 
 class HealthPresenter:
-    """Holds what the last look found, as long as the window is open."""
+    """Keeps the result of the last dataset check."""
 
     def __init__(
         self, page: LabelPage, panel: DatasetHealthPanel, presenter: LabelPresenter
@@ -425,7 +426,7 @@ class HealthPresenter:
         self.kinds: list[FindingGroup] = []
 
     def show(self, health: QualityReport) -> None:
-        """Show what was found, most important kinds first."""
+        """Show the findings, most important kinds first."""
         self.kinds = group_findings(health.findings)
         self._panel.show_findings(
             health_text(health, len(self.kinds), datetime.now()),
@@ -449,7 +450,7 @@ class HealthPresenter:
 
 
 def group_findings(findings: Sequence[QualityIssue]) -> list[FindingGroup]:
-    """Return the findings grouped by kind, in the order in which each kind comes first."""
+    """Group the findings by kind, in order of first occurrence."""
     said: dict[str, dict[str, str]] = {}
     first: dict[str, str] = {}
     for finding in findings:
@@ -460,7 +461,7 @@ def group_findings(findings: Sequence[QualityIssue]) -> list[FindingGroup]:
 
 
 def health_text(health: QualityReport, kinds: int, at: datetime) -> str:
-    """Say how much was looked at, and whether anything is out of order."""
+    """Return how many episodes were checked and the number of findings."""
     whole = f"{health.looked:,}" + (f" of {health.count:,}" if health.looked < health.count else "")
     noun = "episode was" if health.looked == 1 else "episodes were"
     found = {0: "nothing is out of order", 1: "1 kind of finding"}.get(

@@ -13,25 +13,26 @@ from touchdown.backend.annotations import ControlItemView, Dataset, EpisodeEntry
 from touchdown.backend.core import InputError
 from touchdown.widgets.lists import LabelList, LabelListRow
 
-PREFETCH_DISTANCE = 3
-"""So many episodes before and after the present one are kept ready."""
+PREFETCH_DISTANCE = 3  # number of episodes kept ready before and after the present one
 IDLE_BEFORE_READ_S = 0.08
-PREFETCH_JOIN_S = 1.0
-"""It only reads: a disk that hangs is left behind."""
+PREFETCH_JOIN_S = 1.0  # the thread only reads, so one that hangs on a disk is abandoned
 
 Item = TypeVar("Item")
 
 
 class Prefetcher(Generic[Item]):
-    """Holds what was asked for last, at most ``2 * AHEAD + 1`` items; one thread reads.
+    """Reads the wanted items on a thread; keeps at most ``2 * PREFETCH_DISTANCE + 1``.
 
-    ``arrived`` is called on the window's thread with the id of what is newly there.
+    ``arrived`` is called on the thread of the window with the id of each item read.
     """
 
     def __init__(
-        self, read: Callable[[str], Item], post: MainThreadQueue, arrived: Callable[[str], None]
+        self,
+        read: Callable[[str], Item],
+        main_thread: MainThreadQueue,
+        arrived: Callable[[str], None],
     ) -> None:
-        self._read, self._post, self._arrived = read, post, arrived
+        self._read, self._main_thread, self._arrived = read, main_thread, arrived
         self._changed = threading.Condition()
         self._wanted: tuple[str, ...] = ()
         self._items: dict[str, Item | Exception] = {}
@@ -40,25 +41,25 @@ class Prefetcher(Generic[Item]):
         self._thread.start()
 
     def want(self, wanted: Sequence[str]) -> None:
-        """Keep exactly these ready, the first one first."""
+        """Keep exactly these items; the first one is read first."""
         with self._changed:
             self._wanted = tuple(wanted[: 2 * PREFETCH_DISTANCE + 1])
             self._drop()
             self._changed.notify()
 
     def get(self, uuid: str) -> Item | Exception | None:
-        """Return the item, why it cannot be read, or None while it is not there yet."""
+        """Return the item, its read error, or None while it is not read yet."""
         with self._changed:
             return self._items.get(uuid)
 
     def forget(self) -> None:
-        """Read everything anew."""
+        """Read all items again."""
         with self._changed:
             self._items.clear()
             self._changed.notify()
 
     def held(self) -> tuple[str, ...]:
-        """Return the ids of what is in memory."""
+        """Return the ids of the items in memory."""
         with self._changed:
             return tuple(self._items)
 
@@ -83,13 +84,13 @@ class Prefetcher(Generic[Item]):
             with self._changed:
                 self._items[uuid] = item
                 self._drop()
-            self._post.put(lambda uuid=uuid: self._arrived(uuid))  # type: ignore[misc]
+            self._main_thread.put(lambda uuid=uuid: self._arrived(uuid))  # type: ignore[misc]
 
     def _next(self) -> str | None:
-        """Wait for something to read; None: the end.
+        """Wait for the next item to read; return None at the end.
 
-        The present episode is read at once; its neighbours only when nobody has moved on for a
-        moment, so that reading ahead does not hold up the painting of what was just chosen.
+        The present episode is read at once. Its neighbours are read after a pause, so that reading
+        ahead does not delay painting.
         """
         with self._changed:
             while not self._closed:
@@ -111,13 +112,13 @@ def neighbours(order: Sequence[str], at: int) -> list[str]:
     return [order[place] for place in places if 0 <= place < len(order)]
 
 
+# Ids in order, all entries, and the control items among the ids.
 QueueContent = tuple[list[str], dict[str, EpisodeEntry], dict[str, ControlItemView]]
-"""Ids in their order, all entries, and the gold among the ids."""
 
 
-def read_queue(dataset: Dataset, sitting: AnnotationSession) -> QueueContent:
-    """Return a queue, gold mixed into what is to be labelled; slow, not for the window."""
-    s = sitting
+def read_queue(dataset: Dataset, session: AnnotationSession) -> QueueContent:
+    """Return a queue with control items mixed in. Slow: do not call on the thread of the window."""
+    s = session
     if s.queue == FINDING:
         order = [] if s.chosen is None else list(s.chosen.said)
     else:
@@ -131,7 +132,7 @@ def read_queue(dataset: Dataset, sitting: AnnotationSession) -> QueueContent:
 
 
 class QueueCursor:
-    """Keeps list, order and prefetch in step. The order stays as it was when it was read."""
+    """Keeps list, order and prefetch consistent. The order does not change until the next read."""
 
     def __init__(self, rows: LabelList, prefetch: Prefetcher[LabelItem]) -> None:
         self._rows, self._prefetch = rows, prefetch
@@ -141,8 +142,8 @@ class QueueCursor:
         self.at = -1
         self.begun = False
         self._blind = self._hides = False
+        # Answered blind since the queue was read.
         self.answered: set[str] = set()
-        """Episodes that were answered blind since the queue was read."""
 
     @property
     def uuid(self) -> str | None:
@@ -150,7 +151,7 @@ class QueueCursor:
         return self.order[self.at] if 0 <= self.at < len(self.order) else None
 
     def begin(self, order: Sequence[str], entries: Mapping[str, EpisodeEntry], stay: str) -> None:
-        """Take a queue; begin with ``stay`` if it is in it, else with the first."""
+        """Use a queue; start with ``stay`` if it contains it, else with the first episode."""
         self.begun = True
         self.answered.clear()
         self.order, self.entries = list(order), dict(entries)
@@ -159,7 +160,7 @@ class QueueCursor:
         self._want()
 
     def move_to(self, at: int) -> bool:
-        """Go to a place; False if there is none."""
+        """Go to a place; return False if there is none."""
         if not 0 <= at < len(self.order):
             return False
         self.at = at
@@ -171,28 +172,28 @@ class QueueCursor:
         return self.order.index(uuid) if uuid in self.order else -1
 
     def ready(self) -> LabelItem | Exception | None:
-        """Return the present item, why it cannot be read, or None while it is being read."""
+        """Return the present item, its read error, or None while it is being read."""
         uuid = self.uuid
         return InputError("The queue is empty.", "queue", "Choose another.") if uuid is None else (
             self._prefetch.get(uuid)
         )  # fmt: skip
 
     def ahead(self) -> LabelItem | Exception | None:
-        """Return the next item of the queue, if there is one and it is there."""
+        """Return the next item of the queue, None if it is not read yet."""
         at = self.at + 1
         return self._prefetch.get(self.order[at]) if at < len(self.order) else None
 
     def held(self) -> tuple[str, ...]:
-        """Return which episodes are in memory."""
+        """Return the ids of the episodes in memory."""
         return self._prefetch.held()
 
     def size(self, uuid: str) -> int:
-        """Return the bytes that an episode takes in memory, 0 if it is not there."""
+        """Return the memory size of an episode in bytes, 0 if it is not in memory."""
         item = self._prefetch.get(uuid)
         return item.bytes if isinstance(item, LabelItem) else 0
 
     def cover(self, *, blind: bool, hides: bool) -> None:
-        """Keep from sight how far episodes have come (``blind``), or other evidence (``hides``)."""
+        """Hide the states of the episodes (``blind``) or other evidence (``hides``)."""
         if (blind, hides) != (self._blind, self._hides):
             self._blind, self._hides = blind, hides
             self._rows.show_rows([self._row(uuid) for uuid in self.order])
@@ -200,14 +201,14 @@ class QueueCursor:
                 self._rows.choose(self.at)
 
     def note(self, uuid: str, badges: tuple[str, ...]) -> None:
-        """Take the badges of an episode, and show its row anew."""
+        """Set the badges of an episode and update its row."""
         self.badges[uuid] = badges
         at = self.at if uuid == self.uuid else self.find(uuid)
         if at >= 0:
             self._rows.show_row(at, self._row(uuid))
 
     def take(self, entry: EpisodeEntry) -> None:
-        """Take what is new of an episode, and show its row anew."""
+        """Update the entry of an episode and its row."""
         self.entries[entry.uuid] = entry
         self.note(entry.uuid, self.badges.get(entry.uuid, ()))
 

@@ -10,7 +10,7 @@ from touchdown.backend.annotations import Revision, Verdict
 
 @dataclass(frozen=True, slots=True)
 class FindingQueue:
-    """A queue that is no standing one: these episodes, and what is said of each of them."""
+    """A temporary queue: a title, and the text of the finding by episode."""
 
     title: str
     said: dict[str, str]
@@ -18,9 +18,10 @@ class FindingQueue:
 
 @dataclass(slots=True)
 class AnnotationSession:
-    """Who labels, and how. ``sigma_mm``: what the person last said of their own displacements.
+    """Person and settings of the labelling.
 
-    ``chosen``: what the queue named ``finding`` holds, as long as the window is open.
+    ``sigma_mm`` is the uncertainty that the person stated last. ``chosen`` is the content of the
+    queue ``finding``; it is not stored.
     """
 
     person: str = ""
@@ -33,18 +34,18 @@ class AnnotationSession:
 
     @property
     def opines(self) -> bool:
-        """Whether answers are opinions for the figures of agreement: no label changes."""
+        """True if answers are stored as opinions and change no label."""
         return self.queue == "gold" or (self.blind and self.queue == "audit")
 
     @property
     def hides(self) -> bool:
-        """Whether model and other sources are out of sight."""
+        """True if model and other sources are hidden."""
         return self.blind or self.hidden or self.opines
 
 
 @dataclass(slots=True)
 class PresentEpisode:
-    """The episode in front. ``verdict``: what is said blind, kept with the opinion."""
+    """The shown episode. ``verdict``: blind verdict, stored with the opinion."""
 
     item: LabelItem
     edit: LabelDraft

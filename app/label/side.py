@@ -33,12 +33,11 @@ from touchdown.backend.annotations import (
 from touchdown.widgets.base import Panel, WrappedItemDelegate, label
 from touchdown.widgets.lists import HistoryList
 
-LEAST = 2
-"""One common episode is no agreement."""
+LEAST = 2  # one common episode gives no agreement figures
 
 
 def agreement_text(dataset: Dataset) -> str:
-    """Return the figures of a dataset as text; slow, not for the window's thread."""
+    """Return the agreement figures of a dataset. Slow: do not call on the thread of the window."""
     people = sorted(name for name in dataset.people() if name != PROGRAM)
     parts = []
     for first, second in combinations(people, 2):
@@ -61,7 +60,7 @@ def agreement_text(dataset: Dataset) -> str:
 
 
 def pair_agreement_text(first: str, second: str, c: AgreementReport) -> str:
-    """Return the figures of two persons; what is not known is left out."""
+    """Return the agreement of two persons; unknown figures are left out."""
     count = "1 episode" if c.episodes == 1 else f"{c.episodes} episodes"
     lines = [f"{first} minus {second}, {count}"]
     for axis, bias, icc in (("x", c.bias_x_mm, c.icc_x), ("y", c.bias_y_mm, c.icc_y)):
@@ -85,7 +84,7 @@ def pair_agreement_text(first: str, second: str, c: AgreementReport) -> str:
 
 
 def suggestion_bias_text(s: SuggestionBias) -> str:
-    """Return how far labels made blind lie from those made with the model in sight."""
+    """Return the difference between blind labels and those made with the model visible."""
     lines = [f"Blind minus shown, {s.episodes} episodes"]
     for axis, bias in (("x", s.x_mm), ("y", s.y_mm)):
         limits = f", 95 % limits {_signed(bias.lower)} to {_signed(bias.upper)}"
@@ -103,7 +102,10 @@ def _signed(value: float) -> str:
 
 
 class KeyboardLineEdit(QLineEdit):
-    """One line to type: Enter takes it, Esc leaves; while it has the focus no other key acts."""
+    """Entry line: Enter takes the text, Esc leaves.
+
+    Other shortcuts are off while it has the focus.
+    """
 
     def __init__(
         self, name: str, hint: str, typed: Callable[[str], None], leave: Callable[[], None]
@@ -114,7 +116,7 @@ class KeyboardLineEdit(QLineEdit):
         self.setPlaceholderText(hint)
 
     def event(self, event: QEvent) -> bool:
-        """Claim Enter and Esc before the shortcuts of the page do."""
+        """Claim Enter and Esc before the shortcuts of the page."""
         if event.type() is QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
             enter = (Qt.Key.Key_Return, Qt.Key.Key_Enter, Qt.Key.Key_Escape)
             if event.key() in enter:
@@ -123,7 +125,7 @@ class KeyboardLineEdit(QLineEdit):
         return bool(super().event(event))
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Set or leave."""
+        """Take the text or leave."""
         if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
             self._typed(self.text())
         elif event.key() == Qt.Key.Key_Escape:
@@ -137,7 +139,7 @@ HISTORY, BULK, HEALTH = 0, 3, 4
 
 
 class SideTabs(Panel):
-    """Views in one place; ``search`` is told what to look for in the log, ``leave`` its end."""
+    """Side tabs. ``search`` receives the filter of the log; ``leave`` is called at its end."""
 
     def __init__(
         self,
@@ -178,13 +180,13 @@ class SideTabs(Panel):
         self._buttons.idClicked.connect(entered)
 
     def choose(self, tab: int) -> None:
-        """Bring one view to the front."""
+        """Show one tab."""
         self._stack.setCurrentIndex(tab)
         self._buttons.button(tab).setChecked(True)
 
     @property
     def tab(self) -> int:
-        """Which view is in front."""
+        """Index of the visible tab."""
         return self._stack.currentIndex()
 
     def show_log(self, lines: Sequence[str]) -> None:
@@ -194,7 +196,7 @@ class SideTabs(Panel):
 
 
 def _top(widget: QWidget) -> QWidget:
-    """Keep a text at the top of its place; more of it than there is room for scrolls."""
+    """Return a scroll area with a text at its top."""
     holder = QWidget()
     column = QVBoxLayout(holder)
     column.setContentsMargins(0, 0, 0, 0)
@@ -219,9 +221,9 @@ KINDS: tuple[tuple[str, str, str], ...] = (
 
 
 class BulkForm(QWidget):
-    """What to change, a preview in words, and the button that does it.
+    """Form of a bulk change with a preview and a button that applies it.
 
-    ``entered``: Enter in the line, ``leave``: Esc.
+    ``entered`` is called on Enter in the line, ``leave`` on Esc.
     """
 
     def __init__(

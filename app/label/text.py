@@ -31,25 +31,24 @@ QUEUES: tuple[tuple[str, str], ...] = (
     ("gold", "Gold: approved labels, answered blind"),
 )
 
-FINDING = "finding"
-"""The queue of what a look through the dataset found."""
+FINDING = "finding"  # the queue of a finding of the dataset check
 
 
 def source_text(source: Source) -> str:
-    """Return a source for people; a model is named by the start of its weights' hash."""
+    """Return a source as text; a model is named by the start of its weight hash."""
     kind, _, weights = source.partition(":")
     return models_text(weights) if kind == "model" else kind
 
 
 def models_text(weights: str) -> str:
-    """Name models by the start of their weights' hashes, joined by ``+``."""
+    """Return the models named by the start of their weight hashes, joined by ``+``."""
     first, *others = weights.split("+")
     more = f" and {len(others)} more" if others else ""
     return f"model {first[:8]}{more}"
 
 
 def provenance_text(revision: Revision) -> str:
-    """Say what a label rests on, and how sure that is."""
+    """Return source and uncertainty of a label as text."""
     if not revision.label.is_set:
         return "nobody has said yet where the face was"
     sigma = revision.label.sigma_um
@@ -65,7 +64,7 @@ def provenance_text(revision: Revision) -> str:
 
 
 def next_step_text(head: Revision, *, reviewing: bool, opines: bool) -> str:
-    """Say what is to be done with a label, where Enter does not simply accept it."""
+    """Return the next step for a label, where Enter does not simply accept it."""
     if opines:
         return "Blind: Enter keeps your displacement as an opinion, the label does not change."
     if head.state == "rejected":
@@ -81,7 +80,7 @@ def local_time_text(at_ns: int) -> str:
 
 
 def label_text(label: Label) -> str:
-    """Return a label for people."""
+    """Return a label as text."""
     if not label.is_set:
         return "no displacement"
     x, y = label.offset_mm.tolist()
@@ -89,7 +88,7 @@ def label_text(label: Label) -> str:
 
 
 def history_rows(revisions: Sequence[Revision], head: Revision) -> list[HistoryRow]:
-    """Return all versions, newest first, each with what it changed."""
+    """Return all versions, newest first, each with its changes."""
     rows = []
     for number, revision in enumerate(revisions, start=1):
         before = revisions[number - 2] if number > 1 else None
@@ -107,7 +106,7 @@ def history_rows(revisions: Sequence[Revision], head: Revision) -> list[HistoryR
 
 
 def revision_difference(before: Revision | None, after: Revision) -> str:
-    """Return what a revision changed against the one before it."""
+    """Return the changes of a revision against the previous one."""
     if before is None:
         return ""
     parts = []
@@ -142,13 +141,13 @@ def queue_row(entry: EpisodeEntry, state: LabelState, badges: Sequence[str] = ()
 
 
 def blind_queue_row(entry: EpisodeEntry, *, answered: bool) -> LabelListRow:
-    """Return the row of an episode that is answered blind: nothing tells gold from the rest."""
+    """Return the row of an episode that is answered blind; control items look like the rest."""
     plain = queue_row(replace(entry, flagged=False, conflict=False), "unlabelled")
     return replace(plain, badges=("answered",) if answered else ())
 
 
 def operation_text(operation: Operation) -> str:
-    """Return one action as the log shows it."""
+    """Return one action as a line of the log."""
     episodes = operation.episodes
     what = operation.verb.removeprefix("label.").replace("_", " ")
     which = f"{len(episodes)} episodes" if len(episodes) != 1 else f"episode {episodes[0][-8:]}"

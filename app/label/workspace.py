@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
     QButtonGroup,
     QHBoxLayout,
@@ -39,7 +40,9 @@ from touchdown.widgets.shell import CardText
 
 
 class HalvesPage(QWidget):
-    """Shows one half at a time; the switch is there as soon as there are two."""
+    """Shows one half at a time, with a switch if there are two."""
+
+    half_shown = Signal(str)
 
     def __init__(self) -> None:
         super().__init__()
@@ -47,7 +50,6 @@ class HalvesPage(QWidget):
         self._stack, self._buttons = QStackedWidget(), QButtonGroup(self)
         self._names: list[str] = []
         self._halves: list[QWidget] = []
-        self._entered: Callable[[str], None] = _ignore_half
         self._bar = QWidget()
         self._row = QHBoxLayout(self._bar)
         self._row.setContentsMargins(10, 8, 10, 0)
@@ -62,7 +64,7 @@ class HalvesPage(QWidget):
         self._buttons.idClicked.connect(lambda at: self.show_half(self._names[at]))
 
     def heightForWidth(self, _width: int) -> int:
-        """Ask for no more than the least height: the views share what there is."""
+        """Return the minimum height, so that the views share the available height."""
         return self.minimumHeight()
 
     def add(self, name: str, title: str, page: QWidget) -> None:
@@ -79,60 +81,53 @@ class HalvesPage(QWidget):
         self._buttons.button(self._stack.currentIndex()).setChecked(True)
 
     def take_out(self) -> None:
-        """Take the halves out, so that the page is put into a window without them."""
+        """Remove the halves before the page is added to a window."""
         for half in self._halves:
             self._stack.removeWidget(half)
             half.setParent(None)
 
     def put_back(self) -> Iterator[None]:
-        """Put the halves back, one at a time: each takes the window's style sheet then."""
+        """Add the halves again, one per step; each is styled then."""
         for half in self._halves:
             self._stack.addWidget(half)
             yield
 
     @property
     def front(self) -> str:
-        """Name of the half that is shown."""
+        """Name of the visible half."""
         return self._names[self._stack.currentIndex()]
 
-    def tell(self, entered: Callable[[str], None]) -> None:
-        """Have ``entered`` called with the name of a half that comes to the front."""
-        self._entered = entered
-
     def show_half(self, name: str) -> None:
-        """Bring a half to the front, and tell."""
+        """Show a half and report it."""
         self.bring(name)
-        self._entered(name)
+        self.half_shown.emit(name)
 
     def bring(self, name: str) -> None:
-        """Bring a half to the front of a page that may not be in front itself."""
+        """Show a half without reporting it."""
         at = self._names.index(name)
         self._stack.setCurrentIndex(at)
         self._buttons.button(at).setChecked(True)
 
 
-def _ignore_half(_name: str) -> None:
-    """Do nothing: nobody asked to be told."""
-
-
 def default_folder() -> Path:
-    """Return where episodes are kept unless told otherwise."""
+    """Return the default folder of the dataset."""
     return data_folder() / "dataset"
 
 
 class LabelWorkspace(Workspace):
-    """Opens the dataset when it is first entered, so that other workspaces do not wait for it."""
+    """The label half. Opens the dataset when it is entered for the first time."""
 
     name, title, key = "collect", "Collect", "Ctrl+2"
     page: HalvesPage
 
-    def __init__(self, desk: WorkspaceContext) -> None:
-        self._desk, self.folder = desk, default_folder()
-        self.sitting = AnnotationSession()
-        self.opened: Callable[[OpenedDataset], None] = _nobody
-        """Told when the dataset is open."""
-        self.person_changed: Callable[[str], None] = _nobody
-        self.commits: SaveWorker | None = None
+    def __init__(self, context: WorkspaceContext) -> None:
+        self._context, self.folder = context, default_folder()
+        self.session = AnnotationSession()
+        self.opened: Callable[[OpenedDataset], None] = lambda _: (
+            None
+        )  # called when the dataset is open
+        self.person_changed: Callable[[str], None] = lambda _: None
+        self.worker: SaveWorker | None = None
         self.presenter: LabelPresenter | None = None
         self.decisions: LabelDecisions | None = None
         self.side: SideTabsPresenter | None = None
@@ -141,23 +136,23 @@ class LabelWorkspace(Workspace):
         self.health: HealthPresenter | None = None
         self.side_keys: SideTabKeys | None = None
         self._opened: OpenedDataset | None = None
-        self.commands = label_commands(self, desk)
+        self.commands = label_commands(self, context)
         self.held_keys = tuple((key, "Type a displacement x,y in mm") for key in "0123456789-.")
 
     def build_in(self, page: HalvesPage) -> None:
-        """Make the half, and put it into the page of both."""
+        """Create the label half and add it to ``page``."""
         self.page = page
-        self.label_page = LabelPage(self._desk.theme)
+        self.label_page = LabelPage(self._context.theme)
         self._wire()
         self.page.add("label", "Label", self.label_page)
-        self.post = MainThreadQueue(self.page)
+        self.main_thread = MainThreadQueue(self.page)
 
     # -- life -------------------------------------------------------------------------------------
 
     def enter(self) -> None:
-        """Ask who labels, open the dataset if it is not open yet, read the queue anew."""
+        """Ask for the person, open the dataset, or read the queue again."""
         self.label_page.setFocus()
-        if not self.sitting.person:
+        if not self.session.person:
             self.ask_person()
         elif self.presenter is None:
             self.open()
@@ -165,93 +160,98 @@ class LabelWorkspace(Workspace):
             self.presenter.refresh()
 
     def leave(self) -> None:
-        """Stop the film; what was moved and not saved yet is saved."""
+        """Stop the film and save the present edit."""
         self.label_page.film.stop()
         self.label_page.choice.hide()
         if self.presenter is not None:
             self.presenter.do(self.presenter.editing.save)
 
     def close(self) -> None:
-        """Save what waits, end the threads, let others write."""
+        """Save the present edit, end the threads and release the dataset."""
         if self.whole is not None:
             self.whole.close()
         if self.presenter is not None:
             self.presenter.close()
-        if self.commits is not None:
-            self.commits.close()
-            self.commits = None
-        self.post.close()
+        if self.worker is not None:
+            self.worker.close()
+            self.worker = None
+        self.main_thread.close()
         if self._opened is not None:
             self._opened.dataset.close()
             self._opened = None
 
     def memory(self) -> Memory:
-        """Return who labelled last, what, and how sure they were."""
-        s = self.sitting
+        """Return person, queue, uncertainty and blind mode to store."""
+        s = self.session
         queue = "unlabelled" if s.queue == FINDING else s.queue
         return {"person": s.person, "queue": queue, "sigma_mm": s.sigma_mm, "blind": s.blind}
 
     def recall(self, memory: Memory) -> Sequence[str]:
-        """Take what was remembered; return what makes no sense."""
+        """Restore stored settings; return the names of invalid fields."""
         dropped = []
         person, queue = memory.get("person", ""), memory.get("queue", "unlabelled")
         sigma_mm, blind = memory.get("sigma_mm"), memory.get("blind", False)
         if isinstance(person, str) and (not person or _is_name(person)):
-            self.sitting.person = person
+            self.session.person = person
         else:
             dropped.append("person")
         if isinstance(queue, str) and queue in dict(QUEUES):
-            self.sitting.queue = queue
+            self.session.queue = queue
         else:
             dropped.append("queue")
         if sigma_mm is None or (isinstance(sigma_mm, float) and 0 < sigma_mm <= 20):
-            self.sitting.sigma_mm = sigma_mm
+            self.session.sigma_mm = sigma_mm
         else:
             dropped.append("sigma_mm")
         if isinstance(blind, bool):
-            self.sitting.blind = blind
+            self.session.blind = blind
         else:
             dropped.append("blind")
-        self._show_sitting()
+        self._show_session()
         return dropped
 
     def fit_to_theme(self) -> None:
-        """Take the row height of the theme."""
+        """Apply the row height of the theme."""
         self.label_page.list.fit_to_theme()
 
     def open(self) -> None:
-        """Open the dataset, once somebody is named; opening twice does no harm."""
-        if self.presenter is not None or not self.sitting.person:
+        """Open the dataset if a person is named and it is not open yet."""
+        if self.presenter is not None or not self.session.person:
             return
-        if self.commits is None:
-            self.commits = SaveWorker(self.post)
-        elif self.commits.busy:
+        if self.worker is None:
+            self.worker = SaveWorker(self.main_thread)
+        elif self.worker.busy:
             return
         self.label_page.say("Opening the dataset …")
-        self.commits.submit(
-            dataset_opener(self.folder, self.sitting.person), self._take, self._failed
+        self.worker.submit(
+            dataset_opener(self.folder, self.session.person), self._take, self._failed
         )
 
     def _take(self, opened: OpenedDataset) -> None:
-        assert self.commits is not None
+        assert self.worker is not None
         self._opened = opened
         self.presenter = LabelPresenter(
-            self.label_page, opened.dataset, opened.prelabel, self.commits, self.post, self.sitting
+            self.label_page,
+            opened.dataset,
+            opened.prelabel,
+            self.worker,
+            self.main_thread,
+            self.session,
         )
         self.decisions = LabelDecisions(self.label_page, self.presenter)
-        self.side = SideTabsPresenter(self.label_page.side, self.presenter, self.commits)
+        self.side = SideTabsPresenter(self.label_page.side, self.presenter, self.worker)
         self.bulk = BulkPresenter(
             self.label_page.bulk, self.presenter, opened.catalogue, self.label_page.choice
         )
         self.side_keys = SideTabKeys(
             self.label_page, self.presenter, self.decisions, self.side, self.bulk
         )
-        self.whole = DatasetTasks(self.label_page, self.presenter, opened, self.post)
+        self.whole = DatasetTasks(self.label_page, self.presenter, opened, self.main_thread)
         self.health = HealthPresenter(self.label_page, self.label_page.health, self.presenter)
         self.label_page.say("")
         for notice in (*opened.dataset.notices, opened.read_only):
             if notice:
-                self._desk.cards.show_card(
+                self._context.cards.show_card(
                     CardText("DATASET", notice, "", "", reset=False, notice=True)
                 )
         self.presenter.refresh()
@@ -261,20 +261,20 @@ class LabelWorkspace(Workspace):
         fix = error.fix if isinstance(error, InputError) else "Look at the folder."
         what = error.what if isinstance(error, InputError) else str(error)
         self.label_page.say("No dataset is open.", bad=True)
-        self._desk.cards.show_card(
+        self._context.cards.show_card(
             CardText("DATASET", what, f"In {self.folder}.", fix, reset=False)
         )
 
     # -- who --------------------------------------------------------------------------------------
 
     def ask_person(self) -> None:
-        """Ask who labels."""
-        if not self.sitting.person:
+        """Ask for the person who labels."""
+        if not self.session.person:
             self.label_page.show_nobody()
-        self.label_page.ask_words("Your name", self.sitting.person, self.be)
+        self.label_page.ask_words("Your name", self.session.person, self.be)
 
     def be(self, name: str) -> None:
-        """Go on as ``name``: the first one opens the dataset."""
+        """Continue as person ``name``; the first name opens the dataset."""
         try:
             person = check_person(name)
         except TouchdownError as error:
@@ -293,19 +293,19 @@ class LabelWorkspace(Workspace):
             await self.presenter.read_queue(stay=False)
 
     def _be(self, person: str) -> None:
-        if person != self.sitting.person:
-            # Another person is differently sure of what they set.
-            self.sitting.sigma_mm = None
-        self.sitting.person = person
-        self._show_sitting()
-        self._desk.remember()
+        if person != self.session.person:
+            # Each person has an uncertainty of their own.
+            self.session.sigma_mm = None
+        self.session.person = person
+        self._show_session()
+        self._context.remember()
 
-    def _show_sitting(self) -> None:
-        sitting, page = self.sitting, self.label_page
-        page.person.setText(sitting.person or "nobody")
+    def _show_session(self) -> None:
+        session, page = self.session, self.label_page
+        page.person.setText(session.person or "nobody")
         page.person.setAccessibleName(f"Person: {page.person.text()}")
-        page.show_queue(sitting.queue)
-        self.person_changed(sitting.person)
+        page.show_queue(session.queue)
+        self.person_changed(session.person)
 
     # -- keys -------------------------------------------------------------------------------------
 
@@ -331,43 +331,43 @@ class LabelWorkspace(Workspace):
         page.finding_chosen.connect(lambda row: self.healthy(lambda h: h.choose(row)))
 
     def on(self, act: Callable[[LabelPresenter], None]) -> None:
-        """Have the presenter do something, once the dataset is open."""
+        """Call ``act`` with the presenter, once the dataset is open."""
         if self.presenter is not None:
             act(self.presenter)
 
     def decide(self, act: Callable[[LabelDecisions], None]) -> None:
-        """Have the decisions do something, once the dataset is open."""
+        """Call ``act`` with the decisions, once the dataset is open."""
         if self.decisions is not None:
             act(self.decisions)
 
     def all(self, act: Callable[[DatasetTasks], None]) -> None:
-        """Do something to the whole dataset, once it is open."""
+        """Call ``act`` with the dataset tasks, once the dataset is open."""
         if self.whole is not None:
             act(self.whole)
 
     def healthy(self, act: Callable[[HealthPresenter], None]) -> None:
-        """Do something to the findings, once the dataset is open."""
+        """Call ``act`` with the findings, once the dataset is open."""
         if self.health is not None:
             act(self.health)
 
     def many(self, act: Callable[[BulkPresenter], None]) -> None:
-        """Do something to many labels, once the dataset is open."""
+        """Call ``act`` with the bulk changes, once the dataset is open."""
         if self.bulk is not None:
             act(self.bulk)
 
     def beside(self, act: Callable[[SideTabKeys], None]) -> None:
-        """Do something beside the picture, once the dataset is open."""
+        """Call ``act`` with the side tab keys, once the dataset is open."""
         if self.side_keys is not None:
             act(self.side_keys)
 
     def ask_number(self) -> None:
-        """Ask for a place of the queue, and go there."""
+        """Ask for a place of the queue and go there."""
         self.on(lambda p: self.label_page.ask_words(
             f"Number in the queue, 1 to {len(p.walk.order):,}", "", p.go_to_number
         ))  # fmt: skip
 
     def _type(self, text: str) -> None:
-        """Answer the question that is open with a digit, else begin a displacement with it."""
+        """Answer the open question with a digit, else start the entry of a displacement."""
         page = self.label_page
         if text == " ":
             page.film.play_or_pause()
@@ -377,14 +377,14 @@ class LabelWorkspace(Workspace):
         ))  # fmt: skip
 
     def look_through(self) -> None:
-        """Look for what is out of order in the dataset."""
+        """Check the quality of the dataset."""
         whole, health = self.whole, self.health
         if whole is not None and health is not None:
             self.label_page.side.choose(HEALTH)
             whole.look_through(health.show)
 
     def discard(self) -> None:
-        """Give up what could not be saved."""
+        """Discard the save that failed."""
         if self.presenter is not None and self.presenter.saving.failure:
             self.presenter.saving.discard()
             self.presenter.reload()
@@ -394,7 +394,7 @@ class LabelWorkspace(Workspace):
             self.side.show(text)
 
     def _run(self, name: str) -> None:
-        """Run a command by its name; ``collect`` is the other half."""
+        """Run a command by name; ``collect`` switches to the other half."""
         if name == "collect":
             self.page.show_half("collect")
             return
@@ -403,17 +403,17 @@ class LabelWorkspace(Workspace):
 
     def hide(self) -> None:
         """Hide or show the model and other sources."""
-        self.sitting.hidden = not self.sitting.hidden
+        self.session.hidden = not self.session.hidden
         self.on(LabelPresenter.show_edit)
 
     def toggle_blind(self) -> None:
-        """Turn blind mode on or off; what is answered blind begins without a displacement."""
+        """Turn blind mode on or off."""
 
         def turn() -> None:
-            opined = self.sitting.opines
-            self.sitting.blind = not self.sitting.blind
-            words = f"Blind mode is {'on' if self.sitting.blind else 'off'}."
-            if self.sitting.opines is not opined:
+            opined = self.session.opines
+            self.session.blind = not self.session.blind
+            words = f"Blind mode is {'on' if self.session.blind else 'off'}."
+            if self.session.opines is not opined:
                 self.on(lambda p: p.read_with_news(words))
             else:
                 self.on(LabelPresenter.reload)
@@ -426,10 +426,10 @@ class LabelWorkspace(Workspace):
 
     def _choose_queue(self, name: str) -> None:
         self.on(lambda p: p.choose_queue(name))
-        self._desk.remember()
+        self._context.remember()
 
     def list_queues(self) -> None:
-        """Open the list of the queues: arrows and Enter choose."""
+        """Open the list of the queues; arrows and Enter choose."""
         self.label_page.queue.setFocus()
         self.label_page.queue.showPopup()
 
@@ -441,15 +441,11 @@ def _is_name(person: str) -> bool:
         return False
 
 
-def _nobody(_what: object) -> None:
-    """Do nothing: nobody waits for this."""
-
-
 STEPS_UM = (("", 100), ("Shift+", 1000), ("Alt+", 10))
 ARROWS = (("Left", -1, 0), ("Right", 1, 0), ("Up", 0, 1), ("Down", 0, -1))
 
 
-def label_commands(w: LabelWorkspace, desk: WorkspaceContext) -> tuple[WindowCommand, ...]:
+def label_commands(w: LabelWorkspace, context: WorkspaceContext) -> tuple[WindowCommand, ...]:
     """Return all commands of the label half."""
     return (
         *_decisions(w),
@@ -459,7 +455,7 @@ def label_commands(w: LabelWorkspace, desk: WorkspaceContext) -> tuple[WindowCom
         *_side_commands(w),
         *_session_commands(w),
         WindowCommand("discard", "Discard what could not be saved", "Esc", w.discard),
-        WindowCommand("sheet", "Key sheet", "?", desk.keys),
+        WindowCommand("sheet", "Key sheet", "?", context.keys),
     )
 
 
@@ -470,10 +466,12 @@ def _decisions(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
                 lambda: decide(LabelDecisions.enter)),
         WindowCommand("reject", "Reject, then 1 to 9 for the reason", "D",
                 lambda: decide(LabelDecisions.reject)),
-        WindowCommand("flag", "Flag, or take the flag off", "X", lambda: decide(LabelDecisions.flag)),
+        WindowCommand("flag", "Flag, or take the flag off", "X",
+                      lambda: decide(LabelDecisions.flag)),
         WindowCommand("undo", "Undo my last action", "Ctrl+Z", lambda: decide(LabelDecisions.undo)),
         WindowCommand("redo", "Redo", "Ctrl+Shift+Z", lambda: decide(LabelDecisions.redo)),
-        WindowCommand("undo-plain", "Undo my last action", "U", lambda: decide(LabelDecisions.undo)),
+        WindowCommand("undo-plain", "Undo my last action", "U",
+                      lambda: decide(LabelDecisions.undo)),
         WindowCommand("redo-plain", "Redo", "Shift+U", lambda: decide(LabelDecisions.redo)),
         WindowCommand("model", "Take the model's displacement", "M",
                 lambda: w.on(lambda p: p.editing.take_model())),
@@ -544,9 +542,12 @@ def _side_commands(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
     return (
         WindowCommand("versions", "Restore an earlier version, by its digit", "O",
                 lambda: w.beside(SideTabKeys.versions)),
-        WindowCommand("agreement", "Figures of agreement", "E", lambda: w.beside(SideTabKeys.agreement)),
-        WindowCommand("log", "Search the log of all actions", "L", lambda: w.beside(SideTabKeys.log)),
-        WindowCommand("bulk", "Change every label of the queue", "B", lambda: w.beside(SideTabKeys.many)),
+        WindowCommand("agreement", "Figures of agreement", "E",
+                      lambda: w.beside(SideTabKeys.agreement)),
+        WindowCommand("log", "Search the log of all actions", "L",
+                      lambda: w.beside(SideTabKeys.log)),
+        WindowCommand("bulk", "Change every label of the queue", "B",
+                      lambda: w.beside(SideTabKeys.many)),
         WindowCommand("health", "Look through the dataset for what is out of order", "Ctrl+H",
                 w.look_through),
         WindowCommand("findings", "Choose a finding, by its digit", "F",

@@ -48,23 +48,22 @@ from touchdown.widgets.forms import JOINTS, JogPad, JogUnit, PoseView
 from touchdown.widgets.shell import CardQuestion, FaultCards
 
 PERIOD_S = 0.1
-LEVEL_RAD_S = math.radians(10.0)
-"""The hand is levelled so fast."""
+LEVEL_RAD_S = math.radians(10.0)  # speed of levelling the hand
 NO_JOINTS = "The arm of this bench keeps its orientation: no JOINT frame and no turning."
 PACES = (
     JogUnit("mm", "mm", STEPS_MM, (1.0, 50.0, 20.0)),
     JogUnit("\N{DEGREE SIGN}", "degrees", STEPS_DEG, (1.0, 15.0, 5.0)),
 )
+# Text of a pad while its direction is refused.
 SHORT = {
     "DRAGGING": "lift first", "TURN-PRESSING": "lift first", "TURN-LOW": "go up first",
     "JOG-FORCE": "too much force", "RECOVERY": "only away", "DEGRADED": "only away",
     "FT-UNKNOWN": "no force", "NO-POSE": "no pose",
 }  # fmt: skip
-"""What a pad says instead of its range while its way is refused."""
 
 
 class ManualControlPresenter:
-    """Sends orders to the present scene's hand; shows pose, room, gripper and refusals."""
+    """Sends manual commands to the bench; shows pose, range, gripper and refusals."""
 
     def __init__(
         self,
@@ -89,7 +88,7 @@ class ManualControlPresenter:
     # -- orders -----------------------------------------------------------------------------------
 
     def renew(self, what: str) -> bool:
-        """Open or renew the jog lease; False, with a card, if it is refused."""
+        """Start or renew the jog lease; return False and show a card if it is refused."""
         if self._sequence == 0:
             self._hold += 1
         self._sequence += 1
@@ -98,7 +97,7 @@ class ManualControlPresenter:
         return self._ordered(lambda hand: hand.jog.renew(order))
 
     def ended(self, cause: str) -> None:
-        """End the hold; the cause goes to the log."""
+        """End the hold and log its cause."""
         self._sequence = 0
         log.info("jog %d ended: %s", self._hold, cause)
         if self._bench.hand is not None:
@@ -118,15 +117,15 @@ class ManualControlPresenter:
         self._ordered(lambda hand: hand.jog.level(LEVEL_RAD_S))
 
     def grip(self) -> None:
-        """Close on the piece."""
+        """Close the gripper on the piece."""
         force_n = self._page.gripper.force.value()
         self._ordered(lambda hand: hand.grip(force_n))
 
     def open(self) -> None:
-        """Open; while a piece is held a card asks first."""
+        """Open the gripper; while it holds a piece, ask first."""
         status = self._grip_status()
         if status is not None and status.holding:
-            answers = (("Keep holding", _keep), ("Open and let it go", self._open_anyway))
+            answers = (("Keep holding", lambda: None), ("Open and let it go", self._open_anyway))
             self._cards.ask(CardQuestion("A piece is held. Opening lets it go.", answers))
         else:
             self._ordered(lambda hand: hand.open(confirmed=False))
@@ -136,11 +135,11 @@ class ManualControlPresenter:
         self._ordered(lambda hand: hand.zero_wrench())
 
     def baseline(self) -> None:
-        """Take the tactile references anew."""
+        """Take new tactile reference images."""
         self._ordered(lambda hand: hand.take_references())
 
     def set_scene(self, piece: str, bottom: str) -> None:
-        """Set the simulated bench anew; a held piece goes back to its place as well."""
+        """Set up a new scene on the simulated bench; a held piece returns to its place."""
         request = SetRequest(SceneChoice(piece, (bottom,)))
         self._ordered(lambda _hand: self._bench.start(request))
 
@@ -155,7 +154,7 @@ class ManualControlPresenter:
             order(hand)
         except RefusedError as error:
             if error.reason == "JOG-ENDED":
-                # What ended it has been told already.
+                # The cause was shown already.
                 return False
             self._cards.show_card(refusal_card(error, f"{datetime.now():%H:%M:%S}"))
             return False
@@ -169,7 +168,7 @@ class ManualControlPresenter:
     # -- showing ----------------------------------------------------------------------------------
 
     def draw(self) -> None:
-        """Show pose, room and gripper ten times a second; end a hold that may not go on."""
+        """Update pose, range and gripper ten times a second; end a forbidden hold."""
         why = self.why_not()
         self._page.jog.show_ready(not why, why)
         self._page.gripper.show_ready(not why)
@@ -184,7 +183,7 @@ class ManualControlPresenter:
             self._draw_gripper()
 
     def why_not(self) -> str:
-        """Return why nothing may be moved by hand now, "" if it may."""
+        """Return why manual motion is not possible now, "" if it is."""
         if self._bench.hand is None:
             return missing_scene_reason(self._bench) or "The bench is being prepared"
         if self._bench.interlock.latched:
@@ -222,7 +221,7 @@ class ManualControlPresenter:
         return PoseView(text, age_s, said, note, warn=warn, turned=turned)
 
     def _pose_text(self, arm: Arm, pose: Pose) -> str:
-        """Return where the hand is, in the terms of the pads that are shown."""
+        """Return the pose of the hand in the terms of the visible pads."""
         jog = self._page.jog
         if self._frame() == "JOINT":
             angles = (f"{math.degrees(angle) + 0.0:.0f}" for angle in arm.joints_rad(float("inf")))
@@ -260,13 +259,13 @@ class ManualControlPresenter:
         return FRAMES[self._page.jog.frame.currentIndex()]
 
     def _speed(self) -> float:
-        """Return the chosen speed: mm/s, or rad/s while the pads turn."""
+        """Return the selected speed in mm/s, or rad/s while the pads turn."""
         jog = self._page.jog
         return math.radians(jog.speed.value()) if jog.turning else jog.speed.value()
 
 
 def _room_words(what: str, room: JogRange) -> str:
-    """Return what a pad says below its name."""
+    """Return the text below the name of a pad."""
     if room.why:
         return SHORT.get(room.why, "refused")
     if turns(_axis(what)):
@@ -286,10 +285,6 @@ def _sign(what: str) -> float:
     return 1.0 if what[0] == "+" else -1.0
 
 
-def _keep() -> None:
-    """Do nothing: the piece stays held."""
-
-
 def _arm(device: Device) -> Arm:
     return device  # type: ignore[return-value]
 
@@ -307,8 +302,8 @@ KEYS: dict[int, str] = {
     Qt.Key.Key_PageUp: "+z",
     Qt.Key.Key_PageDown: "-z",
 }
+# Digits choose the joint that the arrows drive; they do not move it.
 JOINT_KEYS: dict[int, int] = {int(Qt.Key.Key_1) + joint: joint + 1 for joint in range(JOINTS)}
-"""Digits choose the joint that the arrows drive; they move nothing."""
 ROWS = (
     ("Left", "Jog \N{MINUS SIGN}X while held (keys armed)"),
     ("Right", "Jog +X while held (keys armed)"),
@@ -321,7 +316,7 @@ ROWS = (
 
 
 class JogKeyFilter(QObject):
-    """Event filter of the application while armed."""
+    """Event filter of the application while the jog keys are armed."""
 
     def __init__(self, page: QWidget, pad: JogPad) -> None:
         super().__init__(page)
@@ -334,7 +329,7 @@ class JogKeyFilter(QObject):
         self._idle.timeout.connect(self.disarm)
 
     def arm(self, on: bool) -> None:
-        """Arm or disarm."""
+        """Arm or disarm the jog keys."""
         if on == self.armed:
             return
         application = QApplication.instance()
@@ -354,18 +349,18 @@ class JogKeyFilter(QObject):
         self._pad.show_armed(on)
 
     def disarm(self) -> None:
-        """Disarm."""
+        """Disarm the jog keys."""
         self.arm(False)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Take the jog keys as the window system delivers them."""
+        """Handle the jog keys as the window system delivers them."""
         if not isinstance(event, QKeyEvent) or not isinstance(watched, QWindow):
             return False
         joint = self._pad.frame.currentText() == "JOINT" and event.key() in JOINT_KEYS
         if not (joint or event.key() in KEYS) or is_typing():
             return False
-        # Before a press the same key comes as ShortcutOverride: claimed, so that no shortcut takes
-        # it, and no press of its own.
+        # Qt sends ShortcutOverride before a key press. Accept it, so that no shortcut takes the
+        # key; it is not a key press itself.
         if event.type() is not QEvent.Type.ShortcutOverride and not event.isAutoRepeat():
             self._take(event)
         event.accept()

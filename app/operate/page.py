@@ -32,9 +32,9 @@ TRACES = "Force and moment"
 
 
 class OperatePage(LivePage):
-    """Live views on the left, belief and probe in the middle, the hand on the right.
+    """Live views on the left, belief and probe in the middle, manual control on the right.
 
-    It is whole only once ``build`` has come to its end.
+    The page is complete after ``build`` has finished.
     """
 
     grip_requested = Signal()
@@ -79,12 +79,12 @@ class OperatePage(LivePage):
         self._wire()
 
     def fit_to_theme(self) -> None:
-        """Give the controls the width that their text needs."""
+        """Set the widths of the controls for the size of the text."""
         em = QFontMetrics(ui_font(self._theme.scale)).height()
         self._right.setMinimumWidth(round(20.5 * em))
 
     def show_waiting(self, why: str) -> None:
-        """Say why nothing is shown yet."""
+        """Show why there are no live data yet."""
         self.show_silent(why)
         self.jog.show_ready(False, why)
         self.gripper.show_ready(False)

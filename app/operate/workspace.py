@@ -44,7 +44,7 @@ PHASES = ("grip", "reference", "approach", "press", "hold", "lift")
 
 
 class SingleProbePresenter:
-    """Starts a probe and tells how it went."""
+    """Starts a single probe and shows its result."""
 
     def __init__(self, bench: Session, panel: ProbePanel, cards: FaultCards) -> None:
         self._bench, self._panel, self._cards = bench, panel, cards
@@ -55,7 +55,7 @@ class SingleProbePresenter:
         self.show_model()
 
     def start(self) -> None:
-        """Probe once."""
+        """Start a single probe."""
         if is_run_active(self._bench):
             return
         try:
@@ -68,38 +68,38 @@ class SingleProbePresenter:
             )
 
     def cancel(self) -> None:
-        """End the probe in an orderly way."""
+        """End the probe in order."""
         if self._mine:
             self._bench.engine.cancel()
 
     def show_model(self) -> None:
-        """Say which model reads the next probe: that of the scene, if another was promoted."""
+        """Show the model that reads the next probe."""
         words = scene_model_caption(self._model, self._piece, simulated=self._bench.simulated)
         self._panel.show_model(f"Model: {words.short}", words.full)
 
-    def take(self, fact: Event) -> None:
-        """Follow the facts of a probe run."""
-        if isinstance(fact, RunStarted):
-            self._piece = fact.piece
-            self._mine = fact.activity == "probe"
+    def take(self, event: Event) -> None:
+        """Follow the events of a probe run."""
+        if isinstance(event, RunStarted):
+            self._piece = event.piece
+            self._mine = event.activity == "probe"
             self._felt = []
             if self._mine:
                 self._panel.strip.show_phase(-1)
                 self._panel.result.setText("Probing.")
         if not self._mine:
             return
-        if isinstance(fact, PhaseEntered) and fact.phase in PHASES:
-            self._panel.strip.show_phase(PHASES.index(fact.phase))
-        elif isinstance(fact, EpisodeRecorded):
-            self._note_episode(fact)
-        elif isinstance(fact, PatchEstimated):
-            share = float((fact.patch.probability > 0.5).mean())
+        if isinstance(event, PhaseEntered) and event.phase in PHASES:
+            self._panel.strip.show_phase(PHASES.index(event.phase))
+        elif isinstance(event, EpisodeRecorded):
+            self._note_episode(event)
+        elif isinstance(event, PatchEstimated):
+            share = float((event.patch.probability > 0.5).mean())
             self._felt.append(f"contact on {100 * share:.0f} % of the face")
-        elif isinstance(fact, RunFinished):
-            self._end(fact)
+        elif isinstance(event, RunFinished):
+            self._end(event)
 
     def draw(self) -> None:
-        """Enable what is allowed now."""
+        """Enable the buttons that are allowed now."""
         active = is_run_active(self._bench)
         why = "" if active else start_obstacle(self._bench)
         if active and not self._mine:
@@ -112,24 +112,24 @@ class SingleProbePresenter:
             self.show_model()
         self._panel.detail.setText(self._bench.status().phase if active and self._mine else "")
 
-    def _note_episode(self, fact: EpisodeRecorded) -> None:
-        episode = fact.episode
+    def _note_episode(self, event: EpisodeRecorded) -> None:
+        episode = event.episode
         self._felt.append(f"largest Fz {float(episode.observation[:, -4].max()):.1f} N")
         if not episode.quality.accepted:
             self._felt.append(f"not an observation: {'; '.join(episode.quality.reasons)}")
 
-    def _end(self, fact: RunFinished) -> None:
+    def _end(self, event: RunFinished) -> None:
         self._mine = False
-        done = fact.ending == "finished"
+        done = event.ending == "finished"
         if done:
             self._panel.strip.show_phase(len(PHASES))
         felt = ", ".join(self._felt)
         told = f"{felt[:1].upper()}{felt[1:]}." if felt else ""
-        self._panel.result.setText(told if done and told else f"{told} {fact.reason}".strip())
+        self._panel.result.setText(told if done and told else f"{told} {event.reason}".strip())
 
 
 def values_text(probe: ProbeSettings) -> str:
-    """Return the values of a probe in one line."""
+    """Return the settings of a probe in one line."""
     x, y, z = (f"{k:g}" for k in probe.stiffness_n_mm)
     return (
         f"{probe.depth_mm:g} mm deep, {probe.duration_s:g} s, stiffness {x} {y} {z} N/mm, "
@@ -143,14 +143,14 @@ NO_RUN = BeliefScene(
 
 
 class OperateWorkspace(Workspace):
-    """Live views, belief of the last run, probe once, jog and gripper."""
+    """Live views, belief of the last run, single probe, jog and gripper."""
 
     name, title, key = "operate", "Operate", "Ctrl+1"
     held_keys = ROWS
     page: OperatePage
 
-    def __init__(self, desk: WorkspaceContext) -> None:
-        self._desk = desk
+    def __init__(self, context: WorkspaceContext) -> None:
+        self._context = context
         self.live: LivePresenter | None = None
         self.hand: ManualControlPresenter | None = None
         self.probe: SingleProbePresenter | None = None
@@ -159,71 +159,71 @@ class OperateWorkspace(Workspace):
         self.commands = self._commands()
 
     def build(self) -> Iterator[None]:
-        """Make the page."""
-        self.page = page = OperatePage(self._desk.theme)
+        """Create the page."""
+        self.page = page = OperatePage(self._context.theme)
         yield
         yield from page.build(PACES, PHASES, self._renew)
-        page.jog.hold_ended.connect(self._ended)
-        page.jog.step_pressed.connect(self._step)
         page.jog.keys_toggled.connect(self._arm_keys)
-        page.jog.level_requested.connect(self._level)
-        page.grip_requested.connect(self._grip)
-        page.open_requested.connect(self._open)
-        page.probe_requested.connect(self._probe)
-        page.cancel_requested.connect(self._cancel)
-        page.zero_requested.connect(self._zero)
-        page.baseline_requested.connect(self._baseline)
-        page.span_chosen.connect(self._span)
         page.pause_toggled.connect(self._pause)
         page.scene_chosen.connect(self._set_scene)
         self.page.belief.show_scene(NO_RUN)
-        self.columns = self.pieces = self.page.columns
+        self.columns = self.lazy_pages = self.page.columns
         self.keys = JogKeyFilter(self.page, self.page.jog)
 
     def attach(self, bench: Session) -> None:
-        """Show this bench."""
+        """Connect the page to a bench."""
         page = self.page
         self._bench = bench
         views = LiveViews(page.tactile, page.captions, page.force, page.moment)
         self.live = LivePresenter(bench, views)
-        self.hand = ManualControlPresenter(bench, page, self._desk.cards)
-        self.probe = SingleProbePresenter(bench, page.probe, self._desk.cards)
+        self.hand = ManualControlPresenter(bench, page, self._context.cards)
+        self.probe = SingleProbePresenter(bench, page.probe, self._context.cards)
+        page.jog.hold_ended.connect(self.hand.ended)
+        page.jog.step_pressed.connect(self.hand.step)
+        page.jog.level_requested.connect(self.hand.level)
+        page.grip_requested.connect(self.hand.grip)
+        page.open_requested.connect(self.hand.open)
+        page.zero_requested.connect(self.hand.zero)
+        page.baseline_requested.connect(self.hand.baseline)
+        page.probe_requested.connect(self.probe.start)
+        page.cancel_requested.connect(self.probe.cancel)
+        page.span_chosen.connect(self.live.show_span)
         self.parts = (
             self.live.draw_left, self.live.draw_right, self.live.draw_wrench,
             self.live.draw_headers, self.hand.draw, self.probe.draw, self._draw_belief,
         )  # fmt: skip
 
-    def take(self, fact: Event) -> None:
-        """Follow the runs."""
-        self._story.take(fact)
+    def take(self, event: Event) -> None:
+        """Handle one event of the bench."""
+        self._story.take(event)
         if self.probe is not None:
-            self.probe.take(fact)
+            self.probe.take(event)
 
     def show_waiting(self, word: str, why: str) -> None:
-        """Say why there is no bench yet."""
+        """Show why no bench is connected yet."""
         self.page.show_waiting(why)
 
     def enter(self) -> None:
-        """Another model may have been put in use meanwhile."""
+        """Show the model in use, which may have changed."""
         if self.probe is not None:
             self.probe.show_model()
 
     def leave(self) -> None:
-        """Nothing moves by hand on a page that is not seen."""
+        """End manual motion and disarm the keys."""
         self.page.jog.hold.end("another page came to the front")
         self.keys.disarm()
 
     def fit_to_theme(self) -> None:
-        """Take the sizes of the theme."""
+        """Apply the sizes of the theme."""
         self.page.fit_to_theme()
 
     def reset_layout(self) -> None:
-        """Choose the first entry everywhere."""
+        """Select the first entry of all lists."""
         for chooser in (self.page.looks, self.page.span, self.page.maps):
             chooser.setCurrentIndex(0)
 
     def memory(self) -> Memory:
-        """Return what was chosen."""
+        """Return the settings to store."""
         page = self.page
         return {
             "look": page.looks.currentIndex(),
@@ -233,7 +233,7 @@ class OperateWorkspace(Workspace):
         }
 
     def recall(self, memory: Memory) -> Sequence[str]:
-        """Choose again what was chosen."""
+        """Restore stored settings; return the names of invalid fields."""
         dropped, page = [], self.page
         for name, chooser in (("look", page.looks), ("span", page.span), ("map", page.maps)):
             index = memory.get(name, 0)
@@ -249,18 +249,27 @@ class OperateWorkspace(Workspace):
         return dropped
 
     def close(self) -> None:
-        """Let go."""
+        """End manual motion."""
         self.leave()
 
     # -- orders -----------------------------------------------------------------------------------
 
     def _commands(self) -> tuple[WindowCommand, ...]:
         return (
-            WindowCommand("probe", "Probe once", "F5", self._probe),
-            WindowCommand("grip", "Grip the piece", "G", self._grip),
-            WindowCommand("open", "Open the gripper", "Shift+G", self._open),
-            WindowCommand("zero", "Zero force and moment", "Z", self._zero),
-            WindowCommand("baseline", "Take the tactile reference anew", "B", self._baseline),
+            WindowCommand("probe", "Probe once", "F5", lambda: self.page.probe_requested.emit()),
+            WindowCommand("grip", "Grip the piece", "G", lambda: self.page.grip_requested.emit()),
+            WindowCommand(
+                "open", "Open the gripper", "Shift+G", lambda: self.page.open_requested.emit()
+            ),
+            WindowCommand(
+                "zero", "Zero force and moment", "Z", lambda: self.page.zero_requested.emit()
+            ),
+            WindowCommand(
+                "baseline",
+                "Take the tactile reference anew",
+                "B",
+                lambda: self.page.baseline_requested.emit(),
+            ),
             WindowCommand(
                 "arm", "Arm or disarm the jog keys", "J", lambda: self.page.jog.keys.toggle()
             ),
@@ -280,7 +289,9 @@ class OperateWorkspace(Workspace):
             WindowCommand(
                 "turn", "Jog: turn the hand, or move it", "T", lambda: self.page.jog.turn.click()
             ),
-            WindowCommand("level", "Level the hand", "Shift+T", self._level),
+            WindowCommand(
+                "level", "Level the hand", "Shift+T", lambda: self.page.jog.level_requested.emit()
+            ),
             WindowCommand(
                 "scene", "Set the simulated bench anew", "Ctrl+N", lambda: self.page.scene.ask()
             ),
@@ -295,53 +306,13 @@ class OperateWorkspace(Workspace):
     def _renew(self, what: str) -> bool:
         return self.hand is not None and self.hand.renew(what)
 
-    def _ended(self, cause: str) -> None:
-        if self.hand is not None:
-            self.hand.ended(cause)
-
-    def _step(self, what: str) -> None:
-        if self.hand is not None:
-            self.hand.step(what)
-
-    def _level(self) -> None:
-        if self.hand is not None:
-            self.hand.level()
-
     def _arm_keys(self, on: bool) -> None:
         self.keys.arm(on and self.hand is not None and not self.hand.why_not())
         self.page.jog.show_armed(self.keys.armed)
 
-    def _grip(self) -> None:
-        if self.hand is not None:
-            self.hand.grip()
-
-    def _open(self) -> None:
-        if self.hand is not None:
-            self.hand.open()
-
-    def _probe(self) -> None:
-        if self.probe is not None:
-            self.probe.start()
-
-    def _cancel(self) -> None:
-        if self.probe is not None:
-            self.probe.cancel()
-
-    def _zero(self) -> None:
-        if self.hand is not None:
-            self.hand.zero()
-
-    def _baseline(self) -> None:
-        if self.hand is not None:
-            self.hand.baseline()
-
     def _set_scene(self, piece: str, bottom: str) -> None:
         if self.hand is not None and self.page.scene.set.isEnabled():
             self.hand.set_scene(piece, bottom)
-
-    def _span(self, span_s: float) -> None:
-        if self.live is not None:
-            self.live.show_span(span_s)
 
     def _pause(self, paused: bool) -> None:
         if self.live is not None:

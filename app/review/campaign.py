@@ -26,7 +26,7 @@ from touchdown.widgets.views import offset_text
 
 @dataclass(slots=True)
 class CollectedRun:
-    """``probes`` in the order in which they were taken; ``decided`` by episode."""
+    """A recorded collecting run. ``probes`` in order of recording; ``decided`` by episode."""
 
     head: RunStarted
     begun: CampaignBegan | None = None
@@ -38,18 +38,18 @@ class CollectedRun:
 
     @property
     def headline(self) -> str:
-        """How many of the planned probes there were at the end."""
+        """Number of probes taken and planned."""
         if self.begun is None:
             return "Nothing was collected"
         done = self.probes[-1].done if self.probes else self.begun.done
         return f"{done} of {self.begun.total} probes"
 
     def lines(self) -> list[str]:
-        """Return one line a probe."""
+        """Return one line per probe."""
         return [f"{n}.  {self._probe_words(probe)}" for n, probe in enumerate(self.probes, start=1)]
 
     def facts(self) -> str:
-        """Return plan, person and progress, a line each."""
+        """Return plan, person and progress, one line each."""
         head, plan = self.head, _request(self.head)
         mountings = len({mounting for mounting, _ in self.grips})
         lines = [
@@ -75,55 +75,55 @@ class CollectedRun:
 
 
 def collected_run(facts: Iterable[Event]) -> CollectedRun | None:
-    """Return the collection that ``facts`` tell of; None for a run of another kind."""
+    """Return the collecting run described by the events, None for another kind of run."""
     found: CollectedRun | None = None
-    for fact in facts:
-        if isinstance(fact, RunStarted):
-            found = CollectedRun(fact) if fact.activity == "collect" else None
+    for event in facts:
+        if isinstance(event, RunStarted):
+            found = CollectedRun(event) if event.activity == "collect" else None
         elif found is not None:
-            _add_event(found, fact)
+            _add_event(found, event)
     return found
 
 
-def _add_event(found: CollectedRun, fact: Event) -> None:
-    if isinstance(fact, CampaignBegan):
-        found.begun = found.begun or fact
-    elif isinstance(fact, ProbeCollected):
-        found.probes.append(fact)
-    elif isinstance(fact, EpisodeDecided):
-        found.decided[fact.uuid] = fact
-    elif isinstance(fact, Gripped):
-        found.grips.add((fact.mounting, fact.grip))
-    elif isinstance(fact, RunFinished):
-        found.ended = fact
-    if text := event_text(fact):
+def _add_event(found: CollectedRun, event: Event) -> None:
+    if isinstance(event, CampaignBegan):
+        found.begun = found.begun or event
+    elif isinstance(event, ProbeCollected):
+        found.probes.append(event)
+    elif isinstance(event, EpisodeDecided):
+        found.decided[event.uuid] = event
+    elif isinstance(event, Gripped):
+        found.grips.add((event.mounting, event.grip))
+    elif isinstance(event, RunFinished):
+        found.ended = event
+    if text := event_text(event):
         found.told.append(text)
 
 
-def event_text(fact: Event) -> str:
-    """Return what a fact of a collection says in words, "" for one that says nothing."""
-    if isinstance(fact, Said | Refused):
-        return fact.text
-    if isinstance(fact, FaultRaised):
-        return f"{fact.fault.what} {fact.fault.next_step}"
-    if isinstance(fact, Gripped):
-        return f"Grip {fact.grip} of mounting {fact.mounting}, {fact.mass_g:.1f} g held"
-    if isinstance(fact, OriginChecked):
-        agrees = "agrees" if fact.agrees else "does not agree"
-        return f"The origin {agrees}: off by {offset_text(fact.residual_mm, fact.sigma_mm)}"
-    if isinstance(fact, EpisodeDecided):
-        return f"{fact.person or 'nobody named'}: {fact.decision}, item {fact.item}"
-    return _progress(fact)
+def event_text(event: Event) -> str:
+    """Return an event of a collecting run as text, "" for other events."""
+    if isinstance(event, Said | Refused):
+        return event.text
+    if isinstance(event, FaultRaised):
+        return f"{event.fault.what} {event.fault.next_step}"
+    if isinstance(event, Gripped):
+        return f"Grip {event.grip} of mounting {event.mounting}, {event.mass_g:.1f} g held"
+    if isinstance(event, OriginChecked):
+        agrees = "agrees" if event.agrees else "does not agree"
+        return f"The origin {agrees}: off by {offset_text(event.residual_mm, event.sigma_mm)}"
+    if isinstance(event, EpisodeDecided):
+        return f"{event.person or 'nobody named'}: {event.decision}, item {event.item}"
+    return _progress(event)
 
 
-def _progress(fact: Event) -> str:
-    if isinstance(fact, CampaignBegan):
-        return f"The campaign goes on at {fact.done} of {fact.total} probes"
-    if isinstance(fact, ProbeCollected):
-        why = f": refused, {fact.reasons}" if fact.reasons else ""
-        return f"Probe {fact.done} of {fact.total}{why}"
-    if isinstance(fact, RunFinished):
-        return _ending(fact)
+def _progress(event: Event) -> str:
+    if isinstance(event, CampaignBegan):
+        return f"The campaign goes on at {event.done} of {event.total} probes"
+    if isinstance(event, ProbeCollected):
+        why = f": refused, {event.reasons}" if event.reasons else ""
+        return f"Probe {event.done} of {event.total}{why}"
+    if isinstance(event, RunFinished):
+        return _ending(event)
     return ""
 
 
@@ -134,7 +134,7 @@ def _ending(ended: RunFinished | None) -> str:
 
 
 def _request(head: RunStarted) -> dict[str, Any]:
-    """Return what was asked for; nothing of a journal that does not say."""
+    """Return the request of the run; empty if the log does not contain it."""
     try:
         request = json.loads(head.settings).get("request", {})
     except (ValueError, AttributeError):
@@ -147,5 +147,5 @@ def _count_noun(count: int, noun: str) -> str:
 
 
 def count_text(words: Sequence[str]) -> str:
-    """Return how often there is each word, the commonest first."""
+    """Return the count of each word, most frequent first."""
     return ", ".join(f"{count} {word}" for word, count in Counter(words).most_common())

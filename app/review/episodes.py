@@ -41,7 +41,7 @@ KEPT_PICTURES = 2
 
 @dataclass(frozen=True, slots=True)
 class TrialRecording:
-    """``traces`` of the episodes in order of time; ``missing``: what could not be read."""
+    """``traces`` of the episodes in order of time; ``missing`` lists read errors."""
 
     reel: Reel = field(default_factory=dict)
     traces: tuple[WrenchTrace, ...] = ()
@@ -49,17 +49,17 @@ class TrialRecording:
 
     @property
     def spans_s(self) -> tuple[tuple[float, float], ...]:
-        """First and last instant of each episode."""
+        """First and last time of each episode."""
         return tuple((float(t.t_s[0]), float(t.t_s[-1])) for t in self.traces if len(t.t_s))
 
     def trace_at(self, cursor_s: float) -> WrenchTrace | None:
-        """Return the wrench of the episode that had begun last at the cursor, else the first."""
+        """Return the wrench of the last episode that began before the cursor, else the first."""
         begun = [t for t in self.traces if len(t.t_s) and t.t_s[0] <= cursor_s + 1e-9]
         return begun[-1] if begun else next(iter(self.traces), None)
 
 
 def read_trial_recording(paths: Sequence[Path]) -> TrialRecording:
-    """Read the episodes ``paths`` of one trial; a damaged one leaves a gap and a sentence."""
+    """Read the episodes of one trial; a damaged one leaves a gap and a message."""
     films, missing = [], []
     for path in paths:
         try:
@@ -70,7 +70,7 @@ def read_trial_recording(paths: Sequence[Path]) -> TrialRecording:
 
 
 def join_films(films: Sequence[CompressedEpisode], missing: tuple[str, ...] = ()) -> TrialRecording:
-    """Join films that were recorded one after the other."""
+    """Join consecutive films."""
     films = sorted(films, key=lambda film: film.episode.onset_s)
     traces = tuple(
         WrenchTrace(r.wrench_t_s, r.wrench)
@@ -102,13 +102,12 @@ def _film_track(films: Sequence[CompressedEpisode], finger: Finger) -> FilmTrack
     return FilmTrack(np.concatenate([np.zeros(0), *stamps]), picture, field_t_s, fields)
 
 
-JUDGED_S = 2.0
-"""The model reads a probe when its last tick is over, so long after the contact onset."""
+JUDGED_S = 2.0  # time after the contact onset at which the model reads a probe
 
 
 @dataclass(frozen=True, slots=True)
 class EpisodeSeries:
-    """The episodes of one series of a dataset, oldest first. ``plan`` in words, "" if unknown."""
+    """The episodes of one series of a dataset, oldest first. ``plan`` as text, "" if unknown."""
 
     name: str
     entries: tuple[EpisodeEntry, ...]
@@ -116,7 +115,7 @@ class EpisodeSeries:
 
     @property
     def title(self) -> str:
-        """Date of the first episode, and what was collected."""
+        """Date of the first episode, and the pair."""
         first = self.entries[0]
         when = datetime.fromtimestamp(first.recorded_ns * 1e-9, UTC)
         count = len(self.entries)
@@ -128,7 +127,7 @@ class EpisodeSeries:
 
     @property
     def facts(self) -> str:
-        """Pair, plan, person and how far it came, a line each."""
+        """Pair, plan, person and progress, one line each."""
         first = self.entries[0]
         people = ", ".join(sorted({e.person for e in self.entries if e.person})) or "nobody named"
         mountings = len({e.mounting_id for e in self.entries})
@@ -147,7 +146,7 @@ class EpisodeSeries:
 
 @dataclass(frozen=True, slots=True)
 class StoredEpisode:
-    """One episode with its signals and what is known of it, as a trial of one probe."""
+    """One stored episode with its signals, presented as a trial of one probe."""
 
     entry: EpisodeEntry
     recorded: TrialRecording
@@ -167,7 +166,7 @@ def list_series(dataset: Dataset) -> list[EpisodeSeries]:
 
 
 def plan_text(dataset: Dataset, campaign: str) -> str:
-    """Return the plan of a campaign in words; "" where there is none, or none to be read."""
+    """Return the plan of a campaign as text, "" without a readable plan."""
     try:
         plan = read_campaign(dataset.folder, campaign) if campaign else None
     except InputError:
@@ -178,7 +177,7 @@ def plan_text(dataset: Dataset, campaign: str) -> str:
 def read_stored_episode(
     dataset: Dataset, models: ModelPrelabeller, catalogue: PieceLibrary, entry: EpisodeEntry
 ) -> StoredEpisode:
-    """Read one episode and let the model read it; raises ``InputError`` naming a damaged file."""
+    """Read one episode and let the model read it. Raises ``InputError`` for a damaged file."""
     film: CompressedEpisode = dataset.film(entry.uuid)
     label = dataset.labels.head(entry.uuid)
     x_mm, y_mm = label.label.offset_mm.tolist()
@@ -209,7 +208,7 @@ def _model_reading(
     episode: Episode,
     at_mm: tuple[float, float],
 ) -> Sequence[Event]:
-    """Return what the method makes of this one probe at the labelled place."""
+    """Return the events of the method for this probe at the labelled displacement."""
     found = models.model(entry.piece)
     if found is None:
         return []
@@ -219,7 +218,7 @@ def _model_reading(
         patch = model.estimate(episode)
         piece = catalogue.piece(entry.piece)
     except (InputError, ValueError):
-        # A dropped sample, or a piece of another catalogue: there is no estimate to show.
+        # No estimate for a dropped sample or a piece of another catalogue.
         return []
     unknown = Belief.unknown(settings.belief, at_mm, model.base_rate)
     belief = unknown.updated(patch, at_mm)

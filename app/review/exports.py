@@ -27,9 +27,9 @@ MARGIN_PX = 12
 def export_picture(
     view: QWidget, theme: Theme, folder: Path, name: str, caption: str
 ) -> tuple[Path, Path]:
-    """Write ``view`` as it is shown, under ``caption``, as PNG and as SVG; raises ``OSError``.
+    """Write ``view`` under ``caption`` as PNG and SVG. Raises ``OSError``.
 
-    Buttons are left out: nobody can press them there.
+    Buttons are left out.
     """
     folder.mkdir(parents=True, exist_ok=True)
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
@@ -47,7 +47,7 @@ def export_picture(
 
 
 def view_picture(view: QWidget, theme: Theme, caption: str) -> bytes:
-    """Return ``view`` as it is shown, under ``caption``, as the bytes of a PNG file."""
+    """Return ``view`` under ``caption`` as the bytes of a PNG file."""
     ratio = view.devicePixelRatioF()
     picture = QPixmap(_size(view, theme) * ratio)
     picture.setDevicePixelRatio(ratio)
@@ -59,14 +59,14 @@ def view_picture(view: QWidget, theme: Theme, caption: str) -> bytes:
 
 
 def trial_caption(run: str, trial: TrialTimeline) -> str:
-    """Say which trial of which run is shown."""
+    """Return the caption of a trial."""
     whole = trial.story(float("inf"))
     pair = f"{trial.head.piece} on {trial.head.bottom}"
     return f"Run {run}: {pair}, trial {whole.trial}, seed {whole.seed}"
 
 
 def episode_caption(whole: str, entry: EpisodeEntry) -> str:
-    """Say which episode of ``whole`` (a series, or a run that collected) is shown."""
+    """Return the caption of an episode of ``whole`` (a series or a collecting run)."""
     return f"{whole}: {entry.piece} on {entry.bottom}, episode {entry.uuid}"
 
 
@@ -94,7 +94,7 @@ def _head_px(theme: Theme) -> int:
 
 @contextmanager
 def _without_buttons(view: QWidget) -> Iterator[None]:
-    """Hide the buttons meanwhile; what is beside them stays where it is."""
+    """Hide the buttons for a while, without changing the layout."""
     found: list[QWidget] = [
         *view.findChildren(QAbstractButton),
         *view.findChildren(QComboBox),
@@ -122,9 +122,9 @@ VIEWER = "xdg-open"
 
 
 def probe_table(trials: Iterable[tuple[TrialTimeline, Outline | None]]) -> str:
-    """Return one line a probe as CSV, with the estimate against the truth where it is known.
+    """Return one CSV line per probe, with estimate and truth where it is known.
 
-    Each trial comes with the face of its bottom.
+    Each trial is given with the face of its bottom.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -137,7 +137,7 @@ def probe_table(trials: Iterable[tuple[TrialTimeline, Outline | None]]) -> str:
 def _rows(trial: TrialTimeline, bottom: Outline | None) -> Iterator[tuple[object, ...]]:
     whole = trial.story(float("inf"))
     outcome = "" if whole.finished is None else whole.finished.outcome.name.lower()
-    episodes = {fact.probe: fact.episode.episode_id for fact in trial.episodes()}
+    episodes = {event.probe: event.episode.episode_id for event in trial.episodes()}
     for look in whole.probes:
         at_s = trial.decided_s(look.probe)
         score, s = trial.score(at_s, bottom), look.stability
@@ -154,7 +154,7 @@ def _rows(trial: TrialTimeline, bottom: Outline | None) -> Iterator[tuple[object
 
 
 def export_table(text: str, folder: Path, name: str) -> Path:
-    """Write a table; raises ``OSError``."""
+    """Write a table. Raises ``OSError``."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}.csv"
     write_atomically(path, text.encode())
@@ -162,7 +162,7 @@ def export_table(text: str, folder: Path, name: str) -> Path:
 
 
 def open_in_viewer(path: Path) -> str:
-    """Open ``path`` in the viewer that the computer has for it; return what was done in words."""
+    """Open ``path`` in the viewer of the desktop; return a message."""
     program = shutil.which(VIEWER)
     if program is None:
         return f"This computer has no {VIEWER}: the file is {path}"
@@ -172,7 +172,7 @@ def open_in_viewer(path: Path) -> str:
 
 
 def dated_file_name(name: str) -> str:
-    """Return a file name that begins with the date and cannot leave its folder."""
+    """Return a file name that starts with the date and has no path separators."""
     safe = "".join(c if c.isalnum() or c in "-_" else "-" for c in name)
     return f"{datetime.now():%Y%m%d-%H%M%S}-{safe}"
 

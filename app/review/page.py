@@ -35,16 +35,14 @@ ORDERS = (
     ("oldest", "Oldest"),
     ("pair", "By pair"),
 )
-STORY_PX = 82
-"""What happened shows three lines at the least size of the window."""
+STORY_PX = 82  # height of three lines at the minimum window size
 NOTHING_FLAGS = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
-FILM_SHARE = 0.18
-"""Share of the page's height that a picture may take: a taller one would lose its lower edge."""
+FILM_SHARE = 0.18  # maximum share of the page height for a picture
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
 
 
 class KeylessList(QListWidget):
-    """A list that leaves letters and Space to its page. ``nothing`` stands in it while empty."""
+    """A list that passes letters and Space to its page. ``nothing`` is shown while it is empty."""
 
     def __init__(self, name: str, nothing: str = "") -> None:
         super().__init__()
@@ -53,7 +51,7 @@ class KeylessList(QListWidget):
         WrappedItemDelegate(self)
 
     def paintEvent(self, event: QPaintEvent) -> None:
-        """Draw the lines, or why there is none."""
+        """Draw the lines, or the text of an empty list."""
         super().paintEvent(event)
         if self.count() == 0 and self._nothing:
             painter = QPainter(self.viewport())
@@ -62,7 +60,7 @@ class KeylessList(QListWidget):
             painter.drawText(where, NOTHING_FLAGS, self._nothing)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Keep only what moves the choice."""
+        """Handle only keys that move the selection."""
         if event.text() and event.text().isprintable():
             event.ignore()
         else:
@@ -70,7 +68,7 @@ class KeylessList(QListWidget):
 
 
 class ReviewPage(QWidget):
-    """Recordings on the left; belief, decision, film and wrench at one cursor beside it."""
+    """Recordings on the left; belief, decision, film and wrench at one cursor on the right."""
 
     recording_chosen = Signal(int)
     probe_chosen = Signal(int)
@@ -97,7 +95,7 @@ class ReviewPage(QWidget):
         self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
         self.belief.setMinimumHeight(170)
         self.story.setMinimumHeight(STORY_PX)
-        self.decision = DecisionPanel(_nothing, _nothing)
+        self.decision = DecisionPanel(lambda: None, lambda: None)
         self.strip = ProbeStrip(theme, self.probe_chosen.emit)
         self.score = ScorePanel(theme, "Outcomes")
         self.film = FilmView(theme, seek)
@@ -110,26 +108,26 @@ class ReviewPage(QWidget):
         self._arrange()
 
     def heightForWidth(self, _width: int) -> int:
-        """Ask for no more than the least height: the views share what there is."""
+        """Return the minimum height, so that the views share the available height."""
         return self.minimumHeight()
 
     def resizeEvent(self, _event: QResizeEvent) -> None:
-        """Let the pictures take their share of the height."""
+        """Limit the height of the pictures."""
         self.film.limit_height(round(FILM_SHARE * self.height()))
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Play with Space; while something moves Space never comes here, it stops."""
+        """Play with Space. While the bench moves, Space stops it and does not arrive here."""
         if event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
             self.play_requested.emit()
         else:
             super().keyPressEvent(event)
 
     def fit_to_theme(self) -> None:
-        """Take the row height of the theme."""
+        """Apply the row height of the theme."""
         self.runs.fit_to_theme()
 
     def show_cursor(self, t_s: float) -> None:
-        """Show all views at one instant."""
+        """Show all views at one time."""
         self.film.show_cursor(t_s)
         for view in (self.forces, self.moments, self.time_line):
             view.show_cursor(t_s)
@@ -247,7 +245,3 @@ def _column(*parts: tuple[QWidget, int]) -> QVBoxLayout:
     for widget, share in parts:
         column.addWidget(widget, share)
     return column
-
-
-def _nothing() -> None:
-    """Do nothing: a recorded decision cannot be approved any more."""

@@ -29,12 +29,12 @@ from touchdown.backend.runs import EVENT_LOG_NAME
 from touchdown.widgets.shell import CardText, FaultCards
 from touchdown.widgets.views import WORDS, DecisionText
 
+# Longer lists use the height of their first row for all: measuring 10,000 takes 1 s.
 MOST_MEASURED = 500
-"""Rows of a longer list are all as high as its first: measuring 10,000 of them takes a second."""
 
 
 class ReviewPresenter:
-    """Lists runs and series, reads the chosen one, shows one trial or episode of it."""
+    """Lists runs and series, reads the chosen one and shows one trial or episode of it."""
 
     def __init__(
         self,
@@ -51,19 +51,15 @@ class ReviewPresenter:
         self.story = RunStory()
         self.timed: list[TrialTimeline] = []
         self._run: Path | None = None
-        self._episodes: list[str] = []
-        """Of a series or a collection: what its rows show."""
+        self._episodes: list[str] = []  # rows of a series or a collecting run
         self._told: list[str] = []
+        # Name of a series or a collecting run, for captions.
         self._whole = ""
-        """Of a series or a collection: which one it is, for the caption of its episodes."""
-        self.file: Path | None = None
-        """What an external viewer would open."""
-        self.caption = ""
-        """Which run, pair, trial and seed, or which episode, is shown."""
+        self.file: Path | None = None  # file for an external viewer
+        self.caption = ""  # caption of the shown trial or episode
         self._asked = 0
         self._reading: RunReader | None = None
-        self._said = ""
-        """How far a long reading was when it was last shown."""
+        self._said = ""  # progress shown last
         page.refresh.clicked.connect(self.recordings.refresh)
         page.trials.currentRowChanged.connect(self._choose_part)
         self.replay.show(None)
@@ -71,7 +67,7 @@ class ReviewPresenter:
     # -- the list ---------------------------------------------------------------------------------
 
     def choose(self, at: int) -> None:
-        """Open the recording of this number."""
+        """Open the recording with this number."""
         runs = self.recordings.folders
         if at < len(runs):
             self.recordings.describe(at)
@@ -83,11 +79,11 @@ class ReviewPresenter:
 
     @property
     def reading(self) -> bool:
-        """Whether the chosen run is still being read."""
+        """True while the chosen run is being read."""
         return self._reading is not None
 
     def open(self, run: Path) -> None:
-        """Have a run read and its last trial shown; a bad journal becomes a card."""
+        """Read a run and show its last trial; show a card for a damaged log."""
         self._drop_reading()
         reading = self._reading = RunReader(run)
         self._page.trials_panel.detail.setText("reading")
@@ -106,7 +102,7 @@ class ReviewPresenter:
         self._reader.submit(reading.read, done, failed)
 
     def draw(self) -> None:
-        """Show how far a long reading is."""
+        """Show the progress of a long reading."""
         said = "" if self._reading is None else self._reading.progress()
         if said and said != self._said:
             if not self._said:
@@ -115,7 +111,7 @@ class ReviewPresenter:
             self._page.decision.show_text(DecisionText("Reading the run", "", "", said))
 
     def cancel_reading(self) -> None:
-        """Read the chosen run no further: nothing is shown of it."""
+        """Stop reading the chosen run and show nothing of it."""
         if self._reading is not None:
             self._drop_reading()
             self._forget()
@@ -128,7 +124,7 @@ class ReviewPresenter:
         self._reading, self._said = None, ""
 
     def _forget(self) -> None:
-        """Show nothing of the recording before: another is chosen."""
+        """Clear the page for another recording."""
         self.story, self._run, self.timed = RunStory(), None, []
         self._episodes, self._told, self.caption = [], [], ""
         self._page.score.show_facts("", "")
@@ -148,7 +144,7 @@ class ReviewPresenter:
         self._fill(lines, len(lines) - 1)
 
     def _open_collection(self, collection: CollectedRun) -> None:
-        """Show a run that collected: its probes are episodes of the dataset."""
+        """Show a collecting run; its probes are episodes of the dataset."""
         self.timed, self._told = [], collection.told
         self._episodes = [probe.uuid for probe in collection.probes]
         self._whole = f"Run {collection.head.run_id}, seed {collection.head.seed}"
@@ -232,7 +228,7 @@ class ReviewPresenter:
         self._page.signals_panel.detail.setText(shown.says)
 
     def _later(self, work: Callable[[], object], take: Callable[..., None]) -> None:
-        """Have ``work`` done on the reader's thread; dropped if something else was chosen since."""
+        """Run ``work`` on the reader's thread; drop the result after another choice."""
         asked = self._asked
 
         def done(result: object) -> None:
@@ -252,7 +248,7 @@ class ReviewPresenter:
         )
 
     def make_table(self, done: Callable[[str], None]) -> bool:
-        """Have the probes of what is chosen written as a table; False if nothing is chosen."""
+        """Pass the probe table of the recording to a function; return False without one."""
         if self._episodes:
             uuids = list(self._episodes)
             self._reader.submit(lambda: self.library.table(uuids), done, self._failed)

@@ -36,25 +36,24 @@ from touchdown.backend.runs import EVENT_LOG_NAME, decode_event, event_log_path,
 from touchdown.widgets.lists import RecordingRow
 from touchdown.widgets.views import WORDS
 
+# Start of the log lines that are read here; other lines are skipped.
 _STARTS = tuple(
     f'{{"kind":"{kind.__name__}",'.encode() for kind in (RunStarted, TrialFinished, RunFinished)
 )
-"""How the journal begins the few lines that matter here; all others are passed over unread."""
 
-ACTIVITIES = {"collect": "collecting", "probe": "single probe"}
-"""Runs of the bench that have no trials, by what they were for."""
+ACTIVITIES = {"collect": "collecting", "probe": "single probe"}  # kinds of runs without trials
 
 
 @dataclass(frozen=True, slots=True)
 class RunSummary:
-    """What the list says of a run: its beginning, the outcomes so far, its end if it came."""
+    """Summary of a run: its start, the outcomes so far and its end, if any."""
 
     head: RunStarted | None = None
     outcomes: tuple[Outcome, ...] = ()
     ended: RunFinished | None = None
 
     def text(self) -> str:
-        """Return piece, bottom and outcomes in words."""
+        """Return piece, bottom and outcomes as text."""
         if self.head is None:
             return "nothing recorded"
         said = _outcome_counts(self.outcomes) or activity_text(self.head)
@@ -66,9 +65,9 @@ class RunSummary:
 
 
 def read_run_summary(run: Path) -> RunSummary:
-    """Read what the list says of ``run``; raises ``InputError`` or ``OSError``.
+    """Read the summary of ``run``. Raises ``InputError`` or ``OSError``.
 
-    A torn last line ends the journal quietly, as it does in ``read_journal``.
+    An incomplete last line is ignored, as in ``read_journal``.
     """
     head: RunStarted | None = None
     ended: RunFinished | None = None
@@ -80,37 +79,33 @@ def read_run_summary(run: Path) -> RunSummary:
                 continue
             where = f"{path}, line {number}"
             try:
-                fact = decode_event(json.loads(raw), where)
+                event = decode_event(json.loads(raw), where)
             except ValueError as error:
                 raise InputError("A line is not valid JSON.", where, "Open the run.") from error
-            if isinstance(fact, RunStarted):
-                head = fact
-            elif isinstance(fact, TrialFinished):
-                outcomes.append(fact.outcome)
-            elif isinstance(fact, RunFinished):
-                ended = fact
+            if isinstance(event, RunStarted):
+                head = event
+            elif isinstance(event, TrialFinished):
+                outcomes.append(event.outcome)
+            elif isinstance(event, RunFinished):
+                ended = event
     return RunSummary(head, tuple(outcomes), ended)
 
 
 def activity_text(head: RunStarted) -> list[str]:
-    """Return what a run without trials was for; nothing for one that stacks."""
+    """Return the kind of a run without trials; nothing for a stacking run."""
     return [] if head.activity == "stack" else [ACTIVITIES.get(head.activity, head.activity)]
 
 
 def _outcome_counts(outcomes: tuple[Outcome, ...]) -> list[str]:
-    """Return the single outcome, or how often there was each."""
+    """Return the single outcome, or the count of each."""
     if len(outcomes) == 1:
         return [WORDS[outcomes[0]]]
     return [f"{count} {WORDS[outcome]}" for outcome, count in Counter(outcomes).most_common()]
 
 
-MOST_DESCRIBED = 50
-"""So many of the newest runs say in the list what they were; older ones once a filter asks for
-words, or once they are opened."""
-SHOWN_ANEW = 100
-"""After so many described runs the filtered list is shown anew."""
-UNREAD = -1
-"""Stands for the size of a journal that cannot be read."""
+MOST_DESCRIBED = 50  # number of the newest runs that are described at once; older ones on demand
+SHOWN_ANEW = 100  # number of newly described runs after which a filtered list is updated
+UNREAD = -1  # size of a log that cannot be read
 CANNOT = "cannot be read"
 LOOKING = "Looking for recordings \N{HORIZONTAL ELLIPSIS}"
 NOTHING = "No recordings yet. Every run of the Stack workspace is kept."
@@ -119,9 +114,9 @@ NO_MATCH = "No recording fits filter and kind."
 
 
 class RecordingsPresenter:
-    """Runs have the numbers from 0, newest first; the series of the dataset follow them.
+    """List of recordings: runs numbered from 0, newest first, then the series of the dataset.
 
-    Everything is read on the thread of ``reader``; ``failed`` gets what went wrong there.
+    Everything is read on the thread of ``reader``; ``failed`` receives read errors.
     """
 
     def __init__(
@@ -137,25 +132,21 @@ class RecordingsPresenter:
         self.folders: list[Path] = []
         self.series: list[EpisodeSeries] = []
         self._titles: list[str] = []
+        # Size of each log and description of its run.
         self._described: dict[Path, tuple[int, str]] = {}
-        """Of a run: how long its journal was when it was described, and how."""
         self._to_describe: list[Path] = []
-        self._awaited = 0
-        """Looks at folders and dataset that have not ended."""
-        self._trouble = False
-        """Whether folders or dataset could not be looked at this time."""
-        self._in_hand = False
-        """Whether a run is just being described."""
-        self._all_wanted = False
-        """Whether older runs shall say, too, what they were."""
+        self._awaited = 0  # listings in progress
+        self._trouble = False  # true if the last listing failed
+        self._in_hand = False  # true while a run is being described
+        self._all_wanted = False  # true if older runs are described, too
 
     @property
     def describing(self) -> bool:
-        """Whether recordings are looked for, or lines of runs are still being read."""
+        """True while recordings are being listed or described."""
         return self._awaited > 0 or self._in_hand
 
     def refresh(self) -> None:
-        """Look for recordings; what is chosen stays chosen."""
+        """List the recordings again; the selection stays."""
         self._awaited, self._trouble = self._awaited + 2, False
         self._say_what_is_there()
         known = self.folders
@@ -165,7 +156,7 @@ class RecordingsPresenter:
         self._reader.submit(self._read_series, self._take_series, self._could_not_look)
 
     def show(self) -> None:
-        """Show what fits kind and filter, in the chosen order."""
+        """Show the recordings that match kind and filter, in the chosen order."""
         words, kind = self._page.filter.text().lower().split(), self._page.kind.currentData()
         order, rows = self._page.order.currentData(), self._page.runs.rows()
         found = [
@@ -186,7 +177,7 @@ class RecordingsPresenter:
         self._say_what_is_there()
 
     def describe(self, at: int) -> None:
-        """Have a run say what it was; read again only if its journal has grown."""
+        """Describe a run; read it again only if its log has grown."""
         self._to_describe.insert(0, self.folders[at])
         self._describe_next()
 
@@ -207,10 +198,10 @@ class RecordingsPresenter:
     def _take_runs(self, found: tuple[list[Path], list[str]]) -> None:
         self._awaited -= 1
         folders, titles = found
-        # The very same list where nothing changed: thousands are not compared here.
+        # The same list object means that nothing changed.
         if folders is not self.folders:
             self._list(folders, titles, self.series)
-        # One run after the other: what is chosen meanwhile does not wait for all of them.
+        # One run per job, so that a chosen run need not wait for all of them.
         older = folders[MOST_DESCRIBED:] if self._all_wanted else []
         self._to_describe = folders[:MOST_DESCRIBED]
         self._to_describe += [folder for folder in older if folder not in self._described]
@@ -219,7 +210,7 @@ class RecordingsPresenter:
 
     def _take_series(self, series: list[EpisodeSeries]) -> None:
         self._awaited -= 1
-        # The library hands out the same list as long as nothing changed.
+        # The library returns the same list object while nothing changed.
         if series is not self.series:
             self._list(self.folders, self._titles, series)
         self._say_what_is_there()
@@ -253,7 +244,7 @@ class RecordingsPresenter:
             self.show()
 
     def _say_what_is_there(self) -> None:
-        """Say why the list is empty, if it is, and how many runs are still to be read."""
+        """Show why the list is empty, or how many runs are still to be read."""
         page, left = self._page, len(self._to_describe)
         page.runs_panel.detail.setText(f"{left:,} to read" if left > MOST_DESCRIBED else "")
         there = bool(self.folders or self.series)
@@ -265,7 +256,7 @@ class RecordingsPresenter:
 
 
 def _looked_for(runs: Path, known: list[Path]) -> tuple[list[Path], list[str]]:
-    """Return the runs of a folder, newest first, with their titles; ``known`` if it is the same."""
+    """Return the runs of a folder, newest first, with titles; ``known`` if unchanged."""
     found = [path.parent for path in runs.glob(f"*/{EVENT_LOG_NAME}")] if runs.is_dir() else []
     found.sort(key=lambda folder: folder.name, reverse=True)
     found = known if found == known else found
@@ -273,7 +264,7 @@ def _looked_for(runs: Path, known: list[Path]) -> tuple[list[Path], list[str]]:
 
 
 def run_title(name: str) -> str:
-    """Write a run's name as date and time where it is one."""
+    """Return the name of a run as date and time, where it is one."""
     try:
         when = datetime.strptime(name[:15], "%Y%m%d-%H%M%S")
     except ValueError:
@@ -282,7 +273,7 @@ def run_title(name: str) -> str:
 
 
 def _described(folder: Path, known: tuple[int, str]) -> tuple[int, str]:
-    """Return length of a journal and what its run was; ``known`` if it is as long as then."""
+    """Return the size of a log and the description of its run; ``known`` if unchanged."""
     try:
         size = (folder / EVENT_LOG_NAME).stat().st_size
         return known if size == known[0] else (size, read_run_summary(folder).text())
@@ -291,7 +282,7 @@ def _described(folder: Path, known: tuple[int, str]) -> tuple[int, str]:
 
 
 class ReviewDataset:
-    """Opens the dataset ``folder`` once there is one. All calls but ``catalogue`` on one thread."""
+    """Opens the dataset in ``folder`` once it exists. Use one thread for all but ``catalogue``."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -305,9 +296,10 @@ class ReviewDataset:
         return load_pieces()
 
     def series(self) -> list[EpisodeSeries]:
-        """Return the series of the dataset, newest first; none where there is no dataset.
+        """Return the series of the dataset, newest first; none without a dataset.
 
-        The very same list while nothing changed: nobody has to compare thousands of episodes.
+        Returns the same list object while nothing changed, so that callers need not compare
+        episodes.
         """
         if self._dataset is None and not (self.folder / DESCRIPTION).is_file():
             return self._series
@@ -317,14 +309,14 @@ class ReviewDataset:
         return self._series
 
     def episode(self, uuid: str) -> StoredEpisode:
-        """Read one episode; raises ``InputError`` naming a damaged file."""
+        """Read one episode. Raises ``InputError`` for a damaged file."""
         if self._models is None:
             self._models = ModelPrelabeller(self.catalogue, model_path_in_use)
         dataset = self._opened()
         return read_stored_episode(dataset, self._models, self.catalogue, dataset.entry(uuid))
 
     def table(self, uuids: Sequence[str]) -> str:
-        """Return the table of these episodes, one line each; one that cannot be read has none."""
+        """Return the table of these episodes, one line each; unreadable ones are left out."""
         return probe_table(self._numbered(uuids))
 
     def _numbered(self, uuids: Sequence[str]) -> Iterator[tuple[TrialTimeline, Outline | None]]:
@@ -343,7 +335,7 @@ class ReviewDataset:
             return None
 
     def close(self) -> None:
-        """Let go of the dataset."""
+        """Close the dataset."""
         if self._dataset is not None:
             self._dataset.close()
             self._dataset = None
@@ -354,14 +346,13 @@ class ReviewDataset:
         return self._dataset
 
 
-LONG_S = 0.3
-"""A reading that takes longer says how far it is."""
+LONG_S = 0.3  # a reading that takes longer shows its progress
 BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class ReadRun:
-    """A run as its journal tells it; ``collection`` if it collected, else its ``trials``."""
+    """A run read from its log: ``collection`` if it collected, else its ``trials``."""
 
     folder: Path
     story: RunStory
@@ -370,7 +361,7 @@ class ReadRun:
 
 
 class RunReader:
-    """One look at one journal. ``read`` is called on another thread, all else on the window's."""
+    """Reads one log. ``read`` is called on another thread, all else on that of the window."""
 
     def __init__(self, run: Path, now_s: Callable[[], float] = time.monotonic) -> None:
         self._run, self._now_s, self._begun_s = run, now_s, now_s()
@@ -378,25 +369,25 @@ class RunReader:
         self._dropped = False
 
     def read(self) -> ReadRun | None:
-        """Return the run, None if it was dropped; raises ``InputError`` or ``OSError``."""
+        """Return the run, None if reading was cancelled. Raises ``InputError`` or ``OSError``."""
         lines = _line_count(event_log_path(self._run))
-        story, facts = RunStory(of_any=True), list[Event]()
-        for fact in read_events(self._run):
+        story, events = RunStory(of_any=True), list[Event]()
+        for event in read_events(self._run):
             if self._dropped:
                 return None
-            story.take(fact)
-            facts.append(fact)
-            self._share = min(1.0, len(facts) / lines)
-        collection = collected_run(facts)
-        trials = [] if collection is not None else split_into_trials(facts)
+            story.take(event)
+            events.append(event)
+            self._share = min(1.0, len(events) / lines)
+        collection = collected_run(events)
+        trials = [] if collection is not None else split_into_trials(events)
         return ReadRun(self._run, story, collection, trials)
 
     def drop(self) -> None:
-        """Nobody waits for it any more: it ends with the line that is being read."""
+        """Cancel reading after the present line."""
         self._dropped = True
 
     def progress(self) -> str:
-        """Return how far it is and how long it still takes; "" while nobody would ask."""
+        """Return progress and remaining time, "" for short readings."""
         taken_s, share = self._now_s() - self._begun_s, self._share
         if taken_s < LONG_S:
             return ""
@@ -405,7 +396,7 @@ class RunReader:
 
 
 def _line_count(journal: Path) -> int:
-    """Return how many lines a journal has, one at least."""
+    """Return the number of lines of a log, at least 1."""
     with journal.open("rb") as file:
         blocks = iter(lambda: file.read(BLOCK_BYTES), b"")
         return max(1, sum(block.count(b"\n") for block in blocks))

@@ -32,7 +32,7 @@ ONE_PROBE = ("No belief map", "The map is fused over a run; one probe alone make
 
 
 class ReplayPresenter:
-    """Holds the cursor. Every view shows the samples with the greatest time not after it."""
+    """Holds the cursor. Every view shows the newest samples not later than it."""
 
     def __init__(self, page: ReviewPage) -> None:
         self._page = page
@@ -47,12 +47,12 @@ class ReplayPresenter:
 
     @property
     def _single(self) -> bool:
-        """Whether a probe is shown that belongs to no stacking run."""
+        """True for a probe that belongs to no stacking run."""
         return self.trial is not None and self.trial.head.activity == "probe"
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """First and last instant of facts and signals."""
+        """First and last time of events and signals."""
         times = [] if self.trial is None else self.trial.times_s.tolist()
         times += [t for span in self.recorded.spans_s for t in span]
         return (min(times), max(times)) if times else (0.0, 0.0)
@@ -64,13 +64,16 @@ class ReplayPresenter:
         bottom: Outline | None = None,
         told: Sequence[str] = (),
     ) -> None:
-        """Show a trial at its end; its signals come later. ``told``: what the whole run said."""
+        """Show a trial at its end; its signals follow later.
+
+        ``told``: the messages of the whole run.
+        """
         self.trial, self.recorded, self._faces = trial, TrialRecording(), (face, bottom)
         self._outlines = tuple(  # type: ignore[assignment]
             None if outline is None else outline.polygon(SEGMENTS) for outline in (face, bottom)
         )
         self._whole = None if trial is None else trial.story(float("inf"))
-        lines = [] if trial is None else [(f.t_s, text) for f in trial.facts if (text := _line(f))]
+        lines = [] if trial is None else [(f.t_s, text) for f in trial.events if (text := _line(f))]
         self._said_s = np.array([t_s for t_s, _ in lines])
         self._page.story.clear()
         self._page.story.addItems([text for _, text in lines] or list(told))
@@ -82,7 +85,7 @@ class ReplayPresenter:
         self.take(TrialRecording())
 
     def take(self, recorded: TrialRecording) -> None:
-        """Take the signals of the trial; the cursor stays unless it is beyond them."""
+        """Add the signals of the trial; the cursor stays if it is inside them."""
         self.recorded = recorded
         span = self.span_s
         marks = () if self.trial is None else self.trial.marks()
@@ -109,7 +112,7 @@ class ReplayPresenter:
         self._show_belief()
 
     def step(self, by: int) -> None:
-        """Move to the next or former sample: a picture, or a fact where there are no pictures."""
+        """Move to the next or previous sample: a picture, or an event without pictures."""
         before = self.cursor_s
         self._page.film.step(by)
         if self.cursor_s == before and self.trial is not None:
@@ -120,18 +123,18 @@ class ReplayPresenter:
                 self.seek(float(found[0]))
 
     def jump(self, by_s: float) -> None:
-        """Move the cursor by a length of time."""
+        """Move the cursor by a duration."""
         self._page.film.stop()
         self.seek(self.cursor_s + by_s)
 
     def choose_probe(self, index: int) -> None:
-        """Move the cursor to where all was known of a probe."""
+        """Move the cursor to the last event of a probe."""
         if self.trial is not None and self._whole is not None:
             self._page.film.stop()
             self.seek(self.trial.decided_s(self._whole.probes[index].probe))
 
     def score(self) -> PatchScore | None:
-        """Return how well the patch at the cursor fits the true one."""
+        """Return the fit of the patch at the cursor to the true one."""
         return None if self.trial is None else self.trial.score(self.cursor_s, self._faces[1])
 
     # -- showing ----------------------------------------------------------------------------------
@@ -147,7 +150,7 @@ class ReplayPresenter:
         self._page.strip.show_probes(list(zip(scenes, captions, strict=True)), len(scenes) - 1)
 
     def _iou(self, probe: int) -> str:
-        """Return how well the estimate of a probe fits the truth, where that is known."""
+        """Return the fit of a probe's estimate to the truth, where it is known."""
         if self.trial is None:
             return ""
         score = self.trial.score(self.trial.decided_s(probe), self._faces[1])
@@ -164,7 +167,7 @@ class ReplayPresenter:
         return scene
 
     def _show_belief(self) -> None:
-        """Show belief and decision, only if another fact became known."""
+        """Update belief and decision if another event is known."""
         page, trial = self._page, self.trial
         known = 0 if trial is None else len(trial.known(self.cursor_s))
         if known == self._known:
@@ -188,7 +191,7 @@ class ReplayPresenter:
         page.strip.mark(index)
 
     def _show_single(self, trial: TrialTimeline) -> None:
-        """Say what a probe felt that belongs to no stacking run."""
+        """Show the result of a single probe."""
         patch = trial.patch(self.cursor_s)
         assert patch is not None
         share = float(np.mean(patch.patch.probability > TOUCHING))
@@ -198,7 +201,7 @@ class ReplayPresenter:
         )
 
     def _show_no_probe(self, story: TrialStory | None) -> None:
-        """Say why there is no map at the cursor: none yet, none ever, or nothing chosen."""
+        """Show why there is no map at the cursor."""
         page, whole = self._page, self._whole
         if whole is None:
             scene, text = BeliefScene(empty=("No belief map", "")), NO_RECORDING
@@ -214,11 +217,11 @@ class ReplayPresenter:
         page.decision.show_text(text)
 
 
-def _line(fact: object) -> str:
-    if isinstance(fact, Said):
-        return fact.text
-    if isinstance(fact, TrialFinished):
-        return f"{WORDS[fact.outcome].capitalize()}: {fact.reason}"
+def _line(event: object) -> str:
+    if isinstance(event, Said):
+        return event.text
+    if isinstance(event, TrialFinished):
+        return f"{WORDS[event.outcome].capitalize()}: {event.reason}"
     return ""
 
 
@@ -229,7 +232,7 @@ def _ending(story: TrialStory | None) -> str:
 
 
 def patch_score_text(score: PatchScore | None) -> str:
-    """Write an estimate against the truth."""
+    """Return the fit of an estimate to the truth as text."""
     if score is None:
         return "Estimate against truth: not known here."
     return (

@@ -47,14 +47,14 @@ NAMESPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/
 
 
 def drawing_size(svg: str) -> tuple[int, int]:
-    """Return width and height of a drawing as it says them, px."""
+    """Return width and height of a drawing in px."""
     found = [re.search(rf'<svg [^>]*\b{name}="(\d+)"', svg) for name in ("width", "height")]
     width, height = (None if one is None else int(one[1]) for one in found)
     return (width, height) if width and height else DEFAULT_SIZE_PX
 
 
 def render_drawing(svg: str, ratio: float, tokens: Tokens) -> QImage:
-    """Return a drawing at ``ratio`` device pixels a pixel; callable on any thread."""
+    """Return a drawing at ``ratio`` device pixels per pixel. Any thread may call it."""
     width, height = drawing_size(svg)
     image = QImage(round(width * ratio), round(height * ratio), QImage.Format.Format_ARGB32)
     image.setDevicePixelRatio(ratio)
@@ -68,7 +68,7 @@ def render_drawing(svg: str, ratio: float, tokens: Tokens) -> QImage:
 
 
 def recolour_drawing(svg: str, tokens: Tokens) -> str:
-    """Return a chart in the colours of a theme, with the names that Qt looks for."""
+    """Return a chart in the colours of a theme, with the attribute names that Qt needs."""
     for own, theirs in (
         (INK, tokens.text),
         (FAINT, tokens.border),
@@ -80,18 +80,18 @@ def recolour_drawing(svg: str, tokens: Tokens) -> str:
     return svg.replace("<svg ", f"<svg {NAMESPACES} ", 1).replace(" href=", " xlink:href=")
 
 
+# Output of ``touchdown experiment``, relative to its working directory.
 USUAL = Path("output/experiment")
-"""Where ``touchdown experiment`` writes, below the folder that it is started in."""
 JOBS = "jobs"
 
 
 class ReportsPresenter:
-    """``window`` is what the sheet stands over, ``reader`` the thread; ``exports`` takes pages."""
+    """Shows reports above ``window``. ``reader`` reads them; ``exports`` is the folder of pages."""
 
     def __init__(
-        self, window: QWidget, desk: WorkspaceContext, reader: SaveWorker, exports: Path
+        self, window: QWidget, context: WorkspaceContext, reader: SaveWorker, exports: Path
     ) -> None:
-        self._window, self._desk, self._reader, self._exports = window, desk, reader, exports
+        self._window, self._context, self._reader, self._exports = window, context, reader, exports
         self.sheet: ReportSheet | None = None
         self.report: Report | None = None
         self._file = Path()
@@ -101,7 +101,7 @@ class ReportsPresenter:
         self._drawing = 0
 
     def ask(self) -> None:
-        """Let a file be chosen; the window goes on meanwhile."""
+        """Let the user choose a file, without blocking the window."""
         last = self._file.parent if self.report is not None else USUAL
         start = last if last.is_dir() else Path.cwd()
         dialog = QFileDialog(self._window, "Report of experiments", str(start), "Reports (*.json)")
@@ -112,7 +112,7 @@ class ReportsPresenter:
         dialog.open()
 
     def open(self, file: Path) -> None:
-        """Read a report and show it; a file that is none becomes one card."""
+        """Read and show a report; show a card for an invalid file."""
         self._asked += 1
         asked = self._asked
 
@@ -123,12 +123,12 @@ class ReportsPresenter:
         self._reader.submit(lambda: read_report(file), take, self._failed)
 
     def fit_to_theme(self) -> None:
-        """Show the chosen part anew: pictures take their colours from the theme."""
+        """Show the part again with pictures in the colours of the theme."""
         if self.sheet is not None and self.sheet.isVisible():
             self.show_part(self._part)
 
     def show_part(self, number: int) -> None:
-        """Show one part of the report; its pictures come as they are drawn."""
+        """Show one part of the report; its pictures are drawn one by one."""
         if self.report is None or self.sheet is None or number < 0:
             return
         self._part = number
@@ -171,17 +171,17 @@ class ReportsPresenter:
         columns = ["\n".join(filter(None, names)) for names in grid.columns]
         rows = [(name, [_look(entry) for entry in entries]) for name, entries in grid.rows]
         made: list[QWidget] = [
-            ReportGrid(self._desk.theme, grid.title or "Table", columns, rows, choose)
+            ReportGrid(self._context.theme, grid.title or "Table", columns, rows, choose)
         ]
         if grid.note:
             made.append(label(grid.note, "small", wrap=True))
         return made
 
     def _draw(self, cards: Sequence[tuple[ReportPicture, PictureCard]]) -> None:
-        """Have the pictures drawn one after the other on the thread, while the part is shown."""
+        """Draw the pictures one by one on the thread while the part is shown."""
         assert self.sheet is not None
         self._drawing += 1
-        turn, tokens = self._drawing, self._desk.theme.tokens
+        turn, tokens = self._drawing, self._context.theme.tokens
         ratio = self.sheet.devicePixelRatioF()
 
         def draw(number: int) -> None:
@@ -194,7 +194,7 @@ class ReportsPresenter:
                 )
 
         def take(number: int, image: QImage) -> None:
-            # Another part may be shown by now: the cards of this one are gone.
+            # Another part may be shown by now.
             if turn == self._drawing:
                 cards[number][1].show_picture(image)
                 draw(number + 1)
@@ -222,10 +222,10 @@ class ReportsPresenter:
     def _open_folder(self) -> None:
         folder = None if self._entry is None else self._folder(self._entry)
         if folder is not None:
-            self._desk.say(open_in_viewer(folder))
+            self._context.say(open_in_viewer(folder))
 
     def _open_in_browser(self) -> None:
-        """Open the page that lies beside the file, made here where there is none."""
+        """Open the HTML page beside the file; write it first if it does not exist."""
         assert self.report is not None
         report, page = self.report, self._file.with_suffix(".html")
         made = self._exports / f"{self._file.stem}.html"
@@ -237,13 +237,15 @@ class ReportsPresenter:
             write_atomically(made, report_page(report).encode())
             return made
 
-        self._reader.submit(there, lambda path: self._desk.say(open_in_viewer(path)), self._failed)
+        self._reader.submit(
+            there, lambda path: self._context.say(open_in_viewer(path)), self._failed
+        )
 
     def _failed(self, error: Exception) -> None:
         bad = error if isinstance(error, InputError) else None
         what = bad.what if bad else f"The report cannot be shown: {error}."
         where, fix = (f"In {bad.where}.", bad.fix) if bad else ("", "")
-        self._desk.cards.show_card(CardText("REPORT", what, where, fix, reset=False))
+        self._context.cards.show_card(CardText("REPORT", what, where, fix, reset=False))
 
 
 def _look(entry: TableEntry) -> ReportCell:
@@ -254,7 +256,7 @@ def _look(entry: TableEntry) -> ReportCell:
 def _gallery(
     gallery: PictureGallery, cards: list[tuple[ReportPicture, PictureCard]]
 ) -> list[QWidget]:
-    """Return the widgets of a gallery; its cards are added to those that are to be drawn."""
+    """Return the widgets of a gallery; add its cards to those to be drawn."""
     made: list[QWidget] = [label(gallery.text, "muted", wrap=True)] if gallery.text else []
     own = [
         PictureCard(
@@ -278,7 +280,7 @@ th, td { border-bottom: 1px solid #bbb; padding: 3px 10px; text-align: left; }
 
 
 def report_html(caption: str, facts: str, picture: bytes, table: str) -> str:
-    """Return the page: ``caption``, ``facts`` line by line, a PNG, and a table given as CSV."""
+    """Return an HTML page with ``caption``, the lines of ``facts``, a PNG and a CSV table."""
     rows = list(csv.reader(io.StringIO(table)))
     head = "".join(f"<th>{escape(name)}</th>" for name in rows[0])
     body = "".join(
@@ -296,7 +298,7 @@ def report_html(caption: str, facts: str, picture: bytes, table: str) -> str:
 
 
 def export_report(text: str, folder: Path, name: str) -> Path:
-    """Write a page; raises ``OSError``."""
+    """Write a page. Raises ``OSError``."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}.html"
     write_atomically(path, text.encode())

@@ -26,13 +26,12 @@ from touchdown.backend.core import (
 from touchdown.backend.geometry import Outline
 from touchdown.widgets.views import TimeMark
 
-TOUCHING = 0.5
-"""A point is said to touch above this probability."""
+TOUCHING = 0.5  # probability above which a point counts as touching
 
 
 @dataclass(frozen=True, slots=True)
 class PatchScore:
-    """An estimated patch against the true one: overlap, and the share of points said right."""
+    """Fit of an estimated patch to the true one: overlap, and share of correct points."""
 
     probe: int
     iou: float
@@ -41,33 +40,33 @@ class PatchScore:
 
 @dataclass(frozen=True, slots=True)
 class TrialTimeline:
-    """Facts of one trial, ``head`` of its run first; the bench clock starts with each trial."""
+    """Events of one trial with the ``head`` of its run. The bench clock starts with each trial."""
 
     head: RunStarted
-    facts: tuple[Event, ...]
+    events: tuple[Event, ...]
 
     def numbered(self, number: int) -> TrialTimeline:
-        """Return the trial as number ``number`` of several."""
-        first, *others = self.facts
+        """Return the trial with its number."""
+        first, *others = self.events
         if isinstance(first, TrialStarted):
             first = replace(first, trial=number)
         return TrialTimeline(self.head, (first, *others))
 
     @property
     def times_s(self) -> FloatArray:
-        """(n,) times of the facts; never falling."""
-        return np.maximum.accumulate(np.array([f.t_s for f in self.facts], dtype=np.float64))
+        """(n,) times of the events, never decreasing."""
+        return np.maximum.accumulate(np.array([f.t_s for f in self.events], dtype=np.float64))
 
     def known(self, cursor_s: float) -> tuple[Event, ...]:
-        """Return the facts not later than the cursor."""
-        return self.facts[: int(np.searchsorted(self.times_s, cursor_s + 1e-9, side="right"))]
+        """Return the events not later than the cursor."""
+        return self.events[: int(np.searchsorted(self.times_s, cursor_s + 1e-9, side="right"))]
 
     def story(self, cursor_s: float) -> TrialStory:
-        """Return what was known of the trial at the cursor."""
+        """Return the state of the trial at the cursor."""
         story = RunStory(of_any=True)
         story.take(self.head)
-        for fact in (self.facts[0], *self.known(cursor_s)[1:]):
-            story.take(fact)
+        for event in (self.events[0], *self.known(cursor_s)[1:]):
+            story.take(event)
         assert story.trial is not None
         return story.trial
 
@@ -78,33 +77,35 @@ class TrialTimeline:
 
     def episodes(self) -> list[EpisodeRecorded]:
         """Return the episodes of the trial in order."""
-        return [f for f in self.facts if isinstance(f, EpisodeRecorded)]
+        return [f for f in self.events if isinstance(f, EpisodeRecorded)]
 
     def decided_s(self, probe: int) -> float:
-        """Return when all was known of a probe: its last fact, or the end of the trial."""
+        """Return the time of the last event of a probe, or the end of the trial."""
         known = (PatchEstimated, BeliefUpdated, ActionChosen)
-        times = [f.t_s for f in self.facts if isinstance(f, known) and f.probe == probe]
+        times = [f.t_s for f in self.events if isinstance(f, known) and f.probe == probe]
         return max(times) if times else float(self.times_s[-1])
 
     def marks(self) -> tuple[TimeMark, ...]:
-        """Return what happened: probes, decisions, release and outcome."""
+        """Return the marks of the time line: probes, decisions, release and outcome."""
         marks: list[TimeMark] = []
-        for fact in self.facts:
-            if isinstance(fact, PhaseEntered):
-                press = fact.phase == "press"
+        for event in self.events:
+            if isinstance(event, PhaseEntered):
+                press = event.phase == "press"
                 marks.append(
-                    TimeMark(fact.t_s, f"probe {fact.probe}" if press else fact.phase, press)
+                    TimeMark(event.t_s, f"probe {event.probe}" if press else event.phase, press)
                 )
-            elif isinstance(fact, ActionChosen):
-                marks.append(TimeMark(fact.t_s, fact.action.kind.replace("_", " "), strong=True))
-            elif isinstance(fact, Released):
-                marks.append(TimeMark(fact.t_s, "let go", strong=True))
-            elif isinstance(fact, TrialFinished):
-                marks.append(TimeMark(fact.t_s, fact.outcome.name.lower().replace("_", " "), True))
+            elif isinstance(event, ActionChosen):
+                marks.append(TimeMark(event.t_s, event.action.kind.replace("_", " "), strong=True))
+            elif isinstance(event, Released):
+                marks.append(TimeMark(event.t_s, "let go", strong=True))
+            elif isinstance(event, TrialFinished):
+                marks.append(
+                    TimeMark(event.t_s, event.outcome.name.lower().replace("_", " "), True)
+                )
         return tuple(marks)
 
     def score(self, cursor_s: float, bottom: Outline | None) -> PatchScore | None:
-        """Return how well the newest patch fits the true one; None where no truth is known."""
+        """Return the fit of the newest patch to the true one, None without a known truth."""
         patch, whole = self.patch(cursor_s), self.story(float("inf"))
         shift = whole.frame_shift_mm()
         if patch is None or shift is None or bottom is None:
@@ -119,26 +120,26 @@ def patch_score(
     shift_mm: tuple[float, float],
     bottom: Outline,
 ) -> PatchScore:
-    """Compare a patch with the points of the face that lie over the true bottom."""
+    """Compare a patch with the points of the face over the true bottom."""
     said = patch.probability > TOUCHING
     real = bottom.contains(patch.points_mm + np.subtract(offset_mm, shift_mm))
     return PatchScore(probe, patch_iou(said, real), float(np.mean(said == real)))
 
 
-def split_into_trials(facts: Iterable[Event]) -> list[TrialTimeline]:
-    """Split the facts of a run into its trials; what comes before the first belongs to none.
+def split_into_trials(events: Iterable[Event]) -> list[TrialTimeline]:
+    """Split the events of a run into its trials. Events before the first trial are dropped.
 
-    A single probe is shown as a trial of its own.
+    A single probe is returned as a trial.
     """
     head: RunStarted | None = None
     parts: list[list[Event]] = []
-    for fact in facts:
-        if isinstance(fact, RunStarted):
-            head = fact
-            if fact.activity == "probe":
-                parts.append([TrialStarted(fact.t_s, 1, fact.seed, None)])
-        elif isinstance(fact, TrialStarted):
-            parts.append([fact])
+    for event in events:
+        if isinstance(event, RunStarted):
+            head = event
+            if event.activity == "probe":
+                parts.append([TrialStarted(event.t_s, 1, event.seed, None)])
+        elif isinstance(event, TrialStarted):
+            parts.append([event])
         elif parts:
-            parts[-1].append(fact)
+            parts[-1].append(event)
     return [] if head is None else [TrialTimeline(head, tuple(part)) for part in parts]

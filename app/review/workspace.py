@@ -28,14 +28,14 @@ from touchdown.widgets.shell import CardText
 
 
 class ReviewWorkspace(Workspace):
-    """Recorded runs and series, scrubbed along one line of time."""
+    """Recorded runs and series along one time line."""
 
     name, title, key = "review", "Review", "Ctrl+5"
     page: ReviewPage
 
-    def __init__(self, desk: WorkspaceContext) -> None:
-        self._desk = desk
-        self.exports = desk.runs.parent / "exports"
+    def __init__(self, context: WorkspaceContext) -> None:
+        self._context = context
+        self.exports = context.runs.parent / "exports"
         self.commands = (
             WindowCommand("refresh", "Look for new recordings", "Ctrl+R",
                     lambda: self.presenter.recordings.refresh()),
@@ -44,13 +44,16 @@ class ReviewWorkspace(Workspace):
                     lambda: self.presenter.replay.step(-1), repeats=True),
             WindowCommand("on", "One sample forward", "Right",
                     lambda: self.presenter.replay.step(1), repeats=True),
-            WindowCommand("second-back", "One second back", "J", lambda: self.presenter.replay.jump(-1.0),
+            WindowCommand("second-back", "One second back", "J",
+                          lambda: self.presenter.replay.jump(-1.0),
                     repeats=True),
-            WindowCommand("second-on", "One second forward", "L", lambda: self.presenter.replay.jump(1.0),
+            WindowCommand("second-on", "One second forward", "L",
+                          lambda: self.presenter.replay.jump(1.0),
                     repeats=True),
             WindowCommand("filter", "Filter the recordings", "/",
                     lambda: self.page.filter.setFocus()),
-            WindowCommand("picture", "Export what is shown as PNG and SVG", "Ctrl+E", self._picture),
+            WindowCommand("picture", "Export what is shown as PNG and SVG", "Ctrl+E",
+                          self._picture),
             WindowCommand("table", "Export the probes as CSV", "Ctrl+Shift+E", self._table),
             WindowCommand("report", "Export picture and probes as one HTML page", "", self._report),
             WindowCommand("cancel", "Read a long run no further", "Esc",
@@ -61,17 +64,17 @@ class ReviewWorkspace(Workspace):
         )  # fmt: skip
 
     def build(self) -> Iterator[None]:
-        """Make the page, and the thread that reads for it."""
-        self.page = ReviewPage(self._desk.theme)
+        """Create the page and the thread that reads for it."""
+        self.page = ReviewPage(self._context.theme)
         yield
-        self.post = MainThreadQueue(self.page)
-        self.reader = SaveWorker(self.post, "review-reader")
+        self.main_thread = MainThreadQueue(self.page)
+        self.reader = SaveWorker(self.main_thread, "review-reader")
         self.library = ReviewDataset(dataset_folder())
         self.presenter = ReviewPresenter(
-            self.page, self._desk.runs, self._desk.cards, self.reader, self.library
+            self.page, self._context.runs, self._context.cards, self.reader, self.library
         )
         self.parts = (self.presenter.draw,)
-        self.reports = ReportsPresenter(self.page, self._desk, self.reader, self.exports)
+        self.reports = ReportsPresenter(self.page, self._context, self.reader, self.exports)
         page = self.page
         page.recording_chosen.connect(self.presenter.choose)
         page.probe_chosen.connect(self.presenter.replay.choose_probe)
@@ -85,12 +88,12 @@ class ReviewWorkspace(Workspace):
         page.viewer_requested.connect(self._open_outside)
 
     def enter(self) -> None:
-        """Look for recordings that came since."""
+        """Look for new recordings."""
         self.page.setFocus()
         self.presenter.recordings.refresh()
 
     def fit_to_theme(self) -> None:
-        """Take the row height of the theme."""
+        """Apply the row height of the theme."""
         self.page.fit_to_theme()
         self.reports.fit_to_theme()
 
@@ -99,12 +102,12 @@ class ReviewWorkspace(Workspace):
         self.page.film.stop()
 
     def close(self) -> None:
-        """End the thread that reads."""
+        """End the reading thread."""
         self.page.film.stop()
         self.presenter.cancel_reading()
         self.reader.submit(self.library.close, _done, _failed)
         self.reader.close()
-        self.post.close()
+        self.main_thread.close()
 
     # -- orders -----------------------------------------------------------------------------------
 
@@ -113,16 +116,16 @@ class ReviewWorkspace(Workspace):
 
     def _picture(self) -> None:
         if self.presenter.file is None:
-            self._desk.say("Nothing is chosen that could be pictured.")
+            self._context.say("Nothing is chosen that could be pictured.")
             return
         name, caption = (
             dated_file_name(f"review-{self.presenter.replay.cursor_s:.2f}s"),
             self._caption(),
         )
         self._export(
-            lambda: export_picture(self.page.shown, self._desk.theme, self.exports, name, caption)[
-                0
-            ]
+            lambda: export_picture(
+                self.page.shown, self._context.theme, self.exports, name, caption
+            )[0]
         )
 
     def _caption(self) -> str:
@@ -134,15 +137,15 @@ class ReviewWorkspace(Workspace):
             self._export(lambda: export_table(text, self.exports, dated_file_name("probes")))
 
         if not self.presenter.make_table(write):
-            self._desk.say("Nothing is chosen that could be written as a table.")
+            self._context.say("Nothing is chosen that could be written as a table.")
 
     def _report(self) -> None:
         if self.presenter.file is None:
-            self._desk.say("Nothing is chosen that could be reported.")
+            self._context.say("Nothing is chosen that could be reported.")
             return
-        # The picture is taken now: by the time that the table is there something else may be shown.
+        # Take the picture now: the page may have changed when the table is ready.
         name, caption, facts = dated_file_name("review"), self._caption(), self.page.score.words
-        picture = view_picture(self.page.shown, self._desk.theme, caption)
+        picture = view_picture(self.page.shown, self._context.theme, caption)
 
         def write(table: str) -> None:
             text = report_html(caption, facts, picture, table)
@@ -152,16 +155,16 @@ class ReviewWorkspace(Workspace):
 
     def _open_outside(self) -> None:
         if self.presenter.file is not None:
-            self._desk.say(open_in_viewer(self.presenter.file))
+            self._context.say(open_in_viewer(self.presenter.file))
         else:
-            self._desk.say("Nothing is chosen that could be opened.")
+            self._context.say("Nothing is chosen that could be opened.")
 
     def _export(self, write: Callable[[], Path]) -> None:
         try:
-            self._desk.say(f"Written: {write()}")
+            self._context.say(f"Written: {write()}")
         except OSError as error:
             what = f"It could not be written: {error.strerror or error}."
-            self._desk.cards.show_card(
+            self._context.cards.show_card(
                 CardText("EXPORT", what, f"In {self.exports}.", "Free some space.", reset=False)
             )
 

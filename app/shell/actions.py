@@ -33,7 +33,7 @@ _FIXED_KEYS = (Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.AltModif
 
 @dataclass(frozen=True, slots=True)
 class KeyBinding:
-    """One key in one context ("" is everywhere); ``command`` is None for a key that is held."""
+    """One key in one context ("" is everywhere). ``command`` is None for a key that is held."""
 
     context: str
     title: str
@@ -43,7 +43,7 @@ class KeyBinding:
 
     @property
     def id(self) -> str:
-        """Name under which a changed key is remembered, such as "stack.pause"."""
+        """Identifier of a changed key in the settings, such as "stack.pause"."""
         name = self.command.name if self.command is not None else self.key
         return f"{self.context}.{name}" if self.context else name
 
@@ -51,7 +51,7 @@ class KeyBinding:
 def key_bindings(
     frame: Sequence[WindowCommand], workspaces: Iterable[Workspace]
 ) -> list[KeyBinding]:
-    """Return all rows: those of everywhere first, then workspace by workspace."""
+    """Return all key bindings: global ones first, then by workspace."""
     rows = [KeyBinding(EVERYWHERE_CONTEXT, "Everywhere", key, text) for key, text in STOP_BINDINGS]
     rows += [KeyBinding(EVERYWHERE_CONTEXT, "Everywhere", c.key, c.text, c) for c in frame]
     for ws in workspaces:
@@ -63,7 +63,7 @@ def key_bindings(
 def remap_keys(
     rows: Sequence[KeyBinding], changed: Mapping[str, str]
 ) -> tuple[list[KeyBinding], list[str]]:
-    """Return rows with the remembered keys, and the ids whose key could not be had."""
+    """Return the bindings with the stored keys, and the ids whose key is not possible."""
     kept, refused = list(rows), []
     for name, key in changed.items():
         if key_refusal(kept, name, key):
@@ -74,7 +74,10 @@ def remap_keys(
 
 
 def key_refusal(rows: Sequence[KeyBinding], name: str, key: str) -> str:
-    """Return "" if command ``name`` may have ``key`` ("" takes its key away), else the reason."""
+    """Return why command ``name`` cannot have ``key``, "" if it can.
+
+    An empty ``key`` removes it.
+    """
     own = next((row for row in rows if row.id == name and row.command is not None), None)
     if own is None:
         return f"There is no command '{name}'."
@@ -91,7 +94,7 @@ def key_refusal(rows: Sequence[KeyBinding], name: str, key: str) -> str:
 
 
 def portable_key(key: str) -> str:
-    """Return the one spelling of a key, "" if it is none."""
+    """Return the canonical spelling of a key, "" if it is invalid."""
     sequence = QKeySequence(key)
     pressed = _pressed_key(sequence)
     if pressed is None or sequence.count() > 1 or pressed.key() is Qt.Key.Key_unknown:
@@ -100,7 +103,7 @@ def portable_key(key: str) -> str:
 
 
 def is_plain_key(key: str) -> bool:
-    """Whether a key would also be typed into a text field."""
+    """Return True if a key could also be typed into a text field."""
     pressed = _pressed_key(QKeySequence(key))
     if pressed is None:
         return False
@@ -109,7 +112,6 @@ def is_plain_key(key: str) -> bool:
 
 
 def _pressed_key(sequence: QKeySequence) -> QKeyCombination | None:
-    """Return the first key of a sequence."""
     if not sequence.count():
         return None
     first: QKeyCombination = sequence[0]  # type: ignore[index]
@@ -124,7 +126,7 @@ _PRESSED = frozenset({QEvent.Type.ShortcutOverride, QEvent.Type.KeyPress})
 
 
 class StopKeyFilter(QObject):
-    """Event filter of the application; ``stop`` must return at once."""
+    """Event filter of the application. ``stop`` must return at once."""
 
     def __init__(
         self, parent: QObject, stop: Callable[[], None], moving: Callable[[], bool]
@@ -133,14 +135,14 @@ class StopKeyFilter(QObject):
         self._stop, self._moving = stop, moving
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Take F12 and, while something moves, Space."""
-        # Every event of the window passes here: the cheapest test comes first.
+        """Handle F12 and, while something moves, Space."""
+        # Called for every event of the window: the cheapest test comes first.
         if not isinstance(event, QKeyEvent) or not isinstance(watched, QWindow):
             return False
         if event.type() not in _PRESSED or not self._wanted(event.key()):
             return False
-        # Before a press the same key comes as ShortcutOverride: claimed, so that no shortcut takes
-        # it, and no press of its own.
+        # Qt sends ShortcutOverride before a key press. Accept it, so that no shortcut takes the
+        # key; it is not a key press itself.
         if event.type() is QEvent.Type.KeyPress and not event.isAutoRepeat():
             self._stop()
         event.accept()
@@ -153,7 +155,7 @@ class StopKeyFilter(QObject):
 
 
 def is_typing() -> bool:
-    """Return whether an editable text field has the focus."""
+    """Return True if an editable text field has the focus."""
     focus = QApplication.focusWidget()
     if isinstance(focus, (QLineEdit, QPlainTextEdit)):
         return not focus.isReadOnly()
@@ -163,7 +165,7 @@ def is_typing() -> bool:
 
 
 class ActionRegistry:
-    """One action per row that has a command; keys never clash within a context."""
+    """One action per binding with a command; keys are unique within a context."""
 
     def __init__(
         self, window: QWidget, rows: Sequence[KeyBinding], changed: Mapping[str, str]
@@ -178,16 +180,16 @@ class ActionRegistry:
         }
 
     def action(self, name: str) -> QAction:
-        """Return one action by the id of its row; raises KeyError."""
+        """Return the action with this id. Raises ``KeyError``."""
         return self._bound[name].action
 
     def enter(self, context: str) -> None:
-        """Switch the keys to the workspace that came to the front."""
+        """Enable the keys of the workspace in front."""
         for bound in self._bound.values():
             bound.action.setEnabled(bound.row.context in (EVERYWHERE_CONTEXT, context))
 
     def change_key(self, name: str, key: str) -> str:
-        """Give command ``name`` another key; return "" or why it keeps its own."""
+        """Change the key of command ``name``; return "" or the reason of refusal."""
         reason = key_refusal(self.rows, name, key)
         if reason:
             return reason
@@ -202,7 +204,7 @@ class ActionRegistry:
 
 
 class _BoundCommand:
-    """One command, its action, and the rule for keys that could be typed."""
+    """One command, its action, and the rule for keys that can be typed."""
 
     def __init__(self, window: QWidget, row: KeyBinding, *, on: bool) -> None:
         assert row.command is not None
@@ -216,7 +218,7 @@ class _BoundCommand:
         window.addAction(self.action)
 
     def take(self, row: KeyBinding) -> None:
-        """Take another key."""
+        """Set another key."""
         self.row = row
         self.action.setShortcut(QKeySequence(row.key))
         tip = f"{row.text} ({row.key})" if row.key else row.text
@@ -227,33 +229,33 @@ class _BoundCommand:
             self._run_command()
 
 
+# Prefixes of the palette entries for key changes and for temporary entries.
 CHANGE, MORE = "key:", "more:"
-"""Prefixes of the palette's entries that change a key, and of those that come and go."""
 
 
 class CommandDialogs:
-    """Made when first needed; none of them is modal."""
+    """Key sheet and command palette, created when first needed. Not modal."""
 
     def __init__(
         self, window: QWidget, actions: ActionRegistry, go: Callable[[str], None],
         changed: Callable[[], None],
     ) -> None:  # fmt: skip
         self._window, self._actions, self._go, self._changed = window, actions, go, changed
+        # Temporary palette entries: (text, function).
         self.more: Callable[[], Sequence[Entry]] = tuple
-        """Further entries of the palette, those that come and go: (text, act)."""
         self._offered: Sequence[Entry] = ()
         self.sheet: KeySheet | None = None
         self.palette: CommandPalette | None = None
         self.asker: KeyDialog | None = None
 
     def show_keys(self) -> None:
-        """Show all keys as they are now."""
+        """Show all present keys."""
         if self.sheet is None:
             self.sheet = KeySheet(self._window)
         self.sheet.show_rows([(row.title, row.key, row.text) for row in self._actions.rows])
 
     def show_palette(self) -> None:
-        """Show everything that can be done."""
+        """Show all commands."""
         if self.palette is None:
             self.palette = CommandPalette(self._window, self._chosen)
         self.palette.open_with(self._choices())

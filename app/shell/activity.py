@@ -15,8 +15,7 @@ from touchdown.backend.rig import reconnect
 from touchdown.backend.runs import RunState
 from touchdown.widgets.shell import CHIPS, DeviceInspector, TopBar
 
-DEGRADED_DELAY_S = 1.0
-"""A sensor that is degraded for so long keeps the start of a run disabled."""
+DEGRADED_DELAY_S = 1.0  # a sensor degraded for longer keeps runs from starting
 ACTIVE_STATES = frozenset(
     {RunState.PREPARING, RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.CANCELLING,
      RunState.FINISHING}
@@ -25,12 +24,12 @@ MOVING_STATES = ACTIVE_STATES - {RunState.PAUSED}
 
 
 def is_run_active(bench: Session) -> bool:
-    """Whether a run is active."""
+    """Return True if a run is active."""
     return bench.status().state in ACTIVE_STATES
 
 
 def may_be_moving(bench: Session) -> bool:
-    """Whether something may be moving (Space then means STOP)."""
+    """Return True if something may be moving. Space then means STOP."""
     status = bench.status()
     if status.state in MOVING_STATES and status.awaiting is None and not status.asks:
         return True
@@ -40,7 +39,7 @@ def may_be_moving(bench: Session) -> bool:
 
 
 def missing_scene_reason(bench: Session) -> str:
-    """Return why there is no scene to move in, "" where that does not matter."""
+    """Return why there is no scene, "" where that does not matter."""
     if bench.connection is not None:
         if bench.connection.busy:
             return "The devices are being connected"
@@ -49,7 +48,7 @@ def missing_scene_reason(bench: Session) -> str:
 
 
 def start_obstacle(bench: Session) -> str:
-    """Return why no run may start although none is active, "" if one may."""
+    """Return why no run can start although none is active, "" if one can."""
     if bench.interlock.latched:
         return "Press Reset first"
     if bench.hand is None and missing_scene_reason(bench):
@@ -59,7 +58,7 @@ def start_obstacle(bench: Session) -> str:
     if bench.hand is not None and bench.hand.pressing_n:
         return "In contact: lift first (jog +Z in Operate)"
     for degraded in bench.degraded:
-        # What is over sooner would only make the buttons flicker: an order is refused in words.
+        # Shorter ones would make the buttons flicker; starting is refused with a message.
         if bench.clock_s() - degraded.since_s > DEGRADED_DELAY_S:
             return f"The {NAMES[degraded.device]} is {degraded.how}: check it first"
     return ""
@@ -69,7 +68,7 @@ RECONNECT_S = 5.0
 
 
 class DeviceInspectorPresenter:
-    """Keeps one inspector; it follows the device that was clicked last."""
+    """Keeps one inspector, which shows the device clicked last."""
 
     def __init__(self, bench: Session, bar: TopBar, window: QWidget) -> None:
         self._bench, self._bar, self._window = bench, bar, window
@@ -91,7 +90,7 @@ class DeviceInspectorPresenter:
         self.sheet.open_at(key, self._titles[key], self._rows(device), below)
 
     def reconnect(self) -> None:
-        """Connect the shown device anew, on a thread: a cable may take seconds to answer."""
+        """Reconnect the shown device on a thread; it may take seconds."""
         device = None if self.sheet is None else self._bench.devices.get(self.sheet.key)
         connection = self._bench.connection
         if device is not None and connection is not None and not is_run_active(self._bench):
@@ -115,7 +114,7 @@ class DeviceInspectorPresenter:
             self._connecting = False
 
     def draw(self) -> None:
-        """Show the present values while it is open."""
+        """Update the values while the inspector is open."""
         if self.sheet is None or not self.sheet.isVisible():
             return
         self.sheet.reconnect.setEnabled(not self._connecting and not is_run_active(self._bench))
@@ -124,14 +123,14 @@ class DeviceInspectorPresenter:
             self.sheet.show_rows(self._rows(device))
 
     def _rows(self, device: Device) -> list[tuple[str, str]]:
-        """Return the rows of a device; of the wrist sensor its drift as well."""
+        """Return the rows of a device; those of the wrist sensor include its drift."""
         drift = self._bench.drift if device.name == "force_torque" else None
         told = [] if drift is None else [("drift in air", drift.words().removeprefix("drift "))]
         return [*inspector_rows(device), *told]
 
 
 def inspector_rows(device: Device) -> list[tuple[str, str]]:
-    """Return connection, health, identity and the device's own fields as (field, value)."""
+    """Return connection, health, identity and device-specific fields as (field, value)."""
     health, who = device.health, device.identity
     rows = [
         ("state", device.state.value),

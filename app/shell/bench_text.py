@@ -21,18 +21,17 @@ from touchdown.widgets.base import label
 
 @dataclass(frozen=True, slots=True)
 class BenchCaption:
-    """``title`` of the window; ``banner`` in the foot, ``striped`` unless it is hardware."""
+    """Names of the bench: window ``title``, footer ``banner`` (``striped`` unless hardware)."""
 
     title: str
     banner: str
     tip: str
     striped: bool
-    note: str
-    """Small second line of the pill; "" with hardware."""
+    note: str  # second line of the pill; "" with hardware
 
 
 def bench_caption(bench: Session) -> BenchCaption:
-    """Return what to call the bench of ``bench``, by the facts that its recordings carry too."""
+    """Return the names of a bench, consistent with its recordings."""
     mode = bench.facts.mode
     if mode == "simulated":
         return BenchCaption(
@@ -60,7 +59,7 @@ def bench_caption(bench: Session) -> BenchCaption:
 
 
 class QuestionRow(QFrame):
-    """The no is the first answer and does nothing."""
+    """A question with two answers; the first one (no) does nothing."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -78,7 +77,7 @@ class QuestionRow(QFrame):
         self.hide()
 
     def ask(self, text: str, no: str, yes: str, act: Callable[[], None]) -> None:
-        """Ask; ``act`` is done on the yes."""
+        """Ask a question; ``act`` is called for yes."""
         self._act = act
         self.text.setText(text)
         for button, word in ((self.no, no), (self.yes, yes)):
@@ -87,7 +86,7 @@ class QuestionRow(QFrame):
         self.show()
 
     def withdraw(self) -> None:
-        """Ask no more."""
+        """Remove the question."""
         self._act = None
         self.hide()
 
@@ -103,7 +102,7 @@ MODALITY_NAMES = {"FT+Tac": "touch and wrench", "Tac": "touch", "FT": "the wrenc
 
 @dataclass(frozen=True, slots=True)
 class ModelCaption:
-    """``short`` fits beside a caption, ``full`` is for the tool tip."""
+    """``short`` is shown beside a caption, ``full`` in the tool tip."""
 
     short: str
     full: str
@@ -115,7 +114,7 @@ NONE_HERE = ModelCaption("none in this scene", "Collecting needs none.")
 
 
 def run_model_caption(piece: str, strategy: str) -> ModelCaption:
-    """Say which model a run of ``strategy`` with ``piece`` would take now."""
+    """Return the model that a run of ``strategy`` with ``piece`` would use."""
     if strategy == "pick-and-place":
         return UNPROBED
     if strategy == "zero-wrench":
@@ -127,7 +126,7 @@ def run_model_caption(piece: str, strategy: str) -> ModelCaption:
 
 
 def scene_model_caption(card: ModelCard | None, piece: str, *, simulated: bool) -> ModelCaption:
-    """Say which model reads the present scene, and whether another one is in use since."""
+    """Return the model of the present scene, and if another one was put in use since."""
     here = NONE_HERE if card is None else card_caption(card)
     try:
         used = model_card_in_use(piece)
@@ -141,12 +140,12 @@ def scene_model_caption(card: ModelCard | None, piece: str, *, simulated: bool) 
 
 
 def model_card_in_use(piece: str) -> ModelCard:
-    """Return the card of the model in use for ``piece``; raises ``InputError``."""
+    """Return the card of the model in use for ``piece``. Raises ``InputError``."""
     return load_card(model_in_use(piece, ModelRegistry(models_folder())))
 
 
 def card_caption(card: ModelCard) -> ModelCaption:
-    """Say whose model it is, how good it was and on how much it was trained."""
+    """Return origin, accuracy and training data of a model."""
     probes, found = _probe_count(card), card.metrics.get("validation", {}).get("iou")
     iou = "" if found is None else f"IoU {100 * found:.0f} %"
     trained = f"{probes:,} {'probe' if probes == 1 else 'probes'}" if probes else ""
@@ -163,7 +162,7 @@ def card_caption(card: ModelCard) -> ModelCaption:
 
 
 def fused_caption() -> ModelCaption:
-    """Say which network fuses; raises ``InputError``."""
+    """Return the fusion network. Raises ``InputError``."""
     card = shipped_fused().card
     sequences = card.training.get("sequences")
     lines = (
@@ -186,7 +185,7 @@ def _is_shipped(card: ModelCard) -> bool:
 
 
 def _probe_count(card: ModelCard) -> int:
-    """Return on how many probes it was made, both sides together; 0 where the card tells none."""
+    """Return the number of training probes of both sides; 0 if unknown."""
     counts = card.data.get("episodes")
     values = counts.values() if isinstance(counts, dict) else (counts,)
     return sum(count for count in values if isinstance(count, int))

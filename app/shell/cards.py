@@ -30,7 +30,7 @@ from touchdown.widgets.shell import STOPPED, CardQuestion, CardText, FaultCards
 
 
 def fault_card(fault: Fault, at: str) -> CardText:
-    """Return the card of a fault; ``at`` is the wall-clock time of day."""
+    """Return the card of a fault; ``at`` is the time of day."""
     device = f"\nDevice: {fault.device}" if fault.device else ""
     details = (
         f"{fault.what}\n{fault.consequence}\n{fault.next_step}\nCode: {fault.code}{device}\n{at}"
@@ -52,80 +52,79 @@ def stopped_card(at: str) -> CardText:
 
 
 def refusal_card(error: RefusedError, at: str) -> CardText:
-    """Return the card of an order by hand that was refused or ended."""
+    """Return the card of a refused or ended manual command."""
     consequence = "The order was refused or has ended."
     return CardText(error.reason, error.detail, consequence, "", reset=False, at=at, passing=True)
 
 
 class ShowStatus(Protocol):
-    """Shows a sentence in the foot; with ``holds`` only as long as that is true."""
+    """Shows a sentence in the footer; with ``holds``, only while it returns True."""
 
     def __call__(self, text: str, holds: Callable[[], bool] | None = None) -> None:
-        """Show it."""
+        """Show the sentence."""
 
 
-def log_event(fact: Event) -> None:
-    """Write one plain line of the log for what an operator will ask about later."""
-    if isinstance(fact, RunStarted):
+def log_event(event: Event) -> None:
+    """Log an event that an operator may ask about later."""
+    if isinstance(event, RunStarted):
         log.info("run %s: %s, %s on %s, seed %s",
-                 fact.run_id, fact.activity, fact.piece, fact.bottom, fact.seed)  # fmt: skip
-    elif isinstance(fact, RunFinished):
-        log.info("run %s %s %s", fact.run_id, fact.ending, fact.reason)
-    elif isinstance(fact, FaultRaised):
-        log.warning("fault %s: %s", fact.fault.code, fact.fault.what)
-    elif isinstance(fact, FaultsReset):
+                 event.run_id, event.activity, event.piece, event.bottom, event.seed)  # fmt: skip
+    elif isinstance(event, RunFinished):
+        log.info("run %s %s %s", event.run_id, event.ending, event.reason)
+    elif isinstance(event, FaultRaised):
+        log.warning("fault %s: %s", event.fault.code, event.fault.what)
+    elif isinstance(event, FaultsReset):
         log.info("reset by the operator")
-    elif isinstance(fact, Paused):
-        log.warning("paused %s: %s", fact.fault.code, fact.fault.what)
-    elif isinstance(fact, Noticed):
-        log.warning("noticed %s: %s", fact.fault.code, fact.fault.what)
-    elif isinstance(fact, Refused):
-        log.info("refused %s: %s", fact.reason, fact.text)
+    elif isinstance(event, Paused):
+        log.warning("paused %s: %s", event.fault.code, event.fault.what)
+    elif isinstance(event, Noticed):
+        log.warning("noticed %s: %s", event.fault.code, event.fault.what)
+    elif isinstance(event, Refused):
+        log.info("refused %s: %s", event.reason, event.text)
 
 
-def show_event(fact: Event, bench: Session | None, cards: FaultCards, say: ShowStatus) -> None:
-    """Show a fact to the operator, if it is one that the frame tells."""
-    if isinstance(fact, PhaseEntered | RunFinished):
+def show_event(event: Event, bench: Session | None, cards: FaultCards, say: ShowStatus) -> None:
+    """Show an event to the operator, if it needs attention."""
+    if isinstance(event, PhaseEntered | RunFinished):
         cards.clear(cards.obstacles)
-    if isinstance(fact, FaultRaised):
-        cards.show_card(fault_card(fact.fault, time_of_day()))
-    elif isinstance(fact, Refused):
-        cards.show_card(refusal_card(RefusedError(fact.reason, fact.text), time_of_day()))
-    elif isinstance(fact, FaultsReset):
+    if isinstance(event, FaultRaised):
+        cards.show_card(fault_card(event.fault, time_of_day()))
+    elif isinstance(event, Refused):
+        cards.show_card(refusal_card(RefusedError(event.reason, event.text), time_of_day()))
+    elif isinstance(event, FaultsReset):
         cards.clear()
         why = "" if bench is None else start_obstacle(bench)
         if bench is not None and why:
             say(f"{why}.", lambda: start_obstacle(bench) == why)
-    elif isinstance(fact, Paused | Noticed):
-        waits = isinstance(fact, Paused)
-        card = fault_card(fact.fault, time_of_day())
+    elif isinstance(event, Paused | Noticed):
+        waits = isinstance(event, Paused)
+        card = fault_card(event.fault, time_of_day())
         cards.show_card(replace(card, reset=False, obstacle=waits, notice=not waits))
-    elif isinstance(fact, RunStarted):
+    elif isinstance(event, RunStarted):
         say("")
         cards.pass_on()
-    elif isinstance(fact, Said):
-        say(fact.text)
-    elif isinstance(fact, RunFinished) and fact.ending != "finished":
-        was = "failed" if fact.ending == "failed" else f"was {fact.ending}"
-        say(f"The run {was}: {fact.reason}")
+    elif isinstance(event, Said):
+        say(event.text)
+    elif isinstance(event, RunFinished) and event.ending != "finished":
+        was = "failed" if event.ending == "failed" else f"was {event.ending}"
+        say(f"The run {was}: {event.reason}")
 
 
 def time_of_day() -> str:
-    """Return the time of day, as cards show it."""
+    """Return the time of day as shown on cards."""
     return f"{datetime.now():%H:%M:%S}"
 
 
+# Replaces a question about something that has ended meanwhile.
 ENDED_QUESTION = "It has ended, and no piece is held. Close the window?"
-"""Asked in place of a question about something that ended while it stood."""
 
-EXIT_TIMEOUT_S = 5.0
-"""So long after it was closed the program may hold on to what does not end."""
+EXIT_TIMEOUT_S = 5.0  # time after closing in which threads can end
 
 
 def exit_after_timeout(after_s: float = EXIT_TIMEOUT_S) -> None:
-    """End this process once ``after_s`` have passed, if it is still there; returns at once.
+    """End this process after ``after_s``, if it is still running. Returns at once.
 
-    For a window that was closed in order: a thread that hangs then must not keep the program.
+    For a window that was closed in order: a hanging thread must not keep the process alive.
     """
 
     def end() -> None:
@@ -139,7 +138,7 @@ def exit_after_timeout(after_s: float = EXIT_TIMEOUT_S) -> None:
 
 
 class CloseConfirmation:
-    """Asks, and closes on the answer. ``allowed``: nothing is asked any more."""
+    """Asks before closing. ``allowed``: close without a question."""
 
     def __init__(
         self, cards: FaultCards, stop: Callable[[], None], close: Callable[[], object]
@@ -149,7 +148,7 @@ class CloseConfirmation:
         self.allowed = False
 
     def may_close(self, bench: Session | None) -> bool:
-        """Return whether nothing is left alone; else ask."""
+        """Return True if the window can close, else ask."""
         question = None if self.allowed or bench is None else self._question(bench)
         if question is None:
             return True
@@ -157,11 +156,11 @@ class CloseConfirmation:
         return False
 
     def draw(self, bench: Session) -> None:
-        """Keep the question true while it stands: what it asks about may have ended meanwhile."""
+        """Update the question if its subject has ended."""
         if self._asked is None or self._cards.asks is not self._asked:
             return
         now = self._question(bench) or CardQuestion(
-            ENDED_QUESTION, (("Stay", _stay), ("Close", self._close_now))
+            ENDED_QUESTION, (("Stay", lambda: None), ("Close", self._close_now))
         )
         if now.text != self._asked.text:
             self._ask(now)
@@ -172,11 +171,11 @@ class CloseConfirmation:
         elif bench.hand is not None and bench.hand.active:
             what, stay = "The bench is being moved by hand.", "Continue"
         elif bench.hand is not None and bench.hand.holding:
-            answers = (("Stay", _stay), ("Close, keep the grip", self._stop_and_close))
+            answers = (("Stay", lambda: None), ("Close, keep the grip", self._stop_and_close))
             return CardQuestion("A piece is held. Close the window?", answers)
         else:
             return None
-        answers = ((stay, _stay), ("Stop and close", self._stop_and_close))
+        answers = ((stay, lambda: None), ("Stop and close", self._stop_and_close))
         return CardQuestion(f"{what} Stop and close? The grip is kept.", answers)
 
     def _ask(self, question: CardQuestion) -> None:
@@ -190,7 +189,3 @@ class CloseConfirmation:
     def _close_now(self) -> None:
         self.allowed = True
         self._close()
-
-
-def _stay() -> None:
-    """Do nothing: it goes on."""

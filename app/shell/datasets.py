@@ -20,7 +20,7 @@ MAX_GRIDS = 16
 
 
 class ModelPrelabeller:
-    """Loads the models of each piece once. ``paths_of`` names those of a piece, or none."""
+    """Loads the models of each piece once. ``paths_of`` returns the model files of a piece."""
 
     def __init__(self, catalogue: PieceLibrary, paths_of: Callable[[str], Sequence[Path]]) -> None:
         self._catalogue, self._paths_of = catalogue, paths_of
@@ -29,26 +29,26 @@ class ModelPrelabeller:
         self._lock = threading.Lock()
 
     def __call__(self, episode: Episode, pair: Pair) -> ModelLabel | None:
-        """Return the models' displacement; None without a model, or for a bad observation."""
+        """Return the models' displacement, None without a model or for a bad observation."""
         ensemble = self.model(episode.piece)
         if ensemble is None:
             return None
         try:
             says = ensemble.judge(episode, self._grid(pair))
         except (InputError, ValueError):
-            # A dropped sample or another face: the page then shows no model, as it should.
+            # No model for a dropped sample or another face.
             return None
         return ModelLabel(says.fit, says.entropy, ensemble.weights, says.spread_mm)
 
     def model(self, piece: str) -> Ensemble | None:
-        """Return the models of a piece, None where there is none that fits."""
+        """Return the models of a piece, None if there are none."""
         with self._lock:
             if piece not in self._models:
                 self._models[piece] = self._load(piece)
             return self._models[piece]
 
     def forget(self) -> None:
-        """Load all models anew: others were chosen."""
+        """Load all models again."""
         with self._lock:
             self._models.clear()
 
@@ -58,7 +58,7 @@ class ModelPrelabeller:
             try:
                 members.append(Estimator.load(path, self._catalogue.piece(piece)))
             except InputError:
-                # One that does not fit this piece any more says nothing about it.
+                # Skip a model that does not fit this piece any more.
                 continue
         return Ensemble(members) if members else None
 
@@ -72,7 +72,7 @@ class ModelPrelabeller:
 
 @dataclass(frozen=True, slots=True)
 class OpenedDataset:
-    """``read_only``: why nothing can be saved ("" if it can)."""
+    """An open dataset. ``read_only``: why nothing can be saved, "" if it can."""
 
     dataset: Dataset
     prelabel: ModelPrelabeller
@@ -81,7 +81,7 @@ class OpenedDataset:
 
 
 def dataset_opener(folder: Path, person: str) -> Callable[[], OpenedDataset]:
-    """Return what opens ``folder``; it may take a while and runs on a thread of its own."""
+    """Return a function that opens ``folder``; it may take seconds and runs on a thread."""
 
     def open_dataset() -> OpenedDataset:
         read_only = ""
@@ -100,7 +100,7 @@ def dataset_opener(folder: Path, person: str) -> Callable[[], OpenedDataset]:
 
 
 def prelabel_models(piece: str) -> Sequence[Path]:
-    """Return the models that pre-label ``piece``: those chosen for it, else the one in use."""
+    """Return the models that pre-label ``piece``: the chosen ones, else the one in use."""
     try:
         return ModelRegistry(models_folder()).ensemble(piece) or model_path_in_use(piece)
     except InputError:
@@ -108,7 +108,7 @@ def prelabel_models(piece: str) -> Sequence[Path]:
 
 
 def model_path_in_use(piece: str) -> Sequence[Path]:
-    """Return the model in use for ``piece``, if there is one."""
+    """Return the model in use for ``piece``, None if there is none."""
     try:
         return (model_in_use(piece, ModelRegistry(models_folder())),)
     except InputError:

@@ -19,16 +19,16 @@ from touchdown.widgets.shell import CardText
 
 log = logging.getLogger("touchdown.app")
 BOX_SIZE = 64
+# Interval between log lines of a repeated text, so that it cannot fill the disk.
 REPEAT_INTERVAL_S = 5.0
-"""A text that keeps coming is written so often: a fault in every frame must fill no disk."""
 REMEMBERED_TEXTS = 64
 
 
 class RepeatFilter(logging.Filter):
-    """Lets each text through once in ``AGAIN_S``; says then how often it came in between.
+    """Passes each text once in ``AGAIN_S``, then with the number of repetitions.
 
-    A record that says where its error was raised (``raised``) counts as that, whatever its text: a
-    number in it, or that of a thread, would make each another one.
+    Records with the attribute ``raised`` are compared by it instead of their text, which may
+    contain varying numbers.
     """
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class RepeatFilter(logging.Filter):
         self._seen: OrderedDict[str, tuple[float, int]] = OrderedDict()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether ``record`` is written."""
+        """Return True if ``record`` is written."""
         text = record.getMessage()
         same = getattr(record, "raised", text)
         since_s, count = self._seen.pop(same, (-math.inf, 0))
@@ -52,13 +52,13 @@ class RepeatFilter(logging.Filter):
 
 
 class ErrorBox:
-    """Collects failures from any thread; the pump takes them out on the GUI thread."""
+    """Collects errors from any thread; the pump reads them on the GUI thread."""
 
     def __init__(self) -> None:
         self._cards: deque[CardText] = deque(maxlen=BOX_SIZE)
 
     def take(self) -> CardText | None:
-        """Take the oldest failure, or None."""
+        """Return and remove the oldest error, None without one."""
         try:
             return self._cards.popleft()
         except IndexError:
@@ -71,7 +71,7 @@ class ErrorBox:
         trace: TracebackType | None,
         where: str,
     ) -> None:
-        """Note an exception that nobody caught."""
+        """Record an uncaught exception."""
         details = "".join(traceback.format_exception(kind, error, trace))
         raised = f"{kind.__name__} {traceback.extract_tb(trace)[-1:]}"
         log.error("uncaught in %s\n%s", where, details, extra={"raised": raised})
@@ -87,7 +87,7 @@ class ErrorBox:
         )
 
     def message(self, kind: QtMsgType, context: QMessageLogContext, text: str) -> None:
-        """Note a message of Qt: warnings and worse become cards."""
+        """Record a message of Qt; warnings and worse become cards."""
         if kind in (QtMsgType.QtDebugMsg, QtMsgType.QtInfoMsg):
             log.info("Qt: %s", text)
             return
@@ -102,7 +102,7 @@ class ErrorBox:
 
 
 def install_error_hooks(box: ErrorBox) -> Callable[[], None]:
-    """Route all hooks into ``box``; call the returned function to restore the former ones."""
+    """Route all error hooks to ``box``; return the function that restores the former ones."""
     before = (sys.excepthook, threading.excepthook, sys.unraisablehook)
 
     def on_exception(
@@ -132,10 +132,10 @@ def install_error_hooks(box: ErrorBox) -> Callable[[], None]:
     return restore
 
 
+# Control characters are written as numbers.
 _SHOWN = {
     code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\t\n"
 }
-"""Control characters, which a terminal would obey, as their numbers."""
 
 
 class _EscapingFormatter(logging.Formatter):
@@ -144,7 +144,7 @@ class _EscapingFormatter(logging.Formatter):
 
 
 def log_to(folder: Path) -> Path | None:
-    """Write the log to a rotating file in ``folder``; None if it cannot be written."""
+    """Write the log to a rotating file in ``folder``; return None if it is not writable."""
     path = folder / "app.log"
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -35,15 +35,14 @@ from touchdown.widgets.plots import (
 )
 from touchdown.widgets.views import FilmTrack, PictureOutline, Reel, SceneShot, latest
 
-LIMIT_UM = 99_990
-"""No displacement that can be typed or nudged is larger than this."""
+LIMIT_UM = 99_990  # largest displacement that can be typed or nudged
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
 TYPED = re.compile(rf"\s*({NUMBER})\s*,\s*({NUMBER})\s*(?:,\s*({NUMBER})\s*)?")
 
 
 @dataclass(frozen=True, slots=True)
 class LabelDraft:
-    """``base`` is the revision that holds; ``label`` and ``source`` what would be saved."""
+    """``base`` is the stored revision; ``label`` and ``source`` are what would be saved."""
 
     base: Revision
     label: Label
@@ -51,29 +50,29 @@ class LabelDraft:
 
     @classmethod
     def of(cls, head: Revision) -> LabelDraft:
-        """Begin with what holds."""
+        """Start with the stored label."""
         return cls(head, head.label, head.source)
 
     @classmethod
     def blank(cls, head: Revision) -> LabelDraft:
-        """Begin with nothing: for an opinion that nobody's label should sway."""
+        """Start without a label, for an unbiased opinion."""
         return cls(replace(head, label=NO_LABEL, source="human"), NO_LABEL, "human")
 
     @property
     def changed(self) -> bool:
-        """Whether there is anything to save."""
+        """True if there is something to save."""
         return self.label != self.base.label
 
     @property
     def offset_mm(self) -> tuple[float, float] | None:
-        """The displacement, None where there is none."""
+        """The displacement, None without one."""
         if self.label.x_um is None or self.label.y_um is None:
             return None
         return self.label.x_um / 1e3, self.label.y_um / 1e3
 
     @property
     def sigma_mm(self) -> float:
-        """The standard uncertainty, 0 where none was told."""
+        """The standard uncertainty, 0 if unknown."""
         return (self.label.sigma_um or 0) / 1e3
 
     @property
@@ -82,22 +81,22 @@ class LabelDraft:
         return math.radians((self.label.theta_mdeg or 0) / 1e3)
 
     def nudged(self, dx_um: int, dy_um: int) -> LabelDraft:
-        """Move by whole µm, from the bottom's centre where there is no displacement yet."""
+        """Move by whole µm; without a displacement, start at the centre of the bottom."""
         return self._at((self.label.x_um or 0) + dx_um, (self.label.y_um or 0) + dy_um)
 
     def placed(self, x_mm: float, y_mm: float) -> LabelDraft:
-        """Move to a place."""
+        """Move to a position."""
         return self._at(round(x_mm * 1e3), round(y_mm * 1e3))
 
     def estimated(self, x_mm: float, y_mm: float, sigma_mm: float, source: Source) -> LabelDraft:
-        """Take what a model says, with its own uncertainty."""
+        """Use a model's estimate with its uncertainty."""
         moved = self._at(round(x_mm * 1e3), round(y_mm * 1e3))
         return replace(
             moved, label=replace(moved.label, sigma_um=round(sigma_mm * 1e3)), source=source
         )
 
     def trusted(self, sigma_mm: float) -> LabelDraft:
-        """Say how sure the person is."""
+        """Set the person's uncertainty."""
         return replace(self, label=replace(self.label, sigma_um=round(sigma_mm * 1e3)))
 
     def _at(self, x_um: int, y_um: int) -> LabelDraft:
@@ -105,15 +104,15 @@ class LabelDraft:
         theta = self.label.theta_mdeg or 0
         base = self.base.label
         if base.is_set and (x, y, theta) == (base.x_um, base.y_um, base.theta_mdeg or 0):
-            # Moved there and back: nothing was changed, neither is the source.
+            # Moved back to the start: the source stays unchanged.
             return LabelDraft.of(self.base)
-        # Another's uncertainty does not hold for what a person sets.
+        # The uncertainty of another person does not apply.
         sigma = self.label.sigma_um if self.source == "human" else None
         return replace(self, label=Label(x, y, theta, sigma), source="human")
 
 
 def parse_displacement(text: str) -> tuple[float, float, float | None]:
-    """Return x, y and (if given) sigma in mm of "x,y" or "x,y,sigma"; raises ``ValueError``."""
+    """Return x, y and optional sigma in mm from "x,y" or "x,y,sigma". Raises ``ValueError``."""
     match = TYPED.fullmatch(text)
     if match is None:
         raise ValueError("Type x,y in mm, such as 1.5,-2 (or x,y,uncertainty).")
@@ -137,7 +136,7 @@ HOMOGRAPHY = "scene_homography"
 
 @dataclass(frozen=True, slots=True)
 class SceneObservation:
-    """``images``: pressed, then lifted; ``place`` of the face in the first, None if not seen."""
+    """``images``: pressed, then lifted. ``place``: the face in the first, None if not seen."""
 
     images: tuple[ImageArray, ...]
     board: Homography
@@ -150,7 +149,7 @@ class SceneObservation:
 
 
 def scene_observation(episode: Episode, pair: Pair, face: FloatArray) -> SceneObservation | None:
-    """Return what the scene camera tells of an episode, None without picture or calibration."""
+    """Return what the scene camera recorded, None without picture or calibration."""
     text = dict(episode.metadata).get(HOMOGRAPHY)
     if episode.recording is None or not episode.recording.scene or text is None:
         return None
@@ -171,9 +170,7 @@ def scene_shots(
     *,
     hidden: bool,
 ) -> Sequence[SceneShot]:
-    """Return the pictures with the outlines (face, bottom) of the label; what was seen, unless
-    ``hidden``.
-    """
+    """Return the pictures with outlines of face and bottom; observed ones unless ``hidden``."""
     if scene is None:
         return ()
     face, bottom = outlines
@@ -185,7 +182,7 @@ def scene_shots(
         marks.append(
             PictureOutline("scene", scene.board.to_px(face + np.asarray(scene.place.offset_mm)))
         )
-    # After lifting the face is above the board: only the bottom lies in its plane.
+    # After lifting, only the bottom is in the plane of the board.
     return [SceneShot(scene.images[0], tuple(marks))] + [
         SceneShot(image, tuple(marks[:1])) for image in scene.images[1:]
     ]
@@ -193,15 +190,14 @@ def scene_shots(
 
 Outlines = tuple[FloatArray, FloatArray]
 MAX_OUTLINES = 16
+# Number of decoded pictures kept per finger.
 KEPT_PICTURES, PICTURE_BYTES = 2, 3 * 240 * 320
-"""So many decoded pictures a finger are kept: views ask for the present one again and again."""
-CURSOR_S = 2.0
-"""The end of the press says most: an episode is first shown there."""
+CURSOR_S = 2.0  # an episode is first shown at the end of the press
 
 
 @dataclass(frozen=True, slots=True)
 class LabelSheets:
-    """What the wrench is drawn on at present: forces, moments, and one over the other."""
+    """Sizes and themes of the wrench plots: forces, moments, and one against the other."""
 
     forces: TraceSheet
     moments: TraceSheet
@@ -210,7 +206,7 @@ class LabelSheets:
 
 @dataclass(frozen=True, slots=True)
 class PrerenderedItem:
-    """What was drawn before it is shown; used as long as the window has not changed."""
+    """Plots drawn in advance; used while the window has not changed."""
 
     forces: Drawn
     moments: Drawn
@@ -224,9 +220,9 @@ class PrerenderedItem:
 
 @dataclass(frozen=True, slots=True)
 class ModelLabel:
-    """What the models make of an episode; ``spread_mm`` between them.
+    """Estimate of the models; ``spread_mm`` is the spread between them.
 
-    ``weights``: hashes that name them for ever, joined by ``+``.
+    ``weights``: hashes of the models, joined by ``+``.
     """
 
     fit: OffsetFit
@@ -236,12 +232,12 @@ class ModelLabel:
 
     @property
     def source(self) -> str:
-        """The source under which such a label is kept."""
+        """Source under which such a label is stored."""
         return f"model:{self.weights}"
 
 
 class PrelabelFunction(Protocol):
-    """The model's opinion of an episode, or None where there is no model of its piece."""
+    """Returns the model's estimate of an episode, None without a model of its piece."""
 
     def __call__(self, episode: Episode, pair: Pair) -> ModelLabel | None:
         """Return the model's displacement."""
@@ -250,7 +246,7 @@ class PrelabelFunction(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class LabelItem:
-    """What does not change while an episode is labelled; ``bytes`` is its size in memory."""
+    """Unchanging data of an episode in edit; ``bytes`` is its size in memory."""
 
     entry: EpisodeEntry
     episode: Episode
@@ -262,13 +258,13 @@ class LabelItem:
     model: ModelLabel | None
     bytes: int
     scene: SceneObservation | None = None
+    # Revision judged by the other episodes of its pair, and its ``doubt``.
     doubt: tuple[str, float] | None = None
-    """Revision that was judged by the other episodes of its pair, and the score ``doubt``."""
     ahead: PrerenderedItem | None = None
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """First and last instant worth showing, after the contact onset."""
+        """First and last time to show, relative to the contact onset."""
         if self.trace is None or not len(self.trace.t_s):
             return 0.0, 2.0
         return float(self.trace.t_s[0]), float(self.trace.t_s[-1])
@@ -277,9 +273,9 @@ class LabelItem:
 def item_reader(
     dataset: Dataset, prelabel: PrelabelFunction, sheets: Callable[[], LabelSheets | None]
 ) -> Callable[[str], LabelItem]:
-    """Return the function that reads an episode of ``dataset``; it may run on any thread.
+    """Return a function that reads an episode of ``dataset``. Any thread may call it.
 
-    What does not follow from the label is drawn here, on the present ``sheets`` of the page.
+    It also draws the plots that do not depend on the label, at the sizes of ``sheets``.
     """
     outlines = lru_cache(MAX_OUTLINES)(pair_outlines)
 
@@ -295,12 +291,12 @@ def item_reader(
 
 
 def pair_outlines(pair: Pair) -> Outlines:
-    """Return the outlines (k, 2) of face and bottom; views know a pair by these very arrays."""
+    """Return the outlines (k, 2) of face and bottom. Views identify a pair by these arrays."""
     return pair.face.polygon(96), pair.bottom.polygon(96)
 
 
 def prerender(item: LabelItem, sheets: LabelSheets | None) -> LabelItem:
-    """Return the item with its first pictures decoded and its curves drawn."""
+    """Return the item with its first pictures decoded and its plots drawn."""
     first, last = item.span_s
     for track in item.reel.values():
         index = latest(track.picture_t_s, min(max(CURSOR_S, first), last))
@@ -324,7 +320,7 @@ def make_item(
     model: ModelLabel | None,
     outlines: Outlines,
 ) -> LabelItem:
-    """Put together what was read; times are counted from the contact onset."""
+    """Build an item from recorded data; times are relative to the contact onset."""
     episode, recording = film.episode, film.episode.recording
     trace, fields = None, {finger: tuple[MarkerField, ...]() for finger in FINGERS}
     if recording is not None:

@@ -25,7 +25,10 @@ LayoutKey = dict[str, ColumnArrangement]
 
 @dataclass(slots=True)
 class SavedLayouts:
-    """``present`` by workspace; ``saved``: by workspace and name. ``locked``: edges stand still."""
+    """``present`` layout by workspace; ``saved`` by workspace and name.
+
+    ``locked``: edges are fixed.
+    """
 
     locked: bool = True
     present: LayoutKey = field(default_factory=dict)
@@ -33,7 +36,7 @@ class SavedLayouts:
 
 
 def load_layouts(path: Path, now: datetime) -> tuple[SavedLayouts, str]:
-    """Return (book, notice); a file that makes no sense is moved aside whole."""
+    """Return (layouts, notice). An invalid file is moved aside."""
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -54,7 +57,7 @@ def load_layouts(path: Path, now: datetime) -> tuple[SavedLayouts, str]:
 
 
 def save_layouts(path: Path, book: SavedLayouts) -> None:
-    """Write all layouts; raises OSError."""
+    """Write all layouts. Raises ``OSError``."""
     body = {
         "version": VERSION,
         "locked": book.locked,
@@ -65,7 +68,7 @@ def save_layouts(path: Path, book: SavedLayouts) -> None:
 
 
 def copy_aside(path: Path, now: datetime) -> Path:
-    """Copy the file to a name of its own beside it and return that; raises OSError."""
+    """Copy the file to a unique name beside it and return that. Raises ``OSError``."""
     stem = f"{path.stem}-aside-{now:%Y%m%d-%H%M%S}"
     kept, count = path.with_name(f"{stem}.json"), 1
     while kept.exists():
@@ -110,9 +113,9 @@ Entry = tuple[str, Callable[[], None]]
 
 
 class LayoutsPresenter:
-    """Of the workspaces that have a page; ``tell`` shows one sentence, ``failed`` a disk's refusal.
+    """Layouts of the workspaces. ``tell`` shows a sentence, ``failed`` receives disk errors.
 
-    What is remembered of a workspace is judged, and shown, when its page comes.
+    The stored layout of a workspace is checked and applied when its page is created.
     """
 
     def __init__(
@@ -126,15 +129,15 @@ class LayoutsPresenter:
         self.book = SavedLayouts()
 
     def load(self, workspaces: Collection[str]) -> str:
-        """Read what is remembered of these workspaces; return a notice, "" if all is well."""
+        """Read the stored layouts of these workspaces; return a notice, "" if they are valid."""
         self.book, notice = load_layouts(self._path, datetime.now())
         unknown = [name for name in self.book.present if name not in workspaces]
         return self._without(dict.fromkeys(unknown, "no such workspace")) or notice
 
     def add(self, workspace: str, columns: Columns | None) -> str:
-        """Arrange a page that was just made as it was left; return a notice, "" if all is well.
+        """Apply the stored layout to a new page; return a notice, "" if it is valid.
 
-        None: the page has one arrangement.
+        Without columns the page has one fixed layout.
         """
         wanted, notice = self.book.present.get(workspace), ""
         if wanted is not None:
@@ -147,7 +150,7 @@ class LayoutsPresenter:
         return notice
 
     def remember(self) -> None:
-        """Write how all workspaces are arranged now."""
+        """Write the present layouts of all workspaces."""
         for name, columns in self._columns.items():
             self.book.present[name] = columns.arrangement()
         try:
@@ -156,16 +159,16 @@ class LayoutsPresenter:
             self._failed(error)
 
     def has(self, workspace: str) -> bool:
-        """Whether the workspace can be arranged."""
+        """Return True if the workspace can be arranged."""
         return workspace in self._columns
 
     @property
     def locked(self) -> bool:
-        """Whether the edges stand still and the panels stay."""
+        """True while edges and panels are fixed."""
         return self.book.locked
 
     def toggle_lock(self) -> None:
-        """Lock what is unlocked and the other way round."""
+        """Lock or unlock the layout."""
         self._lock(not self.book.locked)
         self._tell(
             "The layout is locked."
@@ -179,14 +182,14 @@ class LayoutsPresenter:
         return tuple(self.book.saved.get(workspace, {}))
 
     def present(self, workspace: str) -> str:
-        """Return the name of the layout that is shown, "" if it has none."""
+        """Return the name of the present layout, "" if it has none."""
         columns = self._columns[workspace]
         now = columns.arrangement()
         known = {USUAL: columns.usual, **self.book.saved.get(workspace, {})}
         return next((name for name, saved in known.items() if _same(saved, now)), "")
 
     def save(self, workspace: str, name: str) -> str:
-        """Save the present layout under ``name``; return "" or why it cannot be."""
+        """Save the present layout as ``name``; return "" or the reason of refusal."""
         name = name.strip()
         if not name or len(name) > LONGEST_NAME:
             return f"A name has 1 to {LONGEST_NAME} letters."
@@ -198,7 +201,7 @@ class LayoutsPresenter:
         return ""
 
     def choose(self, workspace: str, name: str) -> None:
-        """Show a saved layout, or the usual one."""
+        """Show a saved layout, or the default one."""
         columns = self._columns[workspace]
         wanted = columns.usual if name == USUAL else self.book.saved[workspace][name]
         wrong = columns.misfit(wanted)
@@ -209,17 +212,17 @@ class LayoutsPresenter:
         self.remember()
 
     def delete(self, workspace: str, name: str) -> None:
-        """Forget a saved layout; what is shown stays as it is."""
+        """Delete a saved layout; the present arrangement stays."""
         self.book.saved.get(workspace, {}).pop(name, None)
         self.remember()
 
     def reset(self, workspace: str) -> None:
-        """Show the layout of the first start, also while locked."""
+        """Show the default layout, also while locked."""
         if self.has(workspace):
             self.choose(workspace, USUAL)
 
     def turn_panel(self, workspace: str, title: str) -> None:
-        """Leave out a panel or bring it back; a locked layout keeps its panels."""
+        """Show or hide a panel; not possible while locked."""
         columns = self._columns[workspace]
         if self.locked:
             self._tell("The layout is locked: unlock it first.")
@@ -228,12 +231,12 @@ class LayoutsPresenter:
         self.remember()
 
     def panels(self, workspace: str) -> list[tuple[str, bool]]:
-        """Return the panels that can be left out, and whether each is shown."""
+        """Return the panels that can be hidden, with their visibility."""
         columns = self._columns[workspace]
         return [(title, not columns.hides(title)) for title in columns.panels]
 
     def entries(self, workspace: str) -> list[Entry]:
-        """Return what the palette offers for a workspace: (text, act)."""
+        """Return the palette entries of a workspace: (text, function)."""
         if not self.has(workspace):
             return []
         found: list[Entry] = [
@@ -260,7 +263,7 @@ class LayoutsPresenter:
         return f"The usual ones are used; the file is kept as {kept.name}."
 
     def _without(self, wrong: Mapping[str, str]) -> str:
-        """Forget the layouts that do not fit, by workspace with the reason; return the notice."""
+        """Remove layouts that do not fit, given with the reason; return the notice."""
         if not wrong:
             return ""
         told = ", ".join(f"{name} ({reason})" for name, reason in wrong.items())
@@ -281,7 +284,7 @@ def _same(one: ColumnArrangement, other: ColumnArrangement) -> bool:
 
 
 class LayoutMenu:
-    """``front`` names the workspace in front, ``reset`` puts its page and the window back."""
+    """Menu of the layouts. ``front`` returns the name of the workspace in front."""
 
     def __init__(
         self, window: QWidget, layouts: LayoutsPresenter, front: Callable[[], str], reset: QAction
@@ -291,14 +294,14 @@ class LayoutMenu:
         self.asker: NameDialog | None = None
 
     def show(self, beside: QWidget) -> None:
-        """Open the menu beside a button; nothing waits for it."""
+        """Open the menu beside a button, without blocking."""
         self.menu.clear()
         self._fill(self._front())
         corner = beside.mapToGlobal(QPoint(beside.width() + 4, beside.height()))
         self.menu.popup(corner - QPoint(0, self.menu.sizeHint().height()))
 
     def ask_name(self) -> None:
-        """Ask for the name of a layout and save it."""
+        """Ask for a name and save the layout."""
         front = self._front()
         if not self._layouts.has(front):
             return
@@ -335,7 +338,7 @@ class LayoutMenu:
             made.setCheckable(True)
             made.setChecked(checked)
         if act is not None:
-            # A menu hands over whether the entry is checked; the act knows by itself.
+            # Drop the checked state, which the function does not take.
             made.triggered.connect(lambda _checked=False, run=act: run())
         self.menu.addAction(made)
         return made

@@ -22,7 +22,7 @@ HEADER_PERIOD_S = 0.25
 
 @dataclass(frozen=True, slots=True)
 class LiveViews:
-    """The views of one page that follow the sensors."""
+    """The views of one page that show sensor data."""
 
     tactile: Mapping[Finger, TactileView]
     panels: Mapping[Finger, Panel | CaptionedView]
@@ -31,7 +31,7 @@ class LiveViews:
 
 
 class LivePresenter:
-    """Moves the newest samples of a bench into the views of one page."""
+    """Shows the newest samples of a bench in the views of one page."""
 
     def __init__(
         self, bench: Session, views: LiveViews, now_s: Callable[[], float] = time.monotonic
@@ -40,8 +40,7 @@ class LivePresenter:
         self._fresh = {finger: Freshness() for finger in FINGERS}
         self._wrench_fresh = Freshness()
         self._wrench_cursor = 0
-        self.paused = False
-        """Traces stand still; what arrives meanwhile is shown when they go on."""
+        self.paused = False  # traces are paused; new samples are shown on resume
         self._headers_s = float("-inf")
         self._frame_cursor = dict.fromkeys(FINGERS, 0)
         self.frames_shown = dict.fromkeys(FINGERS, 0)
@@ -62,7 +61,7 @@ class LivePresenter:
         fresh.note(stream.count, now_s)
         frames, cursor, _ = stream.since(self._frame_cursor[finger])
         if frames:
-            # Two at once are a late one and a punctual one: both are shown, one tick apart.
+            # Of two frames, one is late: show both, one tick apart.
             frame = frames[0] if len(frames) == 2 else frames[-1]
             self._frame_cursor[finger] = cursor - (len(frames) == 2)
             view.show_frame(frame, self._field_of(finger, frame))
@@ -70,13 +69,13 @@ class LivePresenter:
         view.show_age(fresh.judge(now_s), fresh.age_s(now_s), self._why_silent(finger))
 
     def _field_of(self, finger: Finger, frame: TactileFrame) -> MarkerField | None:
-        """Return the field that was tracked in this frame, else the newest one."""
+        """Return the field tracked in this frame, else the newest one."""
         stream = self._bench.fields[finger]
         same = stream.between(frame.t_s, frame.t_s)
         return same[-1] if same else stream.newest()
 
     def draw_wrench(self) -> None:
-        """Feed the traces."""
+        """Update the traces."""
         views, stream, now_s = self._views, self._bench.wrench, self._now_s()
         if not views.force.isVisible():
             return
@@ -94,14 +93,14 @@ class LivePresenter:
             self._views.moment.add(samples.t_s, samples.values[:, 3:])
 
     def show_span(self, span_s: float) -> None:
-        """Show another length of time, from what the stream still holds."""
+        """Change the time span; redraw from the samples that the stream still holds."""
         for plot in (self._views.force, self._views.moment):
             plot.show_span(span_s)
         self._wrench_cursor = 0
         self._feed()
 
     def draw_headers(self) -> None:
-        """Update the figures in the headers four times a second."""
+        """Update the numbers in the headers four times a second."""
         now_s = self._now_s()
         if now_s - self._headers_s < HEADER_PERIOD_S:
             return
@@ -136,13 +135,13 @@ class LivePresenter:
         return "The camera has sent no frame for more than 2 s."
 
 
+# Maximum share of the page height for the finger images; the traces need the rest.
 TACTILE_SHARE = 0.45
-"""The fingers take at most this share of the page's height; the traces need the rest."""
 Part = QWidget | QHBoxLayout
 
 
 class LivePage(QWidget):
-    """Makes the live views; the page itself says where they stand."""
+    """Base class of pages with live views; subclasses arrange them."""
 
     columns: Columns
 
@@ -155,23 +154,23 @@ class LivePage(QWidget):
         self.moment = TracePlot(theme, "Moment", "T", "N\N{MIDDLE DOT}m", 0.2)
 
     def show_silent(self, why: str) -> None:
-        """Say in the live views why nothing is shown yet."""
+        """Show in the live views why there are no data yet."""
         for view in self.tactile.values():
             view.show_age(Age.NEVER, 0.0, why)
         for plot in (self.force, self.moment):
             plot.show_age(Age.NEVER, 0.0, why)
 
     def heightForWidth(self, _width: int) -> int:
-        """Ask for no more than the least height: the views share what there is."""
+        """Return the minimum height, so that the views share the available height."""
         return self.minimumHeight()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Leave room for the traces."""
+        """Limit the height of the finger images."""
         super().resizeEvent(event)
         self._leave_room()
 
     def stand_in(self, columns: Columns, traces: str) -> None:
-        """Fill the page with its columns; ``traces``: title of the panel below the fingers."""
+        """Fill the page; ``traces`` is the title of the panel below the fingers."""
         self.columns, self._traces = columns, traces
         columns.arranged.connect(self._leave_room)
         row = QHBoxLayout(self)
@@ -185,12 +184,12 @@ class LivePage(QWidget):
 
 
 def limit_height(panel: Panel) -> None:
-    """Let a panel be as high as its views and no higher."""
+    """Limit the height of a panel to that of its views."""
     panel.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
 
 
 def column_of(*parts: tuple[Part, int]) -> QWidget:
-    """Return a column of (view, stretch), one below the other."""
+    """Return a column of (view, stretch)."""
     holder = QWidget()
     layout = QVBoxLayout(holder)
     layout.setContentsMargins(0, 0, 0, 0)
@@ -200,6 +199,6 @@ def column_of(*parts: tuple[Part, int]) -> QWidget:
             layout.addWidget(part, stretch)
         else:
             layout.addLayout(part, stretch)
-    # Takes what is over once the views that stretch are left out.
+    # Takes the remaining height when the stretching views are hidden.
     layout.addStretch(0)
     return holder

@@ -37,7 +37,7 @@ Offset = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class ProbeStory:
-    """What is known of one probe so far."""
+    """State of one probe."""
 
     probe: int
     offset_mm: Offset | None = None
@@ -49,7 +49,7 @@ class ProbeStory:
 
 @dataclass
 class TrialStory:
-    """One trial: its probes in order and how it ended."""
+    """One trial: its probes in order and its outcome."""
 
     trial: int
     seed: int
@@ -62,7 +62,7 @@ class TrialStory:
 
     @property
     def excuse(self) -> str:
-        """The device fault that keeps the trial out of the success rate, "" if it counts."""
+        """Device fault that excludes the trial from the success rate, "" if it counts."""
         return "" if self.finished is None else excluding_fault(self.finished, self.phase)
 
     def path(self, upto: int) -> tuple[Offset, ...]:
@@ -70,10 +70,9 @@ class TrialStory:
         return tuple(p.offset_mm for p in self.probes[:upto] if p.offset_mm is not None)
 
     def frame_shift_mm(self) -> Offset | None:
-        """Where the true bottom lies in the frame of the commanded offsets.
+        """Position of the true bottom in the frame of the commanded offsets.
 
-        The offsets are commanded ones; a grasp offset moves the piece, so that the whole map is
-        displaced by commanded minus true start.
+        A grasp offset moves the piece, so the map is displaced by commanded minus true start.
         """
         first = next((p.offset_mm for p in self.probes if p.offset_mm is not None), None)
         if first is None or self.start_mm is None:
@@ -82,10 +81,9 @@ class TrialStory:
 
 
 class RunStory:
-    """Takes facts in order; everything else is reading.
+    """State of a run, built from its events in order.
 
-    ``of_any``: of a run of any activity, as a journal holds it; else a run that does not stack is
-    passed over (a single probe leaves what the last stacking run told).
+    ``of_any``: accept runs of all activities, as in a log; else only stacking runs are followed.
     """
 
     def __init__(self, *, of_any: bool = False) -> None:
@@ -122,60 +120,60 @@ class RunStory:
         """Outcomes of the finished trials."""
         return tuple(t.finished.outcome for t in self.trials if t.finished is not None)
 
-    def take(self, fact: Event) -> None:
-        """Take the next fact."""
-        if isinstance(fact, RunStarted):
-            self._mine = self._of_any or fact.activity == "stack"
+    def take(self, event: Event) -> None:
+        """Add the next event."""
+        if isinstance(event, RunStarted):
+            self._mine = self._of_any or event.activity == "stack"
         if not self._mine:
             return
-        step = self._steps.get(type(fact))
+        step = self._steps.get(type(event))
         if step is not None:
-            step(fact)
+            step(event)
             self.version += 1
 
-    def _run_started(self, fact: RunStarted) -> None:
-        self.head, self.ended, self.awaiting, self.said = fact, None, None, ""
+    def _run_started(self, event: RunStarted) -> None:
+        self.head, self.ended, self.awaiting, self.said = event, None, None, ""
         self.trials.clear()
 
-    def _trial_started(self, fact: TrialStarted) -> None:
-        self.trials.append(TrialStory(fact.trial, fact.seed, fact.start_mm))
+    def _trial_started(self, event: TrialStarted) -> None:
+        self.trials.append(TrialStory(event.trial, event.seed, event.start_mm))
 
-    def _phase(self, fact: PhaseEntered) -> None:
+    def _phase(self, event: PhaseEntered) -> None:
         self.awaiting = None
         if self.trial is not None:
-            self.trial.phase = fact.phase
+            self.trial.phase = event.phase
 
-    def _patch(self, fact: PatchEstimated) -> None:
-        self._note(fact.probe, offset_mm=fact.offset_mm)
+    def _patch(self, event: PatchEstimated) -> None:
+        self._note(event.probe, offset_mm=event.offset_mm)
 
-    def _belief(self, fact: BeliefUpdated) -> None:
-        self._note(fact.probe, belief=fact.belief)
+    def _belief(self, event: BeliefUpdated) -> None:
+        self._note(event.probe, belief=event.belief)
 
-    def _stability(self, fact: StabilityJudged) -> None:
-        self._note(fact.probe, stability=fact.stability)
+    def _stability(self, event: StabilityJudged) -> None:
+        self._note(event.probe, stability=event.stability)
 
-    def _action(self, fact: ActionChosen) -> None:
-        self._note(fact.probe, action=fact.action, latency_ms=fact.latency_ms)
+    def _action(self, event: ActionChosen) -> None:
+        self._note(event.probe, action=event.action, latency_ms=event.latency_ms)
 
-    def _approval(self, fact: ApprovalAwaited) -> None:
-        self.awaiting = fact.action
+    def _approval(self, event: ApprovalAwaited) -> None:
+        self.awaiting = event.action
 
-    def _released(self, fact: Released) -> None:
+    def _released(self, event: Released) -> None:
         if self.trial is not None:
-            self.trial.stands, self.trial.fall = fact.stands, fact.fall
+            self.trial.stands, self.trial.fall = event.stands, event.fall
 
-    def _trial_finished(self, fact: TrialFinished) -> None:
+    def _trial_finished(self, event: TrialFinished) -> None:
         if self.trial is not None:
-            self.trial.finished = fact
+            self.trial.finished = event
 
-    def _run_finished(self, fact: RunFinished) -> None:
-        self.ended, self.awaiting = fact, None
+    def _run_finished(self, event: RunFinished) -> None:
+        self.ended, self.awaiting = event, None
 
-    def _said(self, fact: Said) -> None:
-        self.said = fact.text
+    def _said(self, event: Said) -> None:
+        self.said = event.text
 
     def _note(self, probe: int, **known: object) -> None:
-        """Add what is known to the look of ``probe`` (a repeated number replaces the older)."""
+        """Update the state of ``probe``; a repeated number replaces the older probe."""
         trial = self.trial
         if trial is None:
             return
@@ -189,7 +187,7 @@ class RunStory:
 def true_patch_outline(
     trial: TrialStory, look: ProbeStory, face: FloatArray | None, bottom: FloatArray | None
 ) -> FloatArray | None:
-    """Return the (k, 2) outline of the true overlap at a probe, None where it is not known."""
+    """Return the (k, 2) outline of the true overlap at a probe, None if unknown."""
     shift = trial.frame_shift_mm()
     if shift is None or bottom is None or face is None:
         return None
@@ -197,7 +195,7 @@ def true_patch_outline(
 
 
 def unprobed_scene(trial: TrialStory) -> BeliefScene:
-    """Return the scene of a trial without an estimate, which says whether one can still come."""
+    """Return the scene of a trial without an estimate, with the reason."""
     if trial.finished is None:
         return BeliefScene()
     return BeliefScene(empty=("No probe in this trial", "It ended before the first estimate."))
@@ -208,7 +206,7 @@ def belief_scene(
 ) -> BeliefScene:
     """Return the belief scene after probe ``index`` (from 0).
 
-    ``face``, ``bottom``: (k, 2) outlines; the true overlap is shown only after the trial.
+    ``face``, ``bottom``: (k, 2) outlines. The true overlap is shown only after the trial.
     """
     look = trial.probes[index]
     truth = None if trial.finished is None else true_patch_outline(trial, look, face, bottom)
@@ -225,8 +223,7 @@ def belief_scene(
     )
 
 
-Z_95 = 1.959964
-"""Two-sided 95 % quantile of the normal distribution."""
+Z_95 = 1.959964  # two-sided 95 % quantile of the normal distribution
 
 
 def wilson_interval(successes: int, trials: int, z: float = Z_95) -> tuple[float, float] | None:
@@ -242,9 +239,9 @@ def wilson_interval(successes: int, trials: int, z: float = Z_95) -> tuple[float
 
 
 def run_score(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
-    """Return the score of a run: aborted trials count as failures, as long as no device failed.
+    """Return the score of a run. Aborted trials count as failures.
 
-    Trials that a named device fault ended before the release are told after ``last`` instead.
+    Trials ended by a named device fault before the release are listed after ``last`` instead.
     """
     done = [trial for trial in trials if trial.finished is not None]
     outcomes = tuple(t.finished.outcome for t in done if t.finished is not None)
@@ -266,7 +263,7 @@ def run_score(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
 def face_outlines(
     catalogue: PieceLibrary, head: RunStarted | None
 ) -> tuple[FloatArray | None, FloatArray | None]:
-    """Return the (k, 2) outlines of the piece's face and of the touched bottom; None: unknown."""
+    """Return the (k, 2) outlines of the piece's face and of the touched bottom, None if unknown."""
     if head is None:
         return None, None
     return _outline(catalogue, head.piece), _outline(catalogue, head.bottom.split("+")[-1])

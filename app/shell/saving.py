@@ -58,9 +58,9 @@ class SaveWorker(QObject):
 
     finished = Signal()
 
-    def __init__(self, post: MainThreadQueue, name: str = "label-commits") -> None:
+    def __init__(self, main_thread: MainThreadQueue, name: str = "label-commits") -> None:
         super().__init__()
-        self._post = post
+        self._main_thread = main_thread
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._waiting = 0
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -92,7 +92,7 @@ class SaveWorker(QObject):
                 finish = partial(self._finish, job.done, job.work())
             except Exception as error:  # noqa: BLE001 - an unreported end would block the page
                 finish = partial(self._finish, job.failed, error)
-            self._post.put(finish)
+            self._main_thread.put(finish)
 
     def _finish(self, report: Callable[[Any], None], result: object) -> None:
         self._waiting -= 1
@@ -235,7 +235,7 @@ class SaveQueue:
     ) -> None:
         self._locked = isinstance(error, FaultError) and error.fault.code == LOCKED
         if self._locked:
-            # Each try waits for the lock by itself: no delay is needed here.
+            # Each attempt waits for the lock, so no delay is needed here.
             self._submit(coroutine, work)
             return
         self._actions.clear()

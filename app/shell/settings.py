@@ -18,10 +18,10 @@ Json = dict[str, object]
 
 @dataclass(frozen=True, slots=True)
 class WindowSettings:
-    """``geometry``: x, y, width, height of the normal window; None: not known.
+    """``geometry``: x, y, width, height of the normal window, None if unknown.
 
     ``front``: the workspace in front. ``keys``: changed keys by command. ``toured``: the tour was
-    shown. ``pages``: what each workspace remembers; the workspace itself judges that.
+    shown. ``pages``: stored settings of each workspace, validated by the workspace.
     """
 
     theme: ThemeChoice = "dark"
@@ -34,7 +34,7 @@ class WindowSettings:
 
 
 def settings_path() -> Path:
-    """Return the file: $TOUCHDOWN_CONFIG, else the XDG configuration folder."""
+    """Return the settings file: $TOUCHDOWN_CONFIG, else in the XDG configuration folder."""
     chosen = os.environ.get("TOUCHDOWN_CONFIG")
     if chosen:
         return Path(chosen) / "window.json"
@@ -43,7 +43,7 @@ def settings_path() -> Path:
 
 
 def load_settings(path: Path) -> tuple[WindowSettings, str]:
-    """Return (settings, warning); what cannot be read is replaced by its default and named."""
+    """Return (settings, warning). Unreadable values are replaced by defaults and named."""
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -66,12 +66,12 @@ def load_settings(path: Path) -> tuple[WindowSettings, str]:
 
 
 def ignored_words(names: Sequence[str]) -> str:
-    """Return the warning for fields that made no sense, "" for none."""
+    """Return the warning for invalid fields, "" for none."""
     return f"Ignored in the window settings: {', '.join(names)}." if names else ""
 
 
 def save_settings(path: Path, settings: WindowSettings) -> None:
-    """Write the settings; raises OSError."""
+    """Write the settings. Raises ``OSError``."""
     body = {"version": VERSION, **asdict(settings)}
     write_atomically(path, json.dumps(body, indent=1).encode())
 

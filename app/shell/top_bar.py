@@ -44,15 +44,14 @@ _WORDS: dict[RunState, tuple[str, Shape, Colour]] = {
     RunState.CANCELLING: ("CANCELLING", "diamond", "yellow"),
     RunState.FINISHING: ("FINISHING", "diamond", "yellow"),
 }
+# A bench without a step for longer is shown as still; setting up a scene takes longer.
 STILL_S = 1.0
-"""A bench that has made no step for so long stands still, whatever else is known of it; setting a
-scene takes longer."""
+# states in which a degraded sensor is shown; in others a card names it.
 SHOWS_DEGRADED = (RunState.IDLE, RunState.PREPARING, RunState.RUNNING)
-"""A run that pauses or ends says so; by then its card names the sensor."""
 
 
 def pill_state(bench: Session) -> PillState:
-    """Return what the pill shows for this bench now."""
+    """Return the state of the bench for the pill."""
     note = bench_caption(bench).note
     if not bench.devices:
         return PillState("NO DEVICES", "ring", "grey", note)
@@ -79,7 +78,7 @@ def pill_state(bench: Session) -> PillState:
 
 
 def _sensed(bench: Session, status: RunStatus) -> PillState | None:
-    """Return what the sensors say of the bench, None if there is nothing to say."""
+    """Return the state of the sensors, None if they are in order."""
     degraded = bench.degraded
     if status.state in SHOWS_DEGRADED and degraded:
         return PillState("DEGRADED", "bang", "yellow", _which(degraded, bench.clock_s()))
@@ -95,7 +94,7 @@ def _of_run(note: str, status: RunStatus) -> PillState:
 
 
 def _which(degraded: tuple[DegradedDevice, ...], now_s: float) -> str:
-    """Return which sensor is late or slow, and for how long."""
+    """Return the sensor that is late or slow, and since when."""
     first, *others = degraded
     for_s, more = now_s - first.since_s, f" +{len(others)}" if others else ""
     lasted = f"{for_s:.1f} s" if for_s < 1.0 else f"{for_s:.0f} s"
@@ -103,7 +102,7 @@ def _which(degraded: tuple[DegradedDevice, ...], now_s: float) -> str:
 
 
 def _standing(connection: BenchConnection) -> PillState | None:
-    """Return how far the devices of a lab are connected, None if all are."""
+    """Return the connection state of a lab's devices, None if all are connected."""
     missing, count = connection.missing(), len(connection.devices)
     if connection.busy:
         return PillState("CONNECTING", "ring", "blue", f"{count - len(missing)} of {count}")
@@ -115,7 +114,7 @@ def _standing(connection: BenchConnection) -> PillState | None:
 
 
 def _by_hand(bench: Session) -> str:
-    """Return what moves by hand, "" if nothing does."""
+    """Return what is moved by hand, "" if nothing is."""
     if bench.hand is None or not bench.hand.jog.active:
         return ""
     state = bench.hand.jog.state
@@ -134,8 +133,8 @@ def _with(note: str, status: RunStatus) -> str:
 
 
 PERIOD_S = 0.25
+# Smaller losses are shown in the tool tip only: a camera drops one in 200.
 MUCH_LOST, LEAST_LOST = 0.02, 3
-"""Losses below this share, or fewer, stand in the tool tip only: a camera drops one in 200."""
 _STATES: dict[DeviceState, ChipState] = {
     DeviceState.CLOSED: "closed",
     DeviceState.CONNECTING: "connecting",
@@ -145,7 +144,7 @@ _STATES: dict[DeviceState, ChipState] = {
 
 
 class DeviceChipsPresenter:
-    """Shows what the devices say of themselves, four times a second."""
+    """Shows the state of the devices four times a second."""
 
     def __init__(
         self, bench: Session, bar: TopBar, now_s: Callable[[], float] = time.monotonic
@@ -155,7 +154,7 @@ class DeviceChipsPresenter:
         self._drawn_s = float("-inf")
 
     def draw(self) -> bool:
-        """Update chips and modes; True when it did."""
+        """Update chips and modes; return True if it did."""
         now_s = self._now_s()
         if now_s - self._drawn_s < PERIOD_S:
             return False
@@ -174,7 +173,7 @@ class DeviceChipsPresenter:
         return True
 
     def _hardware_stop(self, safety: SafetyMode) -> str:
-        """Return what is known of it: that it stopped the arm is told, that it is free is not."""
+        """Return the hardware stop, if it is known to be active."""
         if self._bench.simulated:
             return "none"
         return "active" if safety is SafetyMode.HW_STOP else "unknown"
@@ -213,13 +212,13 @@ class DeviceChipsPresenter:
 
 
 def _is_much(health: Health) -> bool:
-    """Return whether the losses deserve a place on the chip."""
+    """Return True if the losses are shown on the chip."""
     share = health.lost / max(1, health.received + health.lost)
     return health.lost >= LEAST_LOST and share > MUCH_LOST
 
 
 def lost_samples_text(count: int, noun: str) -> str:
-    """Name what was lost: beside the count of markers a bare number reads as markers."""
+    """Return the number of lost samples with its noun."""
     return f"{count} {noun} lost" if count == 1 else f"{count} {noun}s lost"
 
 
@@ -227,13 +226,12 @@ def _arm(device: Device) -> Arm:
     return device  # type: ignore[return-value]
 
 
-START_PERCENT = 10
-"""With hardware, until the operator says otherwise."""
+START_PERCENT = 10  # initial override with hardware
 STEP_PERCENT = 10
 
 
 class SpeedOverride:
-    """Carries the choice of the top bar to the bench; ``say`` confirms it in the foot."""
+    """Applies the speed of the top bar to the bench; ``say`` confirms it in the footer."""
 
     def __init__(self, bar: TopBar, say: Callable[[str], None]) -> None:
         self._bar, self._say = bar, say
@@ -265,14 +263,14 @@ class SpeedOverride:
 
 
 class ServoSwitch:
-    """Carries the operator's wish to the arm, and shows how its motors are."""
+    """Switches the servo of the arm and shows its state."""
 
     def __init__(self, bench: Session, bar: TopBar, cards: FaultCards) -> None:
         self._bench, self._bar, self._cards = bench, bar, cards
         bar.servo.ordered = self._switch
 
     def draw(self) -> None:
-        """Show whether the motors are on, off, or unknown."""
+        """Show the state of the servo: on, off or unknown."""
         hand = self._bench.hand
         if hand is None:
             self._bar.servo.show_state(None)

@@ -36,8 +36,7 @@ from touchdown.widgets.base import (
 from touchdown.widgets.shell import BenchBanner, FaultCards, TopBar, TopOverlay
 
 MINIMUM = QSize(1280, 720)
-PAGE_EM = (74, 33)
-"""A page needs this much room, in heights of the base font; with less it scrolls."""
+PAGE_EM = (74, 33)  # minimum size of a page in heights of the base font; smaller windows scroll
 USUAL = QSize(1600, 940)
 RAIL_GAP_PX, RAIL_MARGIN_PX = 4, 8
 FOOT_OF_RAIL = (("layouts", "Layout"), ("theme", "Theme"), ("keys", "Keys"))
@@ -51,7 +50,7 @@ class WorkspaceTab(Protocol):
 
 
 class MainWindow(QMainWindow):
-    """Holds the views; ``may_close`` decides whether a close request is granted."""
+    """The main window. ``may_close`` decides on a close request."""
 
     def __init__(
         self, theme: Theme, bar: TopBar, cards: FaultCards, tabs: Sequence[WorkspaceTab]
@@ -68,7 +67,7 @@ class MainWindow(QMainWindow):
         self.rail = {name: _rail_button(text) for name, text in (*named, *FOOT_OF_RAIL)}
         self._message, self._right = ElidedLabel("muted"), label("", "small")
         self._banner = BenchBanner(theme)
-        # Until there is a bench nobody knows what to call it.
+        # The name is unknown until a bench is attached.
         self._banner.hide()
         self._arrange(bar, cards)
         self.setMinimumSize(MINIMUM)
@@ -96,7 +95,7 @@ class MainWindow(QMainWindow):
         self._foot_frame = self._foot(cards.strip)
         column.addWidget(self._foot_frame)
         self.setCentralWidget(frame)
-        # Holds the focus at the start, so that no control looks chosen before Tab is pressed.
+        # Takes the initial focus, so that no control looks selected.
         frame.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         frame.setFocus()
 
@@ -127,17 +126,17 @@ class MainWindow(QMainWindow):
         return foot
 
     def add_page(self, name: str, page: QWidget) -> None:
-        """Take the page of a workspace that was just made."""
+        """Add the page of a workspace."""
         self._pages[name], self._scrolls[name] = page, _scrolled(page)
         self._give_room(page)
         self._stack.addWidget(self._scrolls[name])
         self._fit_columns(page)
 
     def show_page(self, name: str) -> None:
-        """Bring a workspace, whose page was added, to the front."""
+        """Show the page of a workspace."""
         focus = QApplication.focusWidget()
         if focus is not None and self._stack.isAncestorOf(focus):
-            # Else the first control of the other page would look chosen.
+            # Otherwise the first control of the page would look selected.
             self._frame.setFocus()
         self.front = name
         self._stack.setCurrentWidget(self._scrolls[name])
@@ -145,23 +144,23 @@ class MainWindow(QMainWindow):
             self.rail[key].setChecked(key == name)
 
     def show_message(self, text: str) -> None:
-        """Show the last event in the foot."""
+        """Show a sentence in the footer."""
         if text != self._message.text():
             self._message.setText(text)
             self._message.setToolTip(text)
 
     def show_right(self, text: str) -> None:
-        """Show figures at the right of the foot."""
+        """Show numbers at the right of the footer."""
         self._right.setText(text)
 
     def show_bench(self, words: BenchCaption) -> None:
-        """Call the bench by its name in banner and title."""
+        """Show the name of the bench in banner and title."""
         self._banner.show_bench(words.banner, words.tip, words.striped)
         self._banner.show()
         self.setWindowTitle(words.title)
 
     def fit_to_theme(self) -> None:
-        """Draw the rail's icons in the theme's colours; larger text scrolls, it is never cut."""
+        """Redraw the icons of the rail; larger text scrolls."""
         em = QFontMetrics(ui_font(self._theme.scale)).height()
         for page in self._pages.values():
             self._give_room(page)
@@ -181,7 +180,7 @@ class MainWindow(QMainWindow):
         page.setMinimumSize(PAGE_EM[0] * em, PAGE_EM[1] * em)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Leave the icons out of the rail where there is room for its words alone."""
+        """Hide the icons of the rail where there is only room for its texts."""
         super().resizeEvent(event)
         self._fit_rail()
         for page in self._pages.values():
@@ -198,15 +197,15 @@ class MainWindow(QMainWindow):
                 return
 
     def _fit_columns(self, page: QWidget) -> None:
-        """Where a page is wider than the window its controls come first: the rest scrolls."""
-        # Pages that are not seen have not been laid out: the room follows from the window.
+        """Show the controls first where a page is wider than the window."""
+        # Hidden pages have no layout yet: use the width of the window.
         room = self.width() - self._rail_frame.sizeHint().width()
         narrow = room < page.minimumWidth()
         for columns in page.findChildren(Columns):
             columns.lead_with_controls(narrow)
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Close if granted."""
+        """Close the window if allowed."""
         if self.may_close():
             event.accept()
         else:
@@ -224,7 +223,7 @@ def _scrolled(page: QWidget) -> QScrollArea:
 
 def _rail_button(text: str) -> QToolButton:
     button = QToolButton()
-    # A long name takes two lines; a single ampersand would mark a key.
+    # A long name takes two lines; a single ampersand would mark a shortcut.
     button.setText(text.replace(" & ", " &&\n"))
     button.setProperty("role", "rail")
     button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextUnderIcon)
@@ -236,8 +235,7 @@ def _rail_button(text: str) -> QToolButton:
 
 
 STEP = 0.1
-SETTLE_MS = 80
-"""Keys pressed within this time change the window once. STOP must not wait for eight changes."""
+SETTLE_MS = 80  # key presses within this time change the window once, so that STOP need not wait
 ThemeChoice = ThemeName | Literal["system"]
 CHOICES: tuple[ThemeChoice, ...] = (*THEMES, "system")
 _WORDS: dict[ThemeChoice, str] = {
@@ -255,7 +253,7 @@ class Appearance(QObject):
         self._application = application
         self.choice: ThemeChoice = choice
         self.theme = Theme()
-        self.refit: Callable[[], None] = _ignore_refit
+        self.refit: Callable[[], None] = lambda: None
         self.theme.choose(application, self._name(), scale)
         self._wanted_scale = self.theme.scale
         self._window: QWidget | None = None
@@ -266,25 +264,25 @@ class Appearance(QObject):
         application.styleHints().colorSchemeChanged.connect(self._follow)
 
     def dress(self, window: QWidget) -> None:
-        """Show the theme on a window that was just made."""
+        """Apply the theme to a new window."""
         self._window = window
         self.show(self.choice, self.theme.scale)
 
     def show(self, choice: ThemeChoice, scale: float) -> None:
-        """Switch to a theme and a font scale (0.8 to 2)."""
+        """Change theme and font scale (0.8 to 2)."""
         self.choice = choice
         self.theme.apply(self._application, self._name(), scale, self._window)
         self._wanted_scale = self.theme.scale
         self.refit()
 
     def next_theme(self) -> None:
-        """Switch to the next theme."""
+        """Change to the next theme."""
         at = CHOICES.index(self.choice)
         self.choice = CHOICES[(at + 1) % len(CHOICES)]
         self._settled.start()
 
     def words(self) -> str:
-        """Return what is chosen, and what the desktop asks for if that is followed."""
+        """Return the chosen theme; for "system" also that of the desktop."""
         if self.choice != "system":
             return _WORDS[self.choice]
         return f"{_WORDS[self.choice]} ({_WORDS[self._name()]})"
@@ -294,7 +292,7 @@ class Appearance(QObject):
         self._step(STEP)
 
     def smaller(self) -> None:
-        """Make all text smaller by a tenth of the base size."""
+        """Reduce all text by a tenth of the base size."""
         self._step(-STEP)
 
     def _step(self, step: float) -> None:
@@ -313,9 +311,9 @@ class Appearance(QObject):
 
 
 def system_theme(application: QApplication) -> ThemeName:
-    """Return what the desktop asks for; dark where it says nothing."""
+    """Return the theme of the desktop; dark if unknown."""
     hints = application.styleHints()
-    # Qt tells the wish for contrast since 6.10.
+    # Qt reports high contrast since 6.10.
     if hasattr(hints, "accessibility"):
         wish = hints.accessibility().contrastPreference()
         if wish is Qt.ContrastPreference.HighContrast:
@@ -323,18 +321,13 @@ def system_theme(application: QApplication) -> ThemeName:
     return "light" if hints.colorScheme() is Qt.ColorScheme.Light else "dark"
 
 
-def _ignore_refit() -> None:
-    """Refit nothing: there is no window yet."""
-
-
-GRIP_PX = QSize(120, 30)
-"""So much of the upper edge has to be on a screen."""
+GRIP_PX = QSize(120, 30)  # part of the upper edge that must be on a screen
 
 
 def move_on_screen(window: QRect, screens: Sequence[QRect]) -> QRect:
-    """Return ``window``; put into the nearest screen where it cannot be taken hold of.
+    """Return ``window``, moved to the nearest screen if it cannot be reached.
 
-    So is one that is larger than all screens together: STOP stands at its right edge.
+    This includes a window larger than all screens: STOP is at its right edge.
     """
     if not screens:
         return window

@@ -14,17 +14,16 @@ from touchdown.backend.core import Event
 from touchdown.widgets.base import Columns, Theme
 from touchdown.widgets.shell import FaultCards
 
-Memory = Mapping[str, object]
-"""What a workspace remembers from one start to the next, JSON-ready."""
+Memory = Mapping[str, object]  # stored settings of a workspace, JSON-ready
 
 
 @dataclass(frozen=True, slots=True)
 class WindowCommand:
-    """One thing to do: a row of the key sheet, an entry of the palette, a key that can be changed.
+    """One command: a row of the key sheet and an entry of the palette, with a configurable key.
 
-    A key without Ctrl, Alt or function key is off while a text field has the focus; "" is no key.
-    ``repeats``: a held key acts again and again (only for what moves nothing). ``beside``: it acts
-    also while a question stands on the page.
+    A key without Ctrl, Alt or a function key is off while a text field has the focus; "" is no key.
+    ``repeats``: the command repeats while the key is held (only for commands that move nothing).
+    ``beside``: the command is available while the page shows a question.
     """
 
     name: str
@@ -37,10 +36,10 @@ class WindowCommand:
 
 @dataclass(frozen=True, slots=True)
 class WorkspaceContext:
-    """What the frame lends to its workspaces. ``runs`` is the folder of the recorded runs.
+    """Services of the window for its workspaces. ``runs`` is the folder of the recorded runs.
 
-    ``say`` shows a sentence in the foot, ``go`` brings a workspace to the front by name, ``keys``
-    shows the key sheet, ``remember`` writes the settings now: a crash does not ask first.
+    ``say`` shows a sentence in the footer, ``go`` shows a workspace by name, ``keys`` shows the key
+    sheet, ``remember`` writes the settings at once, so that a crash does not lose them.
     """
 
     theme: Theme
@@ -53,71 +52,68 @@ class WorkspaceContext:
 
 
 class LazyPages(Protocol):
-    """A page whose parts can be put into the window one after the other."""
+    """A page whose parts can be added to the window one by one."""
 
     def take_out(self) -> None:
-        """Take the parts out of the page."""
+        """Remove the parts from the page."""
 
     def put_back(self) -> Iterator[None]:
-        """Put them back, one at a time."""
+        """Add the parts again, one per step."""
 
 
 class Workspace:
-    """One tab of the window: a page, its commands, and how it follows the bench.
+    """One tab of the window: a page, its commands, and its reaction to the bench.
 
-    Until it is first asked for it has a name and commands, but no page: most visits to the window
-    see one or two of them. All is called on the window's thread and must return at once. The
-    defaults do nothing.
+    A workspace has a name and commands from the start; its page is built when it is first needed.
+    All methods are called on the thread of the window and must return at once. The defaults do
+    nothing.
     """
 
-    name: str
-    """One word, used in files."""
-    title: str
-    """What the rail says."""
+    name: str  # one word, used in files
+    title: str  # text in the rail
     key: str
     page: QWidget
     commands: Sequence[WindowCommand] = ()
+    # (key, text) of keys that act while they are held; the page handles them itself.
     held_keys: Sequence[tuple[str, str]] = ()
-    """(key, text) of keys that act while they are held; the page handles them itself."""
-    columns: Columns | None = None
-    """What of the page can be arranged; None: nothing."""
-    pieces: LazyPages | None = None
-    """What of the page is put into the window piece by piece; None: all at once, it is small."""
+    columns: Columns | None = None  # arrangeable columns of the page, None for a fixed layout
+    # Parts that are added to the window one by one, None to add the page at once.
+    lazy_pages: LazyPages | None = None
+    # Functions that draw the page in steps of a few ms, while it is in front.
     parts: Sequence[Callable[[], None]] = ()
-    """What draws the page, in pieces of few ms; called in turn while the page is in front."""
 
     def build(self) -> Iterator[None]:
-        """Make the page, in pieces of some ms; called once, before anything below."""
+        """Create the page in steps of some ms. Called once, before the methods below."""
         yield
 
     def attach(self, bench: Session) -> None:
-        """Take a bench that is ready."""
+        """Connect to a bench."""
 
-    def take(self, fact: Event) -> None:
-        """Take one fact of the bench, also while another page is in front."""
+    def take(self, event: Event) -> None:
+        """Handle one event of the bench, also while another page is in front."""
 
     def show_waiting(self, word: str, why: str) -> None:
-        """Say why there is no bench yet."""
+        """Show why no bench is connected yet."""
 
     def enter(self) -> None:
-        """Come to the front."""
+        """Handle that the page comes to the front."""
 
     def leave(self) -> None:
-        """Go behind another page: end whatever must not go on unseen."""
+        """Handle that another page comes to the front: end what must not go on unseen."""
 
     def fit_to_theme(self) -> None:
-        """Take the sizes and icons of the theme, which changed."""
+        """Apply the sizes and icons of the theme."""
 
     def reset_layout(self) -> None:
-        """Put the page back as it was at the first start."""
+        """Restore the default layout."""
 
     def memory(self) -> Memory:
-        """Return what to remember."""
+        """Return the settings to store."""
         return {}
 
     def recall(self, memory: Memory) -> Sequence[str]:
-        """Take what was remembered; return the names of fields that make no sense."""
+        """Restore stored settings; return the names of invalid fields."""
         return ()
 
     def close(self) -> None:
-        """End what runs beside the window."""
+        """End threads and timers."""

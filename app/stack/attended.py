@@ -36,41 +36,43 @@ from touchdown.backend.runs import (
 from touchdown.widgets.shell import CardText, FaultCards
 from touchdown.widgets.views import OffsetScene, TrialPrompt
 
+# Events after which no question is open.
 _OVER = PhaseEntered | Released | TrialStarted | TrialFinished | RunFinished
-"""After one of these nothing is asked any more."""
 
 
 class OperatorPromptsPresenter:
-    """Shows one question at a time; the answer goes to the run."""
+    """Shows one question of the run at a time and returns the answer."""
 
     def __init__(self, bench: Session, page: StackPage, cards: FaultCards) -> None:
         self._bench, self._page, self._cards = bench, page, cards
         self._asked: TrialPrompt | None = None
         self._mine = False
-        self._post = MainThreadQueue(page)
+        self._main_thread = MainThreadQueue(page)
         self._files: SaveWorker | None = None
 
-    def take(self, fact: Event) -> None:
-        """Follow the runs that stack."""
-        if isinstance(fact, RunStarted):
-            self._mine = fact.activity == "stack"
+    def take(self, event: Event) -> None:
+        """Follow the stacking runs."""
+        if isinstance(event, RunStarted):
+            self._mine = event.activity == "stack"
         if not self._mine:
             return
-        if isinstance(fact, SetUpAwaited):
+        if isinstance(event, SetUpAwaited):
             self._ask(
                 TrialPrompt(
-                    "Set the scene", scene_to_set_message(fact), "Ready  Y", self._scene(fact)
+                    "Set the scene", scene_to_set_message(event), "Ready  Y", self._scene(event)
                 )
             )
-        elif isinstance(fact, HandOverAwaited):
-            self._ask(TrialPrompt("Hand the piece over", hand_over_message(fact), "It is there  Y"))
-        elif isinstance(fact, OutcomeAwaited):
-            self._ask(TrialPrompt("What became of it?", fact.why, proposed=fact.proposed))
-        elif isinstance(fact, _OVER):
+        elif isinstance(event, HandOverAwaited):
+            self._ask(
+                TrialPrompt("Hand the piece over", hand_over_message(event), "It is there  Y")
+            )
+        elif isinstance(event, OutcomeAwaited):
+            self._ask(TrialPrompt("What became of it?", event.why, proposed=event.proposed))
+        elif isinstance(event, _OVER):
             self._ask(None)
 
     def confirm(self) -> None:
-        """Say yes to what is asked: ready, or the outcome that is proposed."""
+        """Confirm the question: ready, or the proposed outcome."""
         if self._asked is None:
             return
         if self._asked.proposed is not None:
@@ -79,7 +81,7 @@ class OperatorPromptsPresenter:
             self.answer(True)
 
     def answer(self, yes: bool) -> None:
-        """Say whether the scene is set, or the hand there."""
+        """Answer if the scene is set or the hand is in place."""
         if self._asked is not None and self._asked.proposed is None:
             self._ask(None)
             self._bench.answer(yes)
@@ -90,7 +92,7 @@ class OperatorPromptsPresenter:
             self._page.trial.judge(outcome)
 
     def judge(self, outcome: Outcome, reason: str) -> None:
-        """Say what became of the piece."""
+        """Report the outcome of the trial."""
         if self._asked is not None and self._asked.proposed is not None:
             self._ask(None)
             self._bench.gate.see(outcome, reason)
@@ -107,10 +109,10 @@ class OperatorPromptsPresenter:
         dialog.open()
 
     def add_photo(self, source: Path) -> None:
-        """Keep a picture of this trial beside the journal of its run."""
+        """Store a picture of this trial beside the log of its run."""
         run, trial = self._bench.run_folder, self._bench.status().trial
         if self._files is None:
-            self._files = SaveWorker(self._post, "photos")
+            self._files = SaveWorker(self._main_thread, "photos")
 
         def work() -> str:
             if run is None:
@@ -122,11 +124,11 @@ class OperatorPromptsPresenter:
         self._files.submit(work, self._page.trial.detail.setText, self._refused)
 
     def close(self) -> None:
-        """End the thread of the pictures."""
+        """End the thread that stores pictures."""
         if self._files is not None:
             self._files.close()
             self._files = None
-        self._post.close()
+        self._main_thread.close()
 
     # -- inside -----------------------------------------------------------------------------------
 

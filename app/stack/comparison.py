@@ -31,43 +31,42 @@ from touchdown.widgets.views import (
     success_rate_text,
 )
 
-MAX_QUESTIONS = 4
-"""So many questions are kept, with the last belief map of each trial."""
+MAX_QUESTIONS = 4  # number of kept questions, with the last belief map of each trial
+# Piece, bottoms joined by "+", seed, trials: everything but the strategy.
 StackQuestion = tuple[str, str, int, int]
-"""Piece, bottoms joined by "+", seed, trials: all but the strategy."""
 
 
 def stack_question(request: StackRequest) -> StackQuestion:
-    """Return what a request asks, whichever the strategy."""
+    """Return the question of a request, without its strategy."""
     return request.piece, "+".join(request.bottoms), request.seed, request.trials
 
 
 def strategy_by_name(name: str) -> StrategyChoice | None:
-    """Return the strategy of this name; None if there is none."""
+    """Return the strategy with this name, None without one."""
     names: tuple[StrategyChoice, ...] = get_args(StrategyChoice)
     return next((known for known in names if known == name), None)
 
 
 class StrategyRuns:
-    """Keeps one story per question and strategy: the newest."""
+    """Keeps the newest run of each strategy by question."""
 
     def __init__(self) -> None:
         self._stories: OrderedDict[StackQuestion, dict[StrategyChoice, RunStory]] = OrderedDict()
         self._present: RunStory | None = None
 
-    def take(self, fact: Event) -> None:
-        """Take the next fact."""
-        if isinstance(fact, RunStarted):
-            self._begin(fact)
+    def take(self, event: Event) -> None:
+        """Add the next event."""
+        if isinstance(event, RunStarted):
+            self._begin(event)
         if self._present is not None:
-            self._present.take(fact)
-            if isinstance(fact, TrialFinished) and self._present.trial is not None:
-                # The maps before the last are the story of another view, and 40 kB each.
+            self._present.take(event)
+            if isinstance(event, TrialFinished) and self._present.trial is not None:
+                # Keep only the last map: each takes 40 kB.
                 probes = self._present.trial.probes
                 probes[:-1] = [replace(look, belief=None) for look in probes[:-1]]
 
     def story(self, question: StackQuestion, strategy: StrategyChoice) -> RunStory | None:
-        """Return the newest run of a strategy, also one in progress; None if there was none."""
+        """Return the newest run of a strategy, None if there was none."""
         return self._stories.get(question, {}).get(strategy)
 
     def _begin(self, head: RunStarted) -> None:
@@ -89,7 +88,7 @@ NO_MAP = BeliefScene(empty=("No belief", "This strategy lets go without a probe.
 
 
 class ComparisonPresenter:
-    """``request`` returns what the form asks; ``start`` begins a run and shows a refusal itself."""
+    """Compares strategies. ``request`` returns the request of the form; ``start`` starts a run."""
 
     def __init__(
         self,
@@ -106,12 +105,12 @@ class ComparisonPresenter:
         self._drawn: tuple[object, ...] = ()
         self.sheet: ComparisonSheet | None = None
 
-    def take(self, fact: Event) -> None:
+    def take(self, event: Event) -> None:
         """Follow all runs, also while the sheet is closed."""
-        self._rivals.take(fact)
+        self._rivals.take(event)
 
     def open(self, window: QWidget) -> None:
-        """Compare what the form asks now."""
+        """Compare the strategies for the request of the form."""
         if self.sheet is None:
             self.sheet = ComparisonSheet(
                 window, self._theme, self.run_missing, self._choose, self._compare_with
@@ -128,14 +127,14 @@ class ComparisonPresenter:
         self.draw()
 
     def run_missing(self) -> None:
-        """Run each strategy that has not answered yet, one after the other."""
+        """Run each strategy that has no result yet, one after the other."""
         if self._question is not None and not self._waiting and not is_run_active(self._bench):
             missing = self._missing(self._question)
             self._waiting = missing or list(self._pair)
             self._next()
 
     def draw(self) -> None:
-        """Go on with the next strategy; show what changed."""
+        """Start the next strategy and update the sheet."""
         if self._waiting and not is_run_active(self._bench):
             self._next()
         if self.sheet is None or not self.sheet.isVisible() or self._question is None:
@@ -160,7 +159,7 @@ class ComparisonPresenter:
     # -- inside -----------------------------------------------------------------------------------
 
     def _next(self) -> None:
-        """Start the next strategy; a run that did not end well ends the series."""
+        """Start the next strategy; a run that did not finish ends the series."""
         assert self._question is not None
         question = stack_question(self._question)
         before = [s for s in self._pair if s not in self._waiting]
@@ -224,7 +223,7 @@ class ComparisonPresenter:
         return belief_scene(trial, felt[-1], *face_outlines(self._bench.catalogue, story.head))
 
     def _compare_with(self, name: str) -> None:
-        """Put another strategy on the right; what it answered in this session is shown at once."""
+        """Show another strategy on the right, with its result of this session."""
         rival = strategy_by_name(name)
         if rival is not None and not self._waiting:
             self._pair = self._pair[0], rival
@@ -236,12 +235,12 @@ class ComparisonPresenter:
 
 
 def compared_strategies(request: StackRequest) -> tuple[StrategyChoice, StrategyChoice]:
-    """Return the paper's strategy and the chosen one; letting go where that is the paper's."""
+    """Return the paper's strategy and the chosen one, or the blind one if both are equal."""
     return "paper", BLIND if request.strategy == "paper" else request.strategy
 
 
 def _other_strategies(*, simulated: bool) -> list[tuple[str, str]]:
-    """Return what can stand on the right; on devices nothing is let go untested."""
+    """Return the strategies for the right side; on devices only those that probe."""
     left_out = {"paper"} if simulated else {"paper", BLIND}
     return [(key, title) for key, title in STRATEGIES if key not in left_out]
 
@@ -251,7 +250,7 @@ def _answered(story: RunStory | None) -> bool:
 
 
 def _words(trial: TrialStory) -> tuple[str, bool | None]:
-    """Return how a trial went and whether that is good (None: it still goes on)."""
+    """Return the result of a trial and if it is good (None while it continues)."""
     done = trial.finished
     if done is None:
         return f"{trial.phase or 'begun'} \N{HORIZONTAL ELLIPSIS}", None

@@ -23,8 +23,7 @@ from touchdown.widgets.views import (
 )
 
 TRACES, SIDE = "Force and moment", "Bench from the side"
-SIDE_PX = 150
-"""The side view needs this height."""
+SIDE_PX = 150  # minimum height of the side view
 
 
 class StackPage(LivePage):
@@ -64,17 +63,17 @@ class StackPage(LivePage):
         self._arrange()
 
     def fit_to_theme(self) -> None:
-        """Give the controls the width that their text needs."""
+        """Set the widths of the controls for the size of the text."""
         em = QFontMetrics(ui_font(self._theme.scale)).height()
         self._right.setMinimumWidth(round(16.5 * em))
 
     def show_waiting(self, verdict: str, why: str) -> None:
-        """Say why nothing is shown yet, wherever something will be shown."""
+        """Show why there are no data yet."""
         self.show_silent(why)
         self.decision.show_text(DecisionText(verdict, "", "", why))
 
     def show_trial(self, look: TrialPrompt | None) -> None:
-        """Show what the operator is asked; a picture takes the place of the belief map."""
+        """Show a question to the operator; its picture replaces the belief map."""
         self.trial.show_look(look)
         if look is not None and look.yes:
             self.decision.show_text(DecisionText("Your turn", "", "", look.title + "."))
@@ -84,12 +83,12 @@ class StackPage(LivePage):
         self.belief_panel.setVisible(not pictured and not self.columns.hides("Belief map"))
 
     def _leave_room(self) -> None:
-        """Leave out the side view where the controls need its room."""
+        """Hide the side view where the controls need its room."""
         super()._leave_room()
         score_px = 0 if self.columns.hides("Trials") else self.score.sizeHint().height()
         room = self.height() > self.run.sizeHint().height() + score_px + SIDE_PX
         self.side_panel.setVisible(room and not self.columns.hides(SIDE))
-        # Without the side view the trials take its room: all columns end in one line.
+        # Without the side view the trials fill the column.
         layout = self._right.layout()
         assert isinstance(layout, QVBoxLayout)
         layout.setStretchFactor(self.score, int(self.side_panel.isHidden()))

@@ -35,24 +35,24 @@ from touchdown.widgets.views import (
 )
 
 PRESSING = frozenset({"press", "hold"})
+# Text above the map of a trial without an estimate while its run is stopped.
 HELD_UP = {
     RunState.PAUSING: ("Pausing", "The arm lifts, then stands until you resume."),
     RunState.PAUSED: ("Paused", "The arm is lifted. Resume goes on."),
     RunState.CANCELLING: ("Cancelling", "The arm lifts; the grip is kept."),
 }
-"""What stands above the map of a trial without an estimate while its run does not go on."""
 RELEASED = frozenset({Outcome.PLACED, Outcome.FELL, Outcome.KNOCKED_OVER})
 
 
 class StackPresenter:
-    """Holds the story of the present run and shows it."""
+    """Follows the present run and shows it."""
 
     def __init__(self, bench: Session, page: StackPage, cards: FaultCards) -> None:
         self._bench, self._page, self._cards = bench, page, cards
         self.story = RunStory()
-        self._pieces = (self._draw_decision, self._draw_map, self._draw_strip, self._draw_score)
-        self._shown_versions = [-1] * len(self._pieces)
-        self._next_piece = 0
+        self._parts = (self._draw_decision, self._draw_map, self._draw_strip, self._draw_score)
+        self._shown_versions = [-1] * len(self._parts)
+        self._next_part = 0
         self._chosen: int | None = None
         self._scenes: dict[tuple[int, int, bool], tuple[ProbeStory, BeliefScene]] = {}
         self._buttons: RunButtons | None = None
@@ -62,13 +62,13 @@ class StackPresenter:
     # -- orders -----------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Begin the run that is filled in."""
+        """Start the run of the form."""
         if not is_run_active(self._bench):
             self.show_model()
             self.begin(stack_request(self._page.run.form()))
 
     def begin(self, request: StackRequest) -> bool:
-        """Begin a run; False, with a card, if it is refused."""
+        """Start a run; return False and show a card if it is refused."""
         try:
             self._bench.start(request)
         except RefusedError as error:
@@ -84,69 +84,69 @@ class StackPresenter:
         return False
 
     def pause_or_resume(self) -> None:
-        """Pause, or go on."""
+        """Pause or resume the run."""
         if self._bench.status().state in (RunState.PAUSED, RunState.PAUSING):
             self._bench.engine.resume()
         else:
             self._bench.engine.pause()
 
     def cancel(self) -> None:
-        """End the run in an orderly way."""
+        """End the run in order."""
         self._bench.engine.cancel()
 
     def approve(self) -> None:
-        """Carry out the move that waits."""
+        """Execute the proposed move."""
         if self._bench.status().awaiting is not None:
             self._bench.answer(True)
 
     def decline(self) -> None:
-        """Do not carry it out."""
+        """Reject the proposed move."""
         if self._bench.status().awaiting is not None:
             self._bench.answer(False)
 
     def choose(self, index: int) -> None:
-        """Look back at a probe; the newest one follows the run again."""
+        """Show an earlier probe; choosing the newest one follows the run again."""
         trial = self._shown_trial()
         last = len(trial.probes) - 1 if trial is not None else 0
         self._chosen = None if index >= last else index
-        self._shown_versions = [-1] * len(self._pieces)
+        self._shown_versions = [-1] * len(self._parts)
 
     # -- showing ----------------------------------------------------------------------------------
 
     def show_model(self) -> None:
-        """Say which model a run of the filled in form would take; read anew, it may be another."""
+        """Show the model that a run of the form would use."""
         form = self._page.run.form()
         words = run_model_caption(form.piece, form.strategy)
         self._page.run.show_model(words.short, words.full)
 
-    def take(self, fact: Event) -> None:
-        """Take one fact (drawn with the next tick)."""
+    def take(self, event: Event) -> None:
+        """Handle one event; it is drawn with the next tick."""
         trials = len(self.story.trials)
-        self.story.take(fact)
+        self.story.take(event)
         if len(self.story.trials) != trials:
             self._chosen = None
             self._scenes.clear()
 
     def draw(self) -> None:
-        """Show what changed, one part of the page a call: Qt lays out and paints each anew."""
+        """Redraw what changed, one part of the page per call, as Qt lays out each part again."""
         status = self._bench.status()
         self._draw_buttons(status)
         if status.awaiting is not None and self._shown_versions[0] != self.story.version:
-            # Whoever is asked sees what is asked about, however late the other parts come.
+            # Draw what a question is about before the question.
             self._shown_versions[0] = self.story.version
             self._draw_decision()
         self._draw_question(status)
         if status.state is not self._state:
             self._state = status.state
             self._shown_versions[0] = -1
-        for _ in self._pieces:
-            piece = self._next_piece
-            self._next_piece = (piece + 1) % len(self._pieces)
+        for _ in self._parts:
+            piece = self._next_part
+            self._next_part = (piece + 1) % len(self._parts)
             if self._shown_versions[piece] != self.story.version:
                 self._shown_versions[piece] = self.story.version
-                self._pieces[piece]()
+                self._parts[piece]()
                 return
-        self._next_piece = 0
+        self._next_part = 0
 
     def _draw_buttons(self, status: RunStatus) -> None:
         active = status.state in ACTIVE_STATES
@@ -180,14 +180,14 @@ class StackPresenter:
             self._page.decision.show_question(asking, button)
 
     def _has_heard(self, status: RunStatus) -> bool:
-        """Whether the decision on the newest estimate has come: facts are behind the status."""
+        """Return True if the decision on the newest estimate has arrived; events lag the status."""
         trial = self.story.trial
         newest = trial.probes[-1] if trial is not None and trial.probes else None
         decided = newest is not None and newest.action is not None
         return not status.felt or (decided and newest is not None and newest.probe >= status.felt)
 
     def _shown_trial(self) -> TrialStory | None:
-        """Return the newest trial; until it has a map, the one before stays with its outcome."""
+        """Return the newest trial; until it has a map, the previous one stays."""
         trials = self.story.trials
         if len(trials) < 2 or trials[-1].finished is not None:
             return self.story.trial
@@ -243,7 +243,7 @@ class StackPresenter:
         self._page.strip.show_probes(shown, self._index(trial))
 
     def _index(self, trial: TrialStory) -> int:
-        """Return which of its probes is shown: the chosen one, else the newest."""
+        """Return the index of the shown probe: the chosen one, else the newest."""
         return len(trial.probes) - 1 if self._chosen is None else self._chosen
 
     def _decision(self, look: ProbeStory) -> DecisionText:
@@ -259,7 +259,7 @@ class StackPresenter:
     def _ended(self, done: TrialFinished) -> DecisionText:
         placed = done.outcome is Outcome.PLACED
         mark = "\N{CHECK MARK}" if placed else "\N{MULTIPLICATION X}"
-        # Without a release the margin is no part of the outcome: nothing stood or fell by it.
+        # Without a release the margin is not part of the outcome.
         margin = ""
         if done.outcome in RELEASED and done.margin_mm is not None:
             margin = signed_mm(done.margin_mm)

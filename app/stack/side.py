@@ -33,14 +33,12 @@ from touchdown.widgets.views import (
     rotation,
 )
 
-HOLD_S = 3.0
-"""So long after a release its end stays in view, also when the next trial has begun."""
-EVERY = 2
-"""Drawn on every second tick: 15 pictures a second are smooth for an arm."""
+HOLD_S = 3.0  # time for which the end of a release stays visible, also into the next trial
+EVERY = 2  # draw every second tick: 15 pictures a second look smooth
 
 
 class SideViewPresenter:
-    """Follows the arm; after a release the piece stays or falls where it was let go."""
+    """Shows the arm from the side; after a release also the motion of the piece."""
 
     def __init__(
         self,
@@ -59,31 +57,31 @@ class SideViewPresenter:
         self._stands: bool | None = None
         self._tick = self._trial = self._let_go_in = 0
 
-    def take(self, fact: Event) -> None:
-        """Note what is in the scene and what was let go."""
-        if isinstance(fact, RunStarted):
-            self._piece = self._known(fact.piece)
-            names = fact.bottom.split("+")
+    def take(self, event: Event) -> None:
+        """Update scene and released piece."""
+        if isinstance(event, RunStarted):
+            self._piece = self._known(event.piece)
+            names = event.bottom.split("+")
             self._stand_on([p for p in map(self._known, names) if p is not None])
             self._let_go = None
-        elif isinstance(fact, TrialStarted):
-            self._trial = fact.trial
-        elif isinstance(fact, PhaseEntered) and fact.phase == "rise":
+        elif isinstance(event, TrialStarted):
+            self._trial = event.trial
+        elif isinstance(event, PhaseEntered) and event.phase == "rise":
             self._leave()
-        elif isinstance(fact, Released):
+        elif isinstance(event, Released):
             if self._let_go is None or self._let_go_in != self._trial:
                 self._leave()
-            self._stands, self._fall, self._fall_s = fact.stands, fact.fall, self._now_s()
+            self._stands, self._fall, self._fall_s = event.stands, event.fall, self._now_s()
 
     def _leave(self) -> None:
-        """Leave the piece where it is while the hand rises."""
+        """Leave the piece in place while the hand rises."""
         held = self._held()
         self._let_go = None if held is None else replace(held, z_mm=0.0)
         self._let_go_in, self._stands, self._fall = self._trial, None, None
         self._fall_s = self._now_s()
 
     def draw(self) -> None:
-        """Show the present scene."""
+        """Redraw the scene."""
         self._tick += 1
         if not self._view.isVisible() or self._piece is None or self._tick % EVERY:
             return
@@ -113,7 +111,7 @@ class SideViewPresenter:
         )
 
     def _span(self, piece: SideBody) -> tuple[float, float]:
-        """Return how far to look to either side so that the fallen piece is in the picture."""
+        """Return the half width of the view that includes the fallen piece."""
         last = self._fallen(piece, at_end=True)
         x = np.concatenate([part[:, 0] for part in last.outlines_mm()])
         return min(-30.0, float(x.min()) - 8.0), max(30.0, float(x.max()) + 8.0)
@@ -146,7 +144,7 @@ class SideViewPresenter:
                         piece.height_mm, x_mm, z_mm, turn)  # fmt: skip
 
     def _turn(self) -> Quaternion:
-        """Return by how much the hand is rotated from straight down."""
+        """Return the rotation of the hand from straight down."""
         device = self._bench.devices.get("arm")
         if device is None:
             return UPRIGHT
@@ -170,8 +168,8 @@ class SideViewPresenter:
     def _fallen(self, still: SideBody, *, at_end: bool = False) -> SideBody:
         """Return a body along its recorded fall; unmoved without a record.
 
-        The record holds the centre of each body's lower face in m and its quaternion. It knows the
-        piece by its lower outline alone: drawn with its wider upper part it is raised until
+        The record holds the centre of each body's lower face in m and its quaternion. It knows only
+        the lower outline of the piece: drawn with its wider upper part, the piece is raised until
         nothing is below the table.
         """
         fall = self._fall
@@ -188,7 +186,7 @@ class SideViewPresenter:
         return replace(moved, z_mm=moved.z_mm + max(0.0, self._table_mm - lowest))
 
     def _stand_on(self, pieces: list[Piece]) -> None:
-        """Note the bottoms, given from the table up; z = 0 is the top of the last one."""
+        """Set the bottoms, from the table up; z = 0 is the top of the last one."""
         bodies: list[SideBody] = []
         top_mm = 0.0
         for piece in reversed(pieces):

@@ -27,7 +27,7 @@ from touchdown.widgets.views import NOTHING_YET
 
 
 def remembered_run_form(memory: Mapping[str, object]) -> tuple[RunForm, list[str]]:
-    """Return (form, names of what made no sense); those fields get their defaults."""
+    """Return (form, names of invalid fields); invalid fields get their defaults."""
     default, known, dropped = RunForm(), {}, []
     for entry in fields(RunForm):
         value = memory.get(entry.name, getattr(default, entry.name))
@@ -39,9 +39,9 @@ def remembered_run_form(memory: Mapping[str, object]) -> tuple[RunForm, list[str
 
 
 def careful_form(form: RunForm, on_bench: SceneChoice) -> RunForm:
-    """Return the form for devices: asked before each move, and nothing let go untested.
+    """Return the form for real devices: moves need approval, and no blind release.
 
-    It begins with what is ``on_bench``, whatever was filled in for another one.
+    It starts with the pieces ``on_bench``.
     """
     mode = "approve" if form.mode == "auto" else form.mode
     strategy = "paper" if form.strategy == "pick-and-place" else form.strategy
@@ -50,23 +50,23 @@ def careful_form(form: RunForm, on_bench: SceneChoice) -> RunForm:
     return replace(stands, mode=mode, strategy=strategy)
 
 
+# Outcomes of a release on devices, as observed by the operator: command, text, key, outcome.
 SEEN = (
     ("stands", "It stands", "1", Outcome.PLACED),
     ("fell", "It fell", "2", Outcome.FELL),
     ("disturbed", "The bottom was disturbed", "3", Outcome.KNOCKED_OVER),
     ("void", "The trial is void, for the reason that is written", "4", Outcome.ABORTED),
 )
-"""What an operator may have seen after a release on devices: command, text, key, outcome."""
 
 
 class StackWorkspace(Workspace):
-    """Fingers, traces, belief, decision, score; one run at a time."""
+    """Fingers, traces, belief, decision and score of one run at a time."""
 
     name, title, key = "stack", "Stack", "Ctrl+4"
     page: StackPage
 
-    def __init__(self, desk: WorkspaceContext) -> None:
-        self._desk = desk
+    def __init__(self, context: WorkspaceContext) -> None:
+        self._context = context
         self.live: LivePresenter | None = None
         self.presenter: StackPresenter | None = None
         self.side: SideViewPresenter | None = None
@@ -75,47 +75,44 @@ class StackWorkspace(Workspace):
         self._form = RunForm()
         self.commands = (
             WindowCommand("start", "Start stacking", "Ctrl+Return", self._start),
-            WindowCommand("step", "Next step: carry out the move that waits", "N", self._approve),
-            WindowCommand("approve", "Approve the move that waits", "A", self._approve),
-            WindowCommand("pause", "Pause or resume", "P", self._pause),
-            WindowCommand("compare", "Compare the strategies on the same seed", "Ctrl+D", self._compare),
+            WindowCommand("step", "Next step: carry out the move that waits", "N",
+                          lambda: self.page.approved.emit()),
+            WindowCommand("approve", "Approve the move that waits", "A",
+                          lambda: self.page.approved.emit()),
+            WindowCommand("pause", "Pause or resume", "P",
+                          lambda: self.page.pause_requested.emit()),
+            WindowCommand("compare", "Compare the strategies on the same seed", "Ctrl+D",
+                          self._compare),
             WindowCommand("confirm", "Yes: the scene is set, the hand is there, as proposed", "Y",
                     lambda: self._on_trial(OperatorPromptsPresenter.confirm)),
             *(
                 WindowCommand(name, text, key, partial(self._see, outcome))
                 for name, text, key, outcome in SEEN
             ),
-            WindowCommand("photo", "Add a picture of this trial", "", self._photo),
+            WindowCommand("photo", "Add a picture of this trial", "",
+                          lambda: self.page.trial.photo_requested.emit()),
             WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
                     lambda: self.page.fit()),
         )  # fmt: skip
 
     def build(self) -> Iterator[None]:
-        """Make the page."""
-        self.page = page = StackPage(self._desk.theme)
+        """Create the page."""
+        self.page = page = StackPage(self._context.theme)
         page.start_requested.connect(self._start)
-        page.pause_requested.connect(self._pause)
-        page.cancel_requested.connect(self._cancel)
-        page.approved.connect(self._approve)
-        page.declined.connect(self._decline)
-        page.probe_chosen.connect(self._choose)
         page.compare_requested.connect(self._compare)
-        page.trial.answered.connect(self._answer)
-        page.trial.judged.connect(self._judge)
-        page.trial.photo_requested.connect(self._photo)
         yield
-        self.columns = self.pieces = page.columns
+        self.columns = self.lazy_pages = page.columns
 
     def attach(self, bench: Session) -> None:
-        """Show this bench."""
+        """Connect the page to a bench."""
         page, shown = self.page, bench.catalogue
         views = LiveViews(page.tactile, page.tactile_panels, page.force, page.moment)
         self.live = LivePresenter(bench, views)
-        self.presenter = StackPresenter(bench, page, self._desk.cards)
+        self.presenter = StackPresenter(bench, page, self._context.cards)
         self.side = SideViewPresenter(bench, page.side, page.side_panel)
-        self.attended = OperatorPromptsPresenter(bench, page, self._desk.cards)
+        self.attended = OperatorPromptsPresenter(bench, page, self._context.cards)
         self.comparison = ComparisonPresenter(
-            bench, self._desk.theme, lambda: stack_request(page.run.form()), self.presenter.begin
+            bench, self._context.theme, lambda: stack_request(page.run.form()), self.presenter.begin
         )
         page.run.show_catalogue(
             [(name, shown.piece(name).title) for name in shown.tops],
@@ -126,6 +123,14 @@ class StackWorkspace(Workspace):
         page.decision.show_text(NOTHING_YET)
         self.presenter.show_model()
         page.run.chosen.connect(self.presenter.show_model)
+        page.pause_requested.connect(self.presenter.pause_or_resume)
+        page.cancel_requested.connect(self.presenter.cancel)
+        page.approved.connect(self.presenter.approve)
+        page.declined.connect(self.presenter.decline)
+        page.probe_chosen.connect(self.presenter.choose)
+        page.trial.answered.connect(self.attended.answer)
+        page.trial.judged.connect(self.attended.judge)
+        page.trial.photo_requested.connect(self.attended.ask_photo)
         self.parts = (
             self.live.draw_left, self.live.draw_right, self.live.draw_wrench,
             self.live.draw_headers, self.presenter.draw, self.side.draw,
@@ -133,40 +138,40 @@ class StackWorkspace(Workspace):
         )  # fmt: skip
 
     def enter(self) -> None:
-        """Another model may have been put in use meanwhile."""
+        """Show the model in use, which may have changed."""
         if self.presenter is not None:
             self.presenter.show_model()
 
-    def take(self, fact: Event) -> None:
-        """Follow the run, whichever page is in front."""
+    def take(self, event: Event) -> None:
+        """Handle one event of the bench."""
         if self.presenter is not None and self.side is not None:
-            self.presenter.take(fact)
-            self.side.take(fact)
+            self.presenter.take(event)
+            self.side.take(event)
         if self.comparison is not None:
-            self.comparison.take(fact)
+            self.comparison.take(event)
         if self.attended is not None:
-            self.attended.take(fact)
+            self.attended.take(event)
 
     def close(self) -> None:
-        """End the thread that keeps pictures."""
+        """End the thread that stores pictures."""
         if self.attended is not None:
             self.attended.close()
 
     def show_waiting(self, word: str, why: str) -> None:
-        """Say why there is no bench yet."""
+        """Show why no bench is connected yet."""
         self.page.show_waiting(word, why)
 
     def fit_to_theme(self) -> None:
-        """Take sizes and icons of the theme."""
+        """Apply sizes and icons of the theme."""
         self.page.fit_to_theme()
         self.page.run.draw_icons()
 
     def memory(self) -> Memory:
-        """Return the form; without a bench it was never filled in: then what was remembered."""
+        """Return the form to store; without a bench the stored one."""
         return asdict(self._form if self.presenter is None else self.page.run.form())
 
     def recall(self, memory: Memory) -> Sequence[str]:
-        """Fill in the remembered form."""
+        """Restore the stored form; return the names of invalid fields."""
         self._form, dropped = remembered_run_form(memory)
         self.page.run.show_form(self._form)
         return dropped
@@ -175,25 +180,9 @@ class StackWorkspace(Workspace):
 
     def _start(self) -> None:
         if self.presenter is not None:
-            # A crash must not turn a careful mode into the automatic one at the next start.
-            self._desk.remember()
+            # Store the mode, so that a crash does not restore the automatic one.
+            self._context.remember()
             self.presenter.start()
-
-    def _pause(self) -> None:
-        if self.presenter is not None:
-            self.presenter.pause_or_resume()
-
-    def _cancel(self) -> None:
-        if self.presenter is not None:
-            self.presenter.cancel()
-
-    def _approve(self) -> None:
-        if self.presenter is not None:
-            self.presenter.approve()
-
-    def _decline(self) -> None:
-        if self.presenter is not None:
-            self.presenter.decline()
 
     def _compare(self) -> None:
         if self.comparison is not None:
@@ -203,18 +192,5 @@ class StackWorkspace(Workspace):
         if self.attended is not None:
             order(self.attended)
 
-    def _answer(self, yes: bool) -> None:
-        self._on_trial(lambda trial: trial.answer(yes))
-
     def _see(self, outcome: Outcome) -> None:
         self._on_trial(lambda trial: trial.see(outcome))
-
-    def _judge(self, outcome: Outcome, reason: str) -> None:
-        self._on_trial(lambda trial: trial.judge(outcome, reason))
-
-    def _photo(self) -> None:
-        self._on_trial(OperatorPromptsPresenter.ask_photo)
-
-    def _choose(self, index: int) -> None:
-        if self.presenter is not None:
-            self.presenter.choose(index)

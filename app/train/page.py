@@ -16,7 +16,7 @@ from touchdown.widgets.plots import CurvePlot, ReliabilityPlot, SampleStrip
 
 
 class TrainPage(QWidget):
-    """The views of the trainings on one dataset; whole once ``build`` has come to its end."""
+    """Training runs on one dataset. The page is complete after ``build`` has finished."""
 
     runs_chosen = Signal(object)  # tuple of run identifiers
     promote_requested = Signal()
@@ -29,7 +29,7 @@ class TrainPage(QWidget):
         self.form = TrainingFormPanel(theme)
 
     def build(self) -> Iterator[None]:
-        """Make the rest of what stands on the page, in pieces of some ms."""
+        """Create the other widgets of the page, a few milliseconds per step."""
         theme = self._theme
         self.split = FigureTable(theme, "Episodes per bottom", ("bottom", "train", "held out"))
         self.leaks = ScrollingNote("What the split leaks")
@@ -49,7 +49,7 @@ class TrainPage(QWidget):
         self.in_use = label("", "", wrap=True)
         self.promote, self.roll_back = QPushButton("Promote"), QPushButton("Roll back")
         for button in (self.promote, self.roll_back):
-            # Until it is known which model is in use.
+            # Disabled until the model in use is known.
             button.setEnabled(False)
         self.promote.setToolTip("Put the chosen model in use for its piece (Ctrl+P)")
         self.roll_back.setToolTip("Put the model before in use again (Ctrl+Shift+P)")
@@ -59,11 +59,11 @@ class TrainPage(QWidget):
         self._arrange()
 
     def heightForWidth(self, _width: int) -> int:
-        """Ask for no more than the least height: the views share what there is."""
+        """Return the minimum height, so that the views share the available height."""
         return self.minimumHeight()
 
     def fit_to_theme(self) -> None:
-        """Take the sizes and icons of the theme."""
+        """Apply the sizes and icons of the theme."""
         em = QFontMetrics(ui_font(self._theme.scale)).height()
         self._left.setMinimumWidth(round(20 * em))
         for table in (self.split, self.runs, self.differences, self.figures):
@@ -71,7 +71,7 @@ class TrainPage(QWidget):
         self.form.draw_icons()
 
     def show_busy(self, busy: bool) -> None:
-        """Say that something is being read."""
+        """Show that data are being read."""
         self.runs_panel.detail.setText("reading \N{HORIZONTAL ELLIPSIS}" if busy else "")
 
     def _arrange(self) -> None:
@@ -126,7 +126,7 @@ class TrainPage(QWidget):
 
     def _comparison(self) -> Panel:
         self.comparison = Panel("Comparison")
-        # As high as its rows: what is over belongs to the longer table below.
+        # As high as its rows; the longer table below takes the rest.
         self.figures.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self.comparison.column.addWidget(self.figures)
         self.comparison.column.addWidget(self.differences, 1)

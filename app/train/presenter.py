@@ -33,15 +33,17 @@ from touchdown.widgets.shell import CardQuestion, CardText, FaultCards
 
 Report = TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled
 POLL_INTERVAL_S = 0.05
+# Closing waits this long for a cancelled process, then again for a killed one.
 STOP_TIMEOUT_S, JOIN_S = 1.0, 1.0
-"""So long a window that closes waits for a cancelled training, and after that for a killed one."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingCallbacks:
-    """Whom to tell, on the window's thread. ``ended`` gets what ended it early, or None.
+    """Callbacks on the thread of the window.
 
-    ``still``: the child process does nothing, or goes on after all.
+    ``ended`` receives the cause of an early end, or None.
+
+    ``still``: the child process has stalled or continues.
     """
 
     begun: Callable[[Path], None]
@@ -51,12 +53,12 @@ class TrainingCallbacks:
 
 
 class TrainingThread:
-    """Begins at once; exactly one ``ended`` follows."""
+    """Starts at once; ``ended`` is called exactly once."""
 
     def __init__(
-        self, request: TrainingRequest, post: MainThreadQueue, told: TrainingCallbacks
+        self, request: TrainingRequest, main_thread: MainThreadQueue, told: TrainingCallbacks
     ) -> None:
-        self._request, self._post, self._told = request, post, told
+        self._request, self._main_thread, self._told = request, main_thread, told
         self._lock, self._cancelled = threading.Lock(), False
         self._training: RecordedTraining | None = None
         self._over = threading.Event()
@@ -66,14 +68,14 @@ class TrainingThread:
         self._watch.start()
 
     def cancel(self) -> None:
-        """End it after the present batch, or at once if it stands still; returns at once."""
+        """End after the present batch, or at once if the process has stalled. Returns at once."""
         with self._lock:
             self._cancelled = True
             if self._training is not None:
                 self._training.cancel()
 
     def close(self) -> None:
-        """End it and wait, for a while only: the process is gone then, whatever it did."""
+        """End the process and wait for it, for a limited time."""
         self.cancel()
         self._thread.join(STOP_TIMEOUT_S)
         self._kill()
@@ -90,10 +92,10 @@ class TrainingThread:
         failure: Exception | None = None
         try:
             self._train()
-        except Exception as error:  # noqa: BLE001 - a training whose end nobody tells blocks the page
+        except Exception as error:  # noqa: BLE001 - an unreported end would block the page
             failure = error
         self._over.set()
-        self._post.put(partial(self._told.ended, failure))
+        self._main_thread.put(partial(self._told.ended, failure))
 
     def _train(self) -> None:
         training = RecordedTraining(self._request)
@@ -101,12 +103,12 @@ class TrainingThread:
             self._training = training
             if self._cancelled:
                 training.cancel()
-        self._post.put(partial(self._told.begun, training.folder))
+        self._main_thread.put(partial(self._told.begun, training.folder))
         for report in training.reports():
-            self._post.put(partial(self._told.report, report))
+            self._main_thread.put(partial(self._told.report, report))
 
     def _look(self) -> None:
-        """Tell when the child stands still and when it goes on; a cancelled one is ended then."""
+        """Report a stalled process and its recovery; end a cancelled process that has stalled."""
         watch, told = None, False
         while not self._over.wait(POLL_INTERVAL_S):
             with self._lock:
@@ -120,28 +122,27 @@ class TrainingThread:
                 self._kill()
             elif still is not told:
                 told = still
-                self._post.put(partial(self._told.still, still))
+                self._main_thread.put(partial(self._told.still, still))
 
 
 class TrainPresenter:
-    """Holds what was read, the trainings that are chosen, and the one that goes on."""
+    """Keeps the training runs, the selection, and the run in progress."""
 
     def __init__(
         self,
         page: TrainPage,
         cards: FaultCards,
         reading: TrainingReader,
-        commits: SaveWorker,
-        post: MainThreadQueue,
+        worker: SaveWorker,
+        main_thread: MainThreadQueue,
     ) -> None:
         self._page, self._cards, self._reading = page, cards, reading
-        self._commits, self._post = commits, post
+        self._worker, self._main_thread = worker, main_thread
         self.looked: TrainingLookup | None = None
         self.runs: dict[str, TrainingRun] = {}
         self.in_use: ModelInUse | None = None
         self.thread: TrainingThread | None = None
-        self.live = ""
-        """Id of the training that goes on."""
+        self.live = ""  # id of the training in progress
         self._looks = self._shown = 0
         self._sampled: tuple[tuple[str, bool], ...] | None = None
         self._stamp_s, self._epochs_s = 0.0, list[float]()
@@ -150,7 +151,7 @@ class TrainPresenter:
     # -- reading ----------------------------------------------------------------------------------
 
     def look(self, *, anew: bool = False) -> None:
-        """Read data and trainings; a later call replaces an earlier one."""
+        """Read datasets and training runs; a later call replaces an earlier one."""
         form = self._page.form.form()
         if not form.data:
             return
@@ -161,7 +162,7 @@ class TrainPresenter:
         def work() -> TrainingLookup | None:
             return self._reading.look(form, anew=anew) if number == self._looks else None
 
-        self._commits.submit(work, self._take_look, self._failed)
+        self._worker.submit(work, self._take_look, self._failed)
 
     def _take_look(self, looked: TrainingLookup | None) -> None:
         if looked is None:
@@ -185,7 +186,7 @@ class TrainPresenter:
     # -- orders -----------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Train what is filled in."""
+        """Start the training of the form."""
         if self.thread is not None or not self._can_start():
             return
         try:
@@ -196,7 +197,7 @@ class TrainPresenter:
         self._begin(request)
 
     def resume(self) -> None:
-        """Go on with the chosen unfinished training."""
+        """Resume the chosen unfinished training."""
         run = self._chosen_alone()
         if self.thread is not None or run is None or not run.can_resume:
             return
@@ -208,12 +209,12 @@ class TrainPresenter:
         self._begin(request)
 
     def ask_cancel(self) -> None:
-        """Ask whether the training is to end; it goes on meanwhile."""
+        """Ask for confirmation to cancel the training, which continues meanwhile."""
         if self.thread is None or self._cancelling:
             return
         text = "Cancel the training? Whole epochs are kept: it can be resumed."
         self._cards.ask(
-            CardQuestion(text, (("Keep training", _nothing), ("Cancel it", self.cancel)))
+            CardQuestion(text, (("Keep training", lambda: None), ("Cancel it", self.cancel)))
         )
 
     def cancel(self) -> None:
@@ -229,15 +230,13 @@ class TrainPresenter:
         run = self._chosen_alone()
         if run is not None and run.card is not None:
             chosen = run
-            self._commits.submit(
-                lambda: self._reading.promote(chosen), self._take_use, self._failed
-            )
+            self._worker.submit(lambda: self._reading.promote(chosen), self._take_use, self._failed)
 
     def roll_back(self) -> None:
-        """Put the model before in use again."""
+        """Put the previous model in use again."""
         if self.in_use is not None and self.in_use.before is not None:
             piece = self.in_use.piece
-            self._commits.submit(
+            self._worker.submit(
                 lambda: self._reading.roll_back(piece), self._take_use, self._failed
             )
 
@@ -253,7 +252,7 @@ class TrainPresenter:
         self._epochs_s, self._cancelling = [], False
         self.thread = TrainingThread(
             request,
-            self._post,
+            self._main_thread,
             TrainingCallbacks(self._begun, self._report, self._ended, self._still),
         )
         self._show_progress("starting \N{HORIZONTAL ELLIPSIS}")
@@ -298,7 +297,7 @@ class TrainPresenter:
 
     def _read_run(self, folder: Path, *, choose: bool = False) -> None:
         def take(run: TrainingRun) -> None:
-            # The newest training stands at the top.
+            # The newest run is at the top.
             others = {uuid: one for uuid, one in self.runs.items() if uuid != run.uuid}
             first = run.uuid not in self.runs
             self.runs = {run.uuid: run, **others} if first else {**self.runs, run.uuid: run}
@@ -306,18 +305,18 @@ class TrainPresenter:
             if choose:
                 self._page.runs.choose([run.uuid])
 
-        self._commits.submit(lambda: read_training_run(folder), take, self._failed)
+        self._worker.submit(lambda: read_training_run(folder), take, self._failed)
 
     # -- showing ----------------------------------------------------------------------------------
 
     def choose(self) -> None:
-        """Show what came of the chosen trainings."""
+        """Show the results of the chosen training runs."""
         self._show_rows()
         self._show_chosen()
         self.show_buttons()
 
     def show_buttons(self) -> None:
-        """Enable what is allowed now."""
+        """Enable the buttons that are allowed now."""
         page, run = self._page, self._chosen_alone()
         idle = self.thread is None
         why = "" if idle else "A training goes on"
@@ -379,7 +378,7 @@ class TrainPresenter:
         self._show_samples()
 
     def _epochs(self, run: TrainingRun) -> int:
-        """Return how far the axis reaches: to the last epoch while the training goes on."""
+        """Return the end of the epoch axis."""
         done = len(run.curves.get("iou", ()))
         planned = run.about.params.get("epochs", 0) if run.uuid == self.live else 0
         return max(done, int(planned)) if self.thread is not None else done
@@ -404,7 +403,7 @@ class TrainPresenter:
             page.samples.show_scenes((), str(error))
 
         run = chosen[0]
-        self._commits.submit(lambda: sample_scenes(run), show, none)
+        self._worker.submit(lambda: sample_scenes(run), show, none)
 
     def _show_progress(self, text: str) -> None:
         self._page.curves_panel.detail.setText(text)
@@ -423,7 +422,7 @@ class TrainPresenter:
 
 
 def training_request(form: TrainingForm) -> TrainingRequest:
-    """Return the request of a form; raises ``InputError``."""
+    """Return the request of a form. Raises ``InputError``."""
     settings = {
         "modality": form.modality,
         "layers": form.layers,
@@ -438,7 +437,3 @@ def training_request(form: TrainingForm) -> TrainingRequest:
     labels = next(name for name in LABEL_CHOICES if name == form.labels)
     parsed = parse_settings(TrainingSettings, settings, "the form")
     return TrainingRequest(Path(form.data), form.piece, parsed, labels)
-
-
-def _nothing() -> None:
-    """Do nothing: the training goes on."""

@@ -33,8 +33,8 @@ NO_DATA_HINT = "Collect probes (Ctrl+2), or choose another folder (Ctrl+O)."
 class ModelInUse:
     """The model in use for ``piece`` ("" is the shipped one); ``before``: None if never changed.
 
-    ``probes``: on how many hardware probes it was evaluated; None for a model that has seen more
-    than simulations.
+    ``probes``: number of hardware probes it was evaluated on, None for a model not trained on
+    simulations alone.
     """
 
     piece: str
@@ -46,9 +46,9 @@ class ModelInUse:
 
 @dataclass(frozen=True, slots=True)
 class TrainingLookup:
-    """What there is to train on, the trainings so far, and the model in use.
+    """Available training data, training runs, and the model in use.
 
-    ``trouble``: why there is nothing to train on.
+    ``trouble``: why there are no training data.
     """
 
     overview: TrainingSetOverview
@@ -58,7 +58,7 @@ class TrainingLookup:
 
 
 class TrainingReader:
-    """Remembers the episodes of the data looked at last: a change of the split reads nothing."""
+    """Reads training data. Caches the last episodes, so that another split reads nothing."""
 
     def __init__(self, registry: ModelRegistry) -> None:
         self._registry = registry
@@ -66,7 +66,7 @@ class TrainingReader:
         self._found: Sequence[TrainingCandidate] = ()
 
     def look(self, form: TrainingForm, *, anew: bool) -> TrainingLookup:
-        """Read data, trainings and registry."""
+        """Read data, training runs and registry."""
         data, trouble = Path(form.data), ""
         try:
             if not data.is_dir():
@@ -99,12 +99,12 @@ class TrainingReader:
         )
 
     def _changed_last(self) -> str:
-        """Return the piece whose model was changed last: it can be rolled back without data."""
+        """Return the piece whose model was changed last, for a roll-back without data."""
         history = self._registry.history()
         return history[-1].piece if history else ""
 
     def _probes(self, piece: str) -> int | None:
-        """Return on how many hardware probes a model of simulations was evaluated, else None."""
+        """Return the number of hardware evaluation probes of a simulation model, else None."""
         try:
             card = load_card(model_in_use(piece, self._registry))
         except InputError:
@@ -117,7 +117,7 @@ class TrainingReader:
         return self.in_use(use.piece)
 
     def roll_back(self, piece: str) -> ModelInUse | None:
-        """Put the model before in use again."""
+        """Put the previous model in use again."""
         self._registry.roll_back(piece)
         return self.in_use(piece)
 
@@ -131,7 +131,7 @@ class TrainingReader:
 
 
 def _label_hint(form: TrainingForm) -> str:
-    """Return a hint if no label counts under the present choice."""
+    """Return a hint if the label selection leaves no episodes."""
     names = [name for name, _ in LABELS]
     review = "accept labels in Label (Ctrl+2) and let somebody else approve them"
     for name, text in LABELS[names.index(form.labels) + 1 :]:
@@ -143,7 +143,7 @@ def _label_hint(form: TrainingForm) -> str:
 
 
 def sample_scenes(run: TrainingRun) -> list[SampleScene]:
-    """Return the samples of a finished training; raises ``InputError``."""
+    """Return the samples of a finished training. Raises ``InputError``."""
     samples = load_samples(run.folder)
     piece = str(run.about.params.get("piece", ""))
     points = face_points(load_pieces().piece(piece).face)

@@ -41,7 +41,7 @@ STILL = CardText(
 
 
 def run_row(run: TrainingRun, in_use: ModelInUse | None, marks: Mapping[str, str]) -> TrainingRow:
-    """Return a training as a row; ``marks`` are the letters of the chosen ones."""
+    """Return a training run as a table row; ``marks`` are the letters of the chosen ones."""
     params, best = run.about.params, run.best_epoch
     used = run.card is not None and in_use is not None and is_in_use(run.card, in_use)
     began = datetime.fromtimestamp(run.about.started_ns / 1e9)
@@ -59,12 +59,12 @@ def run_row(run: TrainingRun, in_use: ModelInUse | None, marks: Mapping[str, str
 
 
 def is_in_use(card: ModelCard, in_use: ModelInUse) -> bool:
-    """Whether the model of ``card`` is the one in use for its piece."""
+    """Return True if the model of ``card`` is in use for its piece."""
     return card.piece == in_use.piece and card.weights_sha256 == in_use.weights_sha256
 
 
 def model_in_use_text(in_use: ModelInUse | None) -> str:
-    """Say which model is in use, and what a roll back would bring."""
+    """Return the model in use and the effect of a roll-back as text."""
     if in_use is None:
         return ""
     alone = autonomy_text(in_use.probes)
@@ -78,7 +78,7 @@ def model_in_use_text(in_use: ModelInUse | None) -> str:
 
 
 def autonomy_text(probes: int | None) -> str:
-    """Say whether a model of simulations may decide without being asked on hardware."""
+    """Return if a simulation model may decide on hardware without approval, as text."""
     if probes is None:
         return ""
     if probes >= HARDWARE_PROBES:
@@ -90,7 +90,7 @@ def autonomy_text(probes: int | None) -> str:
 
 
 def split_text(overview: TrainingSetOverview, trouble: str) -> str:
-    """Say what is wrong with the data, or what leaks."""
+    """Return errors of the data, or leaks of the split."""
     if trouble or overview.error:
         return trouble or overview.error
     kept = f"{group_noun(overview.kept_together).capitalize()} are held out."
@@ -98,7 +98,7 @@ def split_text(overview: TrainingSetOverview, trouble: str) -> str:
 
 
 def split_rows(overview: TrainingSetOverview) -> list[tuple[str, str, str]]:
-    """Return the counts per bottom, and those of all."""
+    """Return the counts per bottom and in total."""
     rows = [(p.bottom, f"{p.train:,}", f"{p.held_out:,}") for p in overview.pairs]
     if len(rows) > 1:
         rows.append(("all", f"{overview.train:,}", f"{overview.held_out:,}"))
@@ -106,7 +106,7 @@ def split_rows(overview: TrainingSetOverview) -> list[tuple[str, str, str]]:
 
 
 def curve_lines(runs: Sequence[TrainingRun], name: str) -> list[CurveLine]:
-    """Return a metric of the chosen trainings; for one alone, the loss of both sides."""
+    """Return a metric of the chosen runs; for a single one, the loss of both sides."""
     if len(runs) == 1 and name == "validation_loss":
         curves = runs[0].curves
         return [
@@ -121,7 +121,7 @@ def curve_lines(runs: Sequence[TrainingRun], name: str) -> list[CurveLine]:
 
 
 def reliability_lines(runs: Sequence[TrainingRun]) -> list[CurveLine]:
-    """Return the reliability of each training at its best epoch."""
+    """Return the reliability curve of each run at its best epoch."""
     lines = []
     for at, (run, mark, token) in enumerate(zip(runs, LETTERS, TOKENS, strict=False)):
         bins = run.reliability.get(run.best_epoch, ())
@@ -135,7 +135,7 @@ def reliability_lines(runs: Sequence[TrainingRun]) -> list[CurveLine]:
 
 
 def difference_rows(runs: Sequence[TrainingRun]) -> list[tuple[str, ...]]:
-    """Return the settings: of one training all, of several those that differ."""
+    """Return the settings of a single run, or those that differ between several."""
     rows = []
     for key, name in SETTINGS.items():
         values = [run.about.params.get(key) for run in runs]
@@ -148,9 +148,9 @@ def difference_rows(runs: Sequence[TrainingRun]) -> list[tuple[str, ...]]:
 
 
 def figure_rows(runs: Sequence[TrainingRun]) -> list[tuple[str, ...]]:
-    """Return IoU and points right on the held-out side, per bottom and in all.
+    """Return IoU and accuracy on the held-out side, per bottom and in total.
 
-    Trainings for different pieces have no bottom in common: each row then names its piece.
+    Runs for different pieces have no bottom in common: each row then names its piece.
     """
     pieces = [str(run.about.params.get("piece", "?")) for run in runs]
     tables = [_bottoms(run) for run in runs]
@@ -168,7 +168,7 @@ def figure_rows(runs: Sequence[TrainingRun]) -> list[tuple[str, ...]]:
 
 
 def remaining_time_text(done: int, total: int, seconds: Sequence[float]) -> str:
-    """Say how far a training is; ``seconds``: what the epochs of this sitting took."""
+    """Return the progress of a training; ``seconds``: durations of its epochs so far."""
     if not seconds:
         return f"epoch {done} of {total}"
     recent = seconds[-5:]

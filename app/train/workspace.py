@@ -27,16 +27,16 @@ MOST_FOLDERS = 8
 
 
 class TrainWorkspace(Workspace):
-    """Trainings, their comparison, and the model in use. Reads when it is first entered."""
+    """Training runs, their comparison, and the model in use. Reads when it is first entered."""
 
     name, title, key = "train", "Train", "Ctrl+3"
     page: TrainPage
 
-    def __init__(self, desk: WorkspaceContext) -> None:
-        self._desk = desk
+    def __init__(self, context: WorkspaceContext) -> None:
+        self._context = context
         self.presenter: TrainPresenter | None = None
-        self._post: MainThreadQueue | None = None
-        self._commits: SaveWorker | None = None
+        self._main_thread: MainThreadQueue | None = None
+        self._worker: SaveWorker | None = None
         self._folders = [dataset_folder()]
         self.commands = (
             WindowCommand(
@@ -68,8 +68,8 @@ class TrainWorkspace(Workspace):
         )
 
     def build(self) -> Iterator[None]:
-        """Make the page."""
-        self.page = page = TrainPage(self._desk.theme)
+        """Create the page."""
+        self.page = page = TrainPage(self._context.theme)
         yield
         yield from page.build()
         page.form.start_requested.connect(self._order(TrainPresenter.start))
@@ -81,43 +81,43 @@ class TrainWorkspace(Workspace):
         page.runs_chosen.connect(lambda _: self._on(TrainPresenter.choose))
         page.promote_requested.connect(self._order(TrainPresenter.promote))
         page.roll_back_requested.connect(self._order(TrainPresenter.roll_back))
-        self.columns = self.pieces = self.page.columns
+        self.columns = self.lazy_pages = self.page.columns
         self._show_folders(str(dataset_folder()))
         self.page.form.show_form(TrainingForm())
 
     def enter(self) -> None:
-        """Read data and trainings, which others may have changed."""
+        """Read datasets and training runs, which may have changed."""
         if self.presenter is None:
-            self._post = MainThreadQueue(self.page)
-            self._commits = SaveWorker(self._post, "train-reading")
+            self._main_thread = MainThreadQueue(self.page)
+            self._worker = SaveWorker(self._main_thread, "train-reading")
             reading = TrainingReader(ModelRegistry(models_folder()))
             self.presenter = TrainPresenter(
-                self.page, self._desk.cards, reading, self._commits, self._post
+                self.page, self._context.cards, reading, self._worker, self._main_thread
             )
         self._reread()
 
     def close(self) -> None:
-        """End a training and the reading thread; whole epochs are kept."""
+        """End the training and the reading thread; finished epochs are kept."""
         if self.presenter is not None:
             self.presenter.close()
-        if self._commits is not None:
-            self._commits.close()
-            self._commits = None
-        if self._post is not None:
-            self._post.close()
+        if self._worker is not None:
+            self._worker.close()
+            self._worker = None
+        if self._main_thread is not None:
+            self._main_thread.close()
         self.presenter = None
 
     def fit_to_theme(self) -> None:
-        """Take sizes and icons of the theme."""
+        """Apply sizes and icons of the theme."""
         self.page.fit_to_theme()
 
     def memory(self) -> Memory:
-        """Return the form and the folders."""
+        """Return form and folders to store."""
         form = self.page.form.form()
         return {**asdict(form), "folders": [str(folder) for folder in self._folders[1:]]}
 
     def recall(self, memory: Memory) -> Sequence[str]:
-        """Take what was remembered; return what makes no sense."""
+        """Restore stored settings; return the names of invalid fields."""
         form, dropped = remembered_training_form(memory)
         folders = memory.get("folders", [])
         if isinstance(folders, list) and all(isinstance(one, str) for one in folders):
@@ -130,7 +130,7 @@ class TrainWorkspace(Workspace):
         return dropped
 
     def take_folder(self, folder: Path) -> None:
-        """Train on ``folder`` from now on."""
+        """Train on ``folder``."""
         if folder not in self._folders:
             self._folders = [*self._folders, folder][-MOST_FOLDERS:]
             self._folders = [dataset_folder(), *(f for f in self._folders if f != dataset_folder())]
@@ -178,12 +178,12 @@ class TrainWorkspace(Workspace):
 
 
 def _short(folder: Path, names: Sequence[str]) -> str:
-    """Return the name of a folder, below the folder it lies in where two have the same name."""
+    """Return the folder name, with its parent where two names are equal."""
     return f"{folder.parent.name}/{folder.name}" if names.count(folder.name) > 1 else folder.name
 
 
 def remembered_training_form(memory: Mapping[str, object]) -> tuple[TrainingForm, list[str]]:
-    """Return (form, names of what made no sense); those fields get their defaults."""
+    """Return (form, names of invalid fields); invalid fields get their defaults."""
     default = asdict(TrainingForm())
     known, dropped = dict(default), []
     for name, value in default.items():

@@ -55,7 +55,7 @@ def test_a_page_that_comes_late_knows_bench_facts_and_why_there_was_none(main):
     assert late.live is not None
     assert late._story.trial.trial == 1
     main.workspaces["train"], main.workspaces["review"]
-    assert main.workspaces._facts == []
+    assert main.workspaces._events == []
 
 
 def test_what_was_remembered_of_a_page_nobody_saw_is_kept(window, tmp_path):

@@ -75,8 +75,8 @@ def test_other_runs_are_no_collections():
 
 def test_a_single_probe_is_a_trial_of_its_own():
     (trial,) = split_into_trials([started("probe"), Said(0.5, "felt")])
-    assert isinstance(trial.facts[0], TrialStarted)
-    assert [type(fact) for fact in trial.facts[1:]] == [Said]
+    assert isinstance(trial.events[0], TrialStarted)
+    assert [type(fact) for fact in trial.events[1:]] == [Said]
 
 
 @pytest.fixture

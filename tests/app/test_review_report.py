@@ -122,9 +122,9 @@ def test_pictures_come_after_the_part_and_not_into_another(review, qtbot):
 def test_a_bad_file_is_one_card_and_no_sheet(review, qtbot, tmp_path, content):
     file = tmp_path / "tables.json"
     file.write_text(content, encoding="utf-8")
-    before = set(review._desk.cards.codes)
+    before = set(review._context.cards.codes)
     open_report(review, qtbot, file)
-    assert set(review._desk.cards.codes) - before == {"REPORT"}
+    assert set(review._context.cards.codes) - before == {"REPORT"}
     assert review.reports.sheet is None
 
 

@@ -57,7 +57,7 @@ class Desk:
         self._qtbot.waitUntil(there, timeout=400_000)
 
     def settle(self) -> None:
-        self.until(lambda: not self.workspace._commits.busy)
+        self.until(lambda: not self.workspace._worker.busy)
         QApplication.processEvents()
 
     def tiny(self, **more: int) -> None:
@@ -201,6 +201,7 @@ def test_train_compare_promote_and_roll_back(desk):
     assert [row[1] for row in page.runs.texts()] == ["finished", "in use"]
 
 
+@pytest.mark.promise("W14")
 @pytest.mark.slow
 def test_cancel_is_asked_and_resume_goes_on(desk):
     page = desk.page
@@ -232,6 +233,7 @@ def test_cancel_is_asked_and_resume_goes_on(desk):
     assert len(resumed.curves["iou"]) > done
 
 
+@pytest.mark.promise("P7", "P10", "W14")
 @pytest.mark.slow
 def test_a_killed_child_gives_a_card_and_the_window_lives(desk):
     desk.tiny(epochs=400)
@@ -255,6 +257,7 @@ def test_a_killed_child_gives_a_card_and_the_window_lives(desk):
     desk.main.pump.tick()
 
 
+@pytest.mark.promise("P7", "P10")
 @pytest.mark.slow
 def test_a_stopped_training_is_cancelled_at_once_and_keeps_no_window_from_closing(desk):
     desk.tiny(epochs=400)
@@ -270,6 +273,7 @@ def test_a_stopped_training_is_cancelled_at_once_and_keeps_no_window_from_closin
     assert desk.main.cards.codes == ()
 
 
+@pytest.mark.promise("W14")
 @pytest.mark.slow
 @pytest.mark.usual_pace
 def test_operate_shows_every_frame_while_a_training_runs(desk):

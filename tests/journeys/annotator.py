@@ -215,7 +215,7 @@ def decide(me: Person, way: int) -> Doing:
 
 def four_eyes(me: Person) -> Doing:
     """Ann tries to approve her own label, in an audit that draws one of hers."""
-    dataset, sitting = me.presenter.dataset, me.workspace.sitting
+    dataset, sitting = me.presenter.dataset, me.workspace.session
 
     def is_own(uuid: str) -> bool:
         return me.presenter.book.head(uuid).state == "submitted"
@@ -282,7 +282,7 @@ def train(me: Person) -> Doing:
     form = workspace.page.form
 
     def settled() -> bool:
-        return workspace.presenter is not None and not workspace._commits.busy
+        return workspace.presenter is not None and not workspace._worker.busy
 
     yield settled
     epochs = form.numbers.epochs

@@ -159,7 +159,7 @@ def check_nothing_lost(folder: Path, known: Known, room: Path) -> list[str]:
                 assert_same(dataset.labels.head(uuid), told)
         # Saved and not yet said when the kill came: what the disk has of it now has to stay.
         known.saved.append(as_told(dataset.labels.head(known.at)))
-        assert list(check_dataset(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.parts, whole=True)) == []
         return dataset.queue("unlabelled", "ann")
 
 
@@ -221,7 +221,7 @@ def check_reviewed(folder: Path, known: Known, told: list[Told]) -> dict[str, Re
     corrected = next(t["corrected"] for t in told if "corrected" in t)
     last = {told["saved"]: told for told in known.saved}
     with Dataset.open(folder, create=False) as dataset:
-        assert list(check_dataset(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.parts, whole=True)) == []
         heads = {e.uuid: dataset.labels.head(e.uuid) for e in dataset.episodes()}
         for uuid, head in heads.items():
             assert_same(head, last[uuid])

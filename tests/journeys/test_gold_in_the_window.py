@@ -97,7 +97,7 @@ def test_a_kill_loses_no_nudge_on_gold_and_undo_reaches_behind_it(
     assert taken_back["row"] == fresh["row"]
     assert again[-1]["basis"] == nudged["basis"]
     with Dataset.open(folder, create=False) as dataset:
-        assert list(check_dataset(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.parts, whole=True)) == []
         head = dataset.labels.head(gold)
         assert (head.state, head.person, head.label.x_um) == ("approved", "cleo", 4000)
         assert "ann" not in {r.person for r in dataset.labels.history(gold)}

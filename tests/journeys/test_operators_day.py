@@ -164,7 +164,7 @@ def train(day, workspace):
     page = workspace.page
 
     def settled():
-        return not workspace._commits.busy
+        return not workspace._worker.busy
 
     day.wait(settled)
     page.form.labels.setCurrentIndex(1)

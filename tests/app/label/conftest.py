@@ -188,7 +188,7 @@ def hold_saves(monkeypatch):
     gate = threading.Event()
 
     def hold(desk: Desk):
-        desk.workspace.commits.submit(gate.wait, lambda _: None, lambda _: None)
+        desk.workspace.worker.submit(gate.wait, lambda _: None, lambda _: None)
         return gate.set
 
     yield hold

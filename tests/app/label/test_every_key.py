@@ -37,6 +37,7 @@ BY_HAND = {"play"}
 """Space: the page takes it, a stop of the bench goes first."""
 
 
+@pytest.mark.promise("W11")
 def test_every_signal_of_the_page_and_every_command_has_a_key(desk):
     commands = {c.name: c for c in desk.workspace.commands}
     assert set(BY_KEYS) == {
@@ -82,7 +83,7 @@ def test_an_earlier_version_comes_back_by_its_digit_but_is_not_told_blind(desk):
     head = desk.book.head(uuid)
     assert (head.label, head.source) == (first.label, first.source)
     assert len(desk.book.history(uuid)) == 3
-    desk.workspace.sitting.queue = "gold"
+    desk.workspace.session.queue = "gold"
     desk.do(KEY.Key_O)
     assert not desk.page.choice.isVisible()
     assert "No versions" in desk.page.message.text()

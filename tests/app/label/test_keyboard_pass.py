@@ -159,7 +159,7 @@ def test_coordinates_typed_into_the_question_of_sigma_are_saved_whole_or_not_at_
     desk.type("-3.2,4.5,0.2")
     assert desk.page.entry.text() == "-3.2,4.5,0.2"
     assert not desk.page.choice.isVisible()
-    assert (desk.book.head(uuid).label, desk.workspace.sitting.sigma_mm) == (before, None)
+    assert (desk.book.head(uuid).label, desk.workspace.session.sigma_mm) == (before, None)
     desk.do(KEY.Key_Return)
     label = desk.book.head(uuid).label
     assert (label.x_um, label.y_um, label.sigma_um) == (-3200, 4500, 200)

@@ -69,7 +69,7 @@ def test_opinions_measure_agreement_and_change_no_label(desk):
     before = content(desk)
     desk.enter_as("Bob")
     desk.do((KEY.Key_B, CTRL))
-    desk.workspace.sitting.queue = "audit"
+    desk.workspace.session.queue = "audit"
     presenter = desk.workspace.presenter
     presenter.walk.begin(list(uuids), presenter.walk.entries, "")
     presenter.go_to(0)

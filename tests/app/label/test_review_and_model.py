@@ -58,7 +58,7 @@ def test_another_person_begins_with_the_first_of_the_queue(desk):
 def test_four_eyes_refuse_the_author_and_say_so(desk):
     uuid = desk.uuid
     desk.do(KEY.Key_Return)
-    desk.workspace.sitting.queue = "audit"
+    desk.workspace.session.queue = "audit"
     desk.workspace.presenter.go_to(0)
     desk.settle()
     desk.do(KEY.Key_Return)
@@ -195,7 +195,7 @@ def test_gold_looks_like_the_rest_of_a_blind_audit_and_a_verdict_there_changes_n
     desk.book.approve("Cleo", gold)
     desk.book.flag("Cleo", gold)
     heads = {uuid: desk.book.head(uuid) for uuid in (gold, other)}
-    desk.workspace.sitting.queue = "audit"
+    desk.workspace.session.queue = "audit"
     desk.do((KEY.Key_B, CTRL))  # from here on answers are opinions
     entries = {e.uuid: e for e in presenter.dataset.episodes()}
     presenter.walk.begin([gold, other], entries, "")

@@ -1,4 +1,4 @@
-"""Where ``make screens`` and ``make pictures`` put what they draw: whole, or not at all."""
+"""Files of ``make screens`` and ``make pictures``: each picture is written whole or not at all."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ PART = ".part"
 
 
 class PictureFiles:
-    """Pictures for a folder. A picture that was there stays until its successor is put whole."""
+    """Pictures in a folder. An old picture stays until the new one is complete."""
 
     def __init__(self, folder: Path) -> None:
-        """``folder`` is made where it is missing; ``OSError`` where it cannot be written."""
+        """Create ``folder`` if needed; raises OSError if it cannot be written."""
         self._folder, self._kept = folder, list[Path]()
         folder.mkdir(parents=True, exist_ok=True)
         self.keep("trial", bytes(1 << 16))
         self.drop()
 
     def keep(self, name: str, png: bytes) -> None:
-        """Write a picture beside its place; ``OSError`` where the disk refuses it."""
+        """Write a picture to a temporary file; raises OSError if the disk refuses it."""
         beside = self._folder / f"{name}.png{PART}"
         self._kept.append(beside)
         try:
@@ -36,23 +36,23 @@ class PictureFiles:
             raise
 
     def put(self) -> None:
-        """Put everything kept in its place."""
+        """Move all temporary files to their places."""
         for beside in self._kept:
             beside.replace(beside.with_suffix(""))
         self._kept.clear()
 
     def drop(self) -> None:
-        """Take away what was kept and not put."""
+        """Delete the temporary files."""
         for beside in self._kept:
             with contextlib.suppress(OSError):
                 beside.unlink(missing_ok=True)
         self._kept.clear()
 
 
-def told(draw: Callable[[], int]) -> int:
-    """Draw; what hinders it is told in one line on standard output, what is a bug with its trace.
+def run_reporting(draw: Callable[[], int]) -> int:
+    """Run ``draw``; report an expected error in one line on standard output, a bug with its trace.
 
-    Standard error carries what Qt says of its platform, and is not read.
+    Standard error is not shown: it carries messages of the Qt platform plugin.
     """
     try:
         free_space_for(Path(tempfile.gettempdir()), 0)
@@ -61,8 +61,8 @@ def told(draw: Callable[[], int]) -> int:
         why = f"{error.what} {error.where}: {error.fix}"
     except OSError as error:
         why = f"{error.filename or ''}: {error.strerror or error}."
-    except Exception:  # noqa: BLE001 - a bug must be seen although nobody reads standard error
+    except Exception:  # noqa: BLE001 - a bug must be seen, and standard error is not shown
         traceback.print_exc(file=sys.stdout)
         return 1
-    sys.stdout.write(f"The pictures are not finished, none from before is damaged. {why}\n")
+    sys.stdout.write(f"The pictures are not finished; older ones are unchanged. {why}\n")
     return 1

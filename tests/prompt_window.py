@@ -1,9 +1,7 @@
-"""A window that shows at the next turn whatever is to be shown, on any computer.
+"""Fixture that makes the window draw everything at the next tick, on any computer.
 
-The pump puts off what does not fit into its budget of the wall clock, and presenters draw a few
-times a second of it: a slow computer is late with what a test looks at, a quick one is done before
-it is due. Neither is what a test of the window is about, so here nothing is put off and everything
-is due. A test of the pace itself asks for it by ``usual_pace``.
+The pump defers views that exceed its time budget, and presenters draw a few times per second. A
+test of the window must not depend on either. A test of the pace itself is marked ``usual_pace``.
 """
 
 from __future__ import annotations
@@ -15,6 +13,7 @@ import pytest
 
 from touchdown.widgets.base.freshness import EventPump
 
+# modules of the window with their drawing period
 PACES = {
     "touchdown.app.calibrate.presenter": "PERIOD_S",
     "touchdown.app.shell.top_bar": "PERIOD_S",
@@ -23,12 +22,11 @@ PACES = {
     "touchdown.app.shell.live": "HEADER_PERIOD_S",
     "touchdown.app.operate.jogging": "PERIOD_S",
 }
-"""Modules of the window and what says there how often something is drawn."""
 
 
 @pytest.fixture(autouse=True)
 def prompt(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Let nothing wait for the wall clock, but in tests marked ``usual_pace``."""
+    """Remove waits for the wall clock, except in tests marked ``usual_pace``."""
     with pytest.MonkeyPatch.context() as patch:
         if request.node.get_closest_marker("usual_pace") is None:
             patch.setitem(EventPump.__init__.__kwdefaults__, "budget_s", float("inf"))

@@ -1,4 +1,4 @@
-"""Cards of faults in the words of what raises them, and a hardware stop, for ``make screens``."""
+"""Fault cards with texts of their sources, and a hardware stop, for ``make screens``."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _cards() -> Mapping[str, Sequence[Fault]]:
 
 
 def of_faults(stage: Stage) -> Iterator[str]:
-    """Cards that come by two, and a stop by the controller's emergency stop."""
+    """Pairs of cards, and a stop by the emergency stop of the controller."""
     for name, faults in _cards().items():
         for fault in faults:
             _raise(stage, fault)

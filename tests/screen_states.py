@@ -1,4 +1,4 @@
-"""States of the bench as the pill names them, for ``make screens``."""
+"""Bench states of the pill, for ``make screens``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def of_the_pill(stage: Stage) -> Iterator[str]:
-    """Servo off, a jog, a probe, a piece that presses, recovery, a slow sensor; on Operate."""
+    """Servo off, jog, probe, contact, recovery, slow sensor; on Operate."""
     bench = stage.bench
     stage.main.go("operate")
     hand = bench.hand = Hand()
@@ -64,7 +64,7 @@ def of_the_pill(stage: Stage) -> Iterator[str]:
 
 
 def _of_the_wrist(stage: Stage) -> Iterator[str]:
-    """Slow, then drifting; the chip says it as well."""
+    """Slow, then drifting wrist sensor, with its chip."""
     bench = stage.bench
     wrist = bench.devices["force_torque"]
     wrist.rate_hz, usual_hz = 300.0, wrist.rate_hz
@@ -82,13 +82,13 @@ def _of_the_wrist(stage: Stage) -> Iterator[str]:
 
 
 def _look_at_once(stage: Stage) -> None:
-    """Draw chips and headers now: they wait for their turn by the clock of the wall."""
+    """Draw chips and headers now instead of at their next period."""
     stage.main._chips._drawn_s = stage.main.workspaces["operate"].live._headers_s = float("-inf")
     stage.live(0.0)
 
 
 def of_a_run(stage: Stage) -> Iterator[str]:
-    """Preparing, pausing, paused, cancelling: the real engine by the buttons of Stack."""
+    """Preparing, pausing, paused, cancelling: the real engine with the buttons of Stack."""
     bench, main = stage.bench, stage.main
     stand_in = bench.engine, bench.status
     engine = Engine(bench.events, bench.interlock, bench.clock_s)
@@ -122,7 +122,7 @@ def of_a_run(stage: Stage) -> Iterator[str]:
 
 
 def _run(now_s: Callable[[], float], lifted: Callable[[], bool]) -> Plan[object]:
-    """A run that presses until it is lifted, and lifts also where it is cancelled."""
+    """Run that presses until it is lifted, also after a cancel."""
     yield RunStarted(now_s(), "run", "pot", "short", "paper", 7, 3, True, "{}")
     yield TrialStarted(now_s(), 1, 8, (7.2, 3.1))
     try:

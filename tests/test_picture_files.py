@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests import pictures, screens
-from tests.picture_files import PictureFiles, told
+from tests.picture_files import PictureFiles, run_reporting
 
 
 @pytest.fixture
@@ -36,16 +36,16 @@ def test_a_full_disk_leaves_the_pictures_and_says_one_line(files, tmp_path, caps
         files.keep("train", b"new")
         raise AssertionError("the disk took it")
 
-    assert told(draw) == 1
+    assert run_reporting(draw) == 1
     (line,) = capsys.readouterr().out.splitlines()
-    assert "none from before is damaged" in line
+    assert "older ones are unchanged" in line
     assert "No space left on device" in line
     assert (tmp_path / "stack.png").read_bytes() == b"old"
     assert names(tmp_path) == ["stack.png"]
 
 
 @pytest.mark.parametrize("program", [pictures, screens])
-def test_a_folder_that_cannot_be_written_is_told_before_anything_is_drawn(
+def test_a_folder_that_cannot_be_written_is_reported_before_anything_is_drawn(
     program, tmp_path, capsys
 ):
     (tmp_path / "file").write_text("no folder")
@@ -55,5 +55,5 @@ def test_a_folder_that_cannot_be_written_is_told_before_anything_is_drawn(
 
 
 def test_a_bug_shows_its_trace(capsys):
-    assert told(lambda: 1 // 0) == 1
+    assert run_reporting(lambda: 1 // 0) == 1
     assert "ZeroDivisionError" in capsys.readouterr().out

@@ -1,7 +1,7 @@
 """Episode files: one episode in one MCAP file with its signals, images, label and metadata.
 
-`read_compressed_episode` reads all numbers and leaves the images compressed until they are shown.
-`salvage_file` saves what a torn file still holds: every complete chunk whose checksum is right.
+``read_compressed_episode`` leaves the images compressed until they are shown. ``salvage_file``
+recovers the complete chunks of an incomplete file.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def encode_image(image: ImageArray, keep: KeepFrames) -> bytes:
 
 
 def decode_image(data: bytes) -> ImageArray:
-    """Decompress to (h, w, 3) BGR; raises ``ValueError`` for anything that is not an image."""
+    """Decompress to (h, w, 3) BGR; raises ``ValueError`` if the data are not an image."""
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error as error:
@@ -121,7 +121,7 @@ TOPICS = (OBS, LABEL, EVENT, WRENCH, POSE, COMMAND, *MARKER.values(), *IMAGE.val
 
 
 def to_ns(t_s: ArrayLike) -> Times:
-    """Return bench seconds as whole ns."""
+    """Convert bench seconds to integer ns."""
     ns: Times = np.rint(np.asarray(t_s, dtype=np.float64) * 1e9).astype(np.int64)
     return ns
 
@@ -133,11 +133,11 @@ def write_episode(
     metadata: Mapping[str, str],
     keep_frames: KeepFrames = "jpeg95_444",
 ) -> None:
-    """Write ``episode`` to ``path``: complete and durable, or not there.
+    """Write ``episode`` to ``path``; the file is complete and durable, or does not exist.
 
-    Stamps are those of the bench clock, in ns. ``metadata`` becomes the record ``bench``. Markers
-    and wrench are kept bit for bit, images as ``keep_frames`` says. Raises ``OSError`` if the disk
-    refuses; the caller still holds the episode.
+    Time stamps are those of the bench clock, in ns. ``metadata`` becomes the record ``bench``.
+    Markers and wrench are stored losslessly, images according to ``keep_frames``. Raises
+    ``OSError`` if the disk fails; the episode can then be written again.
     """
     scene = () if episode.recording is None else episode.recording.scene
     with McapWriter(path, (*TOPICS, SCENE) if scene else TOPICS) as writer:
@@ -269,18 +269,18 @@ def _images(
 
 
 def to_s(ns: Times) -> FloatArray:
-    """Return bench seconds; whole microseconds come back as the hand-wound clock gave them."""
+    """Convert ns to bench seconds; whole microseconds are exact."""
     whole_us = ns % 1000 == 0
     return np.where(whole_us, (ns // 1000) * 1e-6, ns * 1e-9).astype(np.float64)
 
 
 def read_episode(path: Path) -> Episode:
-    """Read the episode ``path``, frames decoded; raises ``InputError`` naming a damaged file."""
+    """Read the episode ``path`` with decoded frames; raises ``InputError`` for a damaged file."""
     return episode_of(read_whole(path), path)
 
 
 def episode_of(contents: ChunkContents, path: Path) -> Episode:
-    """Return the episode of a file that was read; raises ``InputError`` naming it if damaged."""
+    """Return the episode of a file that was read; raises ``InputError`` if it is damaged."""
     if "pack" in contents.metadata:
         raise InputError(
             "The file is a pack of simulated episodes: no pictures were kept of them.",
@@ -294,7 +294,7 @@ def episode_of(contents: ChunkContents, path: Path) -> Episode:
 
 
 def read_label(path: Path) -> dict[str, object] | None:
-    """Return the label kept with an episode, or None."""
+    """Return the label stored with an episode, or None."""
     messages = read_whole(path).messages.get(LABEL.name, [])
     with input_errors(path):
         return unpack_json(messages[-1]) if messages else None
@@ -386,37 +386,37 @@ def _frames(contents: ChunkContents, finger: Finger) -> list[TactileFrame]:
 
 @dataclass(frozen=True, slots=True)
 class CompressedImages:
-    """The compressed pictures of one finger, in order of time; ``t_s`` (n,) bench clock."""
+    """Compressed images of one finger in order of time; ``t_s`` (n,) on the bench clock."""
 
     t_s: FloatArray
     packed: tuple[bytes, ...]
 
     def picture(self, index: int) -> ImageArray:
-        """Decode picture ``index`` to (h, w, 3) BGR; raises ``ValueError`` if it is damaged."""
+        """Decode image ``index`` to (h, w, 3) BGR; raises ``ValueError`` if it is damaged."""
         return decode_image(self.packed[index])
 
 
 @dataclass(frozen=True, slots=True)
 class CompressedEpisode:
-    """``episode`` without frames, and the pictures of each finger, still compressed."""
+    """``episode`` without frames, and the compressed images of each finger."""
 
     episode: Episode
     pictures: Mapping[Finger, CompressedImages]
 
     @property
     def bytes(self) -> int:
-        """Size of the pictures in memory."""
+        """Size of the images in memory."""
         return sum(len(data) for film in self.pictures.values() for data in film.packed)
 
 
 def without_images(episode: Episode) -> CompressedEpisode:
-    """Return an episode of which no pictures were recorded."""
+    """Return an episode recorded without images."""
     none = CompressedImages(np.zeros(0), ())
     return CompressedEpisode(episode, dict.fromkeys(FINGERS, none))
 
 
 def read_compressed_episode(path: Path) -> CompressedEpisode:
-    """Read the episode ``path``; raises ``InputError`` naming a damaged or foreign file."""
+    """Read the episode ``path``; raises ``InputError`` if it is damaged or foreign."""
     contents = read_whole(path)
     with input_errors(path):
         pictures = {}
@@ -429,7 +429,7 @@ def read_compressed_episode(path: Path) -> CompressedEpisode:
 
 @dataclass(frozen=True, slots=True)
 class SalvageResult:
-    """What was saved: ``path`` is None if nothing was; ``reason`` says where reading ended."""
+    """Result of a salvage: ``path`` is None if nothing was saved; ``reason``: end of reading."""
 
     path: Path | None
     chunks: int
@@ -439,7 +439,7 @@ class SalvageResult:
 
 @dataclass(slots=True)
 class _ReadableHead:
-    """The readable head of a torn file: its channels, metadata and chunks (blocks, compressed)."""
+    """Readable part of an incomplete file: channels, metadata and compressed chunks."""
 
     topics: list[Topic] = field(default_factory=list)
     metadata: list[tuple[str, dict[str, str]]] = field(default_factory=list)
@@ -448,10 +448,10 @@ class _ReadableHead:
 
 
 def salvage_file(torn: Path, target: Path) -> SalvageResult:
-    """Copy the good chunks of ``torn`` into a new file ``target``, re-opened and counted.
+    """Copy the complete chunks of ``torn`` into a new file ``target`` and verify it.
 
-    A report lies beside it as ``<target>.json``. Raises ``OSError`` if the disk refuses, or if
-    what was written does not read back.
+    Writes a report to ``<target>.json``. Raises ``OSError`` if the disk fails, or if the new file
+    cannot be read back.
     """
     good = _read_good(torn)
     counts: dict[str, int] = {}
@@ -524,7 +524,7 @@ def _known_topic(topic: Topic) -> Topic:
 
 
 def _blocks(plain: bytes, channels: int) -> list[MessageBlock]:
-    """Return the messages, one block per channel, in file order within each."""
+    """Return the messages, one block per channel, in file order within each block."""
     messages: dict[int, list[tuple[int, int, bytes]]] = {}
     for op, content in iter_records(plain, "a chunk"):
         if op == Opcode.MESSAGE:

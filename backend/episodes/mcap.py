@@ -1,8 +1,8 @@
 """Reader and writer of MCAP files.
 
 Source: foxglove/mcap, website/docs/spec (all integers little-endian). Every chunk repeats its
-schemas and channels, so that it decodes alone. Damage of any kind is raised as one ``InputError``
-that names the file.
+schemas and channels, so it can be decoded alone. All damage is raised as one ``InputError`` with
+the path of the file.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 
 
 class Opcode(IntEnum):
-    """Record kinds."""
+    """Record types."""
 
     HEADER = 1
     FOOTER = 2
@@ -71,13 +71,13 @@ def encode_number_map(values: Mapping[int, int]) -> bytes:
 
 
 def encode_record(op: Opcode, content: bytes) -> bytes:
-    """Return a whole record."""
+    """Return a complete record."""
     return struct.pack("<BQ", op, len(content)) + content
 
 
 @dataclass(frozen=True, slots=True)
 class MessageBlock:
-    """Messages of one channel: their records back to back, and where each starts in the block."""
+    """Messages of one channel: consecutive records, and the offset of each in the block."""
 
     channel: int
     records: bytes
@@ -86,7 +86,7 @@ class MessageBlock:
 
 
 def message_rows(channel: int, log_ns: Times, sequence: Times, rows: ByteRows) -> MessageBlock:
-    """Make a block of n messages of equal size (``rows`` (n, size) uint8) in one pass."""
+    """Build a block of n messages of equal size from ``rows`` (n, size) uint8."""
     head = np.zeros(len(rows), MESSAGE_HEAD)
     head["op"], head["channel"] = Opcode.MESSAGE, channel
     head["length"] = MESSAGE_HEAD.itemsize - 9 + rows.shape[1]
@@ -99,7 +99,7 @@ def message_rows(channel: int, log_ns: Times, sequence: Times, rows: ByteRows) -
 def message_list(
     channel: int, log_ns: Iterable[int], sequence: Iterable[int], messages: Iterable[bytes]
 ) -> MessageBlock:
-    """Make a block of messages of any size."""
+    """Build a block of messages of any size."""
     parts: list[bytes] = []
     offsets, times, at = [], [], 0
     for stamp, number, message in zip(log_ns, sequence, messages, strict=True):
@@ -114,7 +114,7 @@ def message_list(
 
 
 def iter_records(content: bytes | memoryview, where: str) -> Iterator[tuple[int, memoryview]]:
-    """Yield (kind, content) of every record; raises ``ValueError`` if one is cut short."""
+    """Yield (opcode, content) of every record; raises ``ValueError`` if one is incomplete."""
     view = memoryview(content)
     at = 0
     while at < len(view):
@@ -138,7 +138,7 @@ FIX = "Use another copy of the file, or record or simulate it again."
 
 @dataclass(slots=True)
 class ChunkContents:
-    """What lies between two ends of a group: metadata by name, messages by topic in file order."""
+    """Metadata by name and messages by topic of one chunk, in file order."""
 
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     messages: dict[str, list[memoryview]] = field(default_factory=dict)
@@ -147,7 +147,7 @@ class ChunkContents:
 
 @dataclass(frozen=True, slots=True)
 class StoredChunk:
-    """One chunk record of a file: where it is, the hash of its records, and what they hold."""
+    """One chunk record of a file: position, hash of its records, and contents."""
 
     offset: int
     length: int
@@ -157,7 +157,7 @@ class StoredChunk:
 
 @contextmanager
 def input_errors(path: Path) -> Iterator[None]:
-    """Turn what a damaged or foreign file raises into an ``InputError`` naming it."""
+    """Convert errors from a damaged or foreign file to an ``InputError`` with its path."""
     try:
         yield
     except OSError as error:
@@ -170,7 +170,7 @@ def input_errors(path: Path) -> Iterator[None]:
 
 
 def read_groups(path: Path) -> Iterator[ChunkContents]:
-    """Yield one ``Contents`` per chunk, with the metadata records before it.
+    """Yield one ``ChunkContents`` per chunk, with the metadata records before it.
 
     Checks both magics and the CRC of data, summary and every chunk; raises ``InputError``.
     """
@@ -181,7 +181,7 @@ def read_groups(path: Path) -> Iterator[ChunkContents]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return a file's bytes; raises ``ValueError`` for more than an episode file can have."""
+    """Return the bytes of a file; raises ``ValueError`` if it is larger than any episode file."""
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
         if size > MAX_FILE_BYTES:
@@ -192,7 +192,7 @@ def read_bytes(path: Path) -> bytes:
 def read_first(path: Path) -> ChunkContents:
     """Return the first chunk and the metadata before it, without reading the rest of the file.
 
-    Enough for what a model is given; ends are not checked, the chunk's CRC is.
+    It contains the observation. The CRC of the chunk is checked, the end of the file is not.
     """
     with input_errors(path), path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
@@ -213,7 +213,7 @@ def read_first(path: Path) -> ChunkContents:
 
 
 def read_chunk(path: Path, offset: int, length: int) -> ChunkContents:
-    """Return the messages of the one chunk record at ``offset``; its CRC is checked."""
+    """Return the messages of the chunk record at ``offset``; its CRC is checked."""
     with input_errors(path), path.open("rb") as file:
         if not 9 <= length <= MAX_CHUNK_BYTES:
             raise ValueError("a chunk has an impossible size")
@@ -228,7 +228,7 @@ def read_chunk(path: Path, offset: int, length: int) -> ChunkContents:
 
 
 def read_chunks(path: Path) -> Iterator[StoredChunk]:
-    """Yield every chunk of a complete file; raises ``InputError`` where it is damaged."""
+    """Yield every chunk of a complete file; raises ``InputError`` if it is damaged."""
     with input_errors(path):
         data = read_bytes(path)
         _check_ends(data)
@@ -242,7 +242,7 @@ def read_chunks(path: Path) -> Iterator[StoredChunk]:
 
 
 def read_whole(path: Path) -> ChunkContents:
-    """Return all metadata and messages of a file in one ``Contents``."""
+    """Return all metadata and messages of a file in one ``ChunkContents``."""
     whole = ChunkContents()
     for part in read_groups(path):
         whole.metadata.update(part.metadata)
@@ -253,7 +253,7 @@ def read_whole(path: Path) -> ChunkContents:
 
 
 def check_counts(path: Path, expected: Mapping[str, int]) -> None:
-    """Read a file just written; raises ``OSError`` unless it holds the expected messages."""
+    """Read back a new file; raises ``OSError`` unless it holds the expected messages."""
     try:
         whole = read_whole(path)
     except InputError as error:
@@ -308,7 +308,7 @@ def read_metadata(content: memoryview) -> tuple[str, dict[str, str]]:
 
 
 def read_chunk_records(content: memoryview) -> bytes:
-    """Return the records within a chunk; raises ``ValueError`` unless size and CRC are right."""
+    """Return the records of a chunk; raises ``ValueError`` if size or CRC are wrong."""
     size, crc = struct.unpack_from("<QI", content, 16)
     compression, at = read_text(content, 28)
     (stored,) = struct.unpack_from("<Q", content, at)
@@ -316,7 +316,7 @@ def read_chunk_records(content: memoryview) -> bytes:
     if size > MAX_CHUNK_BYTES or len(records) != stored:
         raise ValueError("a chunk has an impossible size")
     if compression == "zstd":
-        # The decompressor allocates what the frame claims, whatever limit it is given.
+        # The decompressor allocates the size given in the frame and ignores any limit.
         if zstandard.frame_content_size(records) not in (-1, size):
             raise ValueError("a chunk has an impossible size")
         plain = zstandard.ZstdDecompressor().decompress(records, max_output_size=size)
@@ -343,7 +343,7 @@ def _read_messages(plain: bytes, group: ChunkContents) -> None:
 
 
 def read_text(content: memoryview, at: int) -> tuple[str, int]:
-    """Return (text, where it ends) of a length-prefixed string at ``at``."""
+    """Return (text, end) of a length-prefixed string at ``at``."""
     (length,) = struct.unpack_from("<I", content, at)
     end = at + 4 + length
     if end > len(content):
@@ -365,9 +365,9 @@ LIBRARY = "touchdown"
 
 
 class McapWriter:
-    """One file under a temporary name; it appears under its own name when closed without error.
+    """Writer of one file under a temporary name; closing without error renames it.
 
-    Channel ids are the positions of ``topics`` counted from 1.
+    Channel ids are the positions of ``topics``, counted from 1.
     """
 
     def __init__(self, path: Path, topics: Sequence[Topic]) -> None:
@@ -411,7 +411,7 @@ class McapWriter:
         self._metadata_indexes.append(encode_record(Opcode.METADATA_INDEX, entry))
 
     def add_chunk(self, blocks: Sequence[MessageBlock], *, compress: bool) -> None:
-        """Append one self-contained chunk of ``blocks`` (at least one message in all)."""
+        """Append one self-contained chunk of ``blocks`` (at least one message in total)."""
         content = b"".join([self._schemas, self._channels, *(block.records for block in blocks)])
         times = np.concatenate([block.log_ns for block in blocks])
         first, last = int(times.min()), int(times.max())
@@ -451,7 +451,7 @@ class McapWriter:
         self._crc = zlib.crc32(content, self._crc)
 
     def finish(self) -> dict[str, int]:
-        """Write the summary and make the unnamed file durable; returns the counts per topic."""
+        """Write the summary and make the file durable; return the counts per topic."""
         if not self._file.closed:
             self._file.write(encode_record(Opcode.DATA_END, struct.pack("<I", self._crc)))
             self._file.write(self._summary(self._file.tell()) + MAGIC)
@@ -461,7 +461,7 @@ class McapWriter:
         return self.counts
 
     def close(self) -> None:
-        """Finish the file and give it its name; if the disk refuses, nothing of it stays."""
+        """Finish and rename the file; remove it if the disk fails."""
         try:
             self.finish()
             self.part.replace(self.path)
@@ -472,7 +472,7 @@ class McapWriter:
 
     def discard(self) -> None:
         """Close and delete the unfinished file."""
-        # Closing writes what is still in the buffer, which a full disk refuses once more.
+        # Closing flushes the buffer, which a full disk refuses again.
         with contextlib.suppress(OSError):
             self._file.close()
         self.part.unlink(missing_ok=True)

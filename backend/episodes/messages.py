@@ -22,7 +22,7 @@ ENCAPSULATION = b"\x00\x01\x00\x00"
 
 
 class CdrWriter:
-    """Appends fields in order; each primitive is aligned to its own size."""
+    """Append fields in order; each primitive is aligned to its own size."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
@@ -74,7 +74,7 @@ class CdrWriter:
 
 
 class CdrReader:
-    """Takes fields in order; raises ``ValueError`` where the message is too short or foreign."""
+    """Read fields in order; raises ``ValueError`` if the message is too short or foreign."""
 
     def __init__(self, message: bytes | memoryview) -> None:
         if len(message) < 4 or bytes(message[:4]) != ENCAPSULATION:
@@ -90,23 +90,23 @@ class CdrReader:
         return part
 
     def number(self, kind: str) -> float:
-        """Take one number."""
+        """Read one number."""
         size = struct.calcsize(kind)
         self._at += -self._at % size
         value: float = struct.unpack("<" + kind, self._take(size))[0]
         return value
 
     def integer(self, kind: str) -> int:
-        """Take one whole number."""
+        """Read one integer."""
         return int(self.number(kind))
 
     def text(self) -> str:
-        """Take a string."""
+        """Read a string."""
         content = bytes(self._take(self.integer("I")))
         return content[:-1].decode("utf-8")
 
     def sequence(self, dtype: str) -> NDArray[np.generic]:
-        """Take a sequence as a new array of ``dtype`` such as ``<f4``."""
+        """Read a sequence as a new array of ``dtype`` such as ``<f4``."""
         count = self.integer("I")
         kind = np.dtype(dtype)
         if count:
@@ -114,7 +114,7 @@ class CdrReader:
         return np.frombuffer(self._take(count * kind.itemsize), kind).copy()
 
     def header(self) -> tuple[int, str]:
-        """Take a ``std_msgs/Header``: (stamp in ns, frame)."""
+        """Read a ``std_msgs/Header``: (stamp in ns, frame)."""
         seconds = self.integer("i")
         return seconds * 1_000_000_000 + self.integer("I"), self.text()
 
@@ -127,7 +127,7 @@ _HEAD = len(ENCAPSULATION)
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A channel of the file: its name, message type and constant ``frame_id``."""
+    """Channel of a file: name, message type and constant ``frame_id``."""
 
     name: str
     schema: str
@@ -153,7 +153,7 @@ MARKER = {
 
 @lru_cache(maxsize=16)
 def schema_text(name: str) -> bytes:
-    """Return the ros2msg definition of ``name``, dependencies included."""
+    """Return the ros2msg definition of ``name`` with its dependencies."""
     file = files("touchdown.resources").joinpath("schemas", name.replace("/", ".") + ".msg")
     return file.read_bytes()
 
@@ -196,7 +196,7 @@ def pack_pose(stamps_ns: Times, position_mm: FloatArray, frame_id: str = "base")
 
 
 def pack_observation(stamps_ns: Times, values: NDArray[np.float32]) -> ByteRows:
-    """Pack ``Observation``: ``values`` (n, channels), step 0, 1, ... n - 1."""
+    """Pack ``Observation``: ``values`` (n, channels) for the steps 0, 1, ... n - 1."""
     writer = CdrWriter()
     writer.header(0, OBS.frame_id)
     writer.align(4)
@@ -261,7 +261,7 @@ def pack_json(content: Mapping[str, object]) -> bytes:
 
 
 def unpack_json(message: bytes | memoryview) -> dict[str, object]:
-    """Unpack ``pack_json``; raises ``ValueError`` if it is anything else."""
+    """Unpack the message of ``pack_json``; raises ``ValueError`` for other content."""
     content = json.loads(CdrReader(message).text())
     if not isinstance(content, dict):
         raise ValueError("a JSON object is expected")
@@ -308,14 +308,14 @@ def unpack_pose_mm(messages: Messages) -> FloatArray:
 
 
 def unpack_observation(messages: Messages) -> NDArray[np.float32]:
-    """Return (n, channels); raises ``ValueError`` unless the steps count 0, 1, ... n - 1."""
+    """Return (n, channels); raises ``ValueError`` unless the steps are 0, 1, ... n - 1."""
     if not messages:
         raise ValueError("the observation has no rows")
     reader = CdrReader(messages[0])
     reader.header()
     reader.integer("I")
     values = 4 * reader.sequence("<f4").size
-    # All rows are packed alike: step, number of values and values end every one of them.
+    # All rows have the same layout: step, number of values, values.
     rows = _stacked(messages)
     heads = np.ascontiguousarray(rows[:, -values - 8 : rows.shape[1] - values]).view("<u4")
     if not (heads[:, 1] == values // 4).all():

@@ -51,10 +51,10 @@ class PackedEpisode:
 
 
 class PackWriter:
-    """Writes one pack; the file appears, complete and durable, when closed without error.
+    """Writer of one pack; closing without error makes it complete and durable.
 
-    Stamps count from zero, 3 s per episode, so that equal seeds give equal files. ``metadata`` goes
-    into the record ``pack``. The 501st episode raises ``ValueError``.
+    Time stamps start at zero with 3 s per episode, so equal seeds give equal files. ``metadata`` is
+    stored in the record ``pack``. The 501st episode raises ``ValueError``.
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
@@ -74,7 +74,7 @@ class PackWriter:
         self._writer.__exit__(kind, error, trace)
 
     def write(self, row: PackedEpisode) -> None:
-        """Append one episode; a shape other than (20, 258) or a NaN raises ``ValueError``."""
+        """Append one episode; raises ``ValueError`` for a shape other than (20, 258) or a NaN."""
         if self.episodes >= MAX_EPISODES:
             raise ValueError(f"a pack holds at most {MAX_EPISODES} episodes")
         if row.observation.shape != (SAMPLES_PER_PROBE, CHANNELS):
@@ -98,7 +98,7 @@ class PackWriter:
 def write_packs(
     folder: Path, stem: str, rows: Iterator[PackedEpisode], metadata: Mapping[str, str]
 ) -> int:
-    """Write ``rows`` into ``<stem>-0000.mcap``, ``<stem>-0001.mcap`` ...; returns their number."""
+    """Write ``rows`` into ``<stem>-0000.mcap``, ``<stem>-0001.mcap`` ...; return their number."""
     total = 0
     row = next(rows, None)
     while row is not None:
@@ -112,7 +112,7 @@ def write_packs(
 
 
 def read_pack(path: Path) -> Iterator[PackedEpisode]:
-    """Yield the episodes of a pack in order; raises ``InputError`` naming a damaged file."""
+    """Yield the episodes of a pack in order; raises ``InputError`` for a damaged file."""
     for group in read_groups(path):
         if group.messages:
             with input_errors(path):

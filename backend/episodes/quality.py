@@ -1,4 +1,4 @@
-"""Quality of collected episodes: outliers, coverage of displacements, contradicting repeats."""
+"""Quality of collected episodes: outliers, coverage of offsets, contradicting repeats."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ BIN_MM = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Bins of ``bin_mm`` in frame ``O``, one of them centred on it.
+    """Bins of ``bin_mm`` in frame ``O``, with one bin centred on the origin.
 
-    ``counts`` (ny, nx) episodes; ``possible`` (ny, nx): at the centre of the bin the faces overlap
-    enough. Bin (i, j) is centred at ``bin_mm * (j - nx // 2, i - ny // 2)``.
+    ``counts`` (ny, nx): episodes; ``possible`` (ny, nx): True if the faces overlap enough at the
+    centre of the bin. Bin (i, j) is centred at ``bin_mm * (j - nx // 2, i - ny // 2)``.
     """
 
     counts: NDArray[np.intp]
@@ -51,12 +51,12 @@ class Coverage:
 
     @property
     def covered(self) -> float:
-        """Share of the possible bins that hold an episode."""
+        """Share of the possible bins with at least one episode."""
         possible = int(self.possible.sum())
         return 1.0 - self.holes / possible if possible else 0.0
 
     def with_offset(self, offset_mm: tuple[float, float]) -> Coverage:
-        """Return the coverage with one more episode (one beyond the bins counts nowhere)."""
+        """Return the coverage with one more episode; offsets outside all bins are ignored."""
         counts = self.counts + count_bins(np.array([offset_mm]), self.counts.shape, self.bin_mm)
         return Coverage(counts, self.possible, self.bin_mm)
 
@@ -68,7 +68,7 @@ def count_coverage(
     bin_mm: float = BIN_MM,
     min_overlap_mm2: float = MIN_OVERLAP_MM2,
 ) -> Coverage:
-    """Count ``offsets_mm`` (n, 2) of ``face`` over ``bottom`` per bin."""
+    """Count ``offsets_mm`` (n, 2) of ``face`` above ``bottom`` per bin."""
     reach = np.add(face.half_extents_mm, bottom.half_extents_mm)
     columns, rows = (2 * np.ceil(reach / bin_mm).astype(int) + 1).tolist()
     x = bin_mm * (np.arange(columns) - columns // 2)
@@ -79,7 +79,7 @@ def count_coverage(
 
 
 def count_bins(offsets_mm: FloatArray, shape: tuple[int, ...], bin_mm: float) -> NDArray[np.intp]:
-    """Return (ny, nx) how many of ``offsets_mm`` (n, 2) fall into each bin."""
+    """Return the number of ``offsets_mm`` (n, 2) per bin, (ny, nx)."""
     counts = np.zeros(shape, dtype=np.intp)
     offsets = np.asarray(offsets_mm, dtype=np.float64).reshape(-1, 2)
     offsets = offsets[np.isfinite(offsets).all(axis=1)]
@@ -95,18 +95,18 @@ Kind = Literal[
 ]  # fmt: skip
 
 CONTACT_N = 1.0
-# A force off the line between the ticks before and after (undisturbed: 0.35 N, at the knee).
+# Deviation of a force from the mean of its neighbours (undisturbed: 0.35 N, at the knee).
 JERK_N = 0.6
-# One marker pitch: beyond it a marker may have been taken for its neighbour (undisturbed: 20).
+# One marker pitch: a larger step may confuse neighbouring markers (undisturbed: 20).
 SATURATED_PX = 31.0
 LOST_MARKERS = 3
 DROPPED_FRAMES = 3  # frames of 100 (undisturbed: 0.5 % are lost)
-LAG_S = 0.03  # of the gel behind the force (undisturbed: 0.011 s)
+LAG_S = 0.03  # delay of the gel relative to the force (undisturbed: 0.011 s)
 SLIP_MM = 0.3
 TWIN_APART_MM = 5.0
-TWIN_SHARE = 0.25  # twins are nearer than this share of the median distance to the nearest stranger
-FEWEST = 20  # fewer episodes show nothing about a distribution
-RARE = 0.001  # a distribution so uneven by chance is not believed
+TWIN_SHARE = 0.25  # limit of a repeat, relative to the median distance to the nearest other label
+FEWEST = 20  # fewest episodes for a test of the distribution
+RARE = 0.001  # significance level of that test
 
 _RAMP = slice(8, 14)
 _HELD = slice(16, 20)
@@ -115,7 +115,7 @@ _FX, _FZ = TACTILE_CHANNELS, TACTILE_CHANNELS + 2
 
 @dataclass(frozen=True, slots=True)
 class ExaminedEpisode:
-    """One episode to examine: ``observation`` (20, 258), labelled ``offset_mm`` (2,), quality."""
+    """One episode to check: ``observation`` (20, 258), labelled ``offset_mm`` (2,), quality."""
 
     uuid: str
     observation: NDArray[np.float32]
@@ -125,7 +125,7 @@ class ExaminedEpisode:
 
 @dataclass(frozen=True, slots=True)
 class QualityIssue:
-    """What is wrong with these episodes (none: with the whole), in words."""
+    """One finding about these episodes (none: about all), with a message."""
 
     kind: Kind
     episodes: tuple[str, ...]
@@ -133,7 +133,7 @@ class QualityIssue:
 
 
 def check_quality(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
-    """Return all findings: the whole first, then twins, then episode by episode."""
+    """Return all findings: distribution first, then repeats, then single episodes."""
     singles = [
         QualityIssue(kind, (row.uuid,), text)
         for row in rows
@@ -144,9 +144,9 @@ def check_quality(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
 
 
 def find_asymmetry(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
-    """Test whether displacements lie evenly on both sides of the bottom (signed ranks, per axis).
+    """Test for symmetric offsets about the bottom (signed-rank test per axis).
 
-    An uneven distribution means a wrong origin, a wrong range, or a campaign cut short.
+    An asymmetric distribution indicates a wrong origin, a wrong range, or an incomplete campaign.
     """
     offsets = np.array([row.offset_mm for row in rows]).reshape(-1, 2)
     offsets = offsets[np.isfinite(offsets).all(axis=1)]
@@ -169,18 +169,18 @@ def find_asymmetry(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
 
 
 def _uneven_p(values: FloatArray) -> float:
-    """Return how likely values even about zero would be as uneven as these (signed ranks)."""
-    # Here, since it takes longer to load than all the rest of a program that needs it rarely.
+    """Return the p-value of the signed-rank test for symmetry about zero."""
+    # imported here: slow to import and rarely needed
     from scipy.stats import wilcoxon
 
     return float(wilcoxon(values).pvalue)
 
 
 def find_contradicting_repeats(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
-    """Find signals that are nearly the same under labels more than 5 mm apart, nearest first.
+    """Find nearly equal signals with labels more than 5 mm apart, nearest first.
 
-    Features are the mean of the last 0.5 s, standardised; "nearly" is against the distances that
-    episodes with different labels usually have.
+    Features are the standardised means of the last 0.5 s; "nearly equal" is relative to the usual
+    distance of episodes with different labels.
     """
     known = [row for row in rows if np.isfinite(row.observation).all()]
     known = [row for row in known if np.isfinite(row.offset_mm).all()]
@@ -203,7 +203,7 @@ def find_contradicting_repeats(rows: Sequence[ExaminedEpisode]) -> list[QualityI
 
 
 def _strangers(features: FloatArray, offsets: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Return (n,) distance to, and (n,) index of, the nearest episode with another label."""
+    """Return distance to and index of the nearest episode with another label, (n,) each."""
     count = len(features)
     distance, nearest = np.full(count, np.inf), np.zeros(count, dtype=np.intp)
     squares = (features**2).sum(axis=1)
@@ -281,12 +281,12 @@ _LOOKS: tuple[tuple[Kind, Callable[[ExaminedEpisode], str]], ...] = (
 
 
 def lags_s(observation: NDArray[np.float32]) -> Iterator[float]:
-    """Yield how far the vertical gel shear of each finger is behind the press force, in s.
+    """Yield the delay of the vertical gel shear of each finger relative to the press force, in s.
 
-    Both rise along the ramp and then stand still; the knee between is at the same instant on both,
-    whatever their scale and offset. NaN where there is no knee.
+    Both rise along the ramp and then stay constant, with the knee at the same instant whatever
+    their scale and offset. NaN if there is no knee.
     """
-    # The wrench of a tick is the mean of the 0.1 s before it: its knee seems 0.05 s late.
+    # The wrench of a tick is the mean of the 0.1 s before it, which delays its knee by 0.05 s.
     force_s = _knee_s(observation[:, _FZ].astype(np.float64)) - 0.5 * TICK_S
     shear = observation[:, :TACTILE_CHANNELS].astype(np.float64)
     for finger in range(len(FINGERS)):
@@ -295,7 +295,7 @@ def lags_s(observation: NDArray[np.float32]) -> Iterator[float]:
 
 
 def _knee_s(signal: FloatArray) -> float:
-    """Return when the line through the ramp reaches the level of the hold."""
+    """Return the time at which the line through the ramp reaches the level of the hold."""
     t_s = TICK_S * np.arange(1, len(signal) + 1)
     if not np.isfinite(signal).all():
         return float("nan")

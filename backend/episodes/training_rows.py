@@ -1,7 +1,7 @@
 """Labelled episodes as arrays, split into training and test rows without leaks.
 
-A split keeps mountings, series or grips together, so that nothing in the test rows is known from
-the training rows.
+A split keeps mountings, series or grips together, so that no errors are shared between the two
+sides.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ class TrainingRows:
     grip_id: tuple[str, ...]
     mounting_id: tuple[str, ...]
     labels: tuple[Mapping[str, object], ...]
-    # How ``observation[index]`` is read where it is on disk.
+    # reads ``observation[index]`` of a memory map
     fetch: Callable[[NDArray[np.int64]], NDArray[np.floating]] | None = None
 
     def inputs(self, index: NDArray[np.int64]) -> NDArray[np.float32]:
-        """(len(index), 20, 258) float32: the observations at ``index``, in that order."""
+        """Return the observations at ``index`` in that order, (len(index), 20, 258) float32."""
         found = self.observation[index] if self.fetch is None else self.fetch(index)
         return found.astype(np.float32, copy=False)
 
@@ -65,12 +65,12 @@ class TrainingRows:
 
 
 def patch_hex(patch: NDArray[np.bool_]) -> str:
-    """Return the label form of a true patch (N,): hex of its packed bits."""
+    """Return a true patch (N,) as stored in a label: hexadecimal packed bits."""
     return np.packbits(patch).tobytes().hex()
 
 
 def patch_bits(text: str, points: int) -> NDArray[np.bool_]:
-    """Return the (points,) patch of its label form; raises ``ValueError`` if the length differs."""
+    """Return the patch (points,) of its label form; raises ``ValueError`` for another length."""
     packed = np.frombuffer(bytes.fromhex(text), np.uint8)
     if packed.size != (points + 7) // 8:
         raise ValueError(f"the patch of a label has not {points} points")
@@ -78,7 +78,7 @@ def patch_bits(text: str, points: int) -> NDArray[np.bool_]:
 
 
 def find_packs(folder: Path) -> list[Path]:
-    """Return the packs in and below ``folder`` (or the file itself), by name."""
+    """Return the packs in and below ``folder`` (or the file itself), sorted by name."""
     if folder.is_file():
         return [folder]
     found = sorted(p for p in folder.rglob("*.mcap") if not p.name.startswith("."))
@@ -92,9 +92,9 @@ def find_packs(folder: Path) -> list[Path]:
 
 
 def load_rows(folder: Path, piece: str | None = None) -> TrainingRows:
-    """Load every episode of ``piece`` (None: the only piece there) in and below ``folder``.
+    """Load every episode of ``piece`` (None: the only one) in and below ``folder``.
 
-    Raises ``InputError`` naming the file for damaged or foreign files, mixed pieces or geometries.
+    Raises ``InputError`` for damaged or foreign files, mixed pieces or geometries.
     """
     rows: list[PackedEpisode] = []
     patches: list[NDArray[np.bool_]] = []
@@ -196,13 +196,13 @@ def _mixed(where: Path, what: str) -> InputError:
 
 
 MIN_MOUNTINGS = 30
-# The cure where nothing was collected.
+# ends the advice of errors about too little data
 SIMULATED = "of simulated probes make more ('touchdown simulate --episodes 2000')"
 
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """Indices of both sides, and what was kept together ("mounting", "series" or "grip")."""
+    """Indices of both sides, and the unit kept together ("mounting", "series" or "grip")."""
 
     train: NDArray[np.int64]
     held_out: NDArray[np.int64]
@@ -214,8 +214,8 @@ def split_rows(
 ) -> Split:
     """Hold out about ``share`` (0..1) of the episodes: whole mountings, series or grips.
 
-    Mountings where there are at least 30, else series of one pair; with ``divide_series`` grips
-    instead of series. Raises ``InputError`` if that leaves nothing to hold out.
+    Mountings if there are at least 30, else series of one pair; with ``divide_series`` grips
+    instead of series. Raises ``InputError`` if nothing can be held out.
     """
     if divide_series:
         return split_grips(rows.mounting_id, rows.grip_id, share, seed)
@@ -226,7 +226,7 @@ def split_rows(
 def split_grips(
     mounting_id: Sequence[str], grip_id: Sequence[str], share: float, seed: int
 ) -> Split:
-    """Split by mounting where there are at least 30, else by grip: validation knows the mountings.
+    """Split by mounting if there are at least 30, else by grip (validation shares the mountings).
 
     Raises ``InputError`` if all episodes come from one grip.
     """
@@ -245,10 +245,10 @@ def split_grips(
 
 
 def split_series(mounting_id: Sequence[str], pair: Sequence[str], share: float, seed: int) -> Split:
-    """Hold out whole mountings where there are at least 30, else whole series of one pair.
+    """Hold out whole mountings if there are at least 30, else whole series of one pair.
 
-    A series is what was recorded on one mounting; ``pair`` names face and bottom of each episode.
-    Every pair keeps a series to train on. Raises ``InputError`` if no pair has two of them.
+    A series is recorded on one mounting; ``pair`` names face and bottom of each episode. Every pair
+    keeps a series for training. Raises ``InputError`` if no pair has two series.
     """
     if len(set(mounting_id)) >= MIN_MOUNTINGS:
         return _hold_out(list(mounting_id), "mounting", share, seed)
@@ -273,7 +273,7 @@ def split_series(mounting_id: Sequence[str], pair: Sequence[str], share: float, 
 def _chosen_series(
     sizes: Counter[tuple[str, str]], of_pair: Counter[str], wanted: float, seed: int
 ) -> set[tuple[str, str]]:
-    """Draw series up to ``wanted`` episodes, or the smallest one if none is so small."""
+    """Draw series up to ``wanted`` episodes, or the smallest one if all are larger."""
     names = sorted(key for key in sizes if of_pair[key[0]] > 1)
     order = np.random.default_rng([seed, 14]).permutation(len(names))
     drawn, left, total = set[tuple[str, str]](), Counter(of_pair), 0
@@ -286,12 +286,12 @@ def _chosen_series(
 
 
 def group_noun(kept_together: str) -> str:
-    """Say in the plural what was never divided."""
+    """Return the unit kept together, in the plural."""
     return "whole series" if kept_together == "series" else f"whole {kept_together}s"
 
 
 def divided_indices(sides: Sequence[str], groups: Sequence[Hashable]) -> NDArray[np.int64]:
-    """Return the indices of all episodes of those ``groups`` that are on more than one side."""
+    """Return the indices of all episodes in ``groups`` that are on more than one side."""
     seen: dict[Hashable, set[str]] = {}
     for side, group in zip(sides, groups, strict=True):
         seen.setdefault(group, set()).add(side)

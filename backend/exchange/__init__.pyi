@@ -3,8 +3,6 @@ from .csv_tables import read_csv as read_csv
 from .exports import EXPORTS as EXPORTS
 from .exports import ExportResult as ExportResult
 from .exports import export as export
-from .exports import export_dataset as export_dataset
-from .exports import export_format as export_format
 from .imports import EpisodeImport as EpisodeImport
 from .imports import ImportOptions as ImportOptions
 from .jsonl import import_log as import_log
@@ -12,20 +10,16 @@ from .jsonl import read_jsonl as read_jsonl
 from .label_import import import_labels as import_labels
 from .manifest import read_manifest as read_manifest
 from .query import EXPORT_STATES as EXPORT_STATES
-from .query import ExportQuery as ExportQuery
 from .query import ExportState as ExportState
 
 __all__ = [
     "EXPORTS",
     "EXPORT_STATES",
     "EpisodeImport",
-    "ExportQuery",
     "ExportResult",
     "ExportState",
     "ImportOptions",
     "export",
-    "export_dataset",
-    "export_format",
     "import_labels",
     "import_log",
     "read_coco",

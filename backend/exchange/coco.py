@@ -25,13 +25,13 @@ MARGIN_MM = 12.0
 SEEN = 2
 DECIMALS = 4
 MIN_IOU = 0.99
-EDGE_MM = 0.05  # one px: so much may the rounding of a polygon move its edge
+EDGE_MM = 0.05  # one px: rounding of a polygon moves its edge by up to this
 MAX_BYTES = 1_000_000_000
 INK, PAPER = 60, 245
 
 
 def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
-    """Write ``annotations.json`` and one picture per pair into ``folder``."""
+    """Write ``annotations.json`` and one image per pair into ``folder``."""
     images, annotations = [], []
     canvases: dict[str, Canvas] = {}
     for one in job.chosen:
@@ -54,7 +54,7 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
 
 
 class Canvas:
-    """Where mm of the bottom frame lie on a picture wide enough for face and bottom."""
+    """Transform between mm in the bottom frame and pixels of an image of face and bottom."""
 
     def __init__(self, pair: Pair) -> None:
         self.pair = pair
@@ -64,7 +64,7 @@ class Canvas:
         self.width, self.height = 2 * half[0] + 1, 2 * half[1] + 1
 
     def px(self, points_mm: FloatArray) -> FloatArray:
-        """(n, 2) px of points (n, 2) in the bottom frame."""
+        """Return points (n, 2) of the bottom frame in px."""
         flipped = points_mm * np.array([1.0, -1.0]) * PX_PER_MM
         centred = flipped + np.array(self.origin_px, dtype=np.float64)
         return np.asarray(np.round(centred, DECIMALS), dtype=np.float64)
@@ -123,7 +123,7 @@ def _annotation(one: SelectedEpisode, canvas: Canvas) -> dict[str, object]:
 
 
 def _shape(polygon_px: FloatArray) -> dict[str, object]:
-    """Return segmentation, box and area; without contact they are empty."""
+    """Return segmentation, box and area; empty without contact."""
     if not len(polygon_px):
         return {"segmentation": [], "bbox": [0, 0, 0, 0], "area": 0.0}
     low, high = polygon_px.min(axis=0), polygon_px.max(axis=0)
@@ -140,7 +140,7 @@ def _shape(polygon_px: FloatArray) -> dict[str, object]:
 def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
     """Yield the offsets of ``annotations.json``; rows whose polygon does not fit carry a warning.
 
-    Raises ``InputError`` for a file that is damaged or foreign.
+    Raises ``InputError`` if the file is damaged or foreign.
     """
     path = source / FILE if source.is_dir() else source
     try:
@@ -164,7 +164,7 @@ class _Scale:
         self._px_per_mm = px_per_mm
 
     def mm(self, points_px: Any) -> FloatArray:
-        """(n, 2) mm in the bottom frame."""
+        """Return points (n, 2) in mm in the bottom frame."""
         points = np.array(points_px, dtype=np.float64).reshape(-1, 2)
         return np.asarray((points - self._origin) / self._px_per_mm * np.array([1.0, -1.0]))
 
@@ -177,7 +177,7 @@ def _row(
     was = Label(**annotation["label"]) if "label" in annotation else None
     moved = was is None or (was.x_um, was.y_um) != (x_um, y_um)
     theta_mdeg = None if was is None else was.theta_mdeg
-    # Whoever moved it did not say how sure they are.
+    # the uncertainty of a moved label is unknown
     label = Label(x_um, y_um, theta_mdeg, None if moved or was is None else was.sigma_um)
     warning = ""
     if annotation["segmentation"]:
@@ -190,7 +190,7 @@ def _row(
 
 
 def _iou(corners_mm: FloatArray, label: Label, pair: Pair, dataset: Dataset) -> float:
-    """Return the overlap of the points within a convex polygon and those of the derived patch."""
+    """Return the overlap of the points within a convex polygon with the derived patch."""
     touching = dataset.geometry.patch(pair.sha256, label).touching
     yaw_rad = math.radians((label.theta_mdeg or 0) / 1e3)
     points = rotated(pair.points_mm, yaw_rad) + label.offset_mm
@@ -199,7 +199,7 @@ def _iou(corners_mm: FloatArray, label: Label, pair: Pair, dataset: Dataset) -> 
     away = points[:, None, :] - corners_mm
     cross = turn * (along[:, 0] * away[..., 1] - along[:, 1] * away[..., 0])
     depth_mm = (cross / np.maximum(np.hypot(along[:, 0], along[:, 1]), EDGE_MM)).min(axis=1)
-    # The rounding of corners may move the edge: points so near to it prove nothing.
+    # Rounding of the corners may move the edge, so points near it are not compared.
     drawn = np.where(np.abs(depth_mm) < EDGE_MM, touching, depth_mm > 0.0)
     union = int((drawn | touching).sum())
     return int((drawn & touching).sum()) / union if union else 1.0

@@ -33,7 +33,7 @@ Row = Iterable[object]
 
 
 def write_signals(dataset: Dataset, entry: EpisodeEntry, folder: Path) -> None:
-    """Write the tables of one episode to ``folder/<uuid>``; none where no signals were recorded."""
+    """Write the tables of one episode to ``folder/<uuid>``; nothing without recorded signals."""
     path = dataset.folder / entry.path
     episode = episode_of(read_first(path), path)
     recording, onset_s = episode.recording, episode.onset_s
@@ -85,7 +85,7 @@ MAX_BYTES = 1_000_000_000
 
 
 def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
-    """Write ``episodes.csv``: UTF-8, comma, point, a header line; and the tables of signals."""
+    """Write ``episodes.csv`` (UTF-8, comma, decimal point, header) and the signal tables."""
     with (folder / FILE).open("w", newline="", encoding="utf-8") as file:
         rows = csv.DictWriter(file, COLUMNS)
         rows.writeheader()
@@ -101,7 +101,7 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
 def margin_mm(pair: Pair, label: Label) -> float:
     """Return the signed distance of the centre of mass to the edge of the true overlap.
 
-    Positive: it stands; minus infinity: no contact.
+    Positive: stable; minus infinity: no contact.
     """
     yaw_rad = math.radians((label.theta_mdeg or 0) / 1e3)
     x_mm, y_mm = label.offset_mm.tolist()
@@ -138,7 +138,7 @@ def _row(one: SelectedEpisode, margin: float) -> dict[str, object]:
 
 
 def as_text(content: str) -> str:
-    """Return what a spreadsheet shows as ``content`` and does not take for a formula."""
+    """Return a text that a spreadsheet shows as ``content`` and does not read as a formula."""
     return f"'{content}" if content.startswith(("=", "+", "-", "@", "\t", "\r")) else content
 
 
@@ -147,7 +147,7 @@ def _thousandth(value: int | None) -> str:
 
 
 def read_csv(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
-    """Yield the labels of ``episodes.csv``; raises ``InputError`` naming a bad line."""
+    """Yield the labels of ``episodes.csv``; raises ``InputError`` with the bad line."""
     del dataset
     path = source / FILE if source.is_dir() else source
     if not path.is_file() or path.stat().st_size > MAX_BYTES:
@@ -170,7 +170,7 @@ def read_csv(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
 
 def _label_row(row: Mapping[str, str | None], path: Path, line: int) -> ImportedLabel:
     if None in row.values() or None in row:
-        # A file that was cut short: what is left of a number looks like a number.
+        # In an incomplete file the rest of a number would look like a number.
         raise _bad(path, line, "It has another number of fields than the first line.")
     names = ("x_mm", "y_mm", "theta_deg", "sigma_mm")
     values = [_whole(row.get(name), name, path, line) for name in names]
@@ -180,7 +180,7 @@ def _label_row(row: Mapping[str, str | None], path: Path, line: int) -> Imported
 
 
 def _whole(text: str | None, name: str, path: Path, line: int) -> int | None:
-    """Return thousandths; a finer or absent number is not guessed at."""
+    """Return a number in thousandths; raises ``InputError`` for a finer or missing number."""
     if not text:
         return None
     try:

@@ -48,20 +48,20 @@ from touchdown.backend.exchange.query import SelectedEpisode
 
 @dataclass(frozen=True, slots=True)
 class ExportEpisode:
-    """``values`` by feature: (20, ...), or (...) where constant. ``pictures``: 20 RGB per key."""
+    """``values`` by feature: (20, ...), or (...) if constant. ``pictures``: 20 RGB per key."""
 
     chosen: SelectedEpisode
     values: Mapping[str, Values]
     pictures: Mapping[str, tuple[ImageArray, ...]]
 
     def per_tick(self, feature: Feature) -> Values:
-        """(20, ...) of ``feature``, repeated where it is constant."""
+        """Return ``feature`` as (20, ...), repeated if it is constant."""
         values = self.values[feature.key]
         return np.repeat(values[None], SAMPLES_PER_PROBE, axis=0) if feature.constant else values
 
 
 def face_points(dataset: Dataset, chosen: Iterable[SelectedEpisode]) -> int:
-    """Return the number of face points that all share; raises ``InputError`` for several faces."""
+    """Return the number of face points; raises ``InputError`` for episodes of several faces."""
     pairs = sorted({one.revision.geometry for one in chosen})
     faces = {name: dataset.geometry.read(name)["face"] for name in pairs}
     if len(set(faces.values())) != 1:
@@ -76,8 +76,10 @@ def face_points(dataset: Dataset, chosen: Iterable[SelectedEpisode]) -> int:
 
 @dataclass(frozen=True, slots=True)
 class ExportSignals:
-    """What every episode of an export has. ``native``: its recorded signals, and not only what the
-    model is given; ``commanded``: also where the arm was told to be.
+    """Signals that all episodes of an export have.
+
+    ``native``: the recorded signals, not only the observation; ``commanded``: also the commanded
+    pose of the arm.
     """
 
     native: bool
@@ -85,7 +87,7 @@ class ExportSignals:
 
 
 def common_signals(dataset: Dataset, chosen: Iterable[SelectedEpisode]) -> ExportSignals:
-    """Return what all of the episodes have."""
+    """Return the signals that all episodes have."""
     commanded = True
     for one in chosen:
         if one.entry.mode == "mass":
@@ -100,7 +102,7 @@ def common_signals(dataset: Dataset, chosen: Iterable[SelectedEpisode]) -> Expor
 def read_export(
     dataset: Dataset, one: SelectedEpisode, signals: ExportSignals, *, pictures: bool = False
 ) -> ExportEpisode:
-    """Read one episode; ``pictures`` decodes those nearest to the ticks, where there are any."""
+    """Read one episode; ``pictures`` decodes the images nearest to the ticks, if any."""
     label = one.revision.label
     patch = dataset.geometry.patch(one.revision.geometry, label)
     values: dict[str, Values] = {
@@ -111,7 +113,7 @@ def read_export(
         return ExportEpisode(one, values | _observed(_packed(dataset, one)), {})
     path = dataset.folder / one.entry.path
     film = read_compressed_episode(path) if pictures else None
-    # All but the pictures is in the first chunk: a twentieth of the file.
+    # The first chunk holds everything but the images, in a twentieth of the file.
     episode = episode_of(read_first(path), path) if film is None else film.episode
     values |= _observed(episode.observation)
     if signals.native:
@@ -136,15 +138,14 @@ def _observed(observation: NDArray[np.float32]) -> dict[str, Values]:
 
 
 def _recorded(recording: Recording, onset_s: float, *, commanded: bool) -> dict[str, Values]:
-    """Return wrench windows and poses at the ticks, all times in whole ns since the contact.
+    """Return wrench windows and poses at the ticks, all times in integer ns since contact.
 
-    The action is where the arm is told to be at the next tick; where that is not known, where it
-    was.
+    The action is the commanded pose of the next tick; the measured pose if it is not known.
     """
     onset_ns = int(to_ns([onset_s])[0])
     ticks_ns = TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1)
     fine_ns = (TICK_NS // WINDOW) * np.arange(1, WINDOW * SAMPLES_PER_PROBE + 1)
-    # Sample and hold: at 1 kHz these are the samples themselves, moved by less than 1 ms.
+    # Sample and hold: at 1 kHz these are the samples themselves, shifted by less than 1 ms.
     latest = np.searchsorted(to_ns(recording.wrench_t_s) - onset_ns, fine_ns, side="right") - 1
     wrench = recording.wrench[np.maximum(latest, 0)].astype(np.float32)
     at_ns = to_ns(recording.pose_t_s) - onset_ns
@@ -160,7 +161,7 @@ def _recorded(recording: Recording, onset_s: float, *, commanded: bool) -> dict[
 
 
 def _poses(position_mm: FloatArray) -> NDArray[np.float32]:
-    """Return (n, 7): position in m and the quaternion of no rotation."""
+    """Return (n, 7): position in m and the identity quaternion."""
     poses = np.zeros((len(position_mm), 7), dtype=np.float32)
     poses[:, :3] = position_mm / 1e3
     poses[:, 6] = 1.0

@@ -1,7 +1,7 @@
 """Export of a dataset in a named format.
 
-An export is complete with its manifest, or its folder is named ``.partial``. A format's module is
-imported when the format is used.
+The folder is named ``.partial`` until the manifest is written. The module of a format is imported
+when it is used.
 """
 
 from __future__ import annotations
@@ -30,15 +30,17 @@ from touchdown.backend.exchange.query import (
 PARTIAL = ".partial"
 MARK = ".touchdown-export"
 SAMPLE = "sample"
-SAMPLED = 20  # so many episodes, evenly spread, have pictures where ``video`` is ``sample``
+SAMPLED = 20  # number of episodes with images for ``video="sample"``, evenly spread
 Video = Literal["sample", "all", "none"]
 ProgressCallback = Callable[[int], None]
 
 
 @dataclass(frozen=True, slots=True)
 class ExportJob:
-    """What a format writes. ``pictures``: also the tactile pictures at the ticks; ``tables``: the
-    recorded signals at their own rates.
+    """Input of a format writer.
+
+    ``pictures``: include the tactile images at the ticks; ``tables``: include the recorded signals
+    at their own rates.
     """
 
     dataset: Dataset
@@ -58,14 +60,16 @@ class ExportJob:
             self.advance(done + 1)
 
 
-# Writes a format into an empty folder; returns how the values are coded, for the manifest.
+# Writes a format into an empty folder; returns the encoding of the values, for the manifest.
 FormatWriter = Callable[[ExportJob, Path], Mapping[str, object]]
 
 
 @dataclass(frozen=True, slots=True)
 class ExportFormat:
-    """One format of export. ``signals``: it holds arrays; else labels alone, beside them ``tables``
-    of the recorded signals where these are wanted.
+    """One export format.
+
+    ``signals``: it holds arrays; otherwise labels only, with optional ``tables`` of the recorded
+    signals.
     """
 
     name: str
@@ -77,7 +81,7 @@ class ExportFormat:
 
 @dataclass(frozen=True, slots=True)
 class ExportResult:
-    """What was written: its folder, number of episodes and the hash of the manifest."""
+    """Result of an export: folder, number of episodes, hash of the manifest, warnings."""
 
     folder: Path
     episodes: int
@@ -173,7 +177,7 @@ def export_dataset(
 ) -> ExportResult:
     """Write the episodes of ``query`` to the new folder ``out``; ``advance(done, total)``.
 
-    Raises ``InputError`` for bad wishes, ``FaultError`` if the disk refuses.
+    Raises ``InputError`` for an invalid query, ``FaultError`` if the disk fails.
     """
     wanted = chosen_format.video if video is None else video
     selection = select_episodes(dataset, query)
@@ -224,7 +228,7 @@ def _filmed(chosen: Sequence[SelectedEpisode]) -> list[SelectedEpisode]:
 
 
 def _begin(out: Path) -> Path:
-    """Return the empty ``.partial`` folder, cleared of an interrupted export."""
+    """Return the empty ``.partial`` folder; the rest of an interrupted export is removed."""
     if out.exists() or out.name.endswith(PARTIAL):
         raise InputError("This folder is there already, or has a kept name.", str(out),
                          "Name a new folder.")  # fmt: skip
@@ -253,7 +257,7 @@ def _write(
     part: Path,
     advance: Callable[[int, int], None],
 ) -> None:
-    """Write all files but the manifest, and what they are into ``described``."""
+    """Write all files but the manifest, and describe them in ``described``."""
     filmed = _filmed(job.chosen)
     sample = _sample(filmed) if video == "sample" else ()
     total = len(job.chosen) + len(sample)
@@ -281,7 +285,7 @@ def _made(folder: Path) -> Path:
 
 
 def _sample(filmed: Sequence[SelectedEpisode]) -> tuple[SelectedEpisode, ...]:
-    """Return up to 20 episodes, evenly spread, numbered anew."""
+    """Return up to 20 episodes, evenly spread and renumbered."""
     count = min(SAMPLED, len(filmed))
     picked = [filmed[k * len(filmed) // count] for k in range(count)]
     return tuple(replace(one, index=index) for index, one in enumerate(picked))
@@ -291,14 +295,14 @@ def _warnings(job: ExportJob, chosen_format: ExportFormat) -> list[str]:
     if not chosen_format.signals:
         return []
     if not job.signals.native:
-        return ["Some episodes have no recorded signals: only what the model is given is here."]
+        return ["Some episodes have no recorded signals: the export holds the observations only."]
     action = "The action is the commanded pose of the next tick"
     if not job.signals.commanded:
         action = "Some episodes do not say the commanded pose: the action is the measured pose at "
         action += "the next tick"
     return [
         f"{action}; the orientation of the tool is fixed.",
-        "Own rates and stamps are in the episode files only; here all is at 10 Hz.",
+        "All signals are at 10 Hz; native rates and time stamps are in the episode files only.",
     ]
 
 
@@ -307,12 +311,12 @@ def _disk_fault(error: OSError, part: Path) -> Fault:
     return Fault(
         code="DISK-FULL" if full else "EXPORT-WRITE",
         what="The disk is full." if full else f"The export cannot be written: {error}.",
-        consequence=f"The export is not complete; what is in {part.name} is of no use.",
+        consequence=f"The export is incomplete; {part.name} can be deleted.",
         next_step="Make room, then export again.",
     )
 
 
-TABLES = ("csv",)  # formats that can hold the recorded signals as tables
+TABLES = ("csv",)  # formats with optional tables of the recorded signals
 _MODULES: dict[str, tuple[str, bool, Video]] = {
     "lerobot": ("lerobot_v3", True, "sample"),
     "robomimic": ("robomimic", True, "none"),
@@ -325,9 +329,9 @@ EXPORTS = tuple(_MODULES)
 
 
 def export_format(name: str, *, tables: bool = False) -> ExportFormat:
-    """Return the format ``name``; raises ``InputError`` for an unknown one.
+    """Return the format ``name``; raises ``InputError`` if it is unknown.
 
-    ``tables``: with the recorded signals of every episode, which only csv can hold.
+    ``tables``: include the recorded signals of every episode (csv only).
     """
     if name not in _MODULES:
         raise InputError(

@@ -1,7 +1,7 @@
-"""Features of an exchanged episode: names, types, shapes, arrays as read from a foreign file.
+"""Features of an exchanged episode: names, types, shapes, arrays read from a foreign file.
 
-Light on purpose: the process that reads foreign files imports it. Optional packages are imported
-when they are needed.
+The process that reads foreign files imports this module, so it imports little. Optional packages
+are imported on use.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from touchdown.backend.core import TACTILE_CHANNELS, WRENCH_CHANNELS, InputError
 
 
 def require_package(module: str) -> ModuleType:
-    """Import a package of the extra ``exchange``; raises ``InputError`` naming what to install."""
+    """Import a package of the extra ``exchange``; raises ``InputError`` if it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -39,15 +39,15 @@ MARKERS, FT, FT_WINDOW = "observation.markers", "observation.ft", "observation.f
 STATE, ACTION = "observation.state", "action"
 OFFSET, PATCH = "label.offset_mm", "label.patch"
 PICTURES = {"left": "observation.images.tac_left", "right": "observation.images.tac_right"}
-# What the action of an export is: the manifest says which.
+# Definition of the action in an export, as stated in its manifest.
 COMMANDED, MEASURED = "commanded", "measured"
-DEMOS = "demos.hdf5"  # the file of a robomimic export
+DEMOS = "demos.hdf5"  # file name of a robomimic export
 Values = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """One named array: ``shape`` per tick, or once per episode where it is ``constant``."""
+    """One named array: ``shape`` per tick, or once per episode if it is ``constant``."""
 
     key: str
     dtype: str
@@ -61,7 +61,7 @@ FT_NAMES = ("fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm")
 
 
 def make_features(points: int, *, native: bool) -> tuple[Feature, ...]:
-    """Return the features of episodes with ``points`` face points; ``native``: with recordings."""
+    """Return the features of episodes with ``points`` face points; ``native``: recordings too."""
     recorded = (
         Feature(FT_WINDOW, "float32", (WINDOW, WRENCH_CHANNELS)),
         Feature(STATE, "float32", (7,), names=POSE_NAMES),
@@ -81,7 +81,7 @@ FACTS = "facts.json"
 
 @dataclass(frozen=True, slots=True)
 class ForeignEpisode:
-    """``values``: (T, ...) per feature. ``side``: of a split, or "". ``uuid``: ours, if it says."""
+    """``values``: (T, ...) per feature. ``side`` of a split, or "". ``uuid`` of ours, or ""."""
 
     index: int
     fps: float | None
@@ -94,14 +94,14 @@ ForeignReader = Callable[[Path], Iterator[ForeignEpisode]]
 
 
 def save_foreign(episode: ForeignEpisode, path: Path) -> None:
-    """Write an episode for the other process: arrays without objects, facts as JSON text."""
+    """Write an episode for the parent process: arrays without objects, metadata as JSON."""
     facts = {name: getattr(episode, name) for name in ("index", "fps", "side", "uuid")}
     text = np.frombuffer(json.dumps(facts).encode("utf-8"), np.uint8)
     np.savez(path, **{FACTS: text, **episode.values})  # type: ignore[arg-type]
 
 
 def load_foreign(path: Path) -> ForeignEpisode:
-    """Read what ``save`` wrote; nothing in it is ever executed."""
+    """Read the file of ``save_foreign``; no code in it is executed."""
     with np.load(path, allow_pickle=False) as stored:
         facts = json.loads(stored[FACTS].tobytes())
         values = {name: stored[name] for name in stored.files if name != FACTS}

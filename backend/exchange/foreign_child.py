@@ -19,7 +19,7 @@ MEMORY_BYTES = 8_000_000_000
 
 
 def main(kind: str, source: str, folder: str) -> None:
-    """Read everything; whatever is wrong becomes one line."""
+    """Read all episodes; every error becomes one line of output."""
     _limit_memory()
     read = cast("ForeignReader", import_module(f"touchdown.backend.exchange.{READERS[kind]}").read)
     try:

@@ -72,14 +72,14 @@ from touchdown.backend.exchange.label_import import note_import
 from touchdown.backend.exchange.manifest import GEOMETRY, Manifest, read_manifest
 from touchdown.backend.geometry import load_pieces
 
-DEADLINE_S = 60.0  # so long may one episode take; the first one includes opening the file
+DEADLINE_S = 60.0  # deadline per episode; the first one includes opening the file
 LOOK_S = 0.05
 
 
 def read_foreign(
     kind: str, source: Path, deadline_s: float = DEADLINE_S
 ) -> Iterator[ForeignEpisode]:
-    """Yield the episodes of ``source`` as the reader ``kind`` finds them, one in memory at a time.
+    """Yield the episodes that the reader ``kind`` finds in ``source``, one at a time.
 
     Raises ``InputError`` for a file that is damaged, foreign, or not read within the deadline.
     """
@@ -121,7 +121,7 @@ def _listen(stream: IO[bytes], lines: queue.Queue[bytes]) -> None:
 
 
 class ReaderDeadline:
-    """Waits for a line of the reader ``number``, as long as it does something."""
+    """Deadline for output of the reader process ``number``, extended while it uses the CPU."""
 
     def __init__(self, number: int, source: Path, deadline_s: float) -> None:
         self._watch, self._source, self._deadline_s = (
@@ -131,7 +131,7 @@ class ReaderDeadline:
         )
 
     def line(self, lines: queue.Queue[bytes]) -> bytes:
-        """Return the next one; raises ``InputError``."""
+        """Return the next line; raises ``InputError`` after the deadline."""
         end_s = time.monotonic() + self._deadline_s
         while True:
             left_s = end_s - time.monotonic()
@@ -154,7 +154,7 @@ class ReaderDeadline:
 def _episodes(
     lines: queue.Queue[bytes], source: Path, waiting: ReaderDeadline
 ) -> Generator[ForeignEpisode, None, bool]:
-    """Yield the episodes; return whether the reader came to the end."""
+    """Yield the episodes; return True if the reader finished."""
     while True:
         line = waiting.line(lines)
         answer: dict[str, str] = json.loads(line) if line.endswith(b"\n") else {}
@@ -184,7 +184,7 @@ MAX_NUMBER = 1 << 24
 
 @dataclass(frozen=True, slots=True)
 class MappedEpisode:
-    """A foreign episode as we keep it. ``recording``: its signals, None without a wrench."""
+    """A foreign episode in the form of a dataset; ``recording`` is None without a wrench."""
 
     foreign: ForeignEpisode
     observation: NDArray[np.float32]
@@ -193,7 +193,7 @@ class MappedEpisode:
 
 
 def mapping_problem(foreign: ForeignEpisode) -> str:
-    """Return why the episode cannot be mapped, or ""."""
+    """Return the reason why the episode cannot be mapped, or ""."""
     values = foreign.values
     if not 0 <= foreign.index < MAX_NUMBER:
         return "its number is out of range"
@@ -212,7 +212,7 @@ def mapping_problem(foreign: ForeignEpisode) -> str:
 
 
 def mapping_losses(foreign: ForeignEpisode) -> tuple[str, ...]:
-    """Return what the file does not say, and what is taken for it."""
+    """Return the information that the file lacks, and the assumptions made instead."""
     said = []
     if foreign.fps is None:
         said.append(f"It names no rate: ticks are taken as {1000 // FPS} ms apart.")
@@ -223,7 +223,7 @@ def mapping_losses(foreign: ForeignEpisode) -> tuple[str, ...]:
 
 
 def map_episode(foreign: ForeignEpisode, *, commanded: bool = False) -> MappedEpisode:
-    """Return what is kept of an episode without a ``problem``.
+    """Return an episode for which ``mapping_problem`` found nothing, in the form of a dataset.
 
     ``commanded``: its action is known to be the commanded pose of the next tick.
     """
@@ -243,7 +243,7 @@ def _has_signals(values: Mapping[str, NDArray[Any]]) -> bool:
 
 
 def _recording(values: Mapping[str, NDArray[Any]], *, commanded: bool) -> Recording | None:
-    """Return the signals, times counted from the contact in whole ns."""
+    """Return the signals, with times from the contact in integer ns."""
     if not _has_signals(values):
         return None
     fine_ns = (TICK_NS // WINDOW) * np.arange(1, WINDOW * SAMPLES_PER_PROBE + 1)
@@ -265,7 +265,7 @@ def _recording(values: Mapping[str, NDArray[Any]], *, commanded: bool) -> Record
 
 
 def _position_mm(poses: NDArray[Any]) -> FloatArray:
-    """Return (n, 3) of poses (n, 7) in m."""
+    """Return the positions (n, 3) in mm of poses (n, 7) in m."""
     return np.asarray(poses[:, :3].astype(np.float64) * 1e3, dtype=np.float64)
 
 
@@ -281,7 +281,7 @@ def _frames(values: Mapping[str, NDArray[Any]], ticks_s: FloatArray) -> tuple[Ta
 
 
 def _label(values: Mapping[str, NDArray[Any]]) -> Label:
-    """Return the offset that the file gives, in whole µm; without one, no label."""
+    """Return the offset of the file in integer µm; an empty label without one."""
     if OFFSET not in values or values[OFFSET].reshape(-1).size < 2:
         return NO_LABEL
     x_mm, y_mm = values[OFFSET].reshape(-1)[:2].astype(np.float64).tolist()
@@ -292,13 +292,13 @@ def _label(values: Mapping[str, NDArray[Any]]) -> Label:
 
 MODE = "imported"
 OWN_BITS, NUMBER_AT = 24, 48
-# The checks need signals that a foreign file does not have.
+# The quality checks need signals that a foreign file does not have.
 TRUSTED = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class ImportOptions:
-    """What is not in a foreign file: the pair, and who labelled it (None: nobody we know)."""
+    """Information that a foreign file lacks: the pair, and the labeller (None: unknown)."""
 
     actor: str
     labelled_by: str | None = None
@@ -308,7 +308,7 @@ class ImportOptions:
 
 @dataclass(frozen=True, slots=True)
 class ImportSurvey:
-    """What an import would do: how many episodes map, how many are here already, and what not."""
+    """Preview of an import: numbers of new, known and unusable episodes, with reasons."""
 
     found: int
     fit: int
@@ -319,7 +319,7 @@ class ImportSurvey:
 
 @dataclass(frozen=True, slots=True)
 class _EpisodeOrigin:
-    """Where one episode belongs: pair, grip and mounting, label and side."""
+    """Origin of one episode: pair, grip and mounting, label and side."""
 
     uuid: str
     piece: str
@@ -333,8 +333,10 @@ class _EpisodeOrigin:
 
 
 class EpisodeImport:
-    """One import of episodes: ``survey`` first, then ``write``. Raises ``InputError`` at once for
-    a manifest that does not fit its files, or a pair that is not named.
+    """One import of episodes: ``survey`` first, then ``write``.
+
+    The constructor raises ``InputError`` for a manifest that does not fit its files, or if the pair
+    is not named.
     """
 
     def __init__(self, dataset: Dataset, kind: str, source: Path, wish: ImportOptions) -> None:
@@ -354,7 +356,7 @@ class EpisodeImport:
         self.total = len(self._named) or None
 
     def survey(self, advance: Callable[[int], None] = lambda done: None) -> ImportSurvey:
-        """Read everything and tell what could not be mapped; nothing is written."""
+        """Read everything and report problems; nothing is written."""
         problems: Counter[str] = Counter()
         lost: dict[str, None] = {}
         found = fit = here = 0
@@ -372,7 +374,7 @@ class EpisodeImport:
         return ImportSurvey(found, fit, here, tuple(sorted(problems.items())), tuple(lost))
 
     def write(self, advance: Callable[[int], None] = lambda done: None) -> list[str]:
-        """Write the episodes that map and are not here yet; returns their ids.
+        """Write the new episodes that can be mapped; return their ids.
 
         Raises ``FaultError`` before anything is written if the catalogue cannot be backed up.
         """
@@ -399,9 +401,9 @@ class EpisodeImport:
         return own in self._known or self._uuid(map_episode(foreign)) in self._known
 
     def _uuid(self, mapped: MappedEpisode) -> str:
-        """Return the id of an imported episode: the same whenever it is imported.
+        """Return the id of an imported episode, which is the same for every import.
 
-        It sorts as the id it had, else by its number, so that a later export has the same order.
+        It sorts like the original id, else like the number, so a later export has the same order.
         """
         number = mapped.foreign.index
         named = self._named.get(number)
@@ -442,7 +444,7 @@ class EpisodeImport:
                 named["grip_id"], named["mounting_id"], Label(**named["label"]), named["source"],
                 named["split"],
             )  # fmt: skip
-        # Nothing says which episodes shared a grip: one for all, so that no split can leak.
+        # Grips are unknown: one grip for all episodes, so that no split can leak.
         source = "human" if self._wish.labelled_by else "measured"
         piece, bottom = str(self._wish.piece), str(self._wish.bottom)
         return _EpisodeOrigin(foreign.uuid, piece, bottom, self._geometry, f"{series}/unknown",
@@ -460,7 +462,7 @@ class EpisodeImport:
         return self._dataset.geometry.store_pair(top, bottom)
 
     def _take_geometry(self) -> None:
-        """Bring the geometry records along; each is checked against its name when it is used."""
+        """Copy the geometry records; each is checked against its name on use."""
         for name in self._manifest["geometry"] if self._manifest else ():
             path = self._dataset.geometry.folder / f"{name}.json"
             if not path.exists():
@@ -469,7 +471,7 @@ class EpisodeImport:
             self._dataset.geometry.pair(named["geometry"])
 
     def _note(self, series: str, written: Sequence[tuple[str, str]]) -> None:
-        """Keep the sides of the split as tags, in one operation, and the import in the audit."""
+        """Store the sides of the split as tags in one operation, and the import in the audit."""
         with self._dataset.database.reading() as connection:
             marks = [
                 read_mark(connection, uuid, f"{SPLIT_TAG}{side}", present=True)
@@ -478,7 +480,7 @@ class EpisodeImport:
             ]
         body: dict[str, str | int] = {"format": self._kind, "episodes": len(written)}
         note_import(self._dataset, self._actor, OperationDraft(marks=marks), series, body)
-        self._dataset.labels.take_stock()
+        self._dataset.labels.reload()
 
 
 def _episodes_by_number(

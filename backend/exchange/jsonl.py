@@ -1,4 +1,4 @@
-"""JSON lines: the operations of the labels as they are in the journals, with their hash chain."""
+"""JSON lines: the operations of the labels as in the journals, with their hash chain."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FIELDS = tuple(field.name for field in fields(Operation))
 
 
 def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
-    """Write the whole log, in its order: a chain with gaps could not be verified."""
+    """Write the whole log in its order, since a chain with gaps cannot be verified."""
     with job.dataset.database.reading() as connection:
         log = read_operations(connection)
     with (folder / FILE).open("wb") as file:
@@ -37,7 +37,7 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
 
 
 def read_jsonl(source: Path) -> list[Operation]:
-    """Return the operations of a file or export; raises ``InputError`` naming a bad line."""
+    """Return the operations of a file or export; raises ``InputError`` with the bad line."""
     path = source / FILE if source.is_dir() else source
     if not path.is_file() or path.stat().st_size > MAX_BYTES:
         raise InputError("There is no file of at most 2 GB.", str(path), "Name the JSONL file.")
@@ -55,7 +55,7 @@ def read_jsonl(source: Path) -> list[Operation]:
 
 @dataclass(frozen=True, slots=True)
 class LogImportResult:
-    """What an import of a log did. ``backup``: the catalogue as it was before."""
+    """Result of the import of a log. ``backup``: the catalogue before the import."""
 
     operations: int
     conflicts: tuple[str, ...]
@@ -63,10 +63,10 @@ class LogImportResult:
 
 
 def import_log(dataset: Dataset, source: Path, person: str) -> LogImportResult:
-    """Unite the operations of ``source`` with those here; both chains are verified.
+    """Merge the operations of ``source`` into the dataset; both chains are verified.
 
-    Raises ``InputError`` for a broken chain, or labels of episodes that are not here, and
-    ``FaultError`` before anything is written if the catalogue cannot be backed up.
+    Raises ``InputError`` for a broken chain or labels of unknown episodes, and ``FaultError``
+    before anything is written if the catalogue cannot be backed up.
     """
     name = check_person(person)
     manifest = read_manifest(source) if source.is_dir() else None
@@ -87,7 +87,7 @@ def import_log(dataset: Dataset, source: Path, person: str) -> LogImportResult:
         done = merge_labels(connection, log, str(source), episodes=0)
         body = {"operations": done.operations, "conflicts": len(done.conflicts)}
         add_event(connection, name, "import", source.name, body)
-    dataset.labels.take_stock()
+    dataset.labels.reload()
     return LogImportResult(done.operations, tuple(done.conflicts), backup)
 
 

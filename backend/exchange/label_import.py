@@ -31,9 +31,9 @@ def note_import(
     target: str,
     body: dict[str, str | int],
 ) -> None:
-    """Commit ``draft`` as one operation of ``person``, together with the event about ``target``.
+    """Commit ``draft`` as one operation of ``person``, with the event about ``target``.
 
-    A draft without revisions and marks is no operation: then the event alone is kept.
+    Without revisions and marks only the event is stored.
     """
     with dataset.labels.commit() as connection:
         if draft.revs or draft.marks:
@@ -45,7 +45,7 @@ def note_import(
 
 @dataclass(frozen=True, slots=True)
 class ImportedLabel:
-    """One label of a file: whose it is (by ``episode``, else by the hash of its file)."""
+    """One label of a file, for an ``episode`` or the hash of its file."""
 
     episode: str
     file_sha256: str
@@ -55,9 +55,9 @@ class ImportedLabel:
 
 @dataclass(frozen=True, slots=True)
 class LabelImportResult:
-    """What an import of labels did: how many changed or were the same, and what was not taken.
+    """Result of an import of labels: changed, equal and refused rows.
 
-    ``backup``: the catalogue as it was before, None where nothing was written.
+    ``backup``: the catalogue before the import, None if nothing was written.
     """
 
     changed: int
@@ -72,9 +72,9 @@ def import_labels(
 ) -> LabelImportResult:
     """Set the labels of ``rows`` in the name of ``person``, as one operation.
 
-    Equal labels are left alone. What may not be set (it waits for review, is another's work, names
-    no episode here) is refused by row. ``check``: tell only, and write nothing. Raises
-    ``FaultError`` before anything is written if the catalogue cannot be backed up.
+    Equal labels are skipped. Rows that cannot be set (waiting for review, work of another person,
+    unknown episode) are refused. ``check``: report only. Raises ``FaultError`` before anything is
+    written if the catalogue cannot be backed up.
     """
     name = check_person(person)
     listed = list(rows)

@@ -1,4 +1,4 @@
-"""Reader of LeRobot datasets v3.0 and v2.1, called in a child process only."""
+"""Reader of LeRobot datasets v3.0 and v2.1, used in a child process only."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _info(source: Path) -> dict[str, Any]:
 
 
 def _side(sides: Mapping[str, str], number: int) -> str:
-    """Return the side of an episode; where all are on one, as recorded there, nothing was split."""
+    """Return the side of an episode; "" if all are on one side."""
     if len(sides) < 2:
         return ""
     for side, span in sides.items():
@@ -61,7 +61,7 @@ def _side(sides: Mapping[str, str], number: int) -> str:
 def _groups(
     path: Path, features: Mapping[str, Any]
 ) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
-    """Yield (episode, its rows); an episode lies within one file, in order."""
+    """Yield (episode, rows); an episode lies within one file, in order."""
     file = require_package("pyarrow.parquet").ParquetFile(path)
     kept = [name for name in file.schema_arrow.names if name.startswith(PREFIXES)]
     number, parts = -1, list[dict[str, NDArray[Any]]]()
@@ -95,7 +95,7 @@ def _array(column: Any, feature: Mapping[str, Any]) -> NDArray[Any]:
 
 
 class _VideoReader:
-    """The videos of a dataset v3.0, opened at the places that ``meta/episodes`` names."""
+    """Videos of a dataset v3.0, read at the positions in ``meta/episodes``."""
 
     def __init__(self, source: Path, info: Mapping[str, Any]) -> None:
         self._source, self._info = source, info
@@ -108,7 +108,7 @@ class _VideoReader:
                     self._rows[row["episode_index"]] = row
 
     def pictures(self, number: int) -> dict[str, NDArray[Any]]:
-        """Return (T, h, w, 3) RGB per camera."""
+        """Return the images (T, h, w, 3) RGB per camera."""
         return {key: self._film(key, self._rows[number]) for key in self._keys}
 
     def _film(self, key: str, row: Mapping[str, Any]) -> NDArray[Any]:

@@ -29,7 +29,7 @@ class RunningStats:
         self._squares: NDArray[Any] = np.array(0.0)
 
     def add(self, rows: NDArray[np.float64]) -> None:
-        """Take a block (n, ...)."""
+        """Add a block (n, ...)."""
         n, mean = len(rows), rows.mean(axis=0)
         gap, total = mean - self._mean, self.count + n
         self._least = np.minimum(self._least, rows.min(axis=0))
@@ -40,7 +40,7 @@ class RunningStats:
         self.count = total
 
     def result(self) -> dict[str, Any]:
-        """Return min, max, mean, std and count as lists, as LeRobot keeps them."""
+        """Return min, max, mean, std and count as lists, in the form of LeRobot."""
         deviation = np.sqrt(self._squares / self.count)
         return {
             "min": self._least.tolist(),
@@ -57,7 +57,7 @@ DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 COUNTERS = ("frame_index", "episode_index", "index", "task_index")
-STATS_EVERY = 5  # every such picture goes into the statistics of pixels
+STATS_EVERY = 5  # every n-th image is used for the pixel statistics
 
 
 def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
@@ -84,7 +84,7 @@ def _task(piece: str, bottom: str) -> str:
 
 
 class _ParquetWriter:
-    """The parquet files of rows: one row group per episode, a new file beyond 100 MB."""
+    """Parquet files of rows: one row group per episode, a new file above 100 MB."""
 
     def __init__(self, folder: Path, features: Sequence[Feature]) -> None:
         pa = require_package("pyarrow")
@@ -111,7 +111,7 @@ class _ParquetWriter:
             self._writer.close()
 
     def add(self, episode: ExportEpisode, task: int) -> dict[str, Any]:
-        """Append the rows of one episode; returns where they are."""
+        """Append the rows of one episode; return their position."""
         if self._writer is None or self._path.stat().st_size > DATA_MB * 1_000_000:
             self._next_file()
         frame = np.arange(SAMPLES_PER_PROBE, dtype=np.int64)
@@ -144,7 +144,7 @@ class _ParquetWriter:
 
 
 class _FingerVideos:
-    """The videos of both fingers."""
+    """Videos of both fingers."""
 
     def __init__(self, folder: Path, pictures: bool) -> None:
         keys = PICTURES.values() if pictures else ()
@@ -163,7 +163,7 @@ class _FingerVideos:
             film.close()
 
     def add(self, episode: ExportEpisode) -> dict[str, Any]:
-        """Append the pictures of one episode; returns where they are."""
+        """Append the images of one episode; return their position."""
         row: dict[str, Any] = {}
         for key, film in self._films.items():
             row |= film.add(episode.pictures[key])
@@ -212,7 +212,7 @@ def _write_episodes(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _write_tasks(folder: Path, tasks: Sequence[str]) -> None:
-    """Write ``tasks.parquet``: the text is the index of a pandas frame, said by its metadata."""
+    """Write ``tasks.parquet``; its pandas metadata make the text the index."""
     pa = require_package("pyarrow")
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": list(tasks)})
     column = {"pandas_type": "int64", "numpy_type": "int64", "metadata": None}
@@ -259,7 +259,7 @@ def _info(job: ExportJob, tasks: int) -> dict[str, Any]:
 
 
 def _ranges(job: ExportJob) -> dict[str, str]:
-    """Return each side of the split as a range of episodes: they come side by side."""
+    """Return each side of the split as a range of episodes, which are sorted by side."""
     sides: dict[str, list[int]] = {}
     for one in job.chosen:
         sides.setdefault(one.split, []).append(one.index)

@@ -29,7 +29,7 @@ def make_manifest(
     selection: Selection,
     features: Sequence[Feature],
 ) -> Manifest:
-    """Return the manifest of an export, but for its files and codec."""
+    """Return the manifest of an export without its files and encoding."""
     chosen = selection.chosen
     revisions = [one.revision for one in chosen]
     resolved = {name: getattr(query, name) for name in ExportQuery.__slots__}
@@ -90,7 +90,7 @@ def _episode(one: SelectedEpisode) -> dict[str, object]:
 
 
 def geometry_records_of(dataset: Dataset, chosen: Sequence[SelectedEpisode]) -> set[str]:
-    """Return the hashes of all geometry records that the labels need."""
+    """Return the hashes of all geometry records that the labels refer to."""
     found: set[str] = set()
     for pair in {one.revision.geometry for one in chosen}:
         record = dataset.geometry.read(pair)
@@ -116,9 +116,9 @@ def write_manifest(folder: Path, manifest: Manifest) -> str:
 
 
 def read_manifest(folder: Path) -> Manifest | None:
-    """Return the checked manifest of an export of Touchdown, None where there is none.
+    """Return the verified manifest of an export, None if there is none.
 
-    Raises ``InputError`` if it cannot be read, or if a file is missing or was changed.
+    Raises ``InputError`` if it cannot be read, or if a file is missing or changed.
     """
     path = folder / MANIFEST_NAME
     if not path.is_file():

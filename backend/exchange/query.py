@@ -25,9 +25,11 @@ TRAIN, HELD_OUT = "train", "held_out"
 
 @dataclass(frozen=True, slots=True)
 class ExportQuery:
-    """What to hand on. ``held_out``: share (0..1) of the episodes kept from training, in whole
-    series or mountings, where no tags name a split; ``seed`` draws which. ``divide_series``: a
-    pair of one series may be on both sides; the manifest then says so.
+    """Selection of episodes, and split.
+
+    ``held_out``: share (0..1) of the episodes on the validation side, in whole series or mountings,
+    unless tags define the split; ``seed`` of the draw. ``divide_series``: a pair of one series may
+    be on both sides, which the manifest states.
     """
 
     piece: str | None = None
@@ -40,7 +42,7 @@ class ExportQuery:
     divide_series: bool = False
 
     def text(self) -> str:
-        """Return the query in words, for the manifest."""
+        """Return the query as text for the manifest."""
         named = ("piece", "bottom", "series", "campaign")
         parts = [f"{name}={getattr(self, name)}" for name in named if getattr(self, name)]
         return " ".join([*parts, f"states={','.join(self.states)}"])
@@ -48,7 +50,7 @@ class ExportQuery:
 
 @dataclass(frozen=True, slots=True)
 class SelectedEpisode:
-    """One episode to hand on. ``index``: its number in the export; ``split``: its side."""
+    """One episode to export. ``index``: its number in the export; ``split``: its side."""
 
     index: int
     entry: EpisodeEntry
@@ -58,9 +60,9 @@ class SelectedEpisode:
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The chosen episodes, side by side of the split; ``left_out``: why others are not among them.
+    """Selected episodes sorted by side of the split.
 
-    ``warnings``: sentences for the manifest.
+    ``left_out``: numbers of other episodes by reason. ``warnings``: sentences for the manifest.
     """
 
     chosen: tuple[SelectedEpisode, ...]
@@ -69,7 +71,7 @@ class Selection:
 
 
 def select_episodes(dataset: Dataset, query: ExportQuery) -> Selection:
-    """Choose the episodes of ``query``; raises ``InputError`` if there are none."""
+    """Select the episodes of ``query``; raises ``InputError`` if there are none."""
     if not 0.0 <= query.held_out < 1.0:
         raise InputError(
             f"A share of {query.held_out:g} cannot be held out.", "--held-out", "Use 0 to below 1."
@@ -120,9 +122,9 @@ def _counting(
 def _sides(
     dataset: Dataset, entries: Sequence[EpisodeEntry], query: ExportQuery
 ) -> tuple[list[str], list[str]]:
-    """Return the side of each episode: by its tag where any has one, else drawn.
+    """Return the side of each episode: by tags if any has one, else drawn.
 
-    Raises ``InputError`` where tags divide a pair of a series and nobody said that they may.
+    Raises ``InputError`` if tags divide a pair of a series and ``divide_series`` is not set.
     """
     tagged = tagged_sides(dataset.database)
     sides = [tagged.get(entry.uuid, TRAIN) for entry in entries]

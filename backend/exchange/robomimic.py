@@ -1,7 +1,7 @@
 """robomimic HDF5: one group per episode, actions within -1 to 1, the split as masks.
 
-HDF5 must be able to close its file, or it ends the process: ``DiskFullSafeFile`` lets it close on a
-full disk.
+HDF5 aborts the process if it cannot close its file. ``DiskFullSafeFile`` lets it close on a full
+disk.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from touchdown.backend.exchange.features import (
 
 
 class DiskFullSafeFile:
-    """A new file that takes every write; ``check`` raises the ``OSError`` of the first refused one.
+    """New file that accepts every write; ``check`` raises the first ``OSError``.
 
-    Whoever writes much asks often: from the first refusal on all is kept in memory.
+    After the first error all data are kept in memory, so callers check often.
     """
 
     def __init__(self, path: Path) -> None:
@@ -55,22 +55,22 @@ class DiskFullSafeFile:
         self._file.close()
 
     def check(self) -> None:
-        """Raise what the disk refused, if it refused anything."""
+        """Raise the first error of the disk, if there was one."""
         if self._refused is not None:
             raise self._refused
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Move the place of the next read or write, and return it."""
+        """Move the position of the next read or write and return it."""
         start = {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._end}[whence]
         self._at = start + offset
         return self._at
 
     def tell(self) -> int:
-        """Return the place of the next read or write."""
+        """Return the position of the next read or write."""
         return self._at
 
     def write(self, content: bytes | memoryview) -> int:
-        """Write all of ``content``, to the disk or else to memory."""
+        """Write all of ``content`` to the disk, or to memory after an error."""
         data, done = bytes(content), 0
         try:
             self.check()
@@ -85,7 +85,7 @@ class DiskFullSafeFile:
         return len(data)
 
     def read(self, size: int) -> bytes:
-        """Return up to ``size`` bytes, fewer at the end."""
+        """Return up to ``size`` bytes, less at the end."""
         count = min(size, max(self._end - self._at, 0))
         self._file.seek(self._at)
         found = bytearray(self._file.read(count) or b"").ljust(count, b"\0")
@@ -97,7 +97,7 @@ class DiskFullSafeFile:
         return bytes(found)
 
     def truncate(self, size: int) -> int:
-        """Cut or lengthen the file."""
+        """Shorten or extend the file."""
         try:
             self.check()
             self._file.truncate(size)
@@ -126,7 +126,7 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
 
 
 def _write_all(file: Any, job: ExportJob, disk: DiskFullSafeFile) -> float:
-    """Write all demos and masks; returns the scale of the actions. Raises ``OSError``."""
+    """Write all demos and masks; return the scale of the actions. Raises ``OSError``."""
     greatest = 0.0
     sides: dict[str, list[str]] = {}
     data = file.create_group("data")
@@ -152,9 +152,9 @@ def _write_all(file: Any, job: ExportJob, disk: DiskFullSafeFile) -> float:
 
 
 def action_scale(greatest: float) -> float:
-    """Return the power of two that brings actions up to ``greatest`` within -1 to 1.
+    """Return the power of two that scales actions up to ``greatest`` into -1 to 1.
 
-    Dividing by a power of two loses no bit.
+    Division by a power of two is exact.
     """
     return 2.0 ** max(0, int(np.ceil(np.log2(greatest)))) if greatest > 1.0 else 1.0
 
@@ -192,5 +192,5 @@ def _observation(demo: Any, key: str, values: NDArray[Any]) -> None:
 
 
 def _dataset(demo: Any, name: str, values: NDArray[Any]) -> None:
-    # Chunks of one episode, so that a reader may take some ticks of a picture without the rest.
+    # Chunks of one episode, so that readers can load single ticks of an image.
     demo.create_dataset(name, data=values, compression=1 if values.ndim > 2 else None)

@@ -1,4 +1,4 @@
-"""Reader of robomimic HDF5 files, called in a child process only."""
+"""Reader of robomimic HDF5 files, used in a child process only."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from touchdown.backend.exchange.features import (
     require_package,
 )
 
-# Of one array: more than any probe has, so a damaged shape is not allocated.
+# Larger than any array of a probe: a damaged shape is not allocated.
 MAX_VALUES = 50_000_000
 
 

@@ -19,7 +19,7 @@ CHUNK_FILES = 1000
 
 
 class VideoWriter:
-    """The videos of one camera, a new file beyond 200 MB."""
+    """Videos of one camera, a new file above 200 MB."""
 
     def __init__(self, folder: Path, pattern: str, key: str) -> None:
         self._folder, self._pattern, self._key = folder, pattern, key
@@ -48,7 +48,7 @@ class VideoWriter:
         }
 
     def add(self, pictures: Sequence[ImageArray]) -> dict[str, Any]:
-        """Append the pictures (h, w, 3) RGB of an episode; returns where they are."""
+        """Append the images (h, w, 3) RGB of an episode; return their position."""
         if self._container is None or self._bytes > VIDEO_MB * 1_000_000:
             self._next_file()
         start = self._frames
@@ -87,7 +87,7 @@ class VideoWriter:
         path = self._folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         self._container = require_package("av").open(str(path), "w")
-        # One thread, so that the same pictures give the same file.
+        # one thread: the same images give the same file
         options = {name: str(CODEC[name]) for name in ("crf", "preset")}
         options |= {"g": str(CODEC["gop"]), "threads": "1"}
         stream = self._container.add_stream("libx264", rate=FPS, options=options)

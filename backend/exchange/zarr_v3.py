@@ -25,7 +25,7 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
     try:
         _write(zarr, job, folder)
     finally:
-        # It keeps threads for the next call; there may never be one.
+        # zarr keeps threads for later calls
         require_package("zarr.core.sync").cleanup_resources()
     return {"data": "zarr v3, sharding_indexed, zstd", "shard": SHARD}
 

@@ -17,13 +17,10 @@ from .inference import PatchForward as PatchForward
 from .inference import channel_groups as channel_groups
 from .inference import modality_columns as modality_columns
 from .job import DeviceName as DeviceName
-from .job import ReportCallback as ReportCallback
 from .job import TrainingCancelled as TrainingCancelled
 from .job import TrainingEpoch as TrainingEpoch
 from .job import TrainingFinished as TrainingFinished
-from .job import TrainingJob as TrainingJob
 from .job import TrainingLoaded as TrainingLoaded
-from .job import default_threads as default_threads
 from .metrics import LEVEL as LEVEL
 from .metrics import Z_95 as Z_95
 from .metrics import EvaluationScores as EvaluationScores
@@ -50,7 +47,6 @@ from .training_data import training_candidates as training_candidates
 from .training_data import training_set_overview as training_set_overview
 from .training_runs import Curve as Curve
 from .training_runs import RecordedTraining as RecordedTraining
-from .training_runs import TrainingProcess as TrainingProcess
 from .training_runs import TrainingRequest as TrainingRequest
 from .training_runs import TrainingRun as TrainingRun
 from .training_runs import list_training_runs as list_training_runs
@@ -75,16 +71,13 @@ __all__ = [
     "NetworkShape",
     "PatchForward",
     "RecordedTraining",
-    "ReportCallback",
     "SamplePrediction",
     "Trainer",
     "TrainingCancelled",
     "TrainingCandidate",
     "TrainingEpoch",
     "TrainingFinished",
-    "TrainingJob",
     "TrainingLoaded",
-    "TrainingProcess",
     "TrainingRequest",
     "TrainingRun",
     "TrainingSetOverview",
@@ -92,7 +85,6 @@ __all__ = [
     "card_path",
     "channel_groups",
     "check_autonomous",
-    "default_threads",
     "device_name",
     "evaluate",
     "evaluate_model",

@@ -31,7 +31,7 @@ MAX_WEIGHT_BYTES = 100_000_000
 MAX_CARD_BYTES = 1_000_000
 FIX = "Use the model that came with Touchdown, or train again with 'touchdown train'."
 STORED = (np.float32, np.float16)  # types of weights on disk; in memory they are float32
-WHOLE = ("mean", "scale")  # in the units of the signals, as small as they come: never of 16 bits
+WHOLE = ("mean", "scale")  # in units of the signals, with a large range: always 32 bits
 _PICKLES = (b"PK\x03\x04", b"\x80")
 Size = Annotated[int, Field(ge=1, le=100_000)]
 
@@ -47,7 +47,7 @@ class NetworkSizes(BaseModel):
 
 
 class ModelCard(BaseModel):
-    """The model card: what the weights are, and what they were made from."""
+    """Model card: architecture, training and evaluation of the weights."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     format: Literal["touchdown-model/1"] = "touchdown-model/1"
@@ -59,7 +59,7 @@ class ModelCard(BaseModel):
     frames: int = SAMPLES_PER_PROBE
     resampling: str = "markers linear between frames, wrench mean of the 100 ms before the tick"
     normaliser: str = "tensors 'mean' and 'scale' of the weights"
-    # One probability per face point, or a single one that the piece would stand.
+    # one probability per face point, or a single one for a stable release
     answers: Literal["patch", "stability"] = "patch"
     piece: str
     geometry: str
@@ -73,29 +73,29 @@ class ModelCard(BaseModel):
     program_version: str
     weights_sha256: str
     licence: str = "Apache-2.0"
-    simulated: bool = True  # whether all training data came from a simulated bench
-    # The benches that the training data came from, as far as the data tell.
+    simulated: bool = True  # all training data came from a simulated bench
+    # benches of the training data, as far as known
     benches: tuple[BenchDescription, ...] = ()
     grid_mm: float = 1.0  # pitch of the face points
-    # Names the training set: every episode, its file, its label revision and its side.
+    # identifies the training set: episodes, files, label revisions and sides
     manifest_sha256: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """A loaded model: its weights by name, as ``shape.expected_arrays`` lists them; its card."""
+    """Loaded model: weights by name, as listed by ``expected_arrays``, and card."""
 
     arrays: Mapping[str, NDArray[np.float32]]
     card: ModelCard
 
 
 def card_path(path: Path) -> Path:
-    """Return where the card of the weights ``path`` lies."""
+    """Return the path of the card of the weights ``path``."""
     return path.with_suffix(".json")
 
 
 def save_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], card: ModelCard) -> ModelCard:
-    """Write weights and card; returns the card with the weights' hash."""
+    """Write weights and card; return the card with the hash of the weights."""
     content = save_arrays({name: np.ascontiguousarray(array) for name, array in arrays.items()})
     sealed = card.model_copy(update={"weights_sha256": hashlib.sha256(content).hexdigest()})
     write_atomically(path, content)
@@ -104,7 +104,7 @@ def save_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], card: ModelC
 
 
 def save_half_precision(path: Path, model: Checkpoint) -> ModelCard:
-    """Write a model with weights of 16 bits, half as large; ``mean`` and ``scale`` stay whole."""
+    """Write a model with 16-bit weights; ``mean`` and ``scale`` keep 32 bits."""
     arrays = {
         name: array if name in WHOLE else array.astype(np.float16)
         for name, array in model.arrays.items()
@@ -119,10 +119,10 @@ def save_card(path: Path, card: ModelCard) -> None:
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
-    """Load and check a model; whatever is wrong raises one ``InputError`` naming the file.
+    """Load and check a model; raises ``InputError`` with the file for any problem.
 
-    Checked: kind of file, card, hash, allow-listed architecture, name, shape and type of every
-    tensor, finite values, length and order of the input.
+    Checked: file type, card, hash, architecture (allow-list), name, shape and type of every tensor,
+    finite values, length and order of the input.
     """
     content = read_limited(path, MAX_WEIGHT_BYTES)
     if content.startswith(_PICKLES) and content[8:9] != b"{":
@@ -158,14 +158,14 @@ def load_card(path: Path) -> ModelCard:
 
 
 def first_error(error: ValidationError) -> str:
-    """Return which key of a card is wrong first, and how."""
+    """Return key and message of the first error in a card."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"]) or "(file)"
     return f"'{key}': {first['msg']}"
 
 
 def parse_arrays(content: bytes, path: Path) -> dict[str, NDArray[Any]]:
-    """Parse safetensors bytes; raises ``InputError`` naming ``path``."""
+    """Parse safetensors bytes; raises ``InputError`` with ``path``."""
     try:
         return load_arrays(content)
     except (SafetensorError, ValueError, KeyError) as error:

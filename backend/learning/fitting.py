@@ -1,4 +1,4 @@
-"""Fitting of a model to a folder of episodes, from data to an evaluated checkpoint."""
+"""Fitting of a model to labelled episodes, from data to an evaluated checkpoint."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ ALL = "all"
 
 
 def hardware_rows(rows: TrainingRows) -> TrainingRows | None:
-    """Return the episodes that a real bench recorded, None if there are none."""
+    """Return the episodes recorded on a real bench, None if there are none."""
     real = [i for i, label in enumerate(rows.labels) if label.get("mode") == "lab"]
     return rows.take(np.array(real)) if real else None
 
@@ -123,10 +123,10 @@ def evaluate(
 def evaluate_model(
     checkpoint: Checkpoint, rows: TrainingRows, points_mm: FloatArray, delta: float
 ) -> dict[str, EvaluationScores]:
-    """Return the scores per bottom, and under "all" those of every episode.
+    """Return the scores per bottom, and of every episode under "all".
 
-    ``points_mm`` (N, 2) are the face points. Raises ``InputError`` if model and data do not belong
-    to the same face.
+    ``points_mm`` (N, 2) are the face points. Raises ``InputError`` if model and data belong to
+    different faces.
     """
     card = checkpoint.card
     if card.piece != rows.piece or card.geometry != rows.geometry:
@@ -153,13 +153,13 @@ def evaluate_model(
     return {**scores, ALL: score(probability, rows.patch, points_mm, delta)}
 
 
-DIVERGED_NATS = 2 * math.log(2)  # twice the loss of always answering 0.5
+DIVERGED_NATS = 2 * math.log(2)  # twice the loss of a constant prediction of 0.5
 
 
 def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bool]) -> None:
-    """Do ``job``, telling every step; the state is kept after each epoch until the model is there.
+    """Run ``job`` and report each step; the state is saved after each epoch until the end.
 
-    Raises ``InputError`` for bad data, a bad output name or a state that does not fit.
+    Raises ``InputError`` for invalid data, an invalid output name or a state of other settings.
     """
     if job.out.suffix != ".safetensors":
         raise InputError(
@@ -183,7 +183,7 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
         return
     if not trainer.best_loss < DIVERGED_NATS:
         raise InputError(
-            "The training diverged: its loss never fell below that of guessing.",
+            "The training diverged: its loss never fell below that of a constant prediction.",
             "learning_rate",
             "Choose a smaller --learning-rate.",
         )
@@ -209,7 +209,7 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
 
 
 def load_episodes(data: Path, piece: str | None, labels: LabelChoice) -> TrainingRows:
-    """Return the labelled episodes of a dataset, or of a folder of packs."""
+    """Return the labelled episodes of a dataset or of a folder of packs."""
     if is_dataset(data):
         return load_training_set(data, piece, labels)
     return load_rows(data, piece)

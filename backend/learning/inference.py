@@ -1,7 +1,7 @@
-"""LSTM network of the paper applied without torch, one tick at a time.
+"""LSTM network of the paper without torch, one tick at a time.
 
 Includes architecture (array names and shapes), modality columns of the 258 channels, and
-standardisation. Resumable between two ticks.
+standardisation. The state can be kept between two ticks.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from touchdown.backend.core import CHANNELS, MARKERS, TACTILE_CHANNELS, WRENCH_CHANNELS
 
 ARCH = "lstm-last-linear/1"
-# Allow-list: a checkpoint names one of these words, never something to import.
+# allow-list: a checkpoint contains one of these names, never an import path
 ARCHITECTURES = (ARCH,)
 GATES = 4
 
 
 @dataclass(frozen=True, slots=True)
 class NetworkShape:
-    """Sizes that define the network: ``inputs`` channels, ``points`` outputs."""
+    """Sizes of the network: ``inputs`` channels, ``points`` outputs."""
 
     inputs: int
     hidden: int
@@ -36,7 +36,7 @@ class NetworkShape:
 
 
 def expected_arrays(shape: NetworkShape) -> Mapping[str, tuple[int, ...]]:
-    """Return name and shape of every array that a checkpoint of ``shape`` must hold."""
+    """Return name and shape of every array in a checkpoint of ``shape``."""
     arrays: dict[str, tuple[int, ...]] = {"mean": (shape.inputs,), "scale": (shape.inputs,)}
     rows = GATES * shape.hidden
     for layer in range(shape.layers):
@@ -57,12 +57,12 @@ _COLUMNS: dict[Modality, slice] = {
 
 
 def modality_columns(modality: Modality) -> slice:
-    """Return the channels of ``modality`` within the 258."""
+    """Return the columns of ``modality`` within the 258 channels."""
     return _COLUMNS[modality]
 
 
 def channel_groups() -> NDArray[np.int64]:
-    """(258,) group of every channel: each finger and axis is one, each wrench value is one."""
+    """Return the group (258,) of every channel: one per finger and axis, one per wrench value."""
     tactile = np.repeat(np.arange(TACTILE_CHANNELS // MARKERS), MARKERS)
     wrench = tactile[-1] + 1 + np.arange(WRENCH_CHANNELS)
     return np.concatenate([tactile, wrench])
@@ -77,12 +77,12 @@ class Normaliser:
 
 
 def fit_normaliser_in_parts(parts: Iterable[NDArray[np.float32]], modality: Modality) -> Normaliser:
-    """Fit on the episodes of all ``parts`` without holding them at once."""
+    """Fit on the episodes of all ``parts``, one part in memory at a time."""
     count, mean, squares = 0, np.zeros(CHANNELS), np.zeros(CHANNELS)
     for part in parts:
         flat = part.reshape(-1, part.shape[-1])
         added, their_mean = len(flat), flat.mean(axis=0, dtype=np.float64)
-        # Means and squared deviations of two samples as of one (Chan, Golub, LeVeque 1983).
+        # Merge of means and squared deviations (Chan, Golub, LeVeque 1983).
         step, total = their_mean - mean, count + added
         squares += flat.astype(np.float64).var(axis=0) * added + step**2 * (count * added / total)
         mean, count = mean + step * (added / total), total
@@ -99,7 +99,7 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class LstmState:
-    """What the layers remember after some ticks: ``hidden`` and ``cell`` are (layers, hidden)."""
+    """State of the layers after some ticks: ``hidden`` and ``cell``, (layers, hidden) each."""
 
     hidden: Array
     cell: Array
@@ -107,10 +107,10 @@ class LstmState:
 
 @dataclass(frozen=True, slots=True)
 class _Layer:
-    """Gates in the order in, forget, out, cell: the three sigmoids lie side by side.
+    """Gates in the order in, forget, out, cell, so the three sigmoids are adjacent.
 
-    A sigmoid is a tanh of half the argument, ``s(x) = (1 + tanh(x / 2)) / 2``. The halves are in
-    the weights (exact: a power of two), so that one tanh serves all four gates.
+    A sigmoid is a tanh of half the argument, ``s(x) = (1 + tanh(x / 2)) / 2``. The factors 1/2 are
+    in the weights (exact, a power of two), so one tanh serves all four gates.
     """
 
     from_input: Array
@@ -127,7 +127,7 @@ class _Layer:
         )
 
     def run(self, inputs: Array, hidden: Array, cell: Array) -> tuple[Array, Array]:
-        """Return the hidden values of every row of ``inputs`` (k, n), and the last cell."""
+        """Return the hidden values of every row of ``inputs`` (k, n), and the last cell state."""
         size = len(hidden)
         drive = np.vecdot(inputs[:, None], self.from_input) + self.bias
         outputs = np.empty((len(inputs), size), np.float32)
@@ -144,7 +144,7 @@ class _Layer:
 
 
 class PatchForward:
-    """Weights laid out for one episode at a time; holds nothing between two calls."""
+    """Weights prepared for one episode at a time; stateless."""
 
     def __init__(self, arrays: Mapping[str, Array], shape: NetworkShape) -> None:
         self._mean, self._scale = arrays["mean"], arrays["scale"]
@@ -154,9 +154,10 @@ class PatchForward:
         self.start = LstmState(start, start)
 
     def run(self, ticks: Array, after: LstmState) -> LstmState:
-        """Return the state after ``ticks`` (k, inputs) raw channels, k >= 1, that follow ``after``.
+        """Return the state after further ``ticks`` (k, inputs) of raw channels, k >= 1.
 
-        The last bits depend on where a sequence is cut: equal cuts give equal bits.
+        ``after``: state before them. The last bits depend on how a sequence is divided; equal
+        divisions give equal bits.
         """
         values = np.ascontiguousarray((ticks - self._mean) / self._scale)
         hidden, cells = np.empty_like(after.hidden), np.empty_like(after.cell)
@@ -171,7 +172,7 @@ class PatchForward:
 
 
 def _regrouped(rows: Array) -> Array:
-    """Bring rows from torch's order (in, forget, cell, out) into the order of ``_Layer``."""
+    """Reorder rows from the gates of torch (in, forget, cell, out) to those of ``_Layer``."""
     let_in, forget, cell, out = np.split(rows, 4)
     half = np.float32(0.5)
     return np.ascontiguousarray(np.concatenate((half * let_in, half * forget, half * out, cell)))

@@ -13,20 +13,20 @@ from touchdown.backend.annotations import LabelChoice
 from touchdown.backend.config import TrainingSettings
 from touchdown.backend.learning.metrics import ReliabilityBin
 
-# What computes: ``auto`` is the graphics processor if torch finds one, else the processor.
+# ``auto``: CUDA if torch finds it, else the processor
 DeviceName = Literal["auto", "cpu", "cuda"]
 DEVICES: tuple[DeviceName, ...] = ("auto", "cpu", "cuda")
-# More were never measured; the same on all machines that have them gives the same numbers.
+# not measured above; the same number gives the same results on all machines
 MOST_THREADS = 2
 
 
 def default_threads() -> int:
-    """Return on how many threads a training computes that has the machine to itself."""
+    """Return the number of threads for a training without other load."""
     return min(MOST_THREADS, os.cpu_count() or 1)
 
 
 class JobMessage(BaseModel):
-    """Base of everything that crosses the border between the two processes."""
+    """Base of all messages between the two processes."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -34,7 +34,7 @@ class JobMessage(BaseModel):
 class TrainingJob(JobMessage):
     """Train on the episodes of ``piece`` (None: the only one) in ``data``; write to ``out``.
 
-    ``data``: a dataset, of which ``labels`` says what counts, or a folder of packs.
+    ``data``: dataset, with the ``labels`` to use, or folder of packs.
     """
 
     data: Path
@@ -43,16 +43,15 @@ class TrainingJob(JobMessage):
     settings: TrainingSettings
     labels: LabelChoice = "approved"
     resume: bool = False
-    # Folder that takes the manifest of the training set and sample predictions, if any.
+    # folder for the manifest of the training set and sample predictions
     keep: Path | None = None
-    # More than one gain where as many cores are free, and wait for each other where they are not;
-    # other last digits than one thread gives.
+    # More than one is faster only with as many free cores, and changes the last digits.
     threads: Annotated[int, Field(ge=1, le=64)] = 1
     device: DeviceName = "auto"
 
 
 class TrainingLoaded(JobMessage):
-    """The data are there. ``kept_together``: what was never divided (mounting, series or grip)."""
+    """The data are loaded. ``kept_together``: undivided unit (mounting, series or grip)."""
 
     kind: Literal["loaded"] = "loaded"
     piece: str
@@ -66,7 +65,7 @@ class TrainingLoaded(JobMessage):
 
 
 class TrainingEpoch(JobMessage):
-    """One epoch ended; see ``EpochReport``."""
+    """One epoch is finished; see ``EpochReport``."""
 
     kind: Literal["epoch"] = "epoch"
     epoch: int
@@ -80,7 +79,7 @@ class TrainingEpoch(JobMessage):
 
 
 class TrainingFinished(JobMessage):
-    """The model is written."""
+    """The model was written."""
 
     kind: Literal["finished"] = "finished"
     out: Path
@@ -92,7 +91,7 @@ class TrainingFinished(JobMessage):
 
 
 class TrainingCancelled(JobMessage):
-    """Stopped on request after ``done`` whole epochs; ``state`` resumes it."""
+    """Cancelled after ``done`` whole epochs; ``state`` resumes it."""
 
     kind: Literal["cancelled"] = "cancelled"
     done: int
@@ -100,7 +99,7 @@ class TrainingCancelled(JobMessage):
 
 
 class TrainingRefused(JobMessage):
-    """Bad input, in the words of ``InputError``."""
+    """Invalid input, with the fields of ``InputError``."""
 
     kind: Literal["refused"] = "refused"
     what: str

@@ -1,4 +1,4 @@
-"""Evaluation metrics of predicted contact patches, and sample predictions ordered by them.
+"""Evaluation metrics of predicted contact patches, and sample predictions.
 
 Definitions: method.md 7.
 """
@@ -21,23 +21,23 @@ from touchdown.backend.episodes import TrainingRows, patch_bits, patch_hex
 
 Bits = NDArray[np.bool_]
 Z_95 = 1.959964
-LEVEL = 0.5  # a point counts as predicted contact above this probability [U]
+LEVEL = 0.5  # probability above which a point is predicted as contact [U]
 
 
 def iou(predicted: Bits, truth: Bits) -> float:
-    """Mean over samples of intersection over union; (n, N) each; an empty union counts as 1."""
+    """Return the mean intersection over union of samples (n, N); an empty union counts as 1."""
     both = np.sum(predicted & truth, axis=1)
     either = np.sum(predicted | truth, axis=1)
     return float(np.mean(np.where(either == 0, 1.0, both / np.maximum(either, 1))))
 
 
 def point_accuracy(predicted: Bits, truth: Bits) -> float:
-    """Share of points predicted right; (n, N) each."""
+    """Return the share of correctly predicted points; (n, N) each."""
     return float(np.mean(predicted == truth))
 
 
 def hull_margin_mm(points_mm: FloatArray, centre_mm: tuple[float, float] = (0.0, 0.0)) -> float:
-    """Signed distance of ``centre_mm`` to the edge of the hull of ``points_mm`` (k, 2).
+    """Return the signed distance of ``centre_mm`` to the hull edge of ``points_mm`` (k, 2).
 
     Positive inside; -inf if the points span no area.
     """
@@ -50,12 +50,12 @@ def hull_margin_mm(points_mm: FloatArray, centre_mm: tuple[float, float] = (0.0,
 
 
 def stable_flags(patches: Bits, points_mm: FloatArray) -> Bits:
-    """(n,) whether (0, 0) lies in the hull of each patch (n, N) of ``points_mm`` (N, 2)."""
+    """Return (n,) True if (0, 0) lies in the hull of a patch (n, N) of ``points_mm`` (N, 2)."""
     return np.array([hull_margin_mm(points_mm[patch]) >= 0.0 for patch in patches], dtype=bool)
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """95 % Wilson interval of a success rate; (0, 1) without trials."""
+    """Return the 95 % Wilson interval of a success rate; (0, 1) without trials."""
     if trials == 0:
         return 0.0, 1.0
     share, z2 = successes / trials, Z_95**2
@@ -65,14 +65,14 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     return max(0.0, centre - half), min(1.0, centre + half)
 
 
-# Mean predicted probability, share of points truly in contact, number of points.
+# mean predicted probability, share of points in contact, number of points
 ReliabilityBin = tuple[float, float, int]
 
 
 def reliability(
     probability: NDArray[np.floating], truth: Bits, bins: int = 10
 ) -> tuple[ReliabilityBin, ...]:
-    """Return the filled ones of equal ``bins`` of ``probability`` (n, N), rising."""
+    """Return the non-empty ones of ``bins`` equal bins of ``probability`` (n, N), ascending."""
     p = np.asarray(probability, dtype=np.float64).ravel()
     index = np.minimum((p * bins).astype(np.int64), bins - 1)
     count = np.bincount(index, minlength=bins)
@@ -85,17 +85,17 @@ def reliability(
 
 
 def calibration_error(bins: Sequence[ReliabilityBin]) -> float:
-    """Return the expected calibration error: mean distance of prediction and share, by points."""
+    """Return the expected calibration error: mean |prediction - share|, weighted by points."""
     total = sum(count for _, _, count in bins)
     return sum(count * abs(p - share) for p, share, count in bins) / max(total, 1)
 
 
 @dataclass(frozen=True, slots=True)
 class EvaluationScores:
-    """Figures over ``episodes`` samples; stability is judged from a single probe (n = 1).
+    """Scores over ``episodes`` samples; stability is judged from one probe (n = 1).
 
-    ``base_rate``: accuracy of always giving the commoner answer. ``unsafe``: share of the truly
-    unstable samples called stable (NaN if there are none).
+    ``base_rate``: accuracy of always predicting the more frequent class. ``unsafe``: share of the
+    truly unstable samples predicted as stable (NaN if there are none).
     """
 
     episodes: int
@@ -107,7 +107,7 @@ class EvaluationScores:
     unsafe: float
 
     def as_json(self) -> dict[str, object]:
-        """Return the figures by name, rounded to 1e-4; a missing figure is null."""
+        """Return the scores by name, rounded to 1e-4; null for a missing score."""
         return {
             "episodes": self.episodes,
             "iou": round(self.iou, 4),
@@ -147,7 +147,7 @@ MAX_BYTES = 10_000_000
 
 @dataclass(frozen=True, slots=True)
 class SamplePrediction:
-    """One held-out episode: ``probability`` and ``truth`` over the face points, (N,) each."""
+    """Prediction of one held-out episode: ``probability`` and ``truth`` (N,) of the face points."""
 
     episode: str
     bottom: str
@@ -160,7 +160,7 @@ class SamplePrediction:
 def choose_samples(
     rows: TrainingRows, held_out: NDArray[np.int64], probability: NDArray[np.floating]
 ) -> list[SamplePrediction]:
-    """Return up to 12 held-out episodes, evenly from the best to the worst IoU."""
+    """Return up to 12 held-out episodes, evenly spread from the best to the worst IoU."""
     each = [iou(probability[k : k + 1] > LEVEL, rows.patch[i : i + 1])
             for k, i in enumerate(held_out.tolist())]  # fmt: skip
     order = np.argsort([-v for v in each], kind="stable")
@@ -181,7 +181,7 @@ def choose_samples(
 def bottom_figures(
     rows: TrainingRows, held_out: NDArray[np.int64], probability: NDArray[np.floating]
 ) -> dict[str, dict[str, float]]:
-    """Return episodes, IoU and point accuracy of the validation side per bottom."""
+    """Return episodes, IoU and point accuracy of the validation side, per bottom."""
     bottoms = np.array([rows.bottom[i] for i in held_out.tolist()])
     predicted, truth = probability > LEVEL, rows.patch[held_out]
     found = {}
@@ -212,7 +212,7 @@ def save_samples(folder: Path, samples: list[SamplePrediction]) -> None:
 
 
 def load_samples(folder: Path) -> list[SamplePrediction]:
-    """Read ``samples.json``; none where a training did not get so far. Raises ``InputError``."""
+    """Read ``samples.json``; empty if the file does not exist. Raises ``InputError``."""
     path = folder / SAMPLES
     try:
         if path.stat().st_size > MAX_BYTES:

@@ -1,7 +1,7 @@
 """Child process of a training: ``python -m touchdown.backend.learning.process``.
 
-Takes one JSON line with the job on standard input, writes JSON lines to standard output. A further
-line, or the end of the input (the parent is gone), cancels it.
+Reads one JSON line with the job from standard input and writes JSON lines to standard output. A
+further line, or the end of the input, cancels the training.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def _tell(message: BaseModel) -> None:
 
 
 def main() -> int:
-    """Run one job; 0 when finished or cancelled, 2 for bad input."""
+    """Run one job; return 0 when finished or cancelled, 2 for invalid input."""
     cancelled = threading.Event()
     try:
         job = TrainingJob.model_validate_json(sys.stdin.readline())
@@ -50,9 +50,9 @@ if __name__ == "__main__":
     try:
         code = main()
     except Exception:  # noqa: BLE001 - the end of this process, whatever it was
-        # Told here and now: an interpreter that ends in order takes seconds over its libraries.
+        # Printed here: a regular exit of the interpreter takes seconds.
         traceback.print_exc()
         code = 1
     sys.stdout.flush()
-    # The listener may still hold the lock of standard input, which a normal exit would wait for.
+    # The listener may hold the lock of standard input, which a regular exit would wait for.
     os._exit(code)

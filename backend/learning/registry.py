@@ -1,7 +1,7 @@
-"""Model registry: the model in use for each piece, its history, and its clearance for a bench.
+"""Model registry: models in use per piece, their history, and clearance for a bench.
 
-The history only grows; models are copied into the registry. A model decides without confirmation
-only where no field of its card contradicts the bench.
+The history only grows; models are copied into the registry. A model may decide without confirmation
+only if no field of its card contradicts the bench.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from touchdown.backend.config import BenchDescription
 from touchdown.backend.core import InputError, sync_folder, write_atomically
 from touchdown.backend.learning.checkpoint import ModelCard, load_card, load_checkpoint, save_card
 
-HARDWARE_PROBES = 50  # a model trained on simulation alone needs so many evaluated hardware probes
+HARDWARE_PROBES = 50  # hardware probes required for a model trained on simulation only
 
 
 @dataclass(frozen=True, slots=True)
 class CardMismatch:
-    """A field of the card that the bench contradicts."""
+    """Field of a model card that contradicts the bench."""
 
     field: str
     card: str
@@ -38,24 +38,24 @@ class CardMismatch:
 def card_mismatches(
     card: ModelCard, bench: BenchDescription, piece: str, grid_mm: float, hardware_probes: int
 ) -> tuple[CardMismatch, ...]:
-    """Return what keeps a model from running alone; what either side does not tell is passed over.
+    """Return the fields that prevent autonomous use; fields unknown on either side are ignored.
 
     ``piece`` is the hash of the grasped piece, ``grid_mm`` the pitch of its face points,
-    ``hardware_probes`` on how many the model was evaluated.
+    ``hardware_probes`` the number of hardware probes in the evaluation.
     """
     found = []
     if card.geometry != piece:
         found.append(CardMismatch("piece hash", _short(card.geometry), _short(piece)))
     if card.grid_mm != grid_mm:
         found.append(CardMismatch("grid", f"{card.grid_mm:g} mm", f"{grid_mm:g} mm"))
-    # An emulated bench rehearses a day on hardware: the same rule holds there.
+    # An emulated bench rehearses work on hardware, so the same rule holds.
     transfer = card.simulated and bench.mode in ("hardware", "emulated")
     if transfer and hardware_probes < HARDWARE_PROBES:
         evaluated = f"{hardware_probes} of {HARDWARE_PROBES} hardware probes evaluated"
         found.append(CardMismatch("bench mode", "simulated only", f"{bench.mode}, {evaluated}"))
     names = {"mm_per_px": "mm/px", "ft_frame": "F/T frame"}
     if not transfer:
-        # A simulated bench and a real one never have these in common.
+        # A simulated and a real bench never share these fields.
         names = {"mode": "bench mode", "sha256": "bench hash", **names}
     found += [
         m for name, text in names.items() if (m := _compared(card.benches, bench, name, text))
@@ -64,7 +64,7 @@ def card_mismatches(
 
 
 def check_autonomous(card: ModelCard, found: Sequence[CardMismatch], where: str) -> None:
-    """Raise ``InputError`` naming the fields that do not fit."""
+    """Raise ``InputError`` with the fields that do not fit."""
     if found:
         fields = "; ".join(str(one) for one in found)
         raise InputError(
@@ -77,7 +77,7 @@ def check_autonomous(card: ModelCard, found: Sequence[CardMismatch], where: str)
 def _compared(
     benches: Sequence[BenchDescription], bench: BenchDescription, name: str, text: str
 ) -> CardMismatch | None:
-    """Compare one field with those of all benches that the training data came from."""
+    """Compare one field with all benches of the training data."""
     told = [value for one in benches if (value := getattr(one, name))]
     here = getattr(bench, name)
     if not told or not here or here in told:
@@ -86,7 +86,6 @@ def _compared(
 
 
 def _short(value: object) -> str:
-    """Write a value as short as it is still told apart."""
     if isinstance(value, tuple):
         return " / ".join(f"{v:g}" for v in value)
     text = str(value)
@@ -95,13 +94,13 @@ def _short(value: object) -> str:
 
 
 HISTORY, EVALUATIONS, ENSEMBLES = "in-use.jsonl", "hardware.jsonl", "pre-label.jsonl"
-SHIPPED = ""  # stands for the model that ships, where no other was ever put in use
+SHIPPED = ""  # the shipped model, in use until another one is promoted
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True, slots=True)
 class ModelUse:
-    """One change. ``weights_sha256`` is in use since; ``run`` is the training that made it."""
+    """One change of the model in use; ``run`` is the training that made it."""
 
     piece: str
     action: Literal["promote", "roll back"]
@@ -112,19 +111,19 @@ class ModelUse:
 
 
 class ModelRegistry:
-    """The models in use. Reads the files anew at every question: others may change them."""
+    """Models in use. Files are read on every call, since other processes may change them."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._lock = threading.Lock()
 
     def in_use(self, piece: str) -> Path | None:
-        """Return the weights in use for ``piece``; None means the model that ships."""
+        """Return the hash of the weights in use for ``piece``; None for the shipped model."""
         sha256 = self._stack(piece)[-1]
         return None if sha256 == SHIPPED else self._weights(piece, sha256)
 
     def before(self, piece: str) -> str | None:
-        """Return the hash that a roll back puts in use ("": the shipped one); None: nothing."""
+        """Return the hash that a roll back restores ("": shipped model); None if there is none."""
         stack = self._stack(piece)
         return stack[-2] if len(stack) > 1 else None
 
@@ -134,7 +133,7 @@ class ModelRegistry:
         return [use for use in uses if piece is None or use.piece == piece]
 
     def promote(self, model: Path, person: str = "", run: str = "") -> ModelUse:
-        """Check ``model``, copy it and put it in use for its piece; in use already: no change."""
+        """Check and copy ``model``, and use it for its piece; no change if already in use."""
         card = load_checkpoint(model).card
         with self._lock:
             if self._stack(card.piece)[-1] == card.weights_sha256:
@@ -147,7 +146,7 @@ class ModelRegistry:
             )
 
     def roll_back(self, piece: str, person: str = "") -> ModelUse:
-        """Put the model before in use again; raises ``InputError`` if there is none."""
+        """Restore the previous model; raises ``InputError`` if there is none."""
         with self._lock:
             before = self.before(piece)
             if before is None:
@@ -159,7 +158,7 @@ class ModelRegistry:
             return self._append(ModelUse(piece, "roll back", before, 0, person))
 
     def ensemble(self, piece: str) -> tuple[Path, ...]:
-        """Return the models that pre-label ``piece`` together; none where none were chosen."""
+        """Return the models that pre-label ``piece`` together, if any were chosen."""
         chosen: object = ()
         for line in _lines(self.folder / ENSEMBLES):
             if line.get("piece") == piece:
@@ -169,7 +168,7 @@ class ModelRegistry:
         return tuple(self._weights(piece, sha256) for sha256 in chosen)
 
     def choose_ensemble(self, piece: str, models: Sequence[Path], person: str = "") -> None:
-        """Let ``models``, checked and copied, pre-label ``piece``; none: the one in use again."""
+        """Check and copy ``models`` for pre-labelling ``piece``; none: the model in use."""
         cards = [load_checkpoint(model).card for model in models]
         for model, card in zip(models, cards, strict=True):
             if card.piece != piece:
@@ -186,14 +185,14 @@ class ModelRegistry:
             _append_line(self.folder / ENSEMBLES, line)
 
     def note_hardware(self, weights_sha256: str, probes: int, iou: float, accuracy: float) -> None:
-        """Keep that a model was evaluated on ``probes`` of a real bench."""
+        """Record an evaluation on ``probes`` of a real bench."""
         line = {"weights_sha256": weights_sha256, "probes": probes, "iou": iou,
                 "point_accuracy": accuracy, "at_ns": time.time_ns()}  # fmt: skip
         with self._lock:
             _append_line(self.folder / EVALUATIONS, line)
 
     def hardware_probes(self, weights_sha256: str) -> int:
-        """Return on how many hardware probes at once a model was evaluated (the most)."""
+        """Return the largest number of hardware probes in one evaluation."""
         lines = _lines(self.folder / EVALUATIONS)
         counts = [e.get("probes") for e in lines if e.get("weights_sha256") == weights_sha256]
         return max((n for n in counts if isinstance(n, int)), default=0)
@@ -207,7 +206,7 @@ class ModelRegistry:
         return self.folder / piece / f"{sha256}.safetensors"
 
     def _stack(self, piece: str) -> list[str]:
-        """Return what was in use and could be again, the present one last."""
+        """Return the models to roll back to, the present one last."""
         stack = [SHIPPED]
         for use in self.history(piece):
             if use.action == "promote":
@@ -223,7 +222,7 @@ class ModelRegistry:
 
 
 def models_below(folder: Path, piece: str) -> list[Path]:
-    """Return the models of ``piece`` in and below ``folder``; what is none is passed over."""
+    """Return the models of ``piece`` in and below ``folder``; other files are skipped."""
     found: dict[str, Path] = {}
     for path in sorted(folder.rglob("*.safetensors")):
         try:
@@ -240,7 +239,7 @@ def _is_sha256(text: object) -> bool:
 
 
 def _append_line(path: Path, line: dict[str, Any]) -> None:
-    """Append a line durably; a torn line before it is ended first, and then passed over."""
+    """Append a line durably; an incomplete line before it is terminated and later skipped."""
     path.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps(line, sort_keys=True, ensure_ascii=False).encode() + b"\n"
     with path.open("a+b") as file:
@@ -254,7 +253,7 @@ def _append_line(path: Path, line: dict[str, Any]) -> None:
 
 
 def _lines(path: Path) -> list[dict[str, Any]]:
-    """Return the whole lines; what a crash tore is no JSON object and is passed over."""
+    """Return the complete lines; incomplete ones are skipped."""
     if not path.is_file():
         return []
     found = []

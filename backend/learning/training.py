@@ -1,7 +1,8 @@
 """Training of the patch network in torch: model, Adam, device, resumable state.
 
 Adam: Kingma and Ba 2015, arXiv 1412.6980. The network has two LSTM layers; the last time step gives
-one logit per face point. A training is a generator of epochs whose saved state resumes exactly.
+one logit per face point. A training is a generator of epochs; resuming from its saved state is
+exact.
 """
 
 from __future__ import annotations
@@ -45,9 +46,9 @@ from touchdown.backend.learning.metrics import (
 
 
 def select_device(asked: DeviceName) -> torch.device:
-    """Return the device that was ``asked`` for, ``auto`` the first graphics processor if any.
+    """Return the device ``asked`` for; ``auto`` is the first graphics processor, if any.
 
-    Raises ``InputError`` for ``cuda`` where torch finds none.
+    Raises ``InputError`` for ``cuda`` if torch finds none.
     """
     found = torch.cuda.is_available()
     if asked == "cuda" and not found:
@@ -60,14 +61,14 @@ def select_device(asked: DeviceName) -> torch.device:
 
 
 def device_name(device: torch.device) -> str:
-    """Return what a card tells of the device."""
+    """Return the name of the device for model cards."""
     return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
 
 
 def computes_bfloat16(device: torch.device) -> bool:
-    """Whether an LSTM can be trained with bfloat16 products there.
+    """Return True if an LSTM can be trained with bfloat16 products on ``device``.
 
-    On a processor oneDNN wants AVX-512 for it.
+    On a processor oneDNN requires AVX-512.
     """
     if device.type == "cuda":
         return bool(torch.cuda.is_bf16_supported())
@@ -75,24 +76,24 @@ def computes_bfloat16(device: torch.device) -> bool:
 
 
 def use_deterministic_algorithms(threads: int) -> None:
-    """Let this process compute on so many threads, by algorithms that repeat their results.
+    """Use this number of threads, and deterministic algorithms, in this process.
 
-    Call it before anything is computed on a graphics processor: its library of products repeats
-    itself only with a workspace of a fixed size (cuBLAS manual, "Results reproducibility").
+    Call it before the first computation on a graphics processor: cuBLAS is reproducible only with a
+    workspace of fixed size (cuBLAS manual, "Results reproducibility").
     """
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     torch.set_num_threads(threads)
-    # ``use_deterministic_algorithms`` would also load torch's compiler, to set an option of it.
+    # torch.use_deterministic_algorithms would also load the compiler of torch.
     torch.set_deterministic_debug_mode("error")
 
 
 def use_one_thread() -> None:
-    """Let this process train and predict on one thread, the same on every machine."""
+    """Train and predict on one thread, with the same results on every machine."""
     use_deterministic_algorithms(1)
 
 
 class PatchNet(nn.Module):
-    """(B, 20, inputs) raw channels to (B, points) logits; standardises inside."""
+    """Network from raw channels (B, 20, inputs) to logits (B, points), with standardisation."""
 
     mean: Tensor
     scale: Tensor
@@ -106,12 +107,12 @@ class PatchNet(nn.Module):
         self.head = nn.Linear(shape.hidden, shape.points)
 
     def set_normaliser(self, normaliser: Normaliser) -> None:
-        """Take over mean and scale."""
+        """Set mean and scale."""
         self.mean.copy_(torch.from_numpy(normaliser.mean))
         self.scale.copy_(torch.from_numpy(normaliser.scale))
 
     def arrays(self) -> dict[str, NDArray[np.float32]]:
-        """Return the weights by name, as a checkpoint keeps them."""
+        """Return the weights by name, as stored in a checkpoint."""
         return {name: tensor.numpy(force=True) for name, tensor in self.state_dict().items()}
 
     def forward(self, observation: Tensor) -> Tensor:
@@ -121,14 +122,14 @@ class PatchNet(nn.Module):
 
 
 def new_model(shape: NetworkShape, seed: int) -> PatchNet:
-    """Return a freshly initialised network, the same for the same seed."""
+    """Return a newly initialised network, the same for the same seed."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return PatchNet(shape)
 
 
 def load_network(checkpoint: Checkpoint) -> PatchNet:
-    """Return the network of a loaded model, ready to use (evaluation mode)."""
+    """Return the network of a loaded model in evaluation mode."""
     with torch.device("meta"):
         model = PatchNet(NetworkShape(**checkpoint.card.hyper.model_dump()))
     tensors = {name: torch.from_numpy(array.copy()) for name, array in checkpoint.arrays.items()}
@@ -137,12 +138,12 @@ def load_network(checkpoint: Checkpoint) -> PatchNet:
     return model.eval()
 
 
-# What is kept of a weight: mean gradient, mean square of it (as the weight), steps so far ().
+# State per weight: mean gradient, mean squared gradient (shape of the weight), number of steps ().
 MOMENTS = ("exp_avg", "exp_avg_sq", "step")
 
 
 class Adam:
-    """Moments of ``parameters``, and the ``rate`` of the next step."""
+    """Adam optimiser: moments of ``parameters``, and the ``rate`` of the next step."""
 
     def __init__(self, parameters: Iterable[Tensor], rate: float) -> None:
         self.rate = rate
@@ -157,13 +158,13 @@ class Adam:
         ]
 
     def zero_grad(self) -> None:
-        """Forget the gradients."""
+        """Clear the gradients."""
         for parameter in self._parameters:
             parameter.grad = None
 
     @torch.no_grad()
     def step(self) -> None:
-        """Move every weight against its gradient; all of them must have one."""
+        """Update every weight; each must have a gradient."""
         means, squares, steps = ([kept[name] for kept in self.moments] for name in MOMENTS)
         gradients = [p.grad for p in self._parameters if p.grad is not None]
         # Fused: one pass over the weights, a quarter of the time of a step on a CPU.
@@ -173,19 +174,19 @@ class Adam:
         )  # fmt: skip
 
     def take_up(self, moments: Iterable[Mapping[str, Tensor]]) -> None:
-        """Go on with ``moments``; raises ``KeyError`` or ``RuntimeError`` if they do not fit."""
+        """Set the moments; raises ``KeyError`` or ``RuntimeError`` if they do not fit."""
         for kept, given in zip(self.moments, moments, strict=True):
             for name in MOMENTS:
                 kept[name].copy_(given[name])
 
 
 CPU = torch.device("cpu")
-PART = 4096  # episodes held in memory at once where all are gone through
+PART = 4096  # episodes in memory at once during a pass over all
 
 
 @dataclass(frozen=True, slots=True)
 class EpochReport:
-    """One finished epoch; ``epoch`` counts from 1. Losses are mean BCE per point (nats).
+    """Results of one epoch; ``epoch`` counts from 1. Losses are mean BCE per point (nats).
 
     All but ``train_loss`` are measured on the validation side.
     """
@@ -201,7 +202,7 @@ class EpochReport:
 
 
 def fingerprint(rows: TrainingRows) -> str:
-    """Return the SHA-256 of all inputs and targets, which names a training set."""
+    """Return the SHA-256 of all inputs and targets, which identifies a training set."""
     digest = hashlib.sha256()
     for start in range(0, len(rows), PART):
         digest.update(np.ascontiguousarray(rows.observation[start : start + PART]).tobytes())
@@ -213,11 +214,11 @@ def fingerprint(rows: TrainingRows) -> str:
 class Trainer:
     """Model, optimiser and data of one training.
 
-    The order of the samples depends on seed and epoch only, so that no generator state is needed to
-    resume. The weights kept are those of the epoch with the lowest validation loss (or the last,
-    as ``settings.keep`` says); ``best_figures`` are their IoU and point accuracy on the validation
-    side. ``device`` computes; what is kept lies in main memory. ``InputError`` where it cannot
-    compute in the precision that is asked for.
+    The order of the samples depends on seed and epoch only, so resuming needs no generator state.
+    The weights of the epoch with the lowest validation loss are kept (or of the last, see
+    ``settings.keep``); ``best_figures`` are their IoU and point accuracy on the validation side.
+    ``device`` is used for computing; data stay in main memory. Raises ``InputError`` if the device
+    does not support the precision.
     """
 
     def __init__(
@@ -250,7 +251,7 @@ class Trainer:
         self.best_state = self._weights()
 
     def epochs(self, cancelled: Callable[[], bool] = lambda: False) -> Iterator[EpochReport]:
-        """Run the remaining epochs; stops without a report when ``cancelled`` says so."""
+        """Run the remaining epochs; stops without a report when ``cancelled`` returns True."""
         while not self.finished:
             train_loss = self._train_epoch(cancelled)
             if train_loss is None:
@@ -260,7 +261,7 @@ class Trainer:
 
     @property
     def finished(self) -> bool:
-        """Whether all epochs are done, or none got better for as long as ``patience`` says."""
+        """True after all epochs, or after ``patience`` epochs without improvement."""
         waited = self.done - self.best_epoch
         return self.done >= self.settings.epochs or waited >= self.settings.patience
 
@@ -271,7 +272,7 @@ class Trainer:
         return model.eval()
 
     def predict_held_out(self) -> NDArray[np.float32]:
-        """(n, N) probabilities of the kept weights for the validation side."""
+        """Return the probabilities (n, N) of the kept weights for the validation side."""
         parts = in_batches(self.split.held_out)
         model = self.best_model().to(self.device)
         logits = [predict_logits(model, self._inputs(index)).cpu() for index in parts]
@@ -326,7 +327,7 @@ class Trainer:
         )
 
     def _inputs(self, index: NDArray[np.int64]) -> Tensor:
-        """(B, 20, inputs) what the model sees of the episodes at ``index``, where it computes."""
+        """Return the inputs (B, 20, inputs) of the episodes at ``index`` on the device."""
         seen = self._rows.inputs(index)[:, :, self._seen]
         return torch.from_numpy(np.ascontiguousarray(seen)).to(self.device)
 
@@ -336,23 +337,23 @@ class Trainer:
 
 
 def in_batches(index: NDArray[np.int64], size: int = PART) -> list[NDArray[np.int64]]:
-    """Return ``index`` in pieces of at most ``size``."""
+    """Divide ``index`` into parts of at most ``size``."""
     return [index[start : start + size] for start in range(0, len(index), size)]
 
 
 def binary_cross_entropy(logits: Tensor, targets: Tensor) -> Tensor:
-    """Mean binary cross-entropy over samples and points, from logits (B, N)."""
+    """Return the mean binary cross-entropy over samples and points, from logits (B, N)."""
     return binary_cross_entropy_with_logits(logits, targets)
 
 
 def predict_logits(model: PatchNet, inputs: Tensor, batch: int = 512) -> Tensor:
-    """(n, N) logits of ``inputs`` (n, 20, inputs)."""
+    """Return the logits (n, N) of ``inputs`` (n, 20, inputs)."""
     with torch.inference_mode():
         return torch.cat([model(part) for part in torch.split(inputs, batch)])
 
 
 def predict(model: PatchNet, observation: NDArray[np.float32], part: slice) -> NDArray[np.float32]:
-    """(n, N) probabilities for ``observation`` (n, 20, 258), of which the model sees ``part``."""
+    """Return the probabilities (n, N) for the columns ``part`` of ``observation`` (n, 20, 258)."""
     inputs = torch.from_numpy(np.ascontiguousarray(observation[:, :, part]))
     probability: NDArray[np.float32] = torch.sigmoid(predict_logits(model, inputs)).numpy()
     return probability
@@ -363,12 +364,12 @@ FIX = "Start again without --resume."
 
 
 def resume_path(model_path: Path) -> Path:
-    """Return where the state of the training of ``model_path`` is kept."""
+    """Return the path of the saved state of the training of ``model_path``."""
     return model_path.with_suffix(".resume.safetensors")
 
 
 def save_training_state(path: Path, trainer: Trainer, data: str) -> None:
-    """Keep everything that the next epoch depends on; ``data`` is the data's fingerprint."""
+    """Save everything the next epoch depends on; ``data`` is the fingerprint of the data."""
     tensors: dict[str, Tensor] = {}
     tensors |= {f"model.{k}": v.contiguous() for k, v in trainer.model.state_dict().items()}
     tensors |= {f"best.{k}": v.contiguous() for k, v in trainer.best_state.items()}
@@ -387,7 +388,7 @@ def save_training_state(path: Path, trainer: Trainer, data: str) -> None:
 
 
 def load_training_state(path: Path, trainer: Trainer, data: str) -> None:
-    """Bring ``trainer`` to where the saved training stopped; raises ``InputError`` if it differs.
+    """Restore the saved state of ``trainer``; raises ``InputError`` if it does not fit.
 
     Data and settings must be the same: the learning rate depends on the number of epochs.
     """

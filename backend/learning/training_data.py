@@ -1,6 +1,6 @@
 """Composition of a training set: benches, pairs, sides of the split, leaks.
 
-The manifest names every episode in it.
+The manifest lists every episode.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _NAMED = ("episode", "revision", "file_sha256", "x_um", "y_um", "bottom", "grip_
 
 
 def training_manifest(rows: TrainingRows, split: Split) -> bytes:
-    """Return the manifest as JSON: equal episodes, labels and sides give equal bytes."""
+    """Return the manifest as JSON; equal episodes, labels and sides give equal bytes."""
     held_out = set(split.held_out.tolist())
     episodes = [
         {name: label[name] for name in _NAMED if name in label}
@@ -60,7 +60,7 @@ def training_manifest(rows: TrainingRows, split: Split) -> bytes:
 
 
 def _leaks(rows: TrainingRows, sides: Sequence[str]) -> list[str]:
-    """Return what validation knows of training: nothing where whole mountings were held out."""
+    """Return warnings about data shared with the validation side; none for whole mountings."""
     count = len(divided_indices(sides, list(zip(rows.mounting_id, rows.bottom, strict=True))))
     if not count:
         return []
@@ -71,17 +71,17 @@ def _leaks(rows: TrainingRows, sides: Sequence[str]) -> list[str]:
 
 
 def manifest_sha256(manifest: bytes) -> str:
-    """Return the SHA-256 that a model card keeps."""
+    """Return the SHA-256 of a manifest for the model card."""
     return sha256(manifest).hexdigest()
 
 
 def only_simulated(rows: TrainingRows) -> bool:
-    """Whether no episode was recorded on a real bench (packs are simulated, always)."""
+    """Return True if no episode was recorded on a real bench (packs are always simulated)."""
     return all(label.get("mode", "mass") in SIMULATED_MODES for label in rows.labels)
 
 
 def read_benches(data: Path, rows: TrainingRows) -> tuple[BenchDescription, ...]:
-    """Return the distinct benches that the files of ``rows`` name; one file a mounting is read."""
+    """Return the distinct benches of ``rows``, reading one file per mounting."""
     files = _one_per_mounting(data, rows) if is_dataset(data) else _packs(data)
     found = {
         facts.model_dump_json(): facts for path in files if (facts := _facts(path)) is not None
@@ -99,11 +99,11 @@ def _packs(data: Path) -> Iterable[Path]:
 
 
 def _facts(path: Path) -> BenchDescription | None:
-    """Return what a pack or an episode file says of its bench, None if it says nothing."""
+    """Return the bench record of a pack or an episode file, None if there is none."""
     try:
         records = read_first(path).metadata
     except InputError:
-        # Its signals were read already, or come from the cache: only the origin stays untold.
+        # The signals come from the cache; only the origin stays unknown.
         return None
     settings = records.get("pack", {}).get("settings")
     facts = records.get("bench", {}).get("facts")
@@ -115,12 +115,12 @@ def _facts(path: Path) -> BenchDescription | None:
         return None
 
 
-FEW = 30  # a share measured on fewer episodes is uncertain by more than 0.18 (95 %)
+FEW = 30  # below this number the 95 % interval of a share exceeds 0.18
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingCandidate:
-    """One episode that could be trained on. ``content``: hash of its signals, "" if not known."""
+    """One episode that can be used for training. ``content``: hash of its signals, or ""."""
 
     piece: str
     bottom: str
@@ -131,7 +131,7 @@ class TrainingCandidate:
 
 @dataclass(frozen=True, slots=True)
 class PairCount:
-    """Episodes of one pair on each side."""
+    """Numbers of episodes of one pair on each side."""
 
     piece: str
     bottom: str
@@ -141,7 +141,10 @@ class PairCount:
 
 @dataclass(frozen=True, slots=True)
 class TrainingSetOverview:
-    """The training set of one piece. ``warnings``: sentences; ``error``: why it cannot be split."""
+    """Training set of one piece.
+
+    ``warnings``: sentences; ``error``: reason why it cannot be split.
+    """
 
     pieces: tuple[str, ...]
     piece: str
@@ -152,17 +155,17 @@ class TrainingSetOverview:
 
     @property
     def train(self) -> int:
-        """Number of episodes to train on."""
+        """Number of training episodes."""
         return sum(pair.train for pair in self.pairs)
 
     @property
     def held_out(self) -> int:
-        """Number of episodes for validation."""
+        """Number of validation episodes."""
         return sum(pair.held_out for pair in self.pairs)
 
 
 def training_candidates(data: Path, labels: LabelChoice) -> list[TrainingCandidate]:
-    """Return all usable episodes of a dataset, or of a folder of packs; raises ``InputError``."""
+    """Return all usable episodes of a dataset or folder of packs; raises ``InputError``."""
     if not is_dataset(data):
         return list(_in_packs(data))
     database = Database.open(data / NAME, write=False)
@@ -183,7 +186,7 @@ def training_set_overview(
     *,
     divide_series: bool = False,
 ) -> TrainingSetOverview:
-    """Return the sides of ``piece`` ("": the commonest) as ``Trainer`` would split them."""
+    """Return the sides of ``piece`` ("": the most frequent one), split as by ``Trainer``."""
     counts = Counter(one.piece for one in found)
     pieces = tuple(sorted(counts))
     if not counts:
@@ -229,7 +232,7 @@ def _warnings(
     copies = sum(one.content in seen for one in held_out)
     if copies:
         words = "1 episode is" if copies == 1 else f"{copies} episodes are"
-        yield f"Leakage: {words} held out of which training has a copy."
+        yield f"Leakage: {words} on the validation side with a copy in training."
     lacking = [pair.bottom for pair in pairs if pair.train == 0]
     if lacking:
         yield f"All episodes of {', '.join(lacking)} are held out: none is trained on."

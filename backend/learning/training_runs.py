@@ -56,15 +56,15 @@ from touchdown.backend.learning.job import (
 from touchdown.backend.learning.metrics import ReliabilityBin, calibration_error
 
 EXIT_WAIT_S = 10.0
-# Threads sleep while they wait for each other. Spinning, as is usual, two of them took 9 times the
-# processor time of one beside other work; asleep 1.04 times.
+# Waiting threads sleep. By default they spin: two threads then took 9 times the processor time of
+# one beside other load, asleep 1.04 times.
 IDLE_THREADS = {"OMP_WAIT_POLICY": "PASSIVE"}
 
 
 class TrainingProcess:
-    """Runs one job at low priority; leave the ``with`` block and the child is gone.
+    """Child process that runs one job at low priority; ends with the ``with`` block.
 
-    ``reports`` may be read on one thread while ``cancel`` is called on another.
+    ``cancel`` may be called from another thread than ``reports``.
     """
 
     def __init__(self, job: TrainingJob) -> None:
@@ -83,7 +83,7 @@ class TrainingProcess:
 
     @property
     def number(self) -> int:
-        """Number of the process."""
+        """Process id."""
         return self._child.pid
 
     def __enter__(self) -> Self:
@@ -97,9 +97,9 @@ class TrainingProcess:
     def reports(
         self,
     ) -> Iterator[TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled]:
-        """Yield what the child says until it ends.
+        """Yield the reports of the child until it ends.
 
-        Raises ``InputError`` for what it refused, ``FaultError`` if it died.
+        Raises ``InputError`` for invalid input, ``FaultError`` if the child dies.
         """
         assert self._child.stdout is not None
         last: object = None
@@ -114,15 +114,15 @@ class TrainingProcess:
             raise FaultError(self._death())
 
     def cancel(self) -> None:
-        """Ask the child to stop after the present batch; whole epochs are kept for a resume."""
+        """Stop after the current batch; whole epochs are kept for a resume."""
         self._send("cancel")
 
     def kill(self) -> None:
-        """End the child at once: what it does since the last whole epoch is lost."""
+        """Kill the child; work since the last whole epoch is lost."""
         self._child.kill()
 
     def close(self) -> None:
-        """End the child, whatever it does, and wait for it."""
+        """End the child and wait for it."""
         for pipe in (self._child.stdin, self._child.stdout):
             if pipe is not None:
                 with contextlib.suppress(BrokenPipeError):
@@ -161,9 +161,9 @@ Curve = tuple[tuple[int, float], ...]
 
 @dataclass(frozen=True, slots=True)
 class TrainingRun:
-    """One training. ``curves``: (epoch, value) by metric; ``card`` of the model if it was made.
+    """One training. ``curves``: (epoch, value) by metric; ``card`` of the finished model.
 
-    ``state`` is that of ``about``, but a run whose process is gone is interrupted.
+    ``state`` is that of ``about``, except that a run without a process is interrupted.
     """
 
     folder: Path
@@ -181,7 +181,7 @@ class TrainingRun:
 
     @property
     def model(self) -> Path:
-        """Where the weights are once the run has finished."""
+        """Path of the weights of a finished run."""
         return self.folder / MODEL
 
     @property
@@ -191,12 +191,12 @@ class TrainingRun:
         return min(losses, key=lambda at: at[1])[0] if losses else 0
 
     def value(self, name: str, epoch: int) -> float:
-        """Return a metric at an epoch, NaN where there is none."""
+        """Return a metric at an epoch, NaN if it is missing."""
         return dict(self.curves.get(name, ())).get(epoch, math.nan)
 
 
 def list_training_runs(data: Path) -> list[TrainingRun]:
-    """Return the trainings on ``data``, the newest first; a folder that is none is passed over."""
+    """Return the trainings on ``data``, newest first; other folders are skipped."""
     runs = data / RUNS
     folders = (
         sorted((p for p in runs.iterdir() if p.is_dir()), reverse=True) if runs.is_dir() else []
@@ -254,7 +254,7 @@ def _bins(path: Path) -> dict[int, tuple[ReliabilityBin, ...]]:
 
 
 def _read_lines(path: Path, take: Callable[[Mapping[str, Any]], None]) -> None:
-    """Give each whole line to ``take``; one that a crash tore is passed over."""
+    """Pass each complete line to ``take``; incomplete lines are skipped."""
     try:
         content = path.read_bytes()
     except OSError:
@@ -266,27 +266,27 @@ def _read_lines(path: Path, take: Callable[[Mapping[str, Any]], None]) -> None:
             continue
 
 
-# Fields of ``Epoch`` that are kept as metrics, a value per epoch.
+# fields of ``TrainingEpoch`` stored as metrics
 CURVES = ("train_loss", "validation_loss", "iou", "point_accuracy")
 CALIBRATION = "calibration_error"
 
 
 def begin_training(dataset: Dataset, job: TrainingJob) -> ActiveRun:
-    """Begin the run of ``job``; its params are what the job asks for."""
+    """Begin the run of ``job`` with its parameters."""
     asked = job.model_dump(mode="json", include={"piece", "out", "labels", "resume", "threads"})
     settings = asked | job.settings.model_dump(mode="json")
     return dataset.runs.begin(KIND, seed=job.settings.seed, settings=settings)
 
 
 def job_in_run(run: ActiveRun | None, job: TrainingJob) -> TrainingJob:
-    """Return ``job`` that leaves its manifest and samples in the folder of its run, if any."""
+    """Return ``job`` with the folder of its run for manifest and samples, if there is a run."""
     return job if run is None else job.model_copy(update={"keep": run.folder})
 
 
 def record_report(
     run: ActiveRun, report: TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled
 ) -> None:
-    """Keep what the training said; its last word ends the run."""
+    """Store a report of the training; the last one ends the run."""
     match report:
         case TrainingLoaded():
             facts = report.model_dump(mode="json", include={"episodes", "held_out", "base_rate"})
@@ -301,7 +301,7 @@ def record_report(
         case TrainingFinished():
             for name, path in (("model", report.out), ("card", report.out.with_suffix(".json"))):
                 run.artifact(name, path)
-            run.name_data(load_card(report.out).manifest_sha256)
+            run.set_manifest(load_card(report.out).manifest_sha256)
             run.finish()
         case TrainingCancelled():
             run.cancel()
@@ -314,8 +314,9 @@ def run_training(
 ) -> str | None:
     """Train in a child process, recorded as a run of the dataset; return the id of the run.
 
-    A folder of packs keeps no runs: the id is None. ``on_notice`` gets the notices of the dataset
-    after the run. Raises ``InputError`` for bad data, ``FaultError`` if the child process dies.
+    None for a folder of packs, which keeps no runs. ``on_notice`` receives the notices of the
+    dataset after the run. Raises ``InputError`` for invalid data, ``FaultError`` if the child
+    process dies.
     """
     with (
         record_training(job, on_notice) as run,
@@ -464,10 +465,11 @@ def record_reliability(run: ActiveRun, epoch: int, bins: object) -> None:
 
 @contextmanager
 def record_training(job: TrainingJob, say: Callable[[str], None]) -> Iterator[ActiveRun | None]:
-    """Record ``job`` in the dataset ``job.data``, which may be open elsewhere; None for packs.
+    """Record ``job`` as a run of the dataset ``job.data``; yields None for a folder of packs.
 
-    An error ends the run as failed, and goes on. Afterwards the catalogue is brought up to date,
-    and ``say`` gets what a start says; where another program has it open, that one does it.
+    The dataset may be open elsewhere. An exception ends the run as failed. Afterwards the catalogue
+    is updated and ``say`` receives the notices; if another program has the dataset open, that
+    program updates it.
     """
     if not is_dataset(job.data):
         yield None
@@ -492,9 +494,9 @@ def record_training(job: TrainingJob, say: Callable[[str], None]) -> Iterator[Ac
 
 @dataclass(frozen=True, slots=True)
 class TrainingRequest:
-    """Train on the episodes of ``piece`` in ``data``; ``labels``: which ones count in a dataset.
+    """Training on the episodes of ``piece`` in ``data``; ``labels``: labels of a dataset to use.
 
-    ``goes_on``: an unfinished run with the same data and settings, whose epochs are kept.
+    ``goes_on``: unfinished run with the same data and settings, to continue from its epochs.
     """
 
     data: Path
@@ -504,17 +506,17 @@ class TrainingRequest:
     goes_on: TrainingRun | None = None
 
     def params(self) -> dict[str, Any]:
-        """Return what the run depends on, JSON-ready."""
+        """Return the parameters of the run, JSON-ready."""
         resumed = {} if self.goes_on is None else {"resumed": self.goes_on.uuid}
         kept = {"piece": self.piece, "labels": self.labels, **self.settings.model_dump(mode="json")}
         return kept | resumed
 
 
 def resume_request(run: TrainingRun, data: Path) -> TrainingRequest:
-    """Return the request that goes on with ``run``; raises ``InputError`` if it cannot."""
+    """Return the request that continues ``run``; raises ``InputError`` if it cannot."""
     if not run.can_resume:
         raise InputError(
-            "There is nothing to go on with: no whole epoch was kept.",
+            "The run cannot be continued: no whole epoch was kept.",
             str(run.folder),
             "Start a new training.",
         )
@@ -525,7 +527,7 @@ def resume_request(run: TrainingRun, data: Path) -> TrainingRequest:
 
 
 class RecordedTraining:
-    """One training. ``reports`` runs on one thread; ``cancel`` may come from any."""
+    """One training. ``reports`` runs on one thread; ``cancel`` is thread-safe."""
 
     def __init__(self, request: TrainingRequest) -> None:
         self._request = request
@@ -546,16 +548,16 @@ class RecordedTraining:
 
     @property
     def number(self) -> int | None:
-        """Number of the child process, None while there is none."""
+        """Process id of the child, None if there is none."""
         with self._lock:
             return None if self._child is None else self._child.number
 
     def reports(
         self,
     ) -> Iterator[TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled]:
-        """Train, and yield what is told once it is kept.
+        """Train, and yield each report after it was stored.
 
-        Raises ``InputError`` for what the child refused, ``FaultError`` if it died.
+        Raises ``InputError`` for invalid input, ``FaultError`` if the child dies.
         """
         with self._run as run:
             job = self._job()
@@ -569,7 +571,7 @@ class RecordedTraining:
                         record_report(run, report)
                         yield report
                 except FaultError:
-                    # One that had to be killed to end is a cancelled one.
+                    # A killed training counts as cancelled.
                     if not self._killed:
                         raise
                 finally:
@@ -577,14 +579,14 @@ class RecordedTraining:
                         self._child = None
 
     def cancel(self) -> None:
-        """Stop after the present batch; whole epochs are kept for a resume."""
+        """Stop after the current batch; whole epochs are kept for a resume."""
         with self._lock:
             self._cancelled = True
             if self._child is not None:
                 self._child.cancel()
 
     def kill(self) -> None:
-        """Cancel one that does not react: whole epochs are kept, the present one is lost."""
+        """Cancel and kill the child; whole epochs are kept, the current one is lost."""
         self.cancel()
         with self._lock:
             self._killed = True
@@ -627,7 +629,7 @@ def _begin(request: TrainingRequest) -> ActiveRun:
 
 
 def _repeat(run: ActiveRun, former: TrainingRun) -> None:
-    """Begin the curves with those of the run that is gone on with."""
+    """Copy the curves of the run that is continued."""
     for name, values in former.curves.items():
         for step, value in values:
             run.metric(name, step, value)

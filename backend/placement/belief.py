@@ -1,6 +1,6 @@
 """Belief map: contact probabilities of several probes, fused in log odds (method 8).
 
-`cover_cells` brings the values of a face onto the cells of the map.
+``cover_cells`` resamples the values of a face to the cells of the map.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from touchdown.backend.config import BeliefSettings
 from touchdown.backend.core import BeliefMap, ContactPatch, FloatArray, InputError, read_only
 from touchdown.backend.placement.equilibrium import convex_hull, inside_hull
 
-SNAP = 1e-6  # part of a pitch below which grids are taken to coincide
+SNAP = 1e-6  # grids coincide below this fraction of the pitch
 # A cell is covered only if at least this share of its bilinear weight lies on the face.
 LEAST_WEIGHT = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class CellGrid:
-    """A square grid: cell (i, j) is centred at ``origin_mm + pitch_mm * (j, i)``."""
+    """Square grid: cell (i, j) is centred at ``origin_mm + pitch_mm * (j, i)``."""
 
     origin_mm: tuple[float, float]
     pitch_mm: float
@@ -36,13 +36,13 @@ class CellGrid:
         return cls(belief.origin_mm, belief.pitch_mm, (rows, columns))
 
     def to_mm(self, cells: FloatArray) -> FloatArray:
-        """Turn (k, 2) cell coordinates (column, row) into mm."""
+        """Convert (k, 2) cell coordinates (column, row) to mm."""
         return np.asarray(self.origin_mm + self.pitch_mm * cells, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class CellEvidence:
-    """What one probe says: ``log_odds`` (ny, nx), zero where not ``covered`` (ny, nx)."""
+    """Evidence of one probe: ``log_odds`` (ny, nx), zero where not ``covered`` (ny, nx)."""
 
     offset_mm: tuple[float, float]
     covered: NDArray[np.bool_]
@@ -55,7 +55,7 @@ class CellEvidence:
 
 @dataclass(frozen=True, slots=True)
 class FaceLattice:
-    """Face points as a full grid; its corner (0, 0) stands at ``corner_mm`` in ``F``.
+    """Face points as a full grid; its corner (0, 0) is at ``corner_mm`` in ``F``.
 
     ``index`` (N, 2): column and row of each point; ``present`` (ny, nx); ``hull`` (k, 2): hull of
     the points in lattice coordinates.
@@ -72,7 +72,7 @@ class FaceLattice:
             read_only(array)
 
     def grid(self, values: FloatArray) -> FloatArray:
-        """Return ``values`` (N,) as (ny, nx), zero where there is no point."""
+        """Return ``values`` (N,) as (ny, nx), zero without a point."""
         grid = np.zeros(self.present.shape)
         grid[self.index[:, 1], self.index[:, 0]] = values
         return grid
@@ -81,15 +81,15 @@ class FaceLattice:
 def face_lattice(points_mm: FloatArray, pitch_mm: float) -> FaceLattice:
     """Arrange the lattice points (N, 2) of a face as a grid.
 
-    ``pitch_mm`` is used where the points do not show one (a single point). Raises ValueError if
-    the points are not those of a square lattice.
+    ``pitch_mm`` is used for a single point. Raises ``ValueError`` if the points do not form a
+    square lattice.
     """
     return _arranged(np.ascontiguousarray(points_mm, dtype=np.float64).tobytes(), pitch_mm)
 
 
 @lru_cache(maxsize=16)
 def _arranged(points: bytes, pitch_mm: float) -> FaceLattice:
-    """Arrange once: every probe of a run has the same face."""
+    """Arrange the points, cached: every probe of a run has the same face."""
     points_mm = np.frombuffer(points, dtype=np.float64).reshape(-1, 2)
     corner = points_mm.min(axis=0)
     steps = np.diff(np.sort(points_mm, axis=0), axis=0)
@@ -109,11 +109,11 @@ def _arranged(points: bytes, pitch_mm: float) -> FaceLattice:
 def cover_cells(
     grid: CellGrid, points_mm: FloatArray, values: FloatArray, offset_mm: tuple[float, float]
 ) -> CellEvidence:
-    """Bring ``values`` (N,) at ``points_mm`` (N, 2) in ``F`` onto the cells that the face covers.
+    """Resample ``values`` (N,) at ``points_mm`` (N, 2) in ``F`` to the cells that the face covers.
 
-    Each covered cell is set exactly once: to the value of its lattice point where the grids
-    coincide, else bilinearly. A cell is covered if it lies within the hull of the lattice, so that
-    no support is ever claimed outside the face. Cells outside the map are left out.
+    Each covered cell is set once: to the value of its lattice point if the grids coincide, else by
+    bilinear interpolation. A cell is covered if it lies within the hull of the lattice, so no
+    support is claimed outside the face. Cells outside the map are ignored.
     """
     face = face_lattice(points_mm, grid.pitch_mm)
     rows, v = _within(grid, face, offset_mm, axis=1)
@@ -133,7 +133,7 @@ def cover_cells(
 def _within(
     grid: CellGrid, face: FaceLattice, offset_mm: tuple[float, float], *, axis: int
 ) -> tuple[NDArray[np.intp], FloatArray]:
-    """Return the map's rows or columns within the face's box, and their lattice coordinate."""
+    """Return rows or columns of the map within the face's box, and their lattice coordinates."""
     count = grid.shape[1 - axis]
     last = face.present.shape[1 - axis] - 1
     centre_mm = grid.origin_mm[axis] + grid.pitch_mm * np.arange(count)
@@ -147,30 +147,30 @@ def _within(
 def _bilinear(
     face: FaceLattice, values: FloatArray, u: FloatArray, v: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the weight of present lattice points, and the weighted sum of their values."""
+    """Return the weight of the present lattice points, and the weighted sum of their values."""
     rows, columns = face.present.shape
     across, down = _hat(u, columns).T, _hat(v, rows)
     return down @ face.present.astype(np.float64) @ across, down @ face.grid(values) @ across
 
 
 def _hat(place: FloatArray, count: int) -> FloatArray:
-    """(n, count) weights of linear interpolation at ``place`` (n,) between whole numbers."""
+    """Return the weights (n, count) of linear interpolation at ``place`` (n,)."""
     return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(count)))
 
 
 def _in_hull(face: FaceLattice, cells: FloatArray) -> NDArray[np.bool_]:
     if len(face.hull) < 3:
-        # A face of one point or one line: only cells exactly on its points are covered.
+        # A face of one point or line: only cells exactly on its points are covered.
         return np.asarray((cells == np.rint(cells)).all(axis=-1), dtype=np.bool_)
     return inside_hull(face.hull, cells)
 
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """The map and the evidence it was built from.
+    """Belief map of one trial, with the evidence it was built from.
 
-    ``visits`` holds the offset of every probe, replaced ones included; ``evidence`` only those
-    that count. ``base_rate`` is the share of contact points in the training data.
+    ``visits``: offset of every probe, including replaced ones; ``evidence``: probes that count.
+    ``base_rate``: share of contact points in the training data.
     """
 
     settings: BeliefSettings
@@ -188,8 +188,8 @@ class Belief:
     ) -> Belief:
         """Return the belief before any probe: probability 0.5 everywhere.
 
-        ``origin_mm`` is the offset of the first probe: cells coincide with its face lattice.
-        Raises ``InputError`` if the prior correction is on and the model has no base rate.
+        ``origin_mm`` is the offset of the first probe; cells coincide with its face lattice. Raises
+        ``InputError`` if the prior correction is on and the model has no base rate.
         """
         if settings.prior_correction and not (base_rate is not None and 0 < base_rate < 1):
             raise InputError(
@@ -210,8 +210,8 @@ class Belief:
     def updated(self, patch: ContactPatch, offset_mm: tuple[float, float]) -> Belief:
         """Return the belief after a probe at ``offset_mm`` (commanded ``F``, frame of the map).
 
-        A probe nearer than ``min_shift_mm`` to former ones replaces them. A patch that is not a
-        number everywhere is counted as a visit and changes nothing.
+        A probe within ``min_shift_mm`` of former ones replaces them. A patch with values that are
+        not finite counts as a visit and changes nothing.
         """
         visits = (*self.visits, offset_mm)
         if not is_finite(patch) or not all(map(math.isfinite, offset_mm)):
@@ -224,7 +224,7 @@ class Belief:
         return Belief(self.settings, fused, evidence, visits, self.base_rate)
 
     def log_odds(self, probability: FloatArray) -> FloatArray:
-        """Return the evidence in log odds of ``probability`` (N,): clip, temperature, prior."""
+        """Convert ``probability`` (N,) to log odds with clipping, temperature and prior."""
         clip = self.settings.clip
         p = np.clip(probability, clip, 1.0 - clip)
         evidence = np.log(p / (1.0 - p)) / self.settings.temperature
@@ -237,7 +237,7 @@ class Belief:
 
 
 def is_finite(patch: ContactPatch) -> bool:
-    """Whether the patch holds at least one point and probabilities only; NaN gives False."""
+    """Return True if the patch has points and all probabilities are finite."""
     p = patch.probability
     if not len(p) or not np.isfinite(patch.points_mm).all():
         return False
@@ -245,7 +245,7 @@ def is_finite(patch: ContactPatch) -> bool:
 
 
 def _fused(grid: CellGrid, evidence: tuple[CellEvidence, ...], limit: float) -> BeliefMap:
-    """Add all evidence, then limit: the sum does not depend on the order of the probes."""
+    """Add all evidence, then limit the sum, so that the order of the probes does not matter."""
     log_odds = np.zeros(grid.shape)
     covered = np.zeros(grid.shape, dtype=np.bool_)
     for item in evidence:

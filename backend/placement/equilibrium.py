@@ -1,7 +1,7 @@
 """Static equilibrium of a piece on points of contact.
 
-Convex hull of few points, signed distance to its edge, centre of pressure demanded by the wrist
-wrench, resting contact at a displacement.
+Convex hull of few points, signed distance to its edge, centre of pressure from the wrist wrench,
+resting contact at an offset.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from touchdown.backend.core import FloatArray, SupportKind, read_only
 from touchdown.backend.geometry import Outline, rotated, true_patch
 
-ON_EDGE_MM = 1e-9  # rounding allowance of an edge: a point this far outside still lies on it
+ON_EDGE_MM = 1e-9  # rounding tolerance of an edge
 
 Point = tuple[float, float]
 
@@ -24,9 +24,9 @@ Point = tuple[float, float]
 def convex_hull(points: NDArray[np.number]) -> FloatArray:
     """Return the (k, 2) counter-clockwise corners of the hull of ``points`` (n, 2).
 
-    k is 0 for no point, 1 for one place, 2 for collinear points. Corners are strict: no three lie
-    on one line. Exact for integer coordinates below 2**25, which is why the map calls it with cell
-    indices and not with lengths. Andrew's monotone chain (Inf. Process. Lett. 9 (1979) 216).
+    k is 0 for no point, 1 for one position, 2 for collinear points. No three corners are collinear.
+    Exact for integer coordinates below 2**25, so the map passes cell indices rather than lengths.
+    Andrew's monotone chain (Inf. Process. Lett. 9 (1979) 216).
     """
     chain = _column_ends(np.asarray(points, dtype=np.float64).reshape(-1, 2))
     if len(chain) < 3:
@@ -37,10 +37,10 @@ def convex_hull(points: NDArray[np.number]) -> FloatArray:
 
 
 def signed_margin_mm(hull: FloatArray, point: Point) -> float:
-    """Return the distance of ``point`` to the edge of ``hull``: positive inside, negative outside.
+    """Return the signed distance of ``point`` to the edge of ``hull``, positive inside.
 
-    ``hull`` (k, 2) is counter-clockwise. A point or line has no inside: the result is never
-    positive there. Returns -inf without support (k = 0).
+    ``hull`` (k, 2) is counter-clockwise. A point or line has no inside, so the result is never
+    positive. Returns -inf without support (k = 0).
     """
     if not len(hull):
         return -math.inf
@@ -58,9 +58,9 @@ def signed_margin_mm(hull: FloatArray, point: Point) -> float:
 
 
 def inside_hull(hull: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
-    """Return for ``points`` (..., 2) whether they lie in the hull or on its edge.
+    """Return True for ``points`` (..., 2) in the hull or on its edge.
 
-    ``hull`` (k, 2) counter-clockwise with k >= 3; nothing lies inside a smaller one.
+    ``hull`` (k, 2) counter-clockwise with k >= 3; all False for a smaller hull.
     """
     if len(hull) < 3:
         return np.zeros(points.shape[:-1], dtype=np.bool_)
@@ -71,7 +71,7 @@ def inside_hull(hull: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
 
 
 def _column_ends(points: FloatArray) -> list[Point]:
-    """Sort by x, then y, and keep the two ends of each column: only they can be corners."""
+    """Sort by x, then y, and keep the two ends of each column, which contain all corners."""
     if not len(points):
         return []
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
@@ -83,7 +83,7 @@ def _column_ends(points: FloatArray) -> list[Point]:
 
 
 def _half(chain: Sequence[Point]) -> list[Point]:
-    """Return one chain of the hull: every turn is to the left."""
+    """Return one chain of the hull, with left turns only."""
     half: list[Point] = []
     for point in chain:
         while len(half) >= 2 and _turn(half[-2], half[-1], point) <= 0:
@@ -96,18 +96,18 @@ def _turn(a: Point, b: Point, c: Point) -> float:
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-TOO_CLOSE_MM = 0.2  # nearer to the edge than this nobody can say whether the piece stands
+TOO_CLOSE_MM = 0.2  # nearer to the edge than this, stability cannot be decided
 
 _KINDS = (SupportKind.NONE, SupportKind.POINT, SupportKind.LINE)
 
 
 @dataclass(frozen=True, slots=True)
 class RestingContact:
-    """The face at one displacement, all in the bottom frame ``O``.
+    """Contact of the face at one offset, in the bottom frame ``O``.
 
-    ``points_mm`` (N, 2) and ``touching`` (N,): the face's lattice; ``hull_mm`` (k, 2) of the points
-    that touch, counter-clockwise; ``centre_mm``: the centre of mass; ``margin_mm`` signed, positive
-    inside the hull, ``-inf`` without contact.
+    ``points_mm`` (N, 2) and ``touching`` (N,): lattice of the face; ``hull_mm`` (k, 2) of the
+    points in contact, counter-clockwise; ``centre_mm``: centre of mass; ``margin_mm``: signed,
+    positive inside the hull, ``-inf`` without contact.
     """
 
     points_mm: FloatArray
@@ -123,17 +123,17 @@ class RestingContact:
 
     @property
     def stable(self) -> bool:
-        """Whether the centre of mass lies inside the hull or on its edge."""
+        """True if the centre of mass lies inside the hull or on its edge."""
         return self.support is SupportKind.AREA and self.margin_mm >= 0
 
     @property
     def too_close(self) -> bool:
-        """Whether the margin is too small for a verdict."""
+        """True if the margin is too small for a verdict."""
         return abs(self.margin_mm) < TOO_CLOSE_MM
 
     @property
     def share(self) -> float:
-        """Part of the face that touches, 0..1."""
+        """Share of the face points in contact, 0..1."""
         return float(self.touching.mean()) if len(self.touching) else 0.0
 
 
@@ -144,10 +144,10 @@ def resting_contact(
     offset_mm: tuple[float, float],
     yaw_rad: float = 0.0,
 ) -> RestingContact:
-    """Return what the face does at ``offset_mm``, turned by ``yaw_rad``.
+    """Return the contact of the face at ``offset_mm``, rotated by ``yaw_rad``.
 
     ``points_mm`` (N, 2) is the lattice of the face and ``com_xy_mm`` the centre of mass, both in
-    ``F``. Raises ``ValueError`` unless the displacement is finite.
+    ``F``. Raises ``ValueError`` unless the offset is finite.
     """
     if not all(map(math.isfinite, (*offset_mm, yaw_rad))):
         raise ValueError("the displacement is not finite")
@@ -161,10 +161,10 @@ def resting_contact(
     return RestingContact(placed, touching, hull, at, signed_margin_mm(hull, at), support)
 
 
-# Below this press force the quotient is noise (F/T offset 0.2 N): no centre is returned.
+# Below this press force the quotient is noise (F/T offset 0.2 N) and the centre is NaN.
 LEAST_PRESS_N = 0.5
 FIRST_TICK, LAST_TICKS = 0, slice(-4, None)
-LEAST_RISE_N = 2.0  # a press that gains less than this says nothing of where it acts
+LEAST_RISE_N = 2.0  # smallest increase of the press force for a centre of pressure
 
 
 def centre_of_pressure_mm(
@@ -189,11 +189,11 @@ def centre_of_pressure_mm(
 
 
 def pressed_at_mm(wrench: FloatArray, lever_mm: float) -> FloatArray:
-    """Return (2,) where a press acted, in ``F``: the centre of pressure without slow sensor errors.
+    """Return (2,) the centre of pressure of a press in ``F``, without slow sensor errors.
 
     ``wrench`` (20, 6) in N and N·m at the sensor, ``lever_mm`` above the face. The offset left by
-    the tare (several mm of centre) is the same at all ticks: the growth from the first tick, when
-    hardly anything presses, to the last ones does not contain it. NaN where the press hardly grows.
+    the tare (several mm of centre) is the same at all ticks; the increase from the first tick to
+    the last ones does not contain it. NaN if the force hardly increases.
     """
     growth = wrench[LAST_TICKS].mean(axis=0) - wrench[FIRST_TICK]
     return centre_of_pressure_mm(growth, lever_mm, LEAST_RISE_N)

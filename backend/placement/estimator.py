@@ -1,4 +1,4 @@
-"""Estimate of contact patch and offset from one episode, by one or several trained models."""
+"""Estimate of contact patch and offset from one episode, by one or several models."""
 
 from __future__ import annotations
 
@@ -31,16 +31,17 @@ from touchdown.backend.learning import (
 )
 
 STEP_MM = 0.5
-CLIP = 0.02  # no point is trusted further than the belief map trusts it
-# Neighbouring points err together: so many count as one. Smaller makes the uncertainty too small,
-# larger draws the mean to the centre (measured over five bottoms, 200 episodes each).
+CLIP = 0.02  # probabilities are clipped to [CLIP, 1 - CLIP], as in the belief map
+# Number of neighbouring points with common errors, which count as one. A smaller number gives a too
+# small uncertainty, a larger one a bias to the centre (measured over five bottoms, 200 episodes
+# each).
 CORRELATED_POINTS = 6.0
-NOTABLE_SIGMAS = 3.0  # label and model differ notably beyond this many standard uncertainties
+NOTABLE_SIGMAS = 3.0  # label and model differ notably above this many standard uncertainties
 
 
 @dataclass(frozen=True, slots=True)
 class OffsetFit:
-    """``offset_mm`` of the face in ``O``; ``sigma_mm``: standard uncertainty per axis."""
+    """Offset ``offset_mm`` of the face in ``O``; ``sigma_mm``: standard uncertainty per axis."""
 
     offset_mm: tuple[float, float]
     sigma_mm: float
@@ -48,7 +49,7 @@ class OffsetFit:
 
 @dataclass(frozen=True, slots=True)
 class OffsetGrid:
-    """All displacements of one pair of faces: ``offsets_mm`` (G, 2), ``touching`` (G, N) 0 or 1.
+    """Candidate offsets of one pair of faces: ``offsets_mm`` (G, 2), ``touching`` (G, N) 0 or 1.
 
     Build it once per pair; a fit is then one matrix product.
     """
@@ -63,7 +64,7 @@ class OffsetGrid:
 
     @classmethod
     def of(cls, points_mm: FloatArray, bottom: Outline, step_mm: float = STEP_MM) -> OffsetGrid:
-        """Return the grid of every displacement at which one of ``points_mm`` (N, 2) touches.
+        """Return the grid of all offsets with contact of at least one of ``points_mm`` (N, 2).
 
         Raises ``ValueError`` unless the step is positive.
         """
@@ -78,9 +79,9 @@ class OffsetGrid:
         return cls(offsets[possible], touching[possible].astype(np.float32), step_mm)
 
     def fit(self, patch: ContactPatch) -> OffsetFit:
-        """Return the displacement that explains ``patch``.
+        """Return the offset that explains ``patch``.
 
-        Raises ``ValueError`` if the patch is of another face or holds no probabilities.
+        Raises ``ValueError`` for a patch of another face or without probabilities.
         """
         probability = patch.probability
         if probability.shape != (self.touching.shape[1],):
@@ -98,22 +99,22 @@ class OffsetGrid:
 
 
 def sigmas_apart(label_mm: tuple[float, float], label_sigma_mm: float, model: OffsetFit) -> float:
-    """Return the distance of a label from the model's, in joint standard uncertainties."""
+    """Return the distance of a label from a model's offset, in joint standard uncertainties."""
     distance = math.dist(label_mm, model.offset_mm)
     return distance / math.hypot(label_sigma_mm, model.sigma_mm)
 
 
 def mean_entropy(probability: FloatArray) -> float:
-    """Return the mean entropy in nat of the points (N,): how unsure the model is of a patch."""
+    """Return the mean entropy of the points (N,) in nat."""
     p = np.clip(probability, 1e-12, 1 - 1e-12)
     return float(-(p * np.log(p) + (1 - p) * np.log1p(-p)).mean())
 
 
 class Estimator:
-    """Estimates patches of one piece on one thread.
+    """Contact patches of one piece; not thread-safe.
 
-    The network reads a probe tick by tick, and all ticks but the last are there a while before
-    the last: ``prepare`` works through them, so that ``estimate`` has one tick left to do.
+    The network reads a probe tick by tick. ``prepare`` processes the first ticks while the probe is
+    still running, so that ``estimate`` has one tick left.
     """
 
     def __init__(self, checkpoint: Checkpoint, points_mm: FloatArray) -> None:
@@ -126,7 +127,7 @@ class Estimator:
 
     @classmethod
     def load(cls, path: Path, piece: Piece) -> Estimator:
-        """Load and check the model ``path`` of ``piece``; raises ``InputError`` naming the file."""
+        """Load the model ``path`` of ``piece``; raises ``InputError`` if it does not fit."""
         checkpoint = load_checkpoint(path)
         points = face_points(piece.face)
         _check_fit(checkpoint.card, piece, len(points), str(path))
@@ -138,17 +139,17 @@ class Estimator:
         return self.card.base_rate
 
     def prepare(self, early: NDArray[np.float32]) -> None:
-        """Work through the first ticks, (19, 258), of the probe that will be estimated next.
+        """Process the first ticks, (19, 258), of the probe that will be estimated next.
 
-        Never changes an estimate: ticks that turn out otherwise are worked through again.
+        Never changes an estimate: ticks that differ later are processed again.
         """
         self._prepared = early, self._after(early)
 
     def estimate(self, episode: Episode) -> ContactPatch:
         """Return the contact probability of every face point.
 
-        Raises ``InputError`` for an episode of another piece, of another shape, or with a value
-        that is not finite: a missing sample is not an observation.
+        Raises ``InputError`` for an episode of another piece or shape, or with values that are not
+        finite.
         """
         observation = episode.observation
         where = f"episode {episode.episode_id}"
@@ -180,7 +181,7 @@ class Estimator:
         else:
             state = self._after(early)
         logits = self._network.logits(self._network.run(last[:, self._columns], state))
-        # A sigmoid that cannot overflow.
+        # sigmoid without overflow
         return np.asarray(0.5 + 0.5 * np.tanh(0.5 * logits.astype(np.float64)))
 
     def _after(self, early: NDArray[np.float32]) -> LstmState:
@@ -203,10 +204,10 @@ def _check_fit(card: ModelCard, piece: Piece, points: int, where: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class EnsembleEstimate:
-    """Displacement with its joint sigma, and the mean of the members' patches.
+    """Offset with its joint sigma, and the mean patch of the members.
 
-    ``spread_mm``: standard deviation per axis between the members. ``entropy`` of the mean patch
-    and ``knowledge``, the part of it that comes from members who differ (BALD), in nat a point.
+    ``spread_mm``: standard deviation between the members per axis. ``entropy`` of the mean patch,
+    and ``knowledge``, its part due to disagreement of the members (BALD), in nat per point.
     """
 
     fit: OffsetFit
@@ -226,13 +227,13 @@ class Ensemble:
 
     @property
     def weights(self) -> str:
-        """The hashes of all members' weights, joined by ``+``."""
+        """Hashes of the weights of all members, joined by ``+``."""
         return joined_hash([member.card.weights_sha256 for member in self.members])
 
     def judge(self, episode: Episode, grid: OffsetGrid) -> EnsembleEstimate:
-        """Return what the members make of ``episode``.
+        """Return the joint estimate for ``episode``.
 
-        Raises ``InputError`` or ``ValueError`` where one of them cannot judge it.
+        Raises ``InputError`` or ``ValueError`` if a member cannot process it.
         """
         patches = [member.estimate(episode) for member in self.members]
         fits = [grid.fit(patch) for patch in patches]
@@ -245,7 +246,7 @@ class Ensemble:
 
 
 def mix_fits(fits: Sequence[OffsetFit]) -> tuple[OffsetFit, float]:
-    """Return the mean displacement with its sigma, and the deviation between ``fits`` per axis."""
+    """Return the mean offset with its sigma, and the deviation between ``fits`` per axis."""
     at = np.array([fit.offset_mm for fit in fits], dtype=np.float64)
     between = float(at.var(axis=0).mean())
     own = float(np.mean([fit.sigma_mm**2 for fit in fits]))
@@ -254,5 +255,5 @@ def mix_fits(fits: Sequence[OffsetFit]) -> tuple[OffsetFit, float]:
 
 
 def joined_hash(weights: Sequence[str]) -> str:
-    """Return the hashes of weights as one name, whatever their order."""
+    """Return one name for several hashes, independent of their order."""
     return "+".join(sorted(weights))

@@ -26,20 +26,20 @@ from touchdown.backend.annotations import (
 from touchdown.backend.core import TACTILE_CHANNELS, FloatArray, InputError
 from touchdown.backend.placement.estimator import Ensemble, OffsetGrid
 
-ALIKE_FEWEST = 30  # fewer episodes of a pair have nothing alike among them
-ALIKE = 40  # so many of the most alike signals say where the face should be
-ALIKE_RIDGE = 3.0  # of the fit: signals are scaled alike, and labels should not follow their noise
+ALIKE_FEWEST = 30  # fewest episodes of a pair for a comparison of similar signals
+ALIKE = 40  # number of most similar signals used for the fit
+ALIKE_RIDGE = 3.0  # ridge penalty of the fit of the scaled signals
 ROUNDS = 3
-HELD = 2.0  # labels so many deviations off count less in the fit: wrong ones are among them
-FLOOR_MM = 0.5  # what is not strange, however well the others agree
+HELD = 2.0  # residuals beyond this many deviations are down-weighted
+FLOOR_MM = 0.5  # distances below this are never unusual
 PART = 500
 
 
 def neighbour_residual(signals: FloatArray, offsets_mm: FloatArray) -> FloatArray:
-    """Return how far (n,) each label lies off where the most alike signals put it.
+    """Return the distance (n,) of each label from the fit to the most similar signals.
 
-    ``signals`` (n, d) scaled alike and ``offsets_mm`` (n, 2) as labelled, of one pair. The distance
-    is counted in the median distance of those others, plus ``FLOOR_MM``. NaN below ``FEWEST``.
+    ``signals`` (n, d) with a common scale and ``offsets_mm`` (n, 2) as labelled, of one pair. The
+    unit is the median residual of those neighbours plus ``FLOOR_MM``. NaN below ``ALIKE_FEWEST``.
     """
     count = len(signals)
     if count < ALIKE_FEWEST:
@@ -51,7 +51,7 @@ def neighbour_residual(signals: FloatArray, offsets_mm: FloatArray) -> FloatArra
 
 
 def _without_own(near: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the neighbours (n, k) but each episode itself, which equal signals may hide."""
+    """Return the neighbours (n, k) without the episode itself, also for equal signals."""
     own = near == np.arange(len(near))[:, None]
     own[~own.any(axis=1), -1] = True
     return np.asarray(near[~own].reshape(len(near), -1), dtype=np.intp)
@@ -60,7 +60,7 @@ def _without_own(near: NDArray[np.intp]) -> NDArray[np.intp]:
 def _off(
     signals: FloatArray, offsets_mm: FloatArray, near: NDArray[np.intp], part: slice
 ) -> FloatArray:
-    """Fit the labels of the others linearly to their signals, and compare the own one."""
+    """Fit the labels of the neighbours linearly to their signals and return the residual."""
     others = offsets_mm[near[part]]
     apart = signals[near[part]] - signals[part, None]
     terms = np.concatenate([np.ones((*apart.shape[:2], 1)), apart], axis=2)
@@ -80,13 +80,13 @@ def _off(
     return np.asarray(own / (usual + FLOOR_MM))
 
 
-DOUBT_FEWEST = 200  # fewer episodes of a pair do not tell what is felt where
-PARTS = 10  # principal parts of the estimated patch that are compared, beside the wrench
+DOUBT_FEWEST = 200  # fewest episodes of a pair for a fit of the signals
+PARTS = 10  # principal components of the estimated patch in the comparison, beside the wrench
 SMOOTH_MM = 3.0
 DOUBT_RIDGE = 0.5
 FOLDS = 8
-NEAR = 80  # so many labels nearby tell the scatter
-MOST = 1500  # more episodes than this make the smooth function no better, only slower
+NEAR = 80  # number of nearby labels for the scatter
+MOST = 1500  # most episodes for the fit; more only take time
 CLIP = 0.01
 SHRINK = 0.1
 SHIFTS_MM = (1.0, 2.0, 3.0, 5.0)
@@ -94,7 +94,7 @@ TURNS = 12
 
 
 def summarise_signals(probability: FloatArray, wrench: FloatArray) -> FloatArray:
-    """Return what was felt in few numbers, (n, d), scaled alike.
+    """Return the signals as few numbers (n, d) with a common scale.
 
     ``probability`` (n, N) of the estimated patches, ``wrench`` (n, 6) of the settled press; all of
     one pair.
@@ -103,10 +103,10 @@ def summarise_signals(probability: FloatArray, wrench: FloatArray) -> FloatArray
 
 
 def displacement_doubt(felt: FloatArray, offsets_mm: FloatArray) -> FloatArray:
-    """Return how much likelier (n,) each episode is a few mm from its label: twice log likelihoods.
+    """Return the gain of log likelihood (n,), doubled, a few mm away from each label.
 
-    ``felt`` (n, d) as ``signals_of`` gives it, ``offsets_mm`` (n, 2) as labelled; all of one pair.
-    NaN below ``FEWEST`` episodes.
+    ``felt`` (n, d) from ``summarise_signals``, ``offsets_mm`` (n, 2) as labelled; all of one pair.
+    NaN below ``DOUBT_FEWEST`` episodes.
     """
     count = len(offsets_mm)
     if count < DOUBT_FEWEST:
@@ -126,13 +126,13 @@ def displacement_doubt(felt: FloatArray, offsets_mm: FloatArray) -> FloatArray:
 
 
 def _nearest(at_mm: FloatArray, count: int) -> NDArray[np.intp]:
-    """Return the indices (n, count) of the nearest other places."""
+    """Return the indices (n, count) of the nearest other positions."""
     found = np.asarray(cKDTree(at_mm).query(at_mm, k=count + 1)[1], dtype=np.intp)
     return found[:, 1:]
 
 
 def _parts(probability: FloatArray) -> FloatArray:
-    """Return the first principal parts of the log odds, (n, PARTS), scaled alike."""
+    """Return the first principal components of the log odds, (n, PARTS), with a common scale."""
     p = np.clip(probability, CLIP, 1 - CLIP)
     odds = np.log(p / (1 - p))
     left, sizes, _ = np.linalg.svd(odds - odds.mean(axis=0), full_matrices=False)
@@ -144,7 +144,7 @@ def _standard(values: FloatArray) -> FloatArray:
 
 
 class _KernelRidge:
-    """A smooth function of the displacement, fitted to what was felt (kernel ridge)."""
+    """Smooth function of the offset, fitted to the signals (kernel ridge regression)."""
 
     def __init__(self, at_mm: FloatArray, felt: FloatArray) -> None:
         self._at_mm, self._mean = at_mm, felt.mean(axis=0)
@@ -168,7 +168,7 @@ def _kernel(one_mm: FloatArray, other_mm: FloatArray) -> FloatArray:
 
 
 def _expected_without_own(at_mm: FloatArray, felt: FloatArray) -> FloatArray:
-    """Return what the others say is felt at each label: no episode speaks for itself."""
+    """Return the leave-one-out prediction of the signals at each label."""
     rng = np.random.default_rng(1)
     fold = rng.permutation(len(at_mm)) % FOLDS
     expected = np.empty_like(felt)
@@ -179,9 +179,9 @@ def _expected_without_own(at_mm: FloatArray, felt: FloatArray) -> FloatArray:
 
 
 def _scatter(error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return middle and scale (d,) of errors (k, d), and the inverse covariance in that scale.
+    """Return centre and scale (d,) of errors (k, d), and the inverse covariance in that scale.
 
-    Wrong labels among them are held to three deviations.
+    Errors are clipped at three deviations, since some labels may be wrong.
     """
     middle = np.median(error, axis=0)
     scale = 1.4826 * np.median(np.abs(error - middle), axis=0) + 1e-6
@@ -191,18 +191,18 @@ def _scatter(error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _shifts_mm() -> FloatArray:
-    """Return the shifts that are tried, (m, 2); the first is none."""
+    """Return the candidate shifts (m, 2); the first one is zero."""
     turn = 2 * np.pi * np.arange(TURNS) / TURNS
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     return np.concatenate([np.zeros((1, 2)), *(by * ring for by in SHIFTS_MM)])
 
 
-SETTLED_TICKS = 5  # the last 0.5 s of a press are compared: the load is constant there
+SETTLED_TICKS = 5  # ticks at the end of a press, where the load is constant (0.5 s)
 
 
 @dataclass(slots=True)
 class _PairSignals:
-    """What was felt in the episodes of one pair: estimated patch (N,) and settled wrench (6,)."""
+    """Signals of the episodes of one pair: estimated patch (N,) and settled wrench (6,)."""
 
     uuids: list[str] = field(default_factory=list)
     probability: list[FloatArray] = field(default_factory=list)
@@ -211,7 +211,7 @@ class _PairSignals:
 
 @dataclass(slots=True)
 class _ModelResults:
-    """What the models of one piece found; ``felt`` per pair."""
+    """Results of the models of one piece; ``felt`` per pair."""
 
     suggestion: dict[str, Label] = field(default_factory=dict)
     entropy: dict[str, float] = field(default_factory=dict)
@@ -224,10 +224,10 @@ def score_labels(
     models_of: Callable[[str], Ensemble | None],
     progress: Callable[[int, int], bool],
 ) -> int:
-    """Score every episode that has a model; returns how many were scored.
+    """Score every episode that has a model; return the number of scored episodes.
 
-    ``progress`` gets (done, all) after each and returns False to stop: what was found until then
-    is kept. Episodes that cannot be read or judged get no score.
+    ``progress`` is called with (done, total) after each episode; False stops and keeps the scores
+    so far. Episodes that cannot be read or estimated get no score.
     """
     entries = dataset.episodes(EpisodeFilter(accepted=True))
     found: dict[str, _ModelResults] = defaultdict(_ModelResults)
@@ -265,7 +265,7 @@ def _score(
     found.entropy[entry.uuid] = says.entropy
     source: Source = f"{MODEL}{models.weights}"
     apart = disagreement(head, Suggestion(suggested, source, 0))
-    # A label that came from these models agrees with them and says nothing.
+    # Labels from these models agree with them and are not compared.
     if apart is not None and head.source != source:
         found.apart[entry.uuid] = apart
     felt = found.felt[entry.geometry]

@@ -32,10 +32,10 @@ def judge_stability(
     offset_mm: tuple[float, float],
     settings: StabilitySettings,
 ) -> Stability:
-    """Judge the piece at ``offset_mm`` (frame of the map).
+    """Judge the stability of the piece at ``offset_mm`` (frame of the map).
 
     ``patch`` is the latest estimate; its points are the face. ``com_xy_mm`` is the centre of mass
-    in ``F``. Only support under the present face counts: a cell beside the piece carries nothing.
+    in ``F``. Only cells under the piece count as support.
     """
     centre = (offset_mm[0] + com_xy_mm[0], offset_mm[1] + com_xy_mm[1])
     finite = is_finite(patch) and bool(np.isfinite(belief.map.log_odds).all())
@@ -54,7 +54,7 @@ def judge_stability(
 
 
 def confident_cells(belief: Belief, delta: float) -> NDArray[np.bool_]:
-    """(ny, nx) cells whose probability of support exceeds ``delta``."""
+    """Return the cells (ny, nx) with a probability of support above ``delta``."""
     return np.asarray(belief.map.log_odds > log_odds_threshold(delta), dtype=np.bool_)
 
 
@@ -64,9 +64,9 @@ def log_odds_threshold(delta: float) -> float:
 
 
 def support_hull_mm(belief: Belief, cells: NDArray[np.bool_]) -> FloatArray:
-    """(k, 2) hull in mm of the centres of the marked ``cells`` (ny, nx)."""
+    """Return the hull (k, 2) in mm of the centres of the marked ``cells`` (ny, nx)."""
     rows, columns = np.nonzero(cells)
-    # Cell indices are whole numbers: collinear cells are found exactly.
+    # Cell indices are integers, so collinear cells are detected exactly.
     hull = convex_hull(np.stack((columns, rows), axis=1))
     return CellGrid.of(belief.map).to_mm(hull)
 
@@ -84,7 +84,7 @@ def _hull_on_map(
 def _hull_on_face(
     belief: Belief, patch: ContactPatch, offset_mm: tuple[float, float], delta: float
 ) -> FloatArray:
-    """Hull of the latest patch alone, on the points of the face itself."""
+    """Return the hull of the latest patch alone, on the face points."""
     face = face_lattice(patch.points_mm, belief.map.pitch_mm)
     hull = convex_hull(face.index[belief.log_odds(patch.probability) > log_odds_threshold(delta)])
     corner = np.add(face.corner_mm, offset_mm)
@@ -98,10 +98,10 @@ BEST_PERCENTILE = 95.0
 def hull_centre(
     belief: Belief, delta: float, what: Literal["area", "cells", "vertices"]
 ) -> XY | None:
-    """Return the middle of the confident support on the whole map, None without any.
+    """Return the centre of the confident support on the whole map, None if there is none.
 
-    The paper divides a sum over the hull's points by their number; the readings are all cells
-    inside the hull ("area"), the confident cells, or the hull's vertices.
+    The paper divides a sum over the points of the hull by their number. ``what`` selects the
+    points: all cells inside the hull ("area"), the confident cells, or the vertices of the hull.
     """
     cells = confident_cells(belief, delta)
     hull = support_hull_mm(belief, cells)
@@ -109,7 +109,7 @@ def hull_centre(
         return None
     if what == "vertices" or (what == "area" and len(hull) < 3):
         return _mean(hull)
-    # Every cell inside the hull lies in the box round the confident ones.
+    # All cells inside the hull lie in the bounding box of the confident ones.
     rows, columns = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
     box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     centres = belief.map.cell_centres_mm()[box]
@@ -117,9 +117,9 @@ def hull_centre(
 
 
 def best_cells(belief: Belief) -> XY | None:
-    """Return the mean of the covered cells from the 95th percentile of probability upwards.
+    """Return the mean of the covered cells at or above the 95th percentile of probability.
 
-    "From" and not "above": where many cells share the highest value none lies above it.
+    "At or above", since no cell is above it if many share the highest value.
     """
     covered: NDArray[np.bool_] = belief.map.covered
     if not covered.any():
@@ -130,7 +130,7 @@ def best_cells(belief: Belief) -> XY | None:
 
 
 def next_on_spiral(centre_mm: XY, belief: Belief, settings: PolicySettings) -> XY:
-    """Return the first place on a square spiral round ``centre_mm`` that was not yet probed."""
+    """Return the first position on a square spiral around ``centre_mm`` that was not probed."""
     step = settings.longest_step_mm
     for column, row in _spiral():
         place = (centre_mm[0] + step * column, centre_mm[1] + step * row)
@@ -140,7 +140,7 @@ def next_on_spiral(centre_mm: XY, belief: Belief, settings: PolicySettings) -> X
 
 
 def _spiral() -> Iterator[tuple[int, int]]:
-    """Whole places outwards from (0, 0), neighbours at distance 1: right, up, left, down."""
+    """Yield integer positions outwards from (0, 0) at distance 1: right, up, left, down."""
     x, y = 0, 0
     yield x, y
     for turn in count():
@@ -157,7 +157,7 @@ def _mean(points: FloatArray) -> XY:
 
 @dataclass(frozen=True, slots=True)
 class ShiftTarget:
-    """Where the policy wants the face centre to be, and the words why."""
+    """Target position of the face centre, and the reason in words."""
 
     target_mm: XY
     why: str
@@ -170,9 +170,9 @@ def choose_action(
     settings: PolicySettings,
     judged_by: StabilitySettings,
 ) -> PlaceAction:
-    """Return the next action of the piece at ``offset_mm`` (frame of the map).
+    """Return the next action for the piece at ``offset_mm`` (frame of the map).
 
-    ``belief.visits`` is the history of probes; their number counts against ``max_probes``.
+    ``belief.visits`` is the history of probes; their number is limited by ``max_probes``.
     """
     if stability.stable:
         return PlaceAction(
@@ -194,7 +194,7 @@ def choose_action(
 
 
 def describe_situation(stability: Stability, required_mm: float = 0.0) -> str:
-    """Say where the centre of mass is, with its distance."""
+    """Return a text with the distance of the centre of mass from the hull."""
     margin_mm = stability.margin_mm
     if stability.support is SupportKind.AREA:
         if margin_mm < 0:
@@ -211,8 +211,8 @@ def describe_situation(stability: Stability, required_mm: float = 0.0) -> str:
 def _aim(
     stability: Stability, belief: Belief, here: XY, settings: PolicySettings, delta: float
 ) -> ShiftTarget | None:
-    """Return the greedy target; where there is none, or it is here, the fallback; None to stop."""
-    # The centre of mass, not the face centre, must come over the middle of the support.
+    """Return the greedy target, else the fallback; None to give up."""
+    # The centre of mass, not the face centre, has to be above the centre of the support.
     com = (stability.centre_mm[0] - here[0], stability.centre_mm[1] - here[1])
     nearest = belief.settings.min_shift_mm
     centre = hull_centre(belief, delta, settings.hull_centre)
@@ -237,14 +237,14 @@ def _aim(
 
 
 def _moves(here: XY, target: XY, nearest_mm: float) -> bool:
-    """Whether going there is a move at all; also false where ``min_shift_mm`` is zero."""
+    """Return True if the target is far enough for a move, also with ``min_shift_mm`` zero."""
     return math.dist(here, target) >= max(nearest_mm, 1e-6)
 
 
 def shift_towards(
     stability: Stability, aim: ShiftTarget, here: XY, longest_mm: float, required_mm: float
 ) -> PlaceAction:
-    """Return the shift from ``here`` towards the aim, at most ``longest_mm`` long."""
+    """Return the shift from ``here`` towards the target, at most ``longest_mm`` long."""
     away = (aim.target_mm[0] - here[0], aim.target_mm[1] - here[1])
     distance_mm = math.hypot(*away)
     clipped = distance_mm > longest_mm
@@ -259,5 +259,5 @@ def shift_towards(
 
 
 def give_up(reason: str) -> PlaceAction:
-    """Return the end of a trial without a release."""
+    """Return the action that ends a trial without a release."""
     return PlaceAction("give_up", (0.0, 0.0), None, False, reason)

@@ -1,7 +1,7 @@
-"""Placement strategies: from the estimate of a probe to belief, verdict and next action.
+"""Placement strategies: from the estimate of a probe to belief, stability and next action.
 
-`make_strategy` chooses one by name: the paper's, learned fusion, zero wrench. A strategy keeps the
-belief of one trial; it sees observations only, never the bottom. Zero wrench follows "Precise
+``make_strategy`` selects one by name: paper, learned fusion, zero wrench. A strategy keeps the
+belief of one trial; it uses observations only, never the bottom. Zero wrench follows "Precise
 Object Placement Using Force-Torque Feedback" (arXiv 2404.17668).
 """
 
@@ -53,42 +53,43 @@ from touchdown.backend.placement.policy import (
 from touchdown.backend.placement.support_tower import SupportTower, normal_draws
 
 XY = tuple[float, float]
-AROUND_MM = 10.0  # the middle is looked for so far around the point that is expected to lie deepest
-# Points so near the edge tell by how much the middle may be off: their inset moves with it.
+AROUND_MM = 10.0  # search radius of the face centre around the deepest point
+# Points this near the edge determine the uncertainty of the centre.
 EDGE_MM = 4.0
 NUDGE_MM = 0.05
 REFINED = 4
-LEAST_SD_MM = 0.3  # nothing is trusted to be nearer than this
+LEAST_SD_MM = 0.3  # smallest standard deviation of an inset
 
 
 @dataclass(frozen=True, slots=True)
 class FaceCentre:
-    """The middle of the touched face, ``at_mm``, known within ``sigma_mm`` along x and along y."""
+    """Estimated centre ``at_mm`` of the touched face, with uncertainty ``sigma_mm`` per axis."""
 
     at_mm: XY
     sigma_mm: float
 
     def standing(self, face_mm: XY) -> str:
-        """Say where the piece will stand: what an entry needs when the next one comes on top."""
+        """Return a text with the final position, for the tower entry of the next piece."""
         x, y = np.subtract(face_mm, self.at_mm)
         return f"It stands {x:+.1f}, {y:+.1f} mm from the middle, sigma {self.sigma_mm:.1f} mm."
 
     def drawn(self) -> FloatArray:
-        """Return (k, 2) places where it may be, spread evenly: the same ones every time."""
+        """Return (k, 2) evenly spread candidate positions, always the same ones."""
         return np.asarray(np.asarray(self.at_mm) + self.sigma_mm * normal_draws(1)[:, 0])
 
 
 @dataclass(frozen=True, slots=True)
 class LowerSupport:
-    """What ``below`` leaves, wherever its uppermost face has its middle."""
+    """Support by the bodies ``below``, for candidate positions of the uppermost face."""
 
     below: SupportTower
     middle: FaceCentre
 
     def insets_mm(self, points_mm: FloatArray) -> FloatArray:
-        """Return (k, n): how far within the weakest support below the load lies, for each draw.
+        """Return the inset (k, n) of the load in the weakest lower support, per candidate.
 
-        ``points_mm`` (n, 2): the piece's centre of mass, in the frame of the middle.
+        ``points_mm`` (n, 2): centre of mass of the piece, relative to the centre of the touched
+        face.
         """
         relative = points_mm - self.middle.drawn()[:, None]
         return self.below.insets_mm(relative).reshape(-1, len(points_mm))
@@ -97,10 +98,10 @@ class LowerSupport:
 def holding_probability(
     top: InsetDistribution, lower: LowerSupport | None, centre_mm: XY, least_mm: FloatArray
 ) -> FloatArray:
-    """Return (n,) how likely the load lies more than each of ``least_mm`` (n,) within all supports.
+    """Return the probability (n,) that the load is deeper than ``least_mm`` (n,) in all supports.
 
-    ``top``: how far the centre of mass, at ``centre_mm``, lies within the touched face. With a
-    ``lower`` part at least so likely, whatever the interfaces have in common: ways to fall add up.
+    ``top``: inset of the centre of mass, at ``centre_mm``, in the touched face. With ``lower`` this
+    is a lower bound: failure probabilities are added, whatever the correlation of the interfaces.
     """
     repeated = InsetDistribution(*(np.repeat(part, len(least_mm), axis=0) for part in top.parts()))
     reached = repeated.exceeds(least_mm)
@@ -112,10 +113,9 @@ def holding_probability(
 
 
 def fit_face_centre(over: InsetDistribution, points_mm: FloatArray, face: Outline) -> FaceCentre:
-    """Return where the middle of the touched ``face`` is, from insets ``over`` points (n, 2) in mm.
+    """Return the centre of the touched ``face`` from insets ``over`` points (n, 2) in mm.
 
-    The middle fits the expected insets best; how much they vary near the edge tells how well it is
-    known.
+    Least squares on the expected insets; their variance near the edge gives the uncertainty.
     """
     expected, variance = over.expected_mm(), over.variance_mm2()
     weight = 1.0 / np.maximum(variance, LEAST_SD_MM**2)
@@ -137,26 +137,26 @@ def fit_face_centre(over: InsetDistribution, points_mm: FloatArray, face: Outlin
 
 
 def _slope(face: Outline, relative: FloatArray) -> FloatArray:
-    """Return (n, 2): by how much the inset grows as the middle moves along x and along y."""
+    """Return the gradient (n, 2) of the inset with respect to the position of the centre."""
     moved = [NUDGE_MM * np.eye(2)[axis] for axis in range(2)]
     ways = [inset_mm(face, relative - m) - inset_mm(face, relative + m) for m in moved]
     return np.asarray(np.stack(ways, axis=-1) / (2.0 * NUDGE_MM), dtype=np.float64)
 
 
 def equivalent_disc(over: InsetDistribution, cell_mm2: float) -> Outline:
-    """Return a disc as large as the cells of ``over`` that rather lie within the touched face."""
+    """Return a disc with the area of the cells of ``over`` that are likely in the touched face."""
     within = float((over.expected_mm() > 0.0).sum())
     return circle(2.0 * sqrt(max(within, 1.0) * cell_mm2 / pi))
 
 
 @dataclass(frozen=True, slots=True)
 class GraspedPiece:
-    """What a strategy knows of the grasped piece before the first probe.
+    """Information about the grasped piece before the first probe.
 
-    ``com_xy_mm``: centre of mass in ``F``; ``grip_height_mm``: pivot above the face;
-    ``base_rate``: share of contact in the training data of the model, None without a model.
-    ``sensor_height_mm``: wrist sensor above the pivot, as the bench tells; None if it does not.
-    ``below``: the tower under the touched surface as entered, None if nobody told of one.
+    ``com_xy_mm``: centre of mass in ``F``; ``grip_height_mm``: pivot above the face; ``base_rate``:
+    share of contact in the training data, None without a model. ``sensor_height_mm``: wrist sensor
+    above the pivot, None if unknown. ``below``: entered tower under the touched surface, None if
+    there is none.
     """
 
     com_xy_mm: XY
@@ -166,20 +166,21 @@ class GraspedPiece:
     below: SupportTower | None = None
 
     def lever_mm(self) -> float:
-        """Return the height of the sensor above the face; raises ``InputError`` if nobody told."""
+        """Return the height of the sensor above the face; raises ``InputError`` if unknown."""
         if self.sensor_height_mm is None:
             raise InputError(
                 "This strategy needs the height of the wrist sensor above the grasp pivot.",
                 "mounting.sensor_height_mm",
-                "Tell it in the lab file, or choose another strategy.",
+                "Add it to the lab file, or choose another strategy.",
             )
         return self.grip_height_mm + self.sensor_height_mm
 
 
 @dataclass(frozen=True, slots=True)
 class ProbeObservation:
-    """One probe: ``observation`` (20, 258) as the model saw it, the ``patch`` that it estimated,
-    and the commanded ``offset_mm`` of the face (frame of the map).
+    """One probe: ``observation`` (20, 258) as given to the model, and its estimated ``patch``.
+
+    ``offset_mm``: commanded offset of the face (frame of the map).
     """
 
     observation: NDArray[np.float32]
@@ -189,7 +190,7 @@ class ProbeObservation:
 
 @dataclass(frozen=True, slots=True)
 class PlaceDecision:
-    """What follows from all probes so far: the ``map`` as believed, the verdict here, the move."""
+    """Result after a probe: belief ``map``, stability at this offset, next action."""
 
     map: BeliefMap
     stability: Stability
@@ -197,28 +198,28 @@ class PlaceDecision:
 
 
 class Strategy(Protocol):
-    """The memory of one trial."""
+    """Strategy of one trial with its belief."""
 
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
-        """Take the next probe; return what follows."""
+        """Process the next probe; return the decision."""
 
     def stable_at(self, offset_mm: XY) -> bool:
-        """Whether all probes so far would have it released with the face at ``offset_mm``."""
+        """Return True if the piece would be released with the face at ``offset_mm``."""
 
     def likely_at(self, offset_mm: XY) -> bool:
-        """Whether it would there rather stand than fall, whatever risk a release may take."""
+        """Return True if stable is more likely than unstable there, whatever the accepted risk."""
 
 
 @runtime_checkable
 class SearchingStrategy(Strategy, Protocol):
-    """The memory of one trial by a strategy to which a place without contact is no end."""
+    """Strategy that continues after a position without contact."""
 
     def missed(self, offset_mm: XY) -> PlaceAction:
-        """Take note that no contact was found at ``offset_mm``; return the shift, or the end."""
+        """Record that there was no contact at ``offset_mm``; return a shift or the end."""
 
 
 class PaperStrategy:
-    """Ota et al.: independent cells, hull of the confident ones, step towards its middle."""
+    """Strategy of Ota et al.: independent cells, hull of the confident ones, step to its centre."""
 
     def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:
         self._held, self._settings = held, settings
@@ -226,7 +227,7 @@ class PaperStrategy:
         self._patch: ContactPatch | None = None
 
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
-        """Fuse, judge, choose."""
+        """Update the belief, judge stability, choose the action."""
         settings, here = self._settings, touched.offset_mm
         self._belief, self._patch = self._belief.updated(touched.patch, here), touched.patch
         stability = judge_stability(
@@ -236,26 +237,26 @@ class PaperStrategy:
         return PlaceDecision(self._belief.map, stability, action)
 
     def stable_at(self, offset_mm: XY) -> bool:
-        """Judge the map there; with ``judge_from`` "patch" the latest patch, as if felt there."""
+        """Judge the map there; with ``judge_from`` "patch" the latest patch, shifted."""
         if self._patch is None:
             return False
         com, rules = self._held.com_xy_mm, self._settings.stability
         return judge_stability(self._belief, self._patch, com, offset_mm, rules).stable
 
     def likely_at(self, offset_mm: XY) -> bool:
-        """Judge alike: it tells stable from not stable in one way only."""
+        """Return ``stable_at``: this strategy has a single threshold."""
         return self.stable_at(offset_mm)
 
 
-NOTHING = "The signals are no numbers, or unlike all it learned from: giving up without a release."
+NOTHING = "The signals are not finite or outside the training data: giving up without a release."
 NO_CONTACT = "No contact was found"
 EVEN = 0.5
-FARTHEST_MM = 14.0  # farther from the last probe the network was asked too seldom to be followed
+FARTHEST_MM = 14.0  # positions farther from the last probe are outside of the training data
 STEPS_MM = np.arange(-15.0, 15.0, 0.05)
 
 
 class FusedStrategy:
-    """Keeps the signals of all probes; asks the network anew after each."""
+    """Strategy with the learned fusion of the signals of all probes."""
 
     def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:
         found = load_network_of(settings.fused)
@@ -270,7 +271,7 @@ class FusedStrategy:
         self._lower: LowerSupport | None = None
 
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
-        """Ask about the place and the map, judge by the accepted risk, choose."""
+        """Evaluate this position and the map, judge by the accepted risk, choose the action."""
         settings, here = self._settings, touched.offset_mm
         self._belief = self._belief.updated(touched.patch, here)
         self._offset_mm.append(here)
@@ -303,7 +304,7 @@ class FusedStrategy:
         return PlaceDecision(shown, stability, action)
 
     def inset_at(self, offset_mm: XY) -> InsetDistribution | None:
-        """Return how far in the support the centre of mass would lie there; None before a probe."""
+        """Return the expected inset of the centre of mass there; None before a probe."""
         if self._last is None:
             return None
         here, com = self._offset_mm[-1], self._held.com_xy_mm
@@ -311,9 +312,9 @@ class FusedStrategy:
         return self._inset(self._last, np.array([point]), here)
 
     def missed(self, offset_mm: XY) -> PlaceAction:
-        """Go half way back to where something was last felt; before that, round in a spiral.
+        """Return half way to the last contact; before any contact, follow a spiral.
 
-        A place without contact counts as a probe.
+        A position without contact counts as a probe.
         """
         policy = self._settings.policy
         self._missed_mm.append(offset_mm)
@@ -334,7 +335,7 @@ class FusedStrategy:
         return PlaceAction("shift", step, to, clipped, words)
 
     def stable_at(self, offset_mm: XY) -> bool:
-        """Ask about another place of the face."""
+        """Evaluate another position of the face."""
         inset = self.inset_at(offset_mm)
         if inset is None:
             return False
@@ -342,7 +343,7 @@ class FusedStrategy:
         return margin_mm >= self._settings.fused.inset_mm
 
     def likely_at(self, offset_mm: XY) -> bool:
-        """Whether the whole tower would stand there rather than fall."""
+        """Return True if the whole tower is more likely stable than unstable there."""
         inset = self.inset_at(offset_mm)
         if inset is None:
             return False
@@ -358,7 +359,7 @@ class FusedStrategy:
         return len(self._belief.visits) + len(self._missed_mm)
 
     def _known(self, points_mm: FloatArray) -> FloatArray | None:
-        """Return what is known after all probes; None if there is a signal that cannot be read."""
+        """Return the state after all probes; None if a signal is outside the training data."""
         seen = np.stack(self._seen).astype(np.float32)
         if not np.isfinite(seen).all():
             return None
@@ -375,9 +376,9 @@ class FusedStrategy:
         return self._forward.inset(known, points_mm, away)
 
     def _note_middle(self, over: InsetDistribution, places_mm: FloatArray) -> FaceCentre:
-        """Return the middle of the touched face, frame of the map; keep what lies below it.
+        """Return the centre of the touched face in the frame of the map; keep the lower support.
 
-        ``places_mm`` (n, 2), likewise: of which the network says ``over``.
+        ``places_mm`` (n, 2): positions of the insets ``over``.
         """
         below = self._held.below
         face = None if below is None else below.bodies[-1].upper
@@ -387,15 +388,15 @@ class FusedStrategy:
         return middle
 
     def _margin_mm(self, top: InsetDistribution, centre_mm: XY) -> float:
-        """Return the inset of one place that is not reached with the accepted risk."""
+        """Return the inset of one position that is exceeded with the required probability."""
         holds = holding_probability(top, self._lower, centre_mm, STEPS_MM)
         kept = np.flatnonzero(holds >= 1.0 - self._settings.fused.risk)
         return float(STEPS_MM[kept[-1]]) if len(kept) else float(STEPS_MM[0])
 
     def _expected_mm(self, over: InsetDistribution, places_mm: FloatArray) -> FloatArray:
-        """Return (n,) how deep the centre of mass is expected to lie in the shallowest interface.
+        """Return the expected inset (n,) of the centre of mass in the shallowest interface.
 
-        Over ``places_mm`` (n, 2), frame of the map, of which the network says ``over``.
+        ``places_mm`` (n, 2): positions of the insets ``over``, in the frame of the map.
         """
         if self._lower is None:
             return over.expected_mm()
@@ -428,21 +429,21 @@ class FusedStrategy:
 
 
 def load_network_of(settings: FusedSettings) -> FusedCheckpoint:
-    """Return the network that the settings name; raises ``InputError``."""
+    """Return the network named by the settings; raises ``InputError``."""
     return load_fused(Path(settings.weights)) if settings.weights else shipped_fused()
 
 
 def deepest_shift(expected_mm: FloatArray, shifts_mm: FloatArray) -> XY:
-    """Return the shift that brings the centre of mass where it is expected to lie deepest.
+    """Return the shift to the deepest expected inset of the centre of mass.
 
-    ``expected_mm`` (n,): how deep after each of ``shifts_mm`` (n, 2) from here.
+    ``expected_mm`` (n,): expected inset after each of ``shifts_mm`` (n, 2) from here.
     """
     x, y = shifts_mm[int(expected_mm.argmax())]
     return float(x), float(y)
 
 
 class ZeroWrenchStrategy:
-    """Steps towards where the push acts; the network's estimate is not looked at."""
+    """Strategy that steps towards the centre of pressure, without the network."""
 
     def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:
         self._held, self._settings, self._lever_mm = held, settings, held.lever_mm()
@@ -450,7 +451,7 @@ class ZeroWrenchStrategy:
         self._felt: list[tuple[XY, float]] = []
 
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
-        """Release where the push acts under the centre of mass; else follow it."""
+        """Release if the centre of pressure is under the centre of mass; else step to it."""
         here, com = touched.offset_mm, self._held.com_xy_mm
         unknown = ContactPatch(touched.patch.points_mm, np.full(len(touched.patch.points_mm), 0.5))
         self._belief = self._belief.updated(unknown, here)
@@ -472,13 +473,13 @@ class ZeroWrenchStrategy:
         return PlaceDecision(self._belief.map, stability, self._choose(stability, target, here))
 
     def stable_at(self, offset_mm: XY) -> bool:
-        """Judge by the presses made there; elsewhere it knows nothing."""
+        """Judge by the presses made there; False elsewhere."""
         nearest_mm = self._settings.belief.min_shift_mm
         there = [a for place, a in self._felt if math.dist(place, offset_mm) <= nearest_mm]
         return bool(there) and self._vanishes(there[-1])
 
     def likely_at(self, offset_mm: XY) -> bool:
-        """Judge alike: there is no belief that could be weighed otherwise."""
+        """Return ``stable_at``: there is no belief."""
         return self.stable_at(offset_mm)
 
     def _vanishes(self, apart_mm: float) -> bool:
@@ -498,9 +499,9 @@ class ZeroWrenchStrategy:
 
 
 def make_strategy(held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> Strategy:
-    """Return the memory of a trial that begins with a probe at ``origin_mm``.
+    """Return the strategy of a trial whose first probe is at ``origin_mm``.
 
-    Raises ``InputError`` for a strategy that concludes nothing from probes.
+    Raises ``InputError`` for a strategy without probes.
     """
     if settings.strategy == "fused":
         return FusedStrategy(held, settings, origin_mm)

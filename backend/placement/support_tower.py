@@ -1,8 +1,8 @@
 """Tower below the touched surface, as entered by the operator.
 
-A robot that presses on the uppermost bottom does not feel where the ones below stand. They come
-from an entry (or from where the robot put them itself), each with its standard uncertainty; the
-piece is released only where every interface below would carry it as well.
+The robot feels only the uppermost bottom. The positions of the lower ones are entered (or known
+from earlier placements), each with its standard uncertainty. The piece is released only if every
+interface below supports it as well.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from touchdown.backend.core import FloatArray, InputError
 from touchdown.backend.geometry import Body, Piece, inset_mm
 
 XY = tuple[float, float]
-DRAWS = 13  # towers that are looked at in place of the one that nobody knows exactly
+DRAWS = 13  # sampled towers, for the uncertainty of the positions
 
 
 @dataclass(frozen=True, slots=True)
 class SupportTower:
-    """``bodies`` from the lowest to the touched one, and ``offset_mm`` of each above the lowest
-    from the one that it stands on, known within ``sigma_mm`` along x and along y.
+    """Bodies from the lowest to the touched one.
 
-    ``piece_g``: mass of the piece that will press on them when it is let go.
+    ``offset_mm``: offset of each body above the lowest from the one below it, with standard
+    uncertainty ``sigma_mm`` per axis. ``piece_g``: mass of the piece on top after its release.
     """
 
     bodies: tuple[Body, ...]
@@ -43,9 +43,9 @@ class SupportTower:
     def entered(
         cls, piece: Piece, bottoms: Sequence[Piece], entry: TowerSettings
     ) -> SupportTower | None:
-        """Return the tower of ``bottoms`` (bottom-up, the last one is touched) as it was entered.
+        """Return the tower of ``bottoms`` (bottom-up, the last one is touched) from an entry.
 
-        None for a single bottom. Raises ``InputError`` if the entry is of another tower.
+        None for a single bottom. Raises ``InputError`` if the entry does not fit.
         """
         joints = len(bottoms) - 1
         if not joints:
@@ -61,17 +61,17 @@ class SupportTower:
         return cls(bodies, offset_mm, entry.sigma_mm, piece.mass_g)
 
     def insets_mm(self, centre_mm: FloatArray) -> FloatArray:
-        """Return (DRAWS, ...): how far within the weakest support below the load lies.
+        """Return the inset (DRAWS, ...) of the load in the weakest lower support.
 
-        ``centre_mm`` (..., 2): the piece's centre of mass from the centre of the touched body.
-        Of each interface that is the distance to the nearest edge, negative outside; the overlap
-        of two convex faces has no other edges than theirs.
+        ``centre_mm`` (..., 2): centre of mass of the piece relative to the touched body. The inset
+        of an interface is the distance to its nearest edge, negative outside; the edges of the
+        overlap of two convex faces are edges of the faces.
         """
         draws = normal_draws(len(self.offset_mm))
         return np.stack([self._least(centre_mm, draw) for draw in draws])
 
     def _least(self, centre_mm: FloatArray, draw: FloatArray) -> FloatArray:
-        """Return (...,) for one tower; ``draw`` (joints, 2) standard normal."""
+        """Return the inset (...,) of one tower; ``draw`` (joints, 2) standard normal."""
         steps = np.array(self.offset_mm, dtype=np.float64).reshape(-1, 2) + self.sigma_mm * draw
         at = _places(steps)
         least = np.full(centre_mm.shape[:-1], np.inf)
@@ -98,9 +98,9 @@ def _places(steps: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=4)
 def normal_draws(joints: int) -> FloatArray:
-    """Return (DRAWS, joints, 2) standard normal places, spread evenly: the same ones every time.
+    """Return (DRAWS, joints, 2) evenly spread standard normal values, always the same ones.
 
-    A sunflower on the plane of each joint; joints go through it in a different order.
+    A sunflower pattern per joint, in a different order for each joint.
     """
     k = (np.arange(DRAWS)[:, None] * (2 * np.arange(joints) + 1)[None, :]) % DRAWS
     reach = np.sqrt(-2.0 * np.log1p(-(k + 0.5) / DRAWS))

@@ -41,7 +41,7 @@ class FusedSizes(BaseModel):
 
 
 class FusedCard(BaseModel):
-    """What the weights are and what they were made from."""
+    """Card of the fusion network: sizes, training data and evaluation."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     format: Literal["touchdown-fused/1"] = "touchdown-fused/1"
@@ -50,8 +50,8 @@ class FusedCard(BaseModel):
     vector_order: str = VECTOR_ORDER
     ticks: tuple[int, ...] = TICKS
     answers: str = "how far a point lies within the support, mm: a mixture of normal distributions"
-    family: str = ""  # the pieces and bottoms that it was trained on, in words
-    left_out: tuple[str, ...] = ()  # pieces and bottoms that nothing in the training resembles
+    family: str = ""  # pieces and bottoms of the training, as text
+    left_out: tuple[str, ...] = ()  # pieces and bottoms that are not in the training
     bench_sha256: str
     data_sha256: str
     seed: int
@@ -65,7 +65,7 @@ class FusedCard(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class FusedCheckpoint:
-    """A loaded network: its arrays by name, as ``shape.expected_arrays`` lists them; its card."""
+    """Loaded network: arrays by name, as listed by ``expected_fused_arrays``, and card."""
 
     arrays: Mapping[str, NDArray[np.float32]]
     card: FusedCard
@@ -77,7 +77,7 @@ class FusedCheckpoint:
 
 
 def save_fused(path: Path, arrays: Mapping[str, NDArray[np.float32]], card: FusedCard) -> FusedCard:
-    """Write weights and card; returns the card with the weights' hash."""
+    """Write weights and card; return the card with the hash of the weights."""
     content = save_arrays({name: np.ascontiguousarray(array) for name, array in arrays.items()})
     sealed = card.model_copy(update={"weights_sha256": hashlib.sha256(content).hexdigest()})
     write_atomically(path, content)
@@ -87,7 +87,7 @@ def save_fused(path: Path, arrays: Mapping[str, NDArray[np.float32]], card: Fuse
 
 
 def load_fused(path: Path) -> FusedCheckpoint:
-    """Load and check a network; whatever is wrong raises one ``InputError`` naming the file.
+    """Load and check a network; raises ``InputError`` with the file for any problem.
 
     Checked: size, card, hash, name, shape and type of every array, finite values.
     """
@@ -112,7 +112,7 @@ def load_fused(path: Path) -> FusedCheckpoint:
 
 
 def shipped_path() -> Path:
-    """Return where the network that comes with the program lies."""
+    """Return the path of the network that comes with the program."""
     return Path(str(files("touchdown.resources"))) / "models" / "fused" / "fused.safetensors"
 
 

@@ -1,7 +1,7 @@
 """Inputs and array shapes of the fusion network.
 
-Each probe is summarised in about 200 numbers in place of 20 x 258. Ablations leave inputs out;
-their checkpoint files have the same form.
+Each probe is summarised in about 200 numbers instead of 20 x 258. Ablations leave inputs out; their
+checkpoint files have the same form.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from touchdown.backend.core import GRID_COLS, GRID_ROWS, FloatArray
 
 Array = NDArray[np.float32]
-TICKS = (0, 1, 2, 4, 7, 10, 14, 19)  # of the 20; the force grows over the first 15
-MODES = 4  # typical marker fields of a finger
-SENSOR_MM = 120.0  # force sensor above the grasp pivot
-GROWN = (3, 4, 5, 6, 7)  # of the eight: where the growth since the first one acts
+TICKS = (0, 1, 2, 4, 7, 10, 14, 19)  # ticks used, out of 20; the force rises over the first 15
+MODES = 4  # principal components of the marker field, per finger
+SENSOR_MM = 120.0  # height of the force sensor above the grasp pivot
+GROWN = (3, 4, 5, 6, 7)  # ticks, out of the eight, with the centre of pressure of the increase
 LEAST_N, FARTHEST_MM = 1.0, 30.0
 DIRECTIONS = 16
 LENGTH_MM = 10.0  # unit of lengths in the network
@@ -29,8 +29,10 @@ PROBE_INPUTS = len(TICKS) * (6 + 2 * MODES) + 2 * len(GROWN) + 4
 
 @dataclass(frozen=True, slots=True)
 class GraspedFace:
-    """The grasped piece. ``reach_mm`` (..., 16): how far the face reaches from its centre of mass,
-    from +x on counter-clockwise; ``com_mm`` (..., 2) in ``F``; ``grip_height_mm`` (...).
+    """Geometry of the grasped piece.
+
+    ``reach_mm`` (..., 16): extent of the face from its centre of mass, counter-clockwise from +x;
+    ``com_mm`` (..., 2) in ``F``; ``grip_height_mm`` (...).
     """
 
     reach_mm: FloatArray
@@ -41,13 +43,13 @@ class GraspedFace:
     def of(
         cls, points_mm: FloatArray, com_mm: FloatArray, grip_height_mm: FloatArray
     ) -> GraspedFace:
-        """Return the face that its lattice ``points_mm`` (..., k, 2) spans."""
+        """Return the face spanned by the lattice ``points_mm`` (..., k, 2)."""
         from_com = points_mm - com_mm[..., None, :]
         reach = (from_com @ directions().T).max(axis=-2)
         return cls(reach, com_mm, np.asarray(grip_height_mm))
 
     def mirrored(self, *, across_x: bool, across_y: bool) -> GraspedFace:
-        """Return the face with x, y or both of the other sign."""
+        """Return the face mirrored in x, y or both."""
         at = np.arange(DIRECTIONS)
         at = DIRECTIONS // 2 - at if across_x else at
         at = -at if across_y else at
@@ -56,7 +58,7 @@ class GraspedFace:
         return GraspedFace(reach, self.com_mm * signs, self.grip_height_mm)
 
     def inputs(self) -> FloatArray:
-        """Return (..., 19), lengths in ``LENGTH_MM``."""
+        """Return the network inputs (..., 19), lengths in ``LENGTH_MM``."""
         height = (self.grip_height_mm - 35.0)[..., None]
         joined = np.concatenate([self.reach_mm - LENGTH_MM, self.com_mm, height], axis=-1)
         return np.asarray(joined / LENGTH_MM, dtype=np.float64)
@@ -71,7 +73,7 @@ def directions() -> FloatArray:
 def probe_inputs(
     wrench: Array, field: Array, offset_mm: FloatArray, face: GraspedFace, modes: Array
 ) -> FloatArray:
-    """Return (..., P, inputs) of P probes of one gripping in order.
+    """Return the inputs (..., P, inputs) of P consecutive probes of one grasp.
 
     ``wrench`` (..., P, 8, 6) in N and N·m and ``field`` (..., P, 8, 252) in px at ``TICKS``,
     ``offset_mm`` (..., P, 2), ``modes`` (2, MODES, 126).
@@ -94,7 +96,7 @@ def probe_inputs(
 
 
 def acting_point_mm(growth: FloatArray, lever_mm: FloatArray) -> FloatArray:
-    """Return (..., 2) where the growth (..., 6) of a wrench acts, in ``F``; 0 if there is none."""
+    """Return the centre of pressure (..., 2) of a wrench increase (..., 6), in ``F``; 0 if none."""
     fx, fy, fz, tx, ty = np.moveaxis(growth[..., :5], -1, 0)
     press = np.maximum(fz, LEAST_N)
     at = np.stack([-(1e3 * ty + lever_mm * fx), 1e3 * tx - lever_mm * fy], axis=-1)
@@ -103,8 +105,9 @@ def acting_point_mm(growth: FloatArray, lever_mm: FloatArray) -> FloatArray:
 
 
 def wrench_at_sensor(wrench: Array, sensor_mm: float) -> Array:
-    """Return the wrench (..., 6) as a sensor ``SENSOR_MM`` above the pivot feels it, from one that
-    is ``sensor_mm`` above: the lateral force turns about another lever.
+    """Return the wrench (..., 6) at a sensor ``SENSOR_MM`` above the pivot.
+
+    The input is measured ``sensor_mm`` above the pivot, where the lateral force has another lever.
     """
     moved = wrench.copy()
     lever_m = np.float32(1e-3 * (SENSOR_MM - sensor_mm))
@@ -114,7 +117,7 @@ def wrench_at_sensor(wrench: Array, sensor_mm: float) -> Array:
 
 
 def centre_fields(field: Array) -> FloatArray:
-    """Return marker fields (..., 8, 252) as (..., 2, 8, 126), their uniform shift taken out."""
+    """Return marker fields (..., 8, 252) as (..., 2, 8, 126) without their mean shift."""
     shapes = field.shape[:-2]
     split = field.astype(np.float64).reshape(*shapes, len(TICKS), 2, 2, GRID_ROWS * GRID_COLS)
     split = split - split.mean(axis=-1, keepdims=True)
@@ -123,7 +126,7 @@ def centre_fields(field: Array) -> FloatArray:
 
 
 def field_components(field: Array) -> Array:
-    """Return (2, MODES, 126): principal components of the marker fields (..., 8, 252) by finger."""
+    """Return the principal components (2, MODES, 126) of the marker fields, per finger."""
     fingers = np.moveaxis(centre_fields(field), -3, 0).reshape(2, -1, 2 * GRID_ROWS * GRID_COLS)
     found = [np.linalg.eigh(finger.T @ finger)[1][:, ::-1][:, :MODES].T for finger in fingers]
     return np.stack(found).astype(np.float32)
@@ -132,7 +135,7 @@ def field_components(field: Array) -> Array:
 def mirror_signals(
     wrench: Array, field: Array, *, across_x: bool, across_y: bool
 ) -> tuple[Array, Array]:
-    """Return what would be felt if x, y or both changed sign; the fingers close along y."""
+    """Return the signals mirrored in x, y or both; the fingers close along y."""
     sx, sy = (-1.0 if across else 1.0 for across in (across_x, across_y))
     signs = np.array([sx, sy, 1.0, sy, sx, sx * sy], np.float32)
     split = field.reshape(*field.shape[:-1], 2, 2, GRID_ROWS, GRID_COLS)
@@ -144,15 +147,17 @@ def mirror_signals(
 
 
 ARCH: Final = "causal-attention-inset/1"
-# A point from the last probe and from the first one, and its distance from the last.
+# point relative to the last probe and to the first one, and its distance
 POINT_INPUTS = 5
-OF_MIXTURE = 3  # weight, mean and spread of each part
+OF_MIXTURE = 3  # weight, mean and standard deviation of each component
 
 
 @dataclass(frozen=True, slots=True)
 class FusedShape:
-    """Sizes of the network: ``layers`` of attention of ``width`` and ``heads`` over the probes,
-    each followed by ``inner`` units; ``parts`` normal distributions make the answer for a point.
+    """Sizes of the network.
+
+    ``layers`` of attention of ``width`` and ``heads`` over the probes, each followed by ``inner``
+    units; the answer for a point is a mixture of ``parts`` normal distributions.
     """
 
     width: int = 96
@@ -167,7 +172,7 @@ class FusedShape:
 
 
 def expected_fused_arrays(shape: FusedShape) -> Mapping[str, tuple[int, ...]]:
-    """Return name and shape of every array of a checkpoint: the weights and three of the data."""
+    """Return name and shape of every array in a checkpoint: weights and three of the data."""
     return {
         "mean": (PROBE_INPUTS + PIECE_INPUTS,),
         "scale": (PROBE_INPUTS + PIECE_INPUTS,),
@@ -177,7 +182,7 @@ def expected_fused_arrays(shape: FusedShape) -> Mapping[str, tuple[int, ...]]:
 
 
 def weight_shapes(shape: FusedShape) -> Mapping[str, tuple[int, ...]]:
-    """Return name and shape of what is trained."""
+    """Return name and shape of the trained weights."""
     width, inner = shape.width, shape.inner
     arrays: dict[str, tuple[int, ...]] = {}
 
@@ -198,7 +203,7 @@ def weight_shapes(shape: FusedShape) -> Mapping[str, tuple[int, ...]]:
     return arrays
 
 
-# Wrench and where it acts; marker fields; the probes before; mirror images of the training data.
+# wrench and centre of pressure; marker fields; earlier probes; mirrored training data
 InputPart = Literal["wrench", "fields", "others", "mirrors"]
 INPUT_PARTS: tuple[InputPart, ...] = get_args(InputPart)
 UNREAD = 1e30
@@ -206,7 +211,7 @@ _WRENCH, _FIELDS, _ACTS = 6 * len(TICKS), 2 * MODES * len(TICKS), 2 * len(GROWN)
 
 
 def unread_inputs(part: InputPart | None) -> NDArray[np.bool_]:
-    """Return (inputs,): which inputs of a probe and its piece are not read without ``part``."""
+    """Return the mask (inputs,) of inputs of a probe and its piece that need ``part``."""
     none = np.zeros(PROBE_INPUTS + PIECE_INPUTS, dtype=np.bool_)
     acts = _WRENCH + _FIELDS
     if part == "wrench":

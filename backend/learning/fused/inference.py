@@ -1,4 +1,4 @@
-"""Fusion network applied without torch to the probes of one trial."""
+"""Fusion network without torch, for the probes of one trial."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ from touchdown.backend.learning.fused.features import (
 
 Array = NDArray[np.float32]
 LEAST_LOG_SD, MOST_LOG_SD = -4.0, 2.0
-# An input farther than this from the mean of its training is refused; of 14,000 probes of the
-# training none had one beyond 40.
+# Inputs farther than this from their training mean are refused, in standard deviations. None of
+# 14,000 training probes exceeded 40.
 FARTHEST_SD = 100.0
 
 
 @dataclass(frozen=True, slots=True)
 class InsetDistribution:
-    """How far points (n,) lie within the support: ``weight``, ``mean_mm``, ``sd_mm`` (n, parts) of
-    normal distributions that are mixed.
+    """Distribution of the inset of points (n,) in the support: a mixture of normal distributions.
+
+    ``weight``, ``mean_mm``, ``sd_mm``: (n, parts).
     """
 
     weight: FloatArray
@@ -35,11 +36,11 @@ class InsetDistribution:
     sd_mm: FloatArray
 
     def expected_mm(self) -> FloatArray:
-        """Return (n,) the mean."""
+        """Return the mean (n,)."""
         return np.asarray((self.weight * self.mean_mm).sum(axis=-1))
 
     def variance_mm2(self) -> FloatArray:
-        """Return (n,) the variance."""
+        """Return the variance (n,)."""
         squared = (self.weight * (self.mean_mm**2 + self.sd_mm**2)).sum(axis=-1)
         return np.asarray(squared - self.expected_mm() ** 2)
 
@@ -48,13 +49,13 @@ class InsetDistribution:
         return self.weight, self.mean_mm, self.sd_mm
 
     def exceeds(self, least_mm: float | FloatArray) -> FloatArray:
-        """Return (n,) the probability that it is more than ``least_mm``, one number or (n,)."""
+        """Return the probability of an inset above ``least_mm``, one number or (n,)."""
         z = (self.mean_mm - np.asarray(least_mm)[..., None]) / self.sd_mm
         return np.asarray((self.weight * _normal(z)).sum(axis=-1))
 
 
 class FusedForward:
-    """Weights laid out for use; holds nothing between two calls."""
+    """Weights prepared for use; stateless."""
 
     def __init__(self, arrays: Mapping[str, Array], shape: FusedShape) -> None:
         self._arrays = {name: array.astype(np.float64) for name, array in arrays.items()}
@@ -63,10 +64,10 @@ class FusedForward:
     def known(
         self, wrench: Array, field: Array, offset_mm: FloatArray, face: GraspedFace
     ) -> FloatArray:
-        """Return (P, width): what is known after each of the probes of one gripping so far.
+        """Return the state (P, width) after each probe of one grasp so far.
 
-        ``wrench`` (P, 8, 6) in N and N·m, ``field`` (P, 8, 252) in px, ``offset_mm`` (P, 2). Not a
-        number from a probe on that is unlike all that was learned from.
+        ``wrench`` (P, 8, 6) in N and N·m, ``field`` (P, 8, 252) in px, ``offset_mm`` (P, 2). NaN
+        from the first probe that differs too much from the training data.
         """
         modes = self._arrays["modes"].astype(np.float32)
         probes = probe_inputs(wrench, field, offset_mm, face, modes)
@@ -83,7 +84,7 @@ class FusedForward:
     def inset(
         self, known: FloatArray, points_mm: FloatArray, from_first_mm: FloatArray
     ) -> InsetDistribution:
-        """Return how far ``points_mm`` (n, 2), from the last offset, lie within the support.
+        """Return the inset of ``points_mm`` (n, 2), relative to the last offset, in the support.
 
         ``known`` (width,) after the last probe; ``from_first_mm`` (2,): its offset from the first.
         """
@@ -114,7 +115,7 @@ class FusedForward:
 
 
 def point_inputs(points_mm: FloatArray, from_first_mm: FloatArray) -> FloatArray:
-    """Return (..., 5): points (..., 2) from the last offset, from the first, and how far away."""
+    """Return (..., 5): points (..., 2) from the last and the first offset, and distance."""
     away = np.hypot(points_mm[..., :1], points_mm[..., 1:])
     joined = np.concatenate([points_mm, points_mm + from_first_mm, away], axis=-1)
     return np.asarray(joined / LENGTH_MM, dtype=np.float64)
@@ -125,13 +126,13 @@ def _relu(x: FloatArray) -> FloatArray:
 
 
 def _even(x: FloatArray) -> FloatArray:
-    """Return rows of root mean square 1, as ``torch.nn.functional.rms_norm`` makes them."""
+    """Normalise rows to a root mean square of 1, as ``torch.nn.functional.rms_norm``."""
     tiny = float(np.finfo(np.float32).eps)
     return np.asarray(x / np.sqrt((x**2).mean(axis=-1, keepdims=True) + tiny))
 
 
 def _normal(z: FloatArray) -> FloatArray:
-    """Return the distribution function of the standard normal distribution."""
+    """Return the cumulative distribution function of the standard normal distribution."""
     steps = np.linspace(-8.0, 8.0, 3201)
     return np.asarray(np.interp(z, steps, _NORMAL), dtype=np.float64)
 

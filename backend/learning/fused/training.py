@@ -1,6 +1,6 @@
 """Training of the fusion network in torch.
 
-It learns from every prefix of every probe sequence and its mirror images.
+It trains on every prefix of every probe sequence and its mirror images.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ WB = ("weight", "bias")
 
 
 class FusedNet(nn.Module):
-    """From the probes of one gripping to a distribution of how far a point lies in the support.
+    """Network from the probes of one grasp to the distribution of the inset of a point.
 
-    ``alone``: attention adds zero, for good, so that each probe is read by itself.
+    ``alone``: attention is disabled, so each probe is processed by itself.
     """
 
     def __init__(self, shape: FusedShape, seed: int, *, alone: bool = False) -> None:
@@ -59,7 +59,7 @@ class FusedNet(nn.Module):
                 self.weights[_key(name)].requires_grad_(False)
 
     def fused(self, probes: Tensor) -> Tensor:
-        """Return (b, P, width): what is known after each of the probes (b, P, inputs), scaled."""
+        """Return the state (b, P, width) after each of the scaled probes (b, P, inputs)."""
         count = probes.shape[1]
         never = torch.full((count, count), -torch.inf, device=probes.device)
         later = torch.triu(never, diagonal=1)
@@ -73,7 +73,7 @@ class FusedNet(nn.Module):
     def forward(self, probes: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return log weight, mean and log sd (b, P, q, parts) of the inset of ``points``.
 
-        ``points`` (b, P, q, 5) about the state after each probe. Lengths in units of 10 mm.
+        ``points`` (b, P, q, 5) are evaluated after each probe. Lengths in units of 10 mm.
         """
         about = self._linear("about", self.fused(probes))[:, :, None]
         both = relu(self._linear("both", relu(about + self._linear("point", points))))
@@ -106,7 +106,7 @@ def negative_log_likelihood(answer: tuple[Tensor, Tensor, Tensor], inset: Tensor
 
 
 def _key(name: str) -> str:
-    """Return a name that torch allows: no dots."""
+    """Return a name without dots, as torch requires."""
     return name.replace(".", "/")
 
 
@@ -115,7 +115,7 @@ def checkpoint_arrays(net: FusedNet) -> dict[str, Tensor]:
     return {key.replace("/", "."): value.detach().cpu() for key, value in net.weights.items()}
 
 
-POINTS = 8  # points asked for after each probe: the centre of mass, four near it, three anywhere
+POINTS = 8  # points evaluated after each probe: the centre of mass, four near it, three anywhere
 NEAR_MM, ANYWHERE_MM = 2.5, 16.0
 MIRRORS = ((False, False), (True, False), (False, True), (True, True))
 FIRST_OF_FIELDS = AT_ONCE = 2000
@@ -124,19 +124,19 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class FusedTraining:
-    """How long and how fast."""
+    """Hyperparameters of the training."""
 
     steps: int = 6000
     batch: int = 128
     learning_rate: float = 2e-3
     seed: int = 0
     shape: FusedShape = field(default_factory=FusedShape)
-    without: InputPart | None = None  # what an ablation leaves out
+    without: InputPart | None = None  # inputs left out by an ablation
 
 
 @dataclass(frozen=True, slots=True)
 class ProbeSequences:
-    """What the network is trained on: n sequences of P probes.
+    """Training data: n sequences of P probes.
 
     ``probes`` (n, P, inputs) not scaled; ``true_mm``, ``offset_mm`` (n, P, 2); ``com_mm`` (n, 2);
     ``normal`` (n, k, 2) and ``reach_mm`` (n, k): half planes of the support; ``there`` (n, P).
@@ -151,7 +151,7 @@ class ProbeSequences:
     there: Tensor
 
     def inset_mm(self, rows: Tensor, points_mm: Tensor) -> Tensor:
-        """Return (b, P, q): how far ``points_mm`` (b, P, q, 2), from the face, lie within."""
+        """Return the inset (b, P, q) of ``points_mm`` (b, P, q, 2), given in the face frame."""
         at = points_mm + self.true_mm[rows][:, :, None]
         along = torch.einsum("bpqx,bkx->bpqk", at, self.normal[rows])
         return (self.reach_mm[rows][:, None, None] - along).amin(dim=-1)
@@ -160,9 +160,9 @@ class ProbeSequences:
 def prepare_sequences(
     arrays: Arrays, modes: NDArray[np.float32], *, mirror: bool
 ) -> ProbeSequences:
-    """Prepare sequences of ``experiments.fusion``, with mirror images if wanted.
+    """Prepare sequences of ``experiments.fusion``, with mirror images if ``mirror``.
 
-    By so many at a time: all marker fields at once would fill the memory.
+    Works in blocks, since all marker fields at once would exceed the memory.
     """
     parts = [
         _prepared({name: values[first : first + AT_ONCE] for name, values in arrays.items()}, modes,
@@ -176,7 +176,7 @@ def prepare_sequences(
 def _prepared(
     arrays: Arrays, modes: NDArray[np.float32], *, across_x: bool, across_y: bool
 ) -> tuple[NDArray[Any], ...]:
-    """Return the columns of ``Sequences`` of a few sequences, mirrored across x, y, both or not."""
+    """Return the columns of ``ProbeSequences`` for a block, mirrored in x, y, both or not."""
     signs = np.array([-1.0 if across_x else 1.0, -1.0 if across_y else 1.0])
     wrench, seen = mirror_signals(
         arrays["wrench"], arrays["field"], across_x=across_x, across_y=across_y
@@ -201,9 +201,9 @@ def _prepared(
 
 
 def half_planes(polygon_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return outward normals (n, k, 2) and reaches (n, k) of the edges of polygons (n, k, 2).
+    """Return outward normals (n, k, 2) and offsets (n, k) of the edges of polygons (n, k, 2).
 
-    An edge without length limits nothing.
+    An edge of length zero sets no limit.
     """
     start, normal = edge_normals(polygon_mm)
     reach = (start * normal).sum(axis=-1)
@@ -252,13 +252,13 @@ class FusedTrainer:
 
     @torch.no_grad()
     def held_out_loss(self) -> float:
-        """Return the loss on the sequences held out, at the same points every time."""
+        """Return the loss on the held-out sequences, at the same points every time."""
         generator = torch.Generator().manual_seed(7)
         rows = torch.arange(len(self._held_out.probes))
         return float(self._loss(self._held_out, rows, generator))
 
     def arrays(self) -> dict[str, NDArray[np.float32]]:
-        """Return what a checkpoint keeps."""
+        """Return the arrays of a checkpoint."""
         found = {name: value.numpy().copy() for name, value in checkpoint_arrays(self.net).items()}
         about = {"mean": self.mean.numpy(), "scale": self.scale.numpy(), "modes": self.modes}
         return {**about, **found}
@@ -278,7 +278,7 @@ class FusedTrainer:
 
 
 def data_sha256(arrays: Arrays) -> str:
-    """Return the hash that names a training set."""
+    """Return the hash that identifies a training set."""
     digest = hashlib.sha256()
     for name in sorted(arrays):
         digest.update(name.encode() + np.ascontiguousarray(arrays[name]).tobytes())

@@ -77,7 +77,7 @@ def uuids(dataset: Dataset) -> list[str]:
 def test_a_dataset_opens_without_a_finding(folder: Path) -> None:
     with Dataset.open(folder, create=False, write=False) as dataset:
         assert dataset.notices == ()
-        assert list(check_dataset(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.parts, whole=True)) == []
         assert [entry.state for entry in dataset.episodes()] == STATES
         assert dataset.description.schema_version == 4
         assert dataset.description.created_by == "touchdown 0.1.0"
@@ -123,7 +123,7 @@ def test_operations_keep_their_verbs_and_the_chain_goes_on(
     assert dataset.labels.head(uuids[1]).label.x_um == 7500
     assert dataset.labels.undo("ann") is not None
     assert set(dataset.labels.marks(uuids[3])) == {"spare"}
-    assert list(check_dataset(dataset.store, whole=True)) == []
+    assert list(check_dataset(dataset.parts, whole=True)) == []
 
 
 def test_geometry_gives_the_same_patches(dataset: Dataset, uuids: list[str]) -> None:

@@ -126,8 +126,8 @@ class ConsistencyProblem:
 
     kind: str
     target: str
-    said: str
-    mend: Repair | None = None
+    message: str
+    repair: Repair | None = None
     locks: bool = False
 
 
@@ -135,9 +135,9 @@ def problem_lines(findings: Iterable[ConsistencyProblem]) -> tuple[str, ...]:
     """Return one line per problem, or per kind with many problems."""
     listed = list(findings)
     counts = Counter(finding.kind for finding in listed)
-    lines = [f.said for f in listed if counts[f.kind] <= FULL_LINES]
+    lines = [f.message for f in listed if counts[f.kind] <= FULL_LINES]
     for kind, count in counts.items():
         if count > FULL_LINES:
             first = next(f for f in listed if f.kind == kind)
-            lines.append(f"{kind.replace('-', ' ')}, {count} times; the first: {first.said}")
+            lines.append(f"{kind.replace('-', ' ')}, {count} times; the first: {first.message}")
     return tuple(lines)

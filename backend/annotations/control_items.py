@@ -54,7 +54,7 @@ def with_control_items(
 ) -> Mixed:  # fmt: skip
     """Return the queue of ``person`` with control items, unfinished ones included."""
     waiting = dataset.queue("gold", person, seed=seed)
-    steps = dataset.labels.left_apart(person)
+    steps = dataset.labels.last_control_item_steps(person)
     begun = {uuid: steps[uuid] for uuid in waiting if uuid in steps and uuid in entries}
     found = mix_control_items(order, waiting, begun)
     places = preceding(found, set(order)) | {uuid: step.beside for uuid, step in begun.items()}
@@ -235,7 +235,7 @@ class _ControlItems:
         """Return the revisions of an episode as the person saw them, recording first."""
         shown = self.shown[uuid]
         begun = ControlItemStep(shown.recorded, beside=shown.beside)
-        return [begun, *self._book.steps_apart(self.person, uuid)]
+        return [begun, *self._book.control_item_steps(self.person, uuid)]
 
     def _standing(self, uuid: str, state: LabelState | None = None) -> ReviewStatus:
         steps = self._steps(uuid)
@@ -271,11 +271,11 @@ class _ControlItems:
 
     def _add(self, verb: str, version: Revision, looked: AnswerContext | None = None) -> Revision:
         step = replace(self.now(version.episode), version=version, copy_of=None)
-        self._book.keep_apart(version.person, verb, step, looked=looked)
+        self._book.record_control_item_step(version.person, verb, step, looked=looked)
         return self.head(version.episode)
 
     def _mark(self, person: str, verb: str, uuid: str, **what: Any) -> None:
-        self._book.keep_apart(person, verb, replace(self.now(uuid), **what))
+        self._book.record_control_item_step(person, verb, replace(self.now(uuid), **what))
 
 
 def _node(step: ControlItemStep, verb: str) -> RevisionNode:

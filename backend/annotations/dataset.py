@@ -203,9 +203,9 @@ class Dataset:
     def _reconcile(self) -> None:
         if self.writable:
             self._checked = CheckedFolders.take(self.database)
-            found = reconcile(self.store)
+            found = reconcile(self.parts)
             follow_uuid(self.database.one("SELECT coalesce(max(uuid), '') FROM episode")[0])
-            self.labels.frozen = " ".join(finding.said for finding in found if finding.locks)
+            self.labels.frozen = " ".join(finding.message for finding in found if finding.locks)
             self.notices = (*problem_lines(found), *filter(None, (disk_weakness(self.folder),)))
         elif self._lock is not None:
             self.notices = (
@@ -213,7 +213,7 @@ class Dataset:
             )
 
     @property
-    def store(self) -> DatasetParts:
+    def parts(self) -> DatasetParts:
         """Parts that checks and repairs use."""
         site = self.description.site
         return DatasetParts(
@@ -367,7 +367,7 @@ class Dataset:
                 )
                 done = reconciliation.merge_labels(connection, log, str(other), episodes=count)
                 reconciliation.record_merge(connection, name, other, done)
-        self.labels.take_stock()
+        self.labels.reload()
         return done
 
     def compare(self, first: str, second: str) -> AgreementReport:

@@ -59,34 +59,34 @@ class CompleteFile:
     keep_frames: str
 
 
-def check_episode_files(where: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
+def check_episode_files(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
     """Yield the problems below ``raw``; ``whole`` also compares every hash.
 
     Folders that were checked before and did not change are skipped unless ``whole``.
     """
     now_ns = time.time_ns()
-    known = {} if whole else where.checked.unchanged(where.folder)
-    names = list(_folders(where, episode_index.RAW, known))
-    rows = _folder_rows(where, known, {*names, *where.checked.looks} - set(known))
+    known = {} if whole else parts.checked.unchanged(parts.folder)
+    names = list(_folders(parts, episode_index.RAW, known))
+    rows = _folder_rows(parts, known, {*names, *parts.checked.looks} - set(known))
     if rows is None:
-        known, names = {}, list(_folders(where, episode_index.RAW, {}))
-        rows = _folder_rows(where, known, set()) or []
+        known, names = {}, list(_folders(parts, episode_index.RAW, {}))
+        rows = _folder_rows(parts, known, set()) or []
     folders = [name for name in names if name not in known]
-    stamps = {name: stamp_of(where.folder / name) for name in folders}
-    where.checked.forget(set(where.checked.looks) - set(known))
+    stamps = {name: stamp_of(parts.folder / name) for name in folders}
+    parts.checked.forget(set(parts.checked.looks) - set(known))
     disorder: set[str] = set()
-    for finding, folder in _compare_files(where, folders, rows, whole=whole):
+    for finding, folder in _compare_files(parts, folders, rows, whole=whole):
         disorder.add(folder)
         yield finding
     counts = Counter(row.path.rpartition("/")[0] for row in rows)
     # Folders with subfolders are always read.
     outer = {name.rpartition("/")[0] for name in names}
     for name in set(folders) - disorder - outer:
-        where.checked.remember(name, stamps[name], counts[name], now_ns)
+        parts.checked.remember(name, stamps[name], counts[name], now_ns)
 
 
 def _folder_rows(
-    where: DatasetParts, known: Mapping[str, int], folders: set[str]
+    parts: DatasetParts, known: Mapping[str, int], folders: set[str]
 ) -> list[EpisodeFileRow] | None:
     """Return the rows of ``folders``, or all rows if no folder is ``known``.
 
@@ -94,7 +94,7 @@ def _folder_rows(
     """
     sql = "SELECT uuid, path, bytes, sha256, state FROM episode WHERE kind = 'file'"
     if not known:
-        return [EpisodeFileRow._make(row) for row in where.database.rows(sql)]
+        return [EpisodeFileRow._make(row) for row in parts.database.rows(sql)]
     # Files of the folder itself, without its subfolders; '0' follows '/' in the sort order. The
     # index on paths is searched first, since most folders have no rows.
     sql += (
@@ -104,33 +104,33 @@ def _folder_rows(
     rows = [
         EpisodeFileRow._make(row)
         for name in sorted(folders)
-        for row in where.database.rows(sql, (name, name, len(name) + 2))
+        for row in parts.database.rows(sql, (name, name, len(name) + 2))
     ]
     # ``kind`` has no index: everything outside of packs is a file.
     count_sql = "SELECT count(*) FROM episode WHERE NOT (path >= 'packs/' AND path < 'packs0')"
-    (count,) = where.database.one(count_sql)
+    (count,) = parts.database.one(count_sql)
     return rows if count == len(rows) + sum(known.values()) else None
 
 
 def _compare_files(
-    where: DatasetParts, folders: Sequence[str], rows: Sequence[EpisodeFileRow], *, whole: bool
+    parts: DatasetParts, folders: Sequence[str], rows: Sequence[EpisodeFileRow], *, whole: bool
 ) -> Iterator[tuple[ConsistencyProblem, str]]:
     """Yield problems, each with the folder that it concerns."""
     by_path = {row.path: row for row in rows}
-    index = _RowIndex(where, {row.uuid: row for row in rows})
+    index = _RowIndex(parts, {row.uuid: row for row in rows})
     found: set[str] = set()
     for folder in folders:
-        for name, size in _files(where.folder / folder, folder):
+        for name, size in _files(parts.folder / folder, folder):
             row = by_path.get(name)
             if row is not None:
                 found.add(name)
                 if not whole and size == row.bytes and row.state == "complete":
                     continue
-                findings = _check_known_file(where, where.folder / name, size, row, whole=whole)
+                findings = _check_known_file(parts, parts.folder / name, size, row, whole=whole)
             elif name.endswith(PART):
-                findings = _left_over(where, where.folder / name, by_path)
+                findings = _left_over(parts, parts.folder / name, by_path)
             else:
-                findings = _unknown(where, where.folder / name, index)
+                findings = _unknown(parts, parts.folder / name, index)
             for finding in findings:
                 if finding.kind == "moved":
                     found.add(index[finding.target].path)
@@ -144,9 +144,9 @@ def _compare_files(
 class _RowIndex(dict[str, EpisodeFileRow]):
     """Rows by uuid; rows that were not preloaded are queried."""
 
-    def __init__(self, where: DatasetParts, rows: Mapping[str, EpisodeFileRow]) -> None:
+    def __init__(self, parts: DatasetParts, rows: Mapping[str, EpisodeFileRow]) -> None:
         super().__init__(rows)
-        self._database = where.database
+        self._database = parts.database
 
     def find(self, uuid: str) -> EpisodeFileRow | None:
         """Return the row of an episode file, or None."""
@@ -159,17 +159,17 @@ class _RowIndex(dict[str, EpisodeFileRow]):
         return self[uuid]
 
 
-def _folders(where: DatasetParts, name: str, known: Mapping[str, int]) -> Iterator[str]:
+def _folders(parts: DatasetParts, name: str, known: Mapping[str, int]) -> Iterator[str]:
     """Yield ``name`` and all folders below it, in order; known folders are not entered."""
-    if not (where.folder / name).is_dir():
+    if not (parts.folder / name).is_dir():
         return
     yield name
     if name in known:
         return
-    with os.scandir(where.folder / name) as entries:
+    with os.scandir(parts.folder / name) as entries:
         below = sorted(e.name for e in entries if e.is_dir(follow_symlinks=False))
     for each in below:
-        yield from _folders(where, f"{name}/{each}", known)
+        yield from _folders(parts, f"{name}/{each}", known)
 
 
 def _files(folder: Path, name: str) -> Iterator[tuple[str, int]]:
@@ -185,7 +185,7 @@ def _files(folder: Path, name: str) -> Iterator[tuple[str, int]]:
 
 
 def _check_known_file(
-    where: DatasetParts, path: Path, size: int, row: EpisodeFileRow, *, whole: bool
+    parts: DatasetParts, path: Path, size: int, row: EpisodeFileRow, *, whole: bool
 ) -> Iterator[ConsistencyProblem]:
     same = size == row.bytes
     if same and (whole or row.state != "complete"):
@@ -194,34 +194,34 @@ def _check_known_file(
         yield _state(row, "complete", f"The file of episode {row.uuid} is back, unchanged.")
     elif not same and row.state == "complete":
         if size != row.bytes and not is_readable(path):
-            yield _torn_file(where, path, row)
+            yield _torn_file(parts, path, row)
         else:
             said = f"The file of episode {row.uuid} was changed: marked as damaged, left in place."
             yield _state(row, "damaged", said)
 
 
-def _unknown(where: DatasetParts, path: Path, by_uuid: _RowIndex) -> Iterator[ConsistencyProblem]:
+def _unknown(parts: DatasetParts, path: Path, by_uuid: _RowIndex) -> Iterator[ConsistencyProblem]:
     try:
         complete = read_complete(path)
     except InputError as error:
         if is_readable(path):
-            said = f"{where.name(path)} is no episode of a dataset: {error.what}"
-            yield ConsistencyProblem("not-adopted", where.name(path), said)
+            said = f"{parts.name(path)} is no episode of a dataset: {error.what}"
+            yield ConsistencyProblem("not-adopted", parts.name(path), said)
         else:
-            yield _torn_file(where, path, None)
+            yield _torn_file(parts, path, None)
         return
     row = by_uuid.find(complete.uuid)
     if row is None:
-        size, name = path.stat().st_size, where.name(path)
+        size, name = path.stat().st_size, parts.name(path)
         by_uuid[complete.uuid] = EpisodeFileRow(
             complete.uuid, name, size, file_sha256(path), "complete"
         )
         said = f"Episode {complete.uuid} was on disk without a row: adopted."
         yield ConsistencyProblem(
-            "adopt", complete.uuid, said, lambda c: adopt_file(c, where, complete)
+            "adopt", complete.uuid, said, lambda c: adopt_file(c, parts, complete)
         )
     else:
-        yield _double(where, path, row)
+        yield _double(parts, path, row)
 
 
 def read_complete(path: Path) -> CompleteFile:
@@ -253,9 +253,9 @@ def label_of(message: Mapping[str, Any]) -> Label:
     return Label(*values)
 
 
-def adopt_file(connection: sqlite3.Connection, where: DatasetParts, complete: CompleteFile) -> None:
+def adopt_file(connection: sqlite3.Connection, parts: DatasetParts, complete: CompleteFile) -> None:
     """Insert the row of a complete file, and its first label if the log has none."""
-    args = (complete.message, complete.quality, complete.keep_frames, complete.path, where.folder)
+    args = (complete.message, complete.quality, complete.keep_frames, complete.path, parts.folder)
     row = {**episode_index.episode_row(*args), "adopted": 1}
     has_label = "SELECT 1 FROM label_rev WHERE episode = ? LIMIT 1"
     if connection.execute(has_label, (complete.uuid,)).fetchone():
@@ -264,63 +264,63 @@ def adopt_file(connection: sqlite3.Connection, where: DatasetParts, complete: Co
         return
     label, source = label_of(complete.message), str(complete.message["source"])
     content = LabelContent(label, source, str(complete.message["geometry"]))
-    episode_index.enter_episode(connection, where.site, row, content, "adopt")
+    episode_index.enter_episode(connection, parts.site, row, content, "adopt")
 
 
-def _double(where: DatasetParts, path: Path, row: EpisodeFileRow) -> ConsistencyProblem:
+def _double(parts: DatasetParts, path: Path, row: EpisodeFileRow) -> ConsistencyProblem:
     """Handle two files with one uuid: the file with the hash of the row stays."""
-    kept = where.folder / row.path
+    kept = parts.folder / row.path
     if file_sha256(path) != row.sha256 or (kept.exists() and file_sha256(kept) == row.sha256):
-        said = f"{where.name(path)} is a second file of episode {row.uuid}: moved to quarantine."
+        said = f"{parts.name(path)} is a second file of episode {row.uuid}: moved to quarantine."
         return ConsistencyProblem(
-            "double", row.uuid, said, lambda _: _quarantine_double(where, path)
+            "double", row.uuid, said, lambda _: _quarantine_double(parts, path)
         )
 
-    def mend(connection: sqlite3.Connection) -> None:
+    def repair(connection: sqlite3.Connection) -> None:
         if kept.exists():
-            quarantine_file(where, kept)
+            quarantine_file(parts, kept)
         sql = "UPDATE episode SET path = ?, state = 'complete' WHERE uuid = ?"
-        connection.execute(sql, (where.name(path), row.uuid))
+        connection.execute(sql, (parts.name(path), row.uuid))
 
-    said = f"The file of episode {row.uuid} was moved to {where.name(path)}."
-    return ConsistencyProblem("moved", row.uuid, said, mend)
+    said = f"The file of episode {row.uuid} was moved to {parts.name(path)}."
+    return ConsistencyProblem("moved", row.uuid, said, repair)
 
 
-def _torn_file(where: DatasetParts, path: Path, row: EpisodeFileRow | None) -> ConsistencyProblem:
-    def mend(connection: sqlite3.Connection) -> None:
-        aside = quarantine_file(where, path)
+def _torn_file(parts: DatasetParts, path: Path, row: EpisodeFileRow | None) -> ConsistencyProblem:
+    def repair(connection: sqlite3.Connection) -> None:
+        aside = quarantine_file(parts, path)
         salvage_file(aside, aside.with_name(f"{path.stem}.salvaged.mcap"))
         if row is not None:
             sql = "UPDATE episode SET state = 'quarantined' WHERE uuid = ?"
             connection.execute(sql, (row.uuid,))
 
-    said = f"{where.name(path)} is torn: moved to quarantine, its whole chunks saved beside it."
-    return ConsistencyProblem("torn", where.name(path), said, mend)
+    said = f"{parts.name(path)} is torn: moved to quarantine, its whole chunks saved beside it."
+    return ConsistencyProblem("torn", parts.name(path), said, repair)
 
 
 def _left_over(
-    where: DatasetParts, part: Path, by_path: dict[str, EpisodeFileRow]
+    parts: DatasetParts, part: Path, by_path: dict[str, EpisodeFileRow]
 ) -> Iterator[ConsistencyProblem]:
     """Yield the repair of a leftover ``.<episode>.mcap.part``."""
     final = part.with_name(part.name.removeprefix(".").removesuffix(PART))
-    row = by_path.get(where.name(final))
+    row = by_path.get(parts.name(final))
     if part.stat().st_size == 0:
-        said = f"{where.name(part)} was empty: deleted."
+        said = f"{parts.name(part)} was empty: deleted."
         yield ConsistencyProblem(
-            "left-over", where.name(part), said, lambda _: part.unlink(missing_ok=True)
+            "left-over", parts.name(part), said, lambda _: part.unlink(missing_ok=True)
         )
         return
     if final.exists():
         if row is not None and file_sha256(final) == row.sha256:
-            said = f"{where.name(part)} was left beside its finished file: deleted."
-            mend = lambda _: part.unlink(missing_ok=True)  # noqa: E731
-            yield ConsistencyProblem("left-over", where.name(part), said, mend)
+            said = f"{parts.name(part)} was left beside its finished file: deleted."
+            repair = lambda _: part.unlink(missing_ok=True)  # noqa: E731
+            yield ConsistencyProblem("left-over", parts.name(part), said, repair)
         return
-    target = where.quarantine / final.name
+    target = parts.quarantine / final.name
     if not _is_reported(target, part):
-        said = f"{where.name(part)} was never finished: its whole chunks are in quarantine."
+        said = f"{parts.name(part)} was never finished: its whole chunks are in quarantine."
         yield ConsistencyProblem(
-            "unfinished", where.name(part), said, lambda _: _save(part, target)
+            "unfinished", parts.name(part), said, lambda _: _save(part, target)
         )
 
 
@@ -336,28 +336,28 @@ def _is_reported(target: Path, part: Path) -> bool:
         return False
 
 
-def quarantine_file(where: DatasetParts, path: Path) -> Path:
+def quarantine_file(parts: DatasetParts, path: Path) -> Path:
     """Move a file to the quarantine under a free name; return its new path."""
-    make_folder(where.quarantine)
-    target, number = where.quarantine / path.name, 1
+    make_folder(parts.quarantine)
+    target, number = parts.quarantine / path.name, 1
     while target.exists():
         number += 1
-        target = where.quarantine / f"{path.stem}-{number}{path.suffix}"
+        target = parts.quarantine / f"{path.stem}-{number}{path.suffix}"
     path.replace(target)
-    sync_folder(where.quarantine)
+    sync_folder(parts.quarantine)
     sync_folder(path.parent)
     return target
 
 
-def _quarantine_double(where: DatasetParts, path: Path) -> None:
-    quarantine_file(where, path)
+def _quarantine_double(parts: DatasetParts, path: Path) -> None:
+    quarantine_file(parts, path)
 
 
 def _state(row: EpisodeFileRow, state: str, said: str) -> ConsistencyProblem:
-    def mend(connection: sqlite3.Connection) -> None:
+    def repair(connection: sqlite3.Connection) -> None:
         connection.execute("UPDATE episode SET state = ? WHERE uuid = ?", (state, row.uuid))
 
-    return ConsistencyProblem("back" if state == "complete" else state, row.uuid, said, mend)
+    return ConsistencyProblem("back" if state == "complete" else state, row.uuid, said, repair)
 
 
 def is_readable(path: Path) -> bool:
@@ -394,15 +394,15 @@ class PackEntry:
     label: Mapping[str, Any]
 
 
-def check_packs(where: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
+def check_packs(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
     """Yield the problems of the folder ``packs``; ``whole`` reads every chunk again."""
-    folder = where.folder / PACKS
-    known = _known_packs(where)
+    folder = parts.folder / PACKS
+    known = _known_packs(parts)
     found: set[str] = set()
     for path in sorted(folder.glob("*.mcap")) if folder.is_dir() else ():
         if path.name.startswith("."):
             continue
-        name = where.name(path)
+        name = parts.name(path)
         found.add(name)
         if known.get(name) == path.stat().st_size and not whole:
             continue
@@ -412,11 +412,11 @@ def check_packs(where: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProb
             if is_readable(path):
                 yield ConsistencyProblem("not-adopted", name, f"{name} is no pack: {error.what}")
             else:
-                yield _torn_pack(where, path, error)
+                yield _torn_pack(parts, path, error)
             continue
-        yield from _compare_pack(where, path, listed, found)
+        yield from _compare_pack(parts, path, listed, found)
     for name in sorted(set(known) - found):
-        yield from _missing_pack(where, name)
+        yield from _missing_pack(parts, name)
 
 
 def read_pack_chunks(path: Path) -> Iterator[PackEntry]:
@@ -446,30 +446,30 @@ def packed_uuid(chunk: StoredChunk) -> str:
     return uuid7_from_parts(0, int(chunk.sha256, 16) >> (256 - RANDOM_BITS))
 
 
-def _known_packs(where: DatasetParts) -> dict[str, int]:
-    rows = where.database.rows("SELECT bench FROM series WHERE mode = ?", (MODE,))
+def _known_packs(parts: DatasetParts) -> dict[str, int]:
+    rows = parts.database.rows("SELECT bench FROM series WHERE mode = ?", (MODE,))
     facts = [json.loads(bench) for (bench,) in rows]
     return {fact["pack"]: fact["bytes"] for fact in facts if "pack" in fact}
 
 
 def _compare_pack(
-    where: DatasetParts, path: Path, listed: list[PackEntry], found: set[str]
+    parts: DatasetParts, path: Path, listed: list[PackEntry], found: set[str]
 ) -> Iterator[ConsistencyProblem]:
     """Yield the repair of a complete pack that is new or was changed.
 
     The former name of a renamed pack is added to ``found``.
     """
-    name = where.name(path)
+    name = parts.name(path)
     marks = ", ".join("?" * len(listed))
-    rows = where.database.rows(
+    rows = parts.database.rows(
         f"SELECT uuid, path, chunk_off, state FROM episode WHERE path = ? OR uuid IN ({marks})",  # noqa: S608
         [name, *(packed.uuid for packed in listed)],
     )
     there = {uuid: (at, offset, state) for uuid, at, offset, state in rows}
     elsewhere = {there[p.uuid][0] for p in listed if p.uuid in there} - {name}
-    if any((where.folder / other).exists() for other in elsewhere):
+    if any((parts.folder / other).exists() for other in elsewhere):
         said = f"{name} holds episodes of {min(elsewhere)} again: moved to quarantine."
-        yield ConsistencyProblem("double", name, said, lambda _: _quarantine_pack(where, path))
+        yield ConsistencyProblem("double", name, said, lambda _: _quarantine_pack(parts, path))
         return
     found |= elsewhere
     changed = [p for p in listed if there.get(p.uuid) != (name, p.chunk.offset, "complete")]
@@ -481,15 +481,15 @@ def _compare_pack(
     if changed:
         new = sum(p.uuid not in there for p in changed)
         said = f"{len(changed)} episodes of {name} entered ({new} of them new)."
-        yield ConsistencyProblem("adopt", name, said, lambda c: enter_pack(c, where, path, changed))
+        yield ConsistencyProblem("adopt", name, said, lambda c: enter_pack(c, parts, path, changed))
 
 
 def enter_pack(
-    connection: sqlite3.Connection, where: DatasetParts, path: Path, listed: list[PackEntry]
+    connection: sqlite3.Connection, parts: DatasetParts, path: Path, listed: list[PackEntry]
 ) -> None:
     """Insert rows and first labels of packed episodes as one operation; known ones are moved."""
     catalogue = load_pieces()
-    name, size = where.name(path), path.stat()
+    name, size = parts.name(path), path.stat()
     series = uuid7_from_parts(0, int(listed[0].chunk.sha256[:16], 16))
     bench = json.dumps({"pack": name, "bytes": size.st_size})
     connection.execute("DELETE FROM series WHERE uuid = ?", (series,))
@@ -501,7 +501,7 @@ def enter_pack(
         if known.fetchone():
             _move(connection, name, packed)
             continue
-        geometry = _pair(where, catalogue, packed.label, path)
+        geometry = _pair(parts, catalogue, packed.label, path)
         row = _packed_row(packed, series, name, size.st_mtime_ns, geometry)
         episode_index.insert_episode(connection, row)
         if not _has_label(connection, packed.uuid):
@@ -511,7 +511,7 @@ def enter_pack(
     touched = {packed.uuid for packed in listed}
     if revisions:
         draft = operation_log.OperationDraft(revs=revisions)
-        operation_log.append_operation(connection, where.site, PROGRAM, "adopt", draft)
+        operation_log.append_operation(connection, parts.site, PROGRAM, "adopt", draft)
     review.refresh_heads(connection, touched)
 
 
@@ -545,7 +545,7 @@ def _packed_row(
 
 
 def _pair(
-    where: DatasetParts, catalogue: PieceLibrary, label: Mapping[str, Any], path: Path
+    parts: DatasetParts, catalogue: PieceLibrary, label: Mapping[str, Any], path: Path
 ) -> str:
     """Store the geometry of a packed label; return the hash of the pair."""
     piece, bottom = catalogue.piece(label["piece"]), catalogue.piece(label["bottom"])
@@ -555,7 +555,7 @@ def _pair(
             str(path),
             "Simulate it again, or bring the former piece file back.",
         )
-    return where.geometry.store_pair(piece, bottom)
+    return parts.geometry.store_pair(piece, bottom)
 
 
 def _has_label(connection: sqlite3.Connection, uuid: str) -> bool:
@@ -576,12 +576,12 @@ def _mark(connection: sqlite3.Connection, uuids: list[str], state: str) -> None:
     connection.executemany("UPDATE episode SET state = ? WHERE uuid = ?", rows)
 
 
-def _missing_pack(where: DatasetParts, name: str) -> Iterator[ConsistencyProblem]:
+def _missing_pack(parts: DatasetParts, name: str) -> Iterator[ConsistencyProblem]:
     sql = "SELECT uuid FROM episode WHERE path = ? AND state = 'complete'"
-    uuids = [uuid for (uuid,) in where.database.rows(sql, (name,))]
+    uuids = [uuid for (uuid,) in parts.database.rows(sql, (name,))]
     if uuids:
 
-        def mend(connection: sqlite3.Connection) -> None:
+        def repair(connection: sqlite3.Connection) -> None:
             _mark(connection, uuids, "missing")
             # size 0, so that the pack is read again when it comes back
             values = (json.dumps({"pack": name, "bytes": 0}), uuids[0])
@@ -589,21 +589,21 @@ def _missing_pack(where: DatasetParts, name: str) -> Iterator[ConsistencyProblem
             connection.execute(f"{sql} WHERE uuid = ?)", values)
 
         said = f"The pack {name} with {len(uuids)} episodes is missing; their labels are kept."
-        yield ConsistencyProblem("missing", name, said, mend)
+        yield ConsistencyProblem("missing", name, said, repair)
 
 
-def _torn_pack(where: DatasetParts, path: Path, error: InputError) -> ConsistencyProblem:
-    name = where.name(path)
+def _torn_pack(parts: DatasetParts, path: Path, error: InputError) -> ConsistencyProblem:
+    name = parts.name(path)
 
-    def mend(connection: sqlite3.Connection) -> None:
-        repaired = where.quarantine / f"{path.stem}.repaired.mcap"
-        where.quarantine.mkdir(exist_ok=True)
+    def repair(connection: sqlite3.Connection) -> None:
+        repaired = parts.quarantine / f"{path.stem}.repaired.mcap"
+        parts.quarantine.mkdir(exist_ok=True)
         saved = salvage_file(path, repaired)
-        quarantine_file(where, path)
+        quarantine_file(parts, path)
         if saved.path is not None:
             repaired.replace(path)
             listed = list(read_pack_chunks(path))
-            enter_pack(connection, where, path, listed)
+            enter_pack(connection, parts, path, listed)
             kept = {packed.uuid for packed in listed}
         else:
             kept = set()
@@ -611,8 +611,8 @@ def _torn_pack(where: DatasetParts, path: Path, error: InputError) -> Consistenc
         _mark(connection, [uuid for (uuid,) in rows if uuid not in kept], "damaged")
 
     said = f"The pack {name} is damaged: {error.what} Its whole episodes were saved."
-    return ConsistencyProblem("torn", name, said, mend)
+    return ConsistencyProblem("torn", name, said, repair)
 
 
-def _quarantine_pack(where: DatasetParts, path: Path) -> None:
-    quarantine_file(where, path)
+def _quarantine_pack(parts: DatasetParts, path: Path) -> None:
+    quarantine_file(parts, path)

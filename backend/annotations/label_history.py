@@ -91,7 +91,7 @@ class LabelReader:
         found = [as_revision(row) for row in rows]
         return [replace(r, state="superseded") if r.rev_uuid in old else r for r in found]
 
-    def standing(self, uuid: str) -> ReviewStatus:
+    def review_status(self, uuid: str) -> ReviewStatus:
         """Return the review status of an episode, which determines the permitted actions."""
         with self._database.reading() as connection:
             return read_review_status(connection, uuid)
@@ -107,12 +107,12 @@ class LabelReader:
         sql = "SELECT name, note FROM mark WHERE episode = ? AND present ORDER BY name"
         return dict(self._database.rows(sql, (uuid,)))
 
-    def steps_apart(self, person: str, uuid: str) -> list[ControlItemStep]:
+    def control_item_steps(self, person: str, uuid: str) -> list[ControlItemStep]:
         """Return the steps of ``person`` on one control item, oldest first."""
         with self._database.reading() as connection:
             return operation_log.read_steps(connection, person, uuid)
 
-    def left_apart(self, person: str) -> dict[str, ControlItemStep]:
+    def last_control_item_steps(self, person: str) -> dict[str, ControlItemStep]:
         """Return the latest step of ``person`` on each control item."""
         with self._database.reading() as connection:
             return operation_log.last_steps(connection, person)

@@ -359,7 +359,7 @@ class LabelStore(LabelReader):
             read_review_status(connection, uuid)
             draft.opinions.append({"episode": uuid, "verdict": verdict} | asdict(label))
 
-    def keep_apart(
+    def record_control_item_step(
         self, person: str, verb: str, step: ControlItemStep, *, looked: AnswerContext | None = None
     ) -> None:
         """Store a step on a control item; it can be undone but changes no label."""
@@ -465,7 +465,7 @@ class LabelStore(LabelReader):
                     self._stacks[person] = read_undo_stacks(connection, person)
             return self._stacks[person]
 
-    def take_stock(self) -> None:
+    def reload(self) -> None:
         """Read operations added by a merge: update undo, redo and all journals."""
         sites = self._database.rows("SELECT DISTINCT site FROM op")
         with self._lock:

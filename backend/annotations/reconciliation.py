@@ -42,19 +42,19 @@ TAIL = 500  # number of newest operations checked on opening; ``verify`` checks 
 ChainPosition = tuple[int, str]  # number and hash of an operation
 
 
-def check_labels(where: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
+def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
     """Yield problems of operations, journals and heads."""
-    with where.database.reading() as connection:
+    with parts.database.reading() as connection:
         catalogue = newest_operations(connection)
     broken: set[str] = set()
     for site, (seq, _) in catalogue.items():
-        bad = _bad_link(where, site, 0 if whole else max(0, seq - TAIL))
+        bad = _bad_link(parts, site, 0 if whole else max(0, seq - TAIL))
         if bad is not None:
             broken.add(site)
             yield _broken(site, bad, "The chain of label operations is broken")
     missing: list[Operation] = []
-    for site in sorted({*catalogue, *_journalled(where)} - broken):
-        ahead, findings = _against_journal(where, site, catalogue.get(site, (0, FIRST)))
+    for site in sorted({*catalogue, *_journalled(parts)} - broken):
+        ahead, findings = _against_journal(parts, site, catalogue.get(site, (0, FIRST)))
         missing += ahead
         yield from findings
     if missing:
@@ -63,17 +63,17 @@ def check_labels(where: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
             f"{len(missing)} label operations of the journal were not in the catalogue: replayed."
         )
         yield ConsistencyProblem(
-            "replay", where.site, said, lambda connection: _replay(connection, missing)
+            "replay", parts.site, said, lambda connection: _replay(connection, missing)
         )
-    wrong = wrong_heads(where, whole=whole)
+    wrong = wrong_heads(parts, whole=whole)
     if wrong:
         said = f"{len(wrong)} label heads did not follow from the revisions: rebuilt."
         yield ConsistencyProblem("heads", str(len(wrong)), said, review.rebuild_heads)
 
 
-def wrong_heads(where: DatasetParts, *, whole: bool) -> list[str]:
+def wrong_heads(parts: DatasetParts, *, whole: bool) -> list[str]:
     """Return episodes whose head is missing, not a leaf, or (``whole``) not the valid revision."""
-    rows = where.database.rows(
+    rows = parts.database.rows(
         "SELECT DISTINCT r.episode FROM label_rev r LEFT JOIN label_head h USING (episode)"
         " WHERE h.episode IS NULL"
         " UNION SELECT h.episode FROM label_head h LEFT JOIN label_rev r USING (rev_uuid)"
@@ -83,12 +83,12 @@ def wrong_heads(where: DatasetParts, *, whole: bool) -> list[str]:
     )
     found = {episode for (episode,) in rows}
     if whole:
-        found |= set(_heads_against_rule(where))
+        found |= set(_heads_against_rule(parts))
     return sorted(found)
 
 
-def _heads_against_rule(where: DatasetParts) -> Iterator[str]:
-    with where.database.reading() as connection:
+def _heads_against_rule(parts: DatasetParts) -> Iterator[str]:
+    with parts.database.reading() as connection:
         rows = connection.execute("SELECT episode, rev_uuid, conflict FROM label_head").fetchall()
         for episode, rev_uuid, conflict in rows:
             head = review.head_of(*review.read_nodes(connection, episode))
@@ -97,13 +97,13 @@ def _heads_against_rule(where: DatasetParts) -> Iterator[str]:
                 yield episode
 
 
-def _journalled(where: DatasetParts) -> set[str]:
-    return {path.stem for path in where.journal.folder.glob("*.jsonl")}
+def _journalled(parts: DatasetParts) -> set[str]:
+    return {path.stem for path in parts.journal.folder.glob("*.jsonl")}
 
 
-def _bad_link(where: DatasetParts, site: str, after: int) -> int | None:
+def _bad_link(parts: DatasetParts, site: str, after: int) -> int | None:
     """Return the number of the first operation after ``after`` that breaks the chain, or None."""
-    with where.database.reading() as connection:
+    with parts.database.reading() as connection:
         operations = read_operations(connection, "site = ? AND seq >= ?", (site, after))
     if after:
         start = (operations[0].seq, operations[0].hash)
@@ -130,15 +130,15 @@ def _link(operation: Operation) -> str:
 
 
 def _against_journal(
-    where: DatasetParts, site: str, newest: ChainPosition
+    parts: DatasetParts, site: str, newest: ChainPosition
 ) -> tuple[list[Operation], list[ConsistencyProblem]]:
     """Return the operations of the journal that the catalogue lacks, and problems of the site."""
-    path = where.journal.path(site)
+    path = parts.journal.path(site)
     last = _last_line(path)
     if last == newest:
         return [], []
-    if last is not None and last[0] < newest[0] and _is_known(where, site, last):
-        return [], [_behind(where, site, newest[0] - last[0])]
+    if last is not None and last[0] < newest[0] and _is_known(parts, site, last):
+        return [], [_behind(parts, site, newest[0] - last[0])]
     try:
         operations = list(read_journal(path))
     except (ValueError, OSError) as error:
@@ -156,10 +156,10 @@ def _against_journal(
     return ahead, []
 
 
-def _is_known(where: DatasetParts, site: str, place: ChainPosition) -> bool:
+def _is_known(parts: DatasetParts, site: str, place: ChainPosition) -> bool:
     if not place[0]:
         return True
-    found = where.database.first("SELECT hash FROM op WHERE site = ? AND seq = ?", (site, place[0]))
+    found = parts.database.first("SELECT hash FROM op WHERE site = ? AND seq = ?", (site, place[0]))
     return found == (place[1],)
 
 
@@ -183,12 +183,12 @@ def _last_line(path: Path) -> ChainPosition | None:
         return None
 
 
-def _behind(where: DatasetParts, site: str, count: int) -> ConsistencyProblem:
-    def mend(connection: sqlite3.Connection) -> None:
-        where.journal.catch_up(connection, site)
+def _behind(parts: DatasetParts, site: str, count: int) -> ConsistencyProblem:
+    def repair(connection: sqlite3.Connection) -> None:
+        parts.journal.catch_up(connection, site)
 
     said = f"{count} label operations were missing in the journal: written."
-    return ConsistencyProblem("journal", site, said, mend)
+    return ConsistencyProblem("journal", site, said, repair)
 
 
 def _replay(connection: sqlite3.Connection, missing: list[Operation]) -> None:
@@ -222,91 +222,91 @@ TOGETHER = 500  # repairs in one transaction: an unmounted disk causes thousands
 BUSY_S = 60.0  # a cache changed more recently than this is in use
 
 
-def check_dataset(where: DatasetParts, *, whole: bool = False) -> Iterator[ConsistencyProblem]:
+def check_dataset(parts: DatasetParts, *, whole: bool = False) -> Iterator[ConsistencyProblem]:
     """Yield all problems of a dataset without changing it.
 
     ``whole`` reads every file and checks every operation. Otherwise the newest operations are
     checked, and the file sizes in folders that are not known to be in order.
     """
-    yield from check_labels(where, whole=whole)
-    yield from check_episode_files(where, whole=whole)
-    yield from check_packs(where, whole=whole)
-    yield from check_runs(where)
-    yield from _left_overs(where)
+    yield from check_labels(parts, whole=whole)
+    yield from check_episode_files(parts, whole=whole)
+    yield from check_packs(parts, whole=whole)
+    yield from check_runs(parts)
+    yield from _left_overs(parts)
 
 
-def reconcile(where: DatasetParts, *, whole: bool = False) -> list[ConsistencyProblem]:
+def reconcile(parts: DatasetParts, *, whole: bool = False) -> list[ConsistencyProblem]:
     """Repair the problems of a dataset; return those to report. Each is stored as an event."""
     told: list[ConsistencyProblem] = []
     # Labels come first, so that an episode with a label in the journal does not get a second one.
     for check in (
-        check_labels(where, whole=whole),
-        check_episode_files(where, whole=whole),
-        check_packs(where, whole=whole),
-        check_runs(where),
-        _left_overs(where),
+        check_labels(parts, whole=whole),
+        check_episode_files(parts, whole=whole),
+        check_packs(parts, whole=whole),
+        check_runs(parts),
+        _left_overs(parts),
     ):
         found = list(check)
         for start in range(0, len(found), TOGETHER):
-            told += _mended(where, found[start : start + TOGETHER])
-    sync_run_tables(where.folder, where.database)
-    with where.database.reading() as connection:
+            told += _mended(parts, found[start : start + TOGETHER])
+    sync_run_tables(parts.folder, parts.database)
+    with parts.database.reading() as connection:
         sites = list(newest_operations(connection))
     for site in sites:
-        with where.database.transaction() as connection:
-            where.journal.catch_up(connection, site)
+        with parts.database.transaction() as connection:
+            parts.journal.catch_up(connection, site)
     return told
 
 
 def _mended(
-    where: DatasetParts, findings: Sequence[ConsistencyProblem]
+    parts: DatasetParts, findings: Sequence[ConsistencyProblem]
 ) -> list[ConsistencyProblem]:
     """Repair in one transaction; return the problems that were not reported before."""
     told: list[ConsistencyProblem] = []
-    untold = [finding for finding in findings if finding.mend is None]
-    with where.database.transaction() as connection:
+    untold = [finding for finding in findings if finding.repair is None]
+    with parts.database.transaction() as connection:
         for finding in findings:
-            if finding.mend is None:
+            if finding.repair is None:
                 continue
             connection.execute("SAVEPOINT one")
             try:
-                finding.mend(connection)
-                body = {"said": finding.said}
+                finding.repair(connection)
+                body = {"said": finding.message}
                 add_event(connection, PROGRAM, finding.kind, finding.target, body)
                 told.append(finding)
             except (InputError, OSError, sqlite3.IntegrityError) as error:
                 connection.execute("ROLLBACK TO one")
-                said = f"{finding.said} That failed: {error}"
+                said = f"{finding.message} That failed: {error}"
                 untold.append(ConsistencyProblem("not-mended", finding.target, said))
             connection.execute("RELEASE one")
-    return told + [f for f in untold if _tell_once(where, f) or f.locks]
+    return told + [f for f in untold if _tell_once(parts, f) or f.locks]
 
 
-def _tell_once(where: DatasetParts, finding: ConsistencyProblem) -> bool:
+def _tell_once(parts: DatasetParts, finding: ConsistencyProblem) -> bool:
     """Store a problem as an event; return False if it was stored before."""
-    body = {"said": finding.said}
+    body = {"said": finding.message}
     kept = canonical_json(body).decode("utf-8")
     sql = "SELECT 1 FROM event WHERE verb = ? AND target = ? AND body = ? LIMIT 1"
-    if where.database.first(sql, (finding.kind, finding.target, kept)):
+    if parts.database.first(sql, (finding.kind, finding.target, kept)):
         return False
-    with where.database.transaction() as connection:
+    with parts.database.transaction() as connection:
         add_event(connection, PROGRAM, finding.kind, finding.target, body)
     return True
 
 
-def _left_overs(where: DatasetParts) -> Iterator[ConsistencyProblem]:
+def _left_overs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
     for folder, pattern in LEFT_OVERS:
-        for path in sorted((where.folder / folder).glob(pattern)):
-            if not _in_use(where, path):
-                said = f"{where.name(path)} was left half-made: deleted."
+        for path in sorted((parts.folder / folder).glob(pattern)):
+            if not _in_use(parts, path):
+                said = f"{parts.name(path)} was left half-made: deleted."
                 yield ConsistencyProblem(
-                    "left-over", where.name(path), said, partial(_remove, path)
+                    "left-over", parts.name(path), said, partial(_remove, path)
                 )
 
 
-def _in_use(where: DatasetParts, path: Path) -> bool:
+def _in_use(parts: DatasetParts, path: Path) -> bool:
     """Return True if this program uses the file, or a training may be building it."""
-    if path.name.startswith(where.database.path.name):
+    if path.name.startswith(parts.database.path.name):
         return True
     return path.parent.name == "cache" and time.time() - path.stat().st_mtime < BUSY_S
 

@@ -170,7 +170,7 @@ class ActiveRun:
         made = Artifact(name, place.as_posix(), digest.hexdigest(), path.stat().st_size)
         self._write(artifacts=(*self.about.artifacts, made))
 
-    def name_data(self, manifest: str) -> None:
+    def set_manifest(self, manifest: str) -> None:
         """Record the hash of the data, if it was not known at the start."""
         self._write(manifest=manifest)
 
@@ -379,18 +379,18 @@ class RunTracker:
 OPEN = ("queued", "running")
 
 
-def check_runs(where: DatasetParts) -> Iterator[ConsistencyProblem]:
+def check_runs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
     """Yield runs whose process is gone, and folders without a run."""
-    for run in run_folders(where.folder):
+    for run in run_folders(parts.folder):
         if not (run / ABOUT).exists():
             if not is_run_alive(run) and not run_file_stamp(run)[1]:
-                said = f"{where.name(run)} was left before its run began: deleted."
-                yield ConsistencyProblem("left-over", where.name(run), said, partial(_remove, run))
+                said = f"{parts.name(run)} was left before its run began: deleted."
+                yield ConsistencyProblem("left-over", parts.name(run), said, partial(_remove, run))
             continue
         try:
             about = read_run_info(run)
         except InputError as error:
-            yield ConsistencyProblem("run-unreadable", where.name(run), str(error))
+            yield ConsistencyProblem("run-unreadable", parts.name(run), str(error))
             continue
         if about.state in OPEN and not is_run_alive(run):
             said = f"The run {about.uuid} ({about.kind}) was interrupted: it can be started again."
@@ -402,13 +402,13 @@ def check_runs(where: DatasetParts) -> Iterator[ConsistencyProblem]:
             yield ConsistencyProblem(
                 "interrupted", about.uuid, said, partial(_interrupt, run, about)
             )
-    yield from _gone(where)
+    yield from _gone(parts)
 
 
-def _gone(where: DatasetParts) -> Iterator[ConsistencyProblem]:
+def _gone(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
     """Yield the rows of unfinished runs whose folder is missing."""
-    for (uuid,) in where.database.rows("SELECT uuid FROM run WHERE state IN (?, ?)", OPEN):
-        if not (where.folder / RUNS / uuid).is_dir():
+    for (uuid,) in parts.database.rows("SELECT uuid FROM run WHERE state IN (?, ?)", OPEN):
+        if not (parts.folder / RUNS / uuid).is_dir():
             said = f"The folder of run {uuid} is gone; its figures so far are kept."
             yield ConsistencyProblem("interrupted", uuid, said, partial(_close, uuid))
 

@@ -28,7 +28,7 @@ def examine_only(folder: Path, screen: VerbOutput) -> int:
     from touchdown.backend.annotations import Dataset, check_dataset, list_backups
 
     with Dataset.open(folder, create=False, write=False) as dataset:
-        found = list(check_dataset(dataset.store, whole=True))
+        found = list(check_dataset(dataset.parts, whole=True))
     copies = list_backups(folder / "backup")
     newest = copies[0].made.isoformat(timespec="seconds") if copies else None
     screen.say(f"{folder}, newest backup: {newest or 'none'}")
@@ -43,10 +43,10 @@ def verify(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
         with Dataset.open(folder, create=False) as dataset:
             for notice in dataset.notices:
                 screen.say(notice)
-            found, count = reconcile(dataset.store, whole=True), len(dataset.episodes())
+            found, count = reconcile(dataset.parts, whole=True), len(dataset.episodes())
     except NotWritableError as error:
         with Dataset.open(folder, create=False, write=False) as dataset:
-            found, count = list(check_dataset(dataset.store, whole=True)), len(dataset.episodes())
+            found, count = list(check_dataset(dataset.parts, whole=True)), len(dataset.episodes())
         screen.say(f"{error.what} It is looked at only; nothing is noted there.")
         return _report(found, screen, {"dataset": str(folder), "episodes": count, "noted": False})
     screen.say(f"{count} episodes read.")
@@ -123,11 +123,11 @@ def _report(
     for column in ("what", "where", "found"):
         table.add_column(column, overflow="fold")
     for finding in found:
-        table.add_row(finding.kind.replace("-", " "), finding.target, finding.said)
+        table.add_row(finding.kind.replace("-", " "), finding.target, finding.message)
     if found:
         screen.show(table)
     screen.say(f"{len(found)} findings." if found else "Files, labels and journal agree.")
-    listed = [{"kind": f.kind, "target": f.target, "said": f.said} for f in found]
+    listed = [{"kind": f.kind, "target": f.target, "said": f.message} for f in found]
     screen.result({**facts, "findings": listed})
     return 1 if found else 0
 

@@ -158,7 +158,7 @@ def verify(folder: Path, known: Known) -> list[str]:
             if history.get(rev) != x_um:
                 wrong.append(f"label {rev} is lost")
         wrong += [f"torn: {e.uuid}" for e in entries.values() if e.file_state != "complete"]
-        wrong += [finding.said for finding in check_dataset(dataset.store, whole=True)]
+        wrong += [finding.message for finding in check_dataset(dataset.parts, whole=True)]
     with Dataset.open(folder) as dataset:
         wrong += [f"said again: {notice}" for notice in dataset.notices]
     return wrong

@@ -73,7 +73,7 @@ def label_until_full(folder: Path) -> dict[str, object]:
             for uuid in {uuid for uuid, _ in kept.values()}
             for r in dataset.labels.history(uuid)
         }
-        wrong = [finding.said for finding in check_dataset(dataset.store, whole=True)]
+        wrong = [finding.message for finding in check_dataset(dataset.parts, whole=True)]
         lost = [rev for rev, said in kept.items() if found.get(rev) != said]
         journal = dataset.journal.path(dataset.description.site).read_text().count("\n")
         (operations,) = dataset.database.one("SELECT count(*) FROM op")
@@ -115,7 +115,7 @@ def collect_until_full(folder: Path) -> dict[str, object]:
             "ending": [fact.ending for fact in facts if isinstance(fact, RunFinished)],
             "all_told": told == [entry.uuid for entry in dataset.episodes()],
             "ticks": read,
-            "wrong": [finding.said for finding in check_dataset(dataset.store, whole=True)],
+            "wrong": [finding.message for finding in check_dataset(dataset.parts, whole=True)],
         }
 
 

@@ -145,7 +145,7 @@ def test_whatever_comes_or_goes_is_found(
     # Once only, and the folders are trusted again after that.
     assert notices(folder) == ()
     with Dataset.open(folder) as dataset:
-        assert reconcile(dataset.store, whole=True) == []
+        assert reconcile(dataset.parts, whole=True) == []
 
 
 def test_an_episode_that_comes_back_is_found(folder: Path) -> None:
@@ -172,7 +172,7 @@ def test_a_file_cut_in_place_is_found_by_verify_after_a_clean_close(folder: Path
     cut(folder)
     with Dataset.open(folder) as dataset:
         assert dataset.notices == ()
-        assert [f.kind for f in reconcile(dataset.store, whole=True)] == ["torn"]
+        assert [f.kind for f in reconcile(dataset.parts, whole=True)] == ["torn"]
 
 
 def test_a_file_cut_in_place_is_found_within_a_week(

@@ -19,6 +19,7 @@ from touchdown.backend.runs.campaign import new_campaign
 HOUR_NS = 3600 * 1_000_000_000
 
 
+@pytest.mark.promise("P2")
 def test_labels_and_episodes_keep_their_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -45,7 +46,7 @@ def test_labels_and_episodes_keep_their_order(
         assert [r.label.x_um for r in dataset.labels.history(first)] == [0, 100, 200]
         dataset.labels.undo("ann")
         assert dataset.labels.head(first).label.x_um == 100
-        assert list(check_dataset(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.parts, whole=True)) == []
 
 
 def test_a_campaign_of_now_is_newer_than_one_of_an_hour_later(

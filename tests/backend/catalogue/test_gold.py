@@ -163,12 +163,12 @@ def test_gold_answers_every_key_as_the_rest_does_over_restarts(tmp_path: Path, s
         assert dataset.labels.marks(uuid) == {}
         (counts,) = labelled_episodes(dataset.database, "drafts")
         assert counts.label == Label(1500, 0, 0, 50)
-        assert list(check_dataset(dataset.store, whole=True)) == []
-        steps = len(dataset.labels.steps_apart("ann", uuid))
+        assert list(check_dataset(dataset.parts, whole=True)) == []
+        steps = len(dataset.labels.control_item_steps("ann", uuid))
         assert steps == len(dataset.labels.log(actor="ann")) > 10
     assert rebuild_dataset(tmp_path / "gold", replace=True).equal
     with Dataset.open(tmp_path / "gold", person="cleo") as dataset:
-        assert len(dataset.labels.steps_apart("ann", uuid)) == steps
+        assert len(dataset.labels.control_item_steps("ann", uuid)) == steps
 
 
 def test_what_was_taken_back_is_gold_again_and_what_was_left_comes_first(

@@ -131,12 +131,12 @@ def test_rejected_work_goes_back_to_its_author(dataset: Dataset, record: Record)
         labels.reject("bob", uuid, " ")
     rejected = labels.reject("bob", uuid, "tilt")
     assert (rejected.state, rejected.reason) == ("rejected", "tilt")
-    assert labels.standing(uuid).authors == ("ann",)
+    assert labels.review_status(uuid).authors == ("ann",)
     assert labels.counting(uuid) is None
     with pytest.raises(RefusedError, match="work of ann"):
         labels.set("bob", uuid, Label(1, 1))
     labels.take_over("bob", uuid)
-    assert labels.standing(uuid).authors == ("ann", "bob")
+    assert labels.review_status(uuid).authors == ("ann", "bob")
     labels.set("bob", uuid, Label(1, 1))
     labels.accept("bob", uuid)
     with pytest.raises(RefusedError, match="another person"):

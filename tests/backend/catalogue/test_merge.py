@@ -144,7 +144,7 @@ def test_two_labels_are_a_conflict_until_a_person_resolves_it(copies: Copies) ->
     conflict = contents(ours)
     resolved = ours.labels.resolve("cleo", uuid, mine.rev_uuid)
     assert (resolved.label, resolved.state) == (mine.label, "submitted")
-    assert ours.labels.standing(uuid).authors == ("ann",)
+    assert ours.labels.review_status(uuid).authors == ("ann",)
     assert ours.queue("conflicts", "ann") == []
     chosen = contents(ours)
     for _ in range(3):

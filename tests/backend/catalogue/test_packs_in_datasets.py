@@ -53,7 +53,7 @@ def states(folder: Path) -> list[str]:
 
 def calm(folder: Path) -> bool:
     with Dataset.open(folder) as dataset:
-        return dataset.notices == () and not list(check_dataset(dataset.store, whole=True))
+        return dataset.notices == () and not list(check_dataset(dataset.parts, whole=True))
 
 
 def test_a_pack_becomes_episodes_with_commanded_drafts(folder: Path) -> None:
@@ -175,7 +175,7 @@ def test_a_changed_byte_costs_one_pack_check_and_keeps_the_rest(folder: Path) ->
     pack.write_bytes(data)
     with Dataset.open(folder) as dataset:
         assert dataset.notices == ()
-        assert [f.kind for f in reconcile(dataset.store, whole=True)] == ["torn"]
+        assert [f.kind for f in reconcile(dataset.parts, whole=True)] == ["torn"]
         kinds = [entry.file_state for entry in dataset.episodes()]
         assert sorted(set(kinds)) == ["complete", "damaged"]
     assert calm(folder)

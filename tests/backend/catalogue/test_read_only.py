@@ -49,7 +49,7 @@ def test_it_is_looked_at_and_nothing_appears_beside_the_catalogue(
     before = sorted(closed.rglob("*"))
     with Dataset.open(closed, create=False, write=False) as dataset:
         assert len(dataset.episodes()) == 1
-        assert list(check_dataset(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.parts, whole=True)) == []
         assert sorted(closed.rglob("*")) == before
     with pytest.raises(ReadOnlyFolderError, match="cannot be written: Read-only file system"):
         Dataset.open(closed, person="ann")

@@ -47,7 +47,7 @@ def mended(folder: Path) -> tuple[str, ...]:
         notices = dataset.notices
     with Dataset.open(folder) as dataset:
         assert dataset.notices == ()
-        assert [f for f in check_dataset(dataset.store) if f.mend is not None] == []
+        assert [f for f in check_dataset(dataset.parts) if f.repair is not None] == []
     return notices
 
 
@@ -71,7 +71,7 @@ def forget_row(folder: Path, uuid: str) -> None:
 def test_a_clean_dataset_has_nothing_to_say(folder: Path) -> None:
     assert mended(folder) == ()
     with Dataset.open(folder) as dataset:
-        assert list(check_dataset(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.parts, whole=True)) == []
 
 
 def test_a_complete_file_without_a_row_is_adopted(tmp_path: Path) -> None:
@@ -107,10 +107,10 @@ def test_a_changed_byte_is_found_by_the_whole_check(folder: Path) -> None:
     path.write_bytes(data)
     assert mended(folder) == ()
     with Dataset.open(folder) as dataset:
-        (finding,) = reconcile(dataset.store, whole=True)
+        (finding,) = reconcile(dataset.parts, whole=True)
         assert (finding.kind, finding.target) == ("damaged", uuid)
         assert dataset.entry(uuid).file_state == "damaged"
-        assert reconcile(dataset.store, whole=True) == []
+        assert reconcile(dataset.parts, whole=True) == []
     assert path.read_bytes() == bytes(data)
 
 
@@ -321,7 +321,7 @@ def test_wrong_heads_are_made_anew(folder: Path) -> None:
         assert tables(dataset) == expected
         with dataset.database.transaction() as connection:
             connection.execute("UPDATE label_head SET conflict = 1")
-        kinds = [finding.kind for finding in check_dataset(dataset.store, whole=True)]
+        kinds = [finding.kind for finding in check_dataset(dataset.parts, whole=True)]
         assert kinds == ["heads"]
 
 
@@ -349,7 +349,7 @@ def test_checking_changes_nothing(folder: Path) -> None:
     path = file_of(folder, torn)
     path.write_bytes(path.read_bytes()[:-100])
     with Dataset.open(folder, write=False) as dataset:
-        kinds = {finding.kind for finding in check_dataset(dataset.store, whole=True)}
+        kinds = {finding.kind for finding in check_dataset(dataset.parts, whole=True)}
         assert kinds == {"missing", "torn"}
         assert {e.file_state for e in dataset.episodes(EpisodeFilter())} == {"complete"}
     assert path.exists()

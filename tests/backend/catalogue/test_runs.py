@@ -114,7 +114,7 @@ def test_a_killed_run_is_interrupted_at_the_next_start(tmp_path: Path) -> None:
     Dataset.open(tmp_path / "data").close()
     uuid = die_running(tmp_path / "data", 3)
     with Dataset.open(tmp_path / "data", write=False) as reader:
-        assert [f.kind for f in check_dataset(reader.store)] == ["interrupted"]
+        assert [f.kind for f in check_dataset(reader.parts)] == ["interrupted"]
     with Dataset.open(tmp_path / "data") as dataset:
         assert "--resume" in dataset.notices[0]
         entry = dataset.runs.entry(uuid)
@@ -123,12 +123,12 @@ def test_a_killed_run_is_interrupted_at_the_next_start(tmp_path: Path) -> None:
         assert [m.value for m in dataset.runs.metrics(uuid)] == [0.0, 1.0, 2.0]
     with Dataset.open(tmp_path / "data") as dataset:
         assert dataset.notices == ()
-        assert list(check_dataset(dataset.store, whole=True)) == []
+        assert list(check_dataset(dataset.parts, whole=True)) == []
 
 
 def test_a_run_that_lives_is_left_alone(dataset: Dataset) -> None:
     live = begin(dataset)
-    assert list(check_dataset(dataset.store)) == []
+    assert list(check_dataset(dataset.parts)) == []
     live.finish()
 
 

@@ -146,7 +146,7 @@ def test_undoing_a_review_gives_no_authorship(dataset: Dataset, record: Record) 
     labels.undo("bob")
     assert labels.head(uuid).state == "submitted"
     assert labels.counting(uuid) is None
-    assert labels.standing(uuid).authors == ("ann",)
+    assert labels.review_status(uuid).authors == ("ann",)
     with pytest.raises(RefusedError, match="ann wrote it"):
         labels.approve("ann", uuid)
     labels.approve("bob", uuid)

@@ -7,7 +7,7 @@ that draws do not depend on the division or order of the work.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from touchdown.backend.config import ProbeSettings, SimulationSettings
 from touchdown.backend.core import FloatArray
+from touchdown.backend.simulation.rows import Rows
 
 
 @dataclass(frozen=True, slots=True)
-class Conditions:
+class Conditions(Rows):
     """True physical parameters and sensor errors of B probes (leading dimension B everywhere).
 
     Grasp: ``shear_n_mm``, ``normal_n_mm`` (N/mm) and ``torsion_nmm`` (N·mm/rad) are those of one
@@ -59,10 +60,6 @@ class Conditions:
     def count(self) -> int:
         """Number of probes B."""
         return len(self.mu)
-
-    def take(self, index: NDArray[np.intp]) -> Conditions:
-        """Return the probes ``index``."""
-        return Conditions(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
 
 def true_offset_mm(

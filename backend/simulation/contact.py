@@ -12,18 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, Self, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray
+from touchdown.backend.simulation.rows import Rows
 
 TINY = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class ContactCells:
+class ContactCells(Rows):
     """Overlap cells of B probes, packed to the widest of them (n), absent ones with area 0.
 
     ``x``, ``y`` (B, n): lever arms r_x, r_y from the pivot, mm; ``gap_mm`` z0 (B, n);
@@ -41,23 +42,9 @@ class ContactCells:
     mu: FloatArray
     count: NDArray[np.intp]
 
-    def take(self, index: NDArray[np.intp]) -> ContactCells:
-        """Return the probes ``index``."""
-        return ContactCells(
-            self.x[index],
-            self.y[index],
-            self.gap_mm[index],
-            self.normal[index],
-            self.tangential[index],
-            self.basis[index],
-            self.r_z[index],
-            self.mu[index],
-            self.count[index],
-        )
-
 
 @dataclass(frozen=True, slots=True)
-class ContactForces:
+class ContactForces(Rows):
     """Motion (mm) and forces (N) of the cells at one trial, all (B, n); their resultant (B, 6)."""
 
     u_x: FloatArray
@@ -68,15 +55,6 @@ class ContactForces:
     size: FloatArray
     share: FloatArray
     wrench: FloatArray
-
-    def take(self, rows: NDArray[np.intp]) -> ContactForces:
-        """Return the probes ``rows``."""
-        return ContactForces(*(getattr(self, name)[rows] for name in self.__slots__))
-
-    def put(self, rows: NDArray[np.intp], by: ContactForces) -> None:
-        """Overwrite the probes ``rows``."""
-        for name in self.__slots__:
-            getattr(self, name)[rows] = getattr(by, name)
 
 
 def pack_cells(
@@ -178,18 +156,11 @@ def updated_anchor(cells: ContactCells, now: ContactForces) -> FloatArray:
 TRIALS_PER_CALL = 48  # trials solved in one call; fewer do not pay its fixed cost
 
 
-class BatchTrial(Protocol):
-    """Trial solutions of B probes with residuals ``size`` (B,)."""
+class BatchTrial(Rows):
+    """Trial solution of B probes with residuals ``size`` (B,)."""
 
-    @property
-    def size(self) -> FloatArray:
-        """(B,) residual."""
-
-    def take(self, rows: NDArray[np.intp], /) -> Self:
-        """Return the trials ``rows``."""
-
-    def put(self, rows: NDArray[np.intp], by: Self, /) -> None:
-        """Overwrite the trials ``rows``."""
+    __slots__ = ()
+    size: FloatArray
 
 
 AnyTrial = TypeVar("AnyTrial", bound=BatchTrial)
@@ -271,7 +242,7 @@ def solve_equilibrium(
 
 
 @dataclass(frozen=True, slots=True)
-class _MotionTrial:
+class _MotionTrial(BatchTrial):
     """Motion ``q`` (B, 6), contact forces, residual ``left`` (B, 6) and its norm ``size`` (B,)."""
 
     q: FloatArray
@@ -279,27 +250,15 @@ class _MotionTrial:
     left: FloatArray
     size: FloatArray
 
-    def take(self, rows: NDArray[np.intp]) -> _MotionTrial:
-        return _MotionTrial(self.q[rows], self.touch.take(rows), self.left[rows], self.size[rows])
-
-    def put(self, rows: NDArray[np.intp], by: _MotionTrial) -> None:
-        self.q[rows], self.left[rows], self.size[rows] = by.q, by.left, by.size
-        self.touch.put(rows, by.touch)
-
 
 @dataclass(frozen=True, slots=True)
-class _SpringLoad:
+class _SpringLoad(Rows):
     """Inputs of ``solve_equilibrium``."""
 
     cells: ContactCells
     anchor: FloatArray
     zero: FloatArray
     stiffness: FloatArray
-
-    def take(self, rows: NDArray[np.intp]) -> _SpringLoad:
-        return _SpringLoad(
-            self.cells.take(rows), self.anchor[:, rows], self.zero[rows], self.stiffness[rows]
-        )
 
     def at(self, q: FloatArray) -> _MotionTrial:
         there = contact_forces(self.cells, self.anchor, q)

@@ -11,8 +11,8 @@ rotation about the jaw axis (rad).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,13 +32,14 @@ from touchdown.backend.simulation.moving_supports import (
     carried_motion,
     solve_on_supports,
 )
+from touchdown.backend.simulation.rows import Rows
 from touchdown.backend.simulation.supports import SupportMotion, SupportStack, topples
 
 SIGN = np.array([1.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True)
-class Springs:
+class Springs(Rows):
     """Stiffness and unloaded positions of the springs of B grasps in one time step.
 
     ``finger`` (B, 4): x, z, torsion, y of one finger, Maxwell branch included. ``series`` (B, 3)
@@ -51,16 +52,6 @@ class Springs:
     matrix_diagonal: FloatArray
     give: FloatArray
     hidden: FloatArray
-
-    def take(self, rows: NDArray[np.intp]) -> Springs:
-        """Return the grasps ``rows``."""
-        return Springs(
-            self.finger[rows],
-            self.series[rows],
-            self.matrix_diagonal[rows],
-            self.give[rows],
-            self.hidden[rows],
-        )
 
 
 def springs(conditions: Conditions, relaxed: FloatArray, dt_s: float | FloatArray) -> Springs:
@@ -157,7 +148,7 @@ MAX_SLIP_PASSES = 200
 
 
 @dataclass(frozen=True, slots=True)
-class TimeStep:
+class TimeStep(Rows):
     """Inputs of a time step of B probes.
 
     ``commanded_mm`` (B, 3); ``stand``: supports of the touched face, None if rigid; ``pivot_mm``
@@ -175,20 +166,6 @@ class TimeStep:
     pose: SupportMotion
     last: bool
 
-    def take(self, rows: NDArray[np.intp]) -> TimeStep:
-        """Return the probes ``rows``."""
-        return TimeStep(
-            self.cells.take(rows),
-            self.anchor[:, rows],
-            self.conditions.take(rows),
-            self.spring.take(rows),
-            self.commanded_mm[rows],
-            None if self.stand is None else self.stand.take(rows),
-            self.pivot_mm[rows],
-            self.pose.take(rows),
-            self.last,
-        )
-
     def held(self, zero: FloatArray, stand: SupportStack) -> SolutionInputs:
         """Return the grasp with the elastic zero ``zero`` (B, 6) on ``stand``."""
         return SolutionInputs(
@@ -204,7 +181,7 @@ class TimeStep:
 
 
 @dataclass(frozen=True, slots=True)
-class GripSolution:
+class GripSolution(Rows):
     """A trial solution of B probes.
 
     ``q`` (B, 6); ``pose`` of the supports; ``slip`` (B, 2, 3) of this equilibrium; ``d``
@@ -229,26 +206,6 @@ class GripSolution:
         return cls(
             q, pose, slip, np.zeros((count, 2, 4)), np.zeros((count, 2)), np.zeros(count), alive
         )
-
-    def take(self, rows: NDArray[np.intp]) -> GripSolution:
-        """Return the probes ``rows``."""
-        return GripSolution(
-            self.q[rows],
-            self.pose.take(rows),
-            self.slip[rows],
-            self.d[rows],
-            self.normal_n[rows],
-            self.residual[rows],
-            self.alive[rows],
-        )
-
-    def replaced(self, rows: NDArray[np.intp], by: GripSolution) -> GripSolution:
-        """Return a copy in which the probes ``rows`` are those of ``by``."""
-        parts = {}
-        for name in ("q", "slip", "d", "normal_n", "residual", "alive"):
-            parts[name] = getattr(self, name).copy()
-            parts[name][rows] = getattr(by, name)
-        return GripSolution(pose=self.pose.replaced(rows, by.pose), **parts)
 
 
 def solve_with_slip(step: TimeStep, start: GripSolution) -> tuple[GripSolution, ContactForces]:
@@ -328,7 +285,6 @@ def _map_slip(
 
 
 MAX_SPLITS = 2  # A step without equilibrium is halved this often
-_STATE_ARRAYS = ("q", "slip", "relaxed", "residual", "depth_mm", "slope", "toppled")
 
 
 class Region(Protocol):
@@ -339,7 +295,7 @@ class Region(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class GraspHistory:
+class GraspHistory(Rows):
     """State of a grip between probes: ``slip`` (B, 2, 3) and ``relaxed`` (B, 2, 4)."""
 
     slip: FloatArray
@@ -350,19 +306,9 @@ class GraspHistory:
         """Return ``count`` grips without slip."""
         return cls(np.zeros((count, 2, 3)), np.zeros((count, 2, 4)))
 
-    def take(self, index: NDArray[np.intp]) -> GraspHistory:
-        """Return the grips ``index``."""
-        return GraspHistory(self.slip[index], self.relaxed[index])
-
-    def replaced(self, index: NDArray[np.intp], by: GraspHistory) -> GraspHistory:
-        """Return a copy in which the grips ``index`` are those of ``by``."""
-        slip, relaxed = self.slip.copy(), self.relaxed.copy()
-        slip[index], relaxed[index] = by.slip, by.relaxed
-        return GraspHistory(slip, relaxed)
-
 
 @dataclass(frozen=True, slots=True)
-class ContactState:
+class ContactState(Rows):
     """State of B probes between time steps.
 
     ``q`` (B, 6) mm and rad; ``slip`` (B, 2, 3); ``anchor`` (2, B, n); ``relaxed`` (B, 2, 4);
@@ -395,29 +341,9 @@ class ContactState:
         pose = SupportMotion.upright(len(self.q), stand.interfaces)
         return replace(self, stand=stand, pose=pose, splits=splits)
 
-    def take(self, rows: NDArray[np.intp]) -> ContactState:
-        """Return the probes ``rows``."""
-        return replace(
-            self,
-            cells=self.cells.take(rows),
-            conditions=self.conditions.take(rows),
-            anchor=self.anchor[:, rows],
-            pivot_mm=self.pivot_mm[rows],
-            stand=None if self.stand is None else self.stand.take(rows),
-            pose=self.pose.take(rows),
-            **{name: getattr(self, name)[rows] for name in _STATE_ARRAYS},
-        )
-
-    def replaced(self, rows: NDArray[np.intp], by: ContactState) -> ContactState:
-        """Return a copy in which the probes ``rows`` have moved on to ``by``."""
-        anchor = self.anchor.copy()
-        anchor[:, rows] = by.anchor
-        moved = {n: _with_rows(getattr(self, n), rows, getattr(by, n)) for n in _STATE_ARRAYS}
-        return replace(self, anchor=anchor, pose=self.pose.replaced(rows, by.pose), **moved)
-
 
 @dataclass(frozen=True, slots=True)
-class ProbeEquilibrium:
+class ProbeEquilibrium(Rows):
     """Equilibrium of B probes.
 
     ``q`` (B, 6); ``wrench_g`` (B, 6): contact forces on the piece, N and N·mm at the pivot ``G``;
@@ -433,13 +359,6 @@ class ProbeEquilibrium:
     slip: FloatArray
     residual: FloatArray
     cop_mm: FloatArray
-
-    def replaced(self, rows: NDArray[np.intp], by: ProbeEquilibrium) -> ProbeEquilibrium:
-        """Return a copy in which the probes ``rows`` are those of ``by``."""
-        names = [f.name for f in fields(self)]
-        return ProbeEquilibrium(
-            **{n: _with_rows(getattr(self, n), rows, getattr(by, n)) for n in names}
-        )
 
     @property
     def pressing_n(self) -> FloatArray:
@@ -577,13 +496,6 @@ def _advance_once(
         cop_mm=_centre_of_pressure(now.wrench, state.cells.r_z),
     )
     return after, solved
-
-
-def _with_rows(values: Any, rows: NDArray[np.intp], by: Any) -> Any:
-    """Return a copy of the array ``values`` with ``rows`` from ``by``."""
-    changed = values.copy()
-    changed[rows] = by
-    return changed
 
 
 def _toppled(state: ContactState, pose: SupportMotion, residual: FloatArray) -> NDArray[np.bool_]:

@@ -19,6 +19,7 @@ from touchdown.backend.simulation.contact import (
     RESIDUAL_LIMIT,
     RESIDUAL_SCALE,
     TOLERANCE,
+    BatchTrial,
     ContactCells,
     ContactForces,
     contact_forces,
@@ -26,6 +27,7 @@ from touchdown.backend.simulation.contact import (
     solve_equilibrium,
     tangent_stiffness,
 )
+from touchdown.backend.simulation.rows import Rows
 from touchdown.backend.simulation.supports import (
     SupportMotion,
     SupportStack,
@@ -42,7 +44,7 @@ AXES = np.eye(2)
 
 
 @dataclass(frozen=True, slots=True)
-class SolutionInputs:
+class SolutionInputs(Rows):
     """Grasp and position of B probes during one solution.
 
     ``zero`` q° (B, 6) and ``stiffness`` (B, 6) of the grasp; ``pivot_mm`` (B, 2): the pivot over
@@ -60,23 +62,9 @@ class SolutionInputs:
     leaned_rad: FloatArray
     drag_mm_rad: float = 0.0
 
-    def take(self, rows: NDArray[np.intp]) -> SolutionInputs:
-        """Return the probes ``rows``."""
-        return SolutionInputs(
-            self.cells.take(rows),
-            self.anchor[:, rows],
-            self.zero[rows],
-            self.stiffness[rows],
-            self.stand.take(rows),
-            self.pivot_mm[rows],
-            self.slid_mm[rows],
-            self.leaned_rad[rows],
-            self.drag_mm_rad,
-        )
-
 
 @dataclass(frozen=True, slots=True)
-class SupportLaw:
+class SupportLaw(Rows):
     """Residuals of the support laws and their derivatives.
 
     ``load_n`` (B, m); ``centre_mm`` (B, m, 2): position of the resultant; ``corner_mm`` and
@@ -127,15 +115,6 @@ class SupportLaw:
             reach_load=np.where(sliding, np.where(sliding, stand.mu[..., None], 0.0) * along, 0.0),
         )
 
-    def take(self, rows: NDArray[np.intp]) -> SupportLaw:
-        """Return the probes ``rows``."""
-        return SupportLaw(*(getattr(self, name)[rows] for name in self.__slots__))
-
-    def put(self, rows: NDArray[np.intp], by: SupportLaw) -> None:
-        """Overwrite the probes ``rows``."""
-        for name in self.__slots__:
-            getattr(self, name)[rows] = getattr(by, name)
-
     @property
     def size(self) -> FloatArray:
         """(B,) residual in N."""
@@ -168,22 +147,12 @@ VISCOUS = 1e-6  # keeps the Jacobian regular where face and table slide; not in 
 
 
 @dataclass(frozen=True, slots=True)
-class SupportSolution:
+class SupportSolution(Rows):
     """A trial solution: motion ``q`` (B, 6), supports, scaled ``residual`` (B,)."""
 
     q: FloatArray
     pose: SupportMotion
     residual: FloatArray
-
-    def replaced(self, rows: NDArray[np.intp], by: SupportSolution) -> SupportSolution:
-        """Return a copy in which the probes ``rows`` are those of ``by``."""
-        q, residual = self.q.copy(), self.residual.copy()
-        q[rows], residual[rows] = by.q, by.residual
-        return SupportSolution(q, self.pose.replaced(rows, by.pose), residual)
-
-    def take(self, rows: NDArray[np.intp]) -> SupportSolution:
-        """Return the probes ``rows``."""
-        return SupportSolution(self.q[rows], self.pose.take(rows), self.residual[rows])
 
 
 def solve_on_supports(
@@ -312,7 +281,7 @@ def _newton_step(held: SolutionInputs, edge_mm: FloatArray, rest: _ResidualTrial
 
 
 @dataclass(frozen=True, slots=True)
-class _ResidualTrial:
+class _ResidualTrial(BatchTrial):
     """A trial and its residuals: ``force`` (B, 6) of the piece in N and N·mm, and ``law``.
 
     ``size`` (B,): norm of both in N.
@@ -347,21 +316,6 @@ class _ResidualTrial:
             self.pose.rock_rad + rock.reshape(-1, m, 2),
             self.pose.slide_mm + slide.reshape(-1, m, 2),
         )
-
-    def take(self, rows: NDArray[np.intp]) -> _ResidualTrial:
-        """Return the probes ``rows``."""
-        now, law = self.now.take(rows), self.law.take(rows)
-        return _ResidualTrial(
-            self.q[rows], self.pose.take(rows), now, law, self.force[rows], self.size[rows]
-        )
-
-    def put(self, rows: NDArray[np.intp], by: _ResidualTrial) -> None:
-        """Overwrite the probes ``rows``."""
-        self.q[rows], self.force[rows], self.size[rows] = by.q, by.force, by.size
-        self.pose.rock_rad[rows] = by.pose.rock_rad
-        self.pose.slide_mm[rows] = by.pose.slide_mm
-        self.now.put(rows, by.now)
-        self.law.put(rows, by.law)
 
 
 def _jacobian(

@@ -29,6 +29,7 @@ from touchdown.backend.geometry import (
     polygon_edges,
     signed_distances_mm,
 )
+from touchdown.backend.simulation.rows import Rows
 
 _UNIT = np.eye(2)
 ON_MM = 1e-7
@@ -36,7 +37,7 @@ CORNER_MM = 0.01  # A point this near to the edges of both faces is a corner of 
 
 
 @dataclass(frozen=True, slots=True)
-class SupportArea:
+class SupportArea(Rows):
     """Overlaps of pairs of faces with leading axes (...): (B, m), or none for a single one.
 
     ``core_mm`` (..., 2 faces, v, 2) counter-clockwise, padded with copies of a corner; ``grown_mm``
@@ -59,10 +60,6 @@ class SupportArea:
         """Join along the first axis."""
         parts = _pad_areas(areas)
         return cls(*(np.concatenate([getattr(a, f.name) for a in parts]) for f in fields(cls)))
-
-    def take(self, index: NDArray[np.intp]) -> SupportArea:
-        """Return the probes ``index``."""
-        return SupportArea(self.core_mm[index], self.grown_mm[index], self.corner_mm[index])
 
     def nearest(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the nearest points (..., 2) of the areas, and their slope (..., 2, 2).
@@ -222,7 +219,7 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
-class SupportStack:
+class SupportStack(Rows):
     """Supports of the touched face of B probes: m interfaces each, lowest first, mm in ``O``.
 
     ``area`` (B, m): support area of each interface. ``height_mm`` (B, m): touched face above it.
@@ -245,14 +242,9 @@ class SupportStack:
         """Number m of interfaces."""
         return int(self.height_mm.shape[1])
 
-    def take(self, index: NDArray[np.intp]) -> SupportStack:
-        """Return the probes ``index``."""
-        parts = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "area"}
-        return SupportStack(area=self.area.take(index), **{k: v[index] for k, v in parts.items()})
-
 
 @dataclass(frozen=True, slots=True)
-class SupportMotion:
+class SupportMotion(Rows):
     """Motion of the bodies above each interface since the probe began.
 
     ``rock_rad`` (B, m, 2): rotation as the direction in which the top leans; ``slide_mm``
@@ -266,16 +258,6 @@ class SupportMotion:
     def upright(cls, count: int, interfaces: int) -> SupportMotion:
         """Return B stacks without motion."""
         return cls(np.zeros((count, interfaces, 2)), np.zeros((count, interfaces, 2)))
-
-    def take(self, index: NDArray[np.intp]) -> SupportMotion:
-        """Return the probes ``index``."""
-        return SupportMotion(self.rock_rad[index], self.slide_mm[index])
-
-    def replaced(self, index: NDArray[np.intp], by: SupportMotion) -> SupportMotion:
-        """Return a copy in which the probes ``index`` are those of ``by``."""
-        rock, slide = self.rock_rad.copy(), self.slide_mm.copy()
-        rock[index], slide[index] = by.rock_rad, by.slide_mm
-        return SupportMotion(rock, slide)
 
 
 def support_stack(bottoms: Tower, settings: SupportSettings) -> SupportStack | None:

@@ -1,1 +1,30 @@
-"""Public API."""
+"""Touchdown: feel how a grasped piece rests before letting it go.
+
+The public API. Frames: z points up; wrenches are those of the environment on the tool, so that
+Fz > 0 while the piece is pressed down. Units stand in the names (``_mm``, ``_n``, ``_s``, ``_px``,
+``_rad``). Names are imported when they are first used, so ``import touchdown`` is quick.
+
+Method: Ota, Jha, Jatavallabhula, Kanezaki, Tenenbaum, "Tactile Estimation of Extrinsic Contact
+Patch for Stable Placement", ICRA 2024, arXiv:2309.14552.
+"""
+
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from touchdown.backend import (
+        annotations,
+        bench,
+        config,
+        core,
+        exchange,
+        geometry,
+        learning,
+        runs,
+        sensing,
+    )
+
+__version__ = version("touchdown")
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

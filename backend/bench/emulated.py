@@ -1,7 +1,6 @@
 """Session on the emulated bench: real drivers on real wires, simulated physics.
 
-The same scenes and seeds as on the simulated bench; time is the wall clock, connecting takes
-seconds.
+Scenes and seeds are those of the simulated bench. Time is the wall clock; connecting takes seconds.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ import tempfile
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 
@@ -19,6 +17,7 @@ from touchdown.backend.bench.assembly import (
     SimulatedBenchChoice,
     SimulatedScoring,
     make_scene,
+    run_record,
 )
 from touchdown.backend.bench.emulated_child import EmulatedProcess
 from touchdown.backend.bench.emulated_scene import BENCH_FILE, DriverObservations, TruthClient
@@ -44,14 +43,13 @@ from touchdown.backend.runs import (
     models_folder,
 )
 from touchdown.backend.sensing import RawStreams, gripper_payload
-from touchdown.backend.simulation import Scene, start_command_mm
+from touchdown.backend.simulation import start_command_mm
 
 
 class EmulatedBench:
-    """Holds the session and, scene by scene, the emulated devices and their drivers.
+    """Session with the emulated devices and drivers of each scene. Close it when done.
 
-    ``plan``: what goes wrong, by the time since a scene was set; it may be changed between scenes.
-    Close it when done.
+    ``plan`` has the faults by the time since a scene was set; it may change between scenes.
     """
 
     def __init__(
@@ -89,16 +87,16 @@ class EmulatedBench:
         self.session.events.subscribe(recorder.note)
 
     def close(self) -> None:
-        """End the run, disconnect the drivers, then take the emulated devices away."""
+        """End the run, disconnect the drivers, then end the emulated devices."""
         self._process.end_if_still()
         self.session.close()
         self._present.close()
         self._process.close()
 
     def witnessed(self) -> DriverObservations | None:
-        """Return what the devices of the present scene have seen of their driver; None before.
+        """Return the driver behaviour that the devices observed, None before the first scene.
 
-        Raises ``OSError`` if they are gone.
+        Raises ``OSError`` if the devices are gone.
         """
         return None if self._truth is None else self._truth.witnessed()
 
@@ -149,7 +147,7 @@ class EmulatedBench:
             estimator=estimator,
             payload=gripper_payload(wrist.payload_kg, wrist.payload_com_mm),
             outline=scene.surface,
-            jig=_jig(scene),
+            jig=Pose(*start_command_mm(scene).tolist()) if scene.jig else None,
             wrench_late_s=1e-3 * hardware.ft.latency_ms + LATE_S,
             real_time=True,
         )
@@ -157,14 +155,12 @@ class EmulatedBench:
     def _check(self, choice: SceneChoice) -> Mapping[str, object]:
         scene = make_scene(self._catalogue, choice, self._settings)
         loaded = self._models.check(choice, scene.piece)
-        return {
+        bench = {
             "emulated": True,
             "simulation": self._settings.model_dump(mode="json"),
             "faults": self.plan.model_dump(mode="json"),
-            "model": loaded
-            and {"piece": loaded.card.piece, "weights_sha256": loaded.card.weights_sha256},
-            "program": version("touchdown"),
         }
+        return run_record(bench, loaded)
 
 
 @contextmanager
@@ -197,6 +193,14 @@ def emulated_bench(
     InputError
         If the preset or a file is invalid.
 
+    Examples
+    --------
+    Real time, with sockets and child processes:
+
+    >>> from touchdown.backend.runs import StackRequest
+    >>> with emulated_bench() as bench:  # doctest: +SKIP
+    ...     bench.run(StackRequest(seed=7)).trials[0].outcome
+
     """
     with EmulatedBench(
         SimulatedBenchChoice(preset=preset, pieces=pieces),
@@ -209,7 +213,3 @@ def emulated_bench(
             calibrations_folder(), "emulated", "--emulated"
         )
         yield bench.session
-
-
-def _jig(scene: Scene) -> Pose | None:
-    return Pose(*start_command_mm(scene).tolist()) if scene.jig else None

@@ -1,9 +1,9 @@
 """Session on one bench: its streams, its engine, its time.
 
-Streams, event bus, interlock and engine live as long as the session; the scene behind them
-(devices, world, clock) is built for every trial, so that a trial depends on nothing but its seed.
-``run`` drives the bench as fast as it computes; ``open`` paces the same bench against the wall
-clock on one thread. Both give the same events.
+Streams, event bus, interlock and engine live as long as the session. The scene (devices, world,
+clock) is built for every trial, so that a trial depends on its seed only. ``run`` steps the bench
+as fast as it computes; ``open`` paces the same bench against the wall clock on a thread. Both give
+the same events.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ from touchdown.backend.learning import ModelCard
 from touchdown.backend.placement import Estimator, SupportTower
 from touchdown.backend.rig import BenchConnection
 from touchdown.backend.runs import (
-    SET_S,
+    SCENE_TIMEOUT_S,
     Bench,
     DriftMonitor,
     DriftScene,
@@ -78,27 +78,26 @@ from touchdown.backend.runs import (
     SceneDevices,
     SceneFactory,
     SetRequest,
-    Used,
+    UsedCalibrations,
     calibration_metadata,
     calibrations_for,
     check_connected,
     check_devices,
     check_no_contact,
+    connect_stop,
     contact_height_mm,
     latch_device_faults,
     log_limit_change,
+    make_plan,
     payload_wrench,
-    plan_of,
-    wire_stop,
 )
 from touchdown.backend.sensing import LiveSensing, RawStreams, WrenchDrift
 
-STEP_US = 20_000
-"""The bench advances in steps of 20 ms: a cancel is seen within that time."""
+STEP_US = 20_000  # bench step, 20 ms: the delay of a cancel
+# Mode of recordings by the mode of the bench; anything else is a lab
 LIVE_MODES = {"simulated": "live simulation", "emulated": "emulated"}
-"""What recordings call a live bench, by its facts; anything else is a lab."""
+# Capacity: 7.7 s of images per finger (44 MB each) and 60 s of 1 kHz samples
 FRAME_CAPACITY, SAMPLE_CAPACITY = 192, 60_000
-"""Newest 7.7 s of images per finger (44 MB each) and 60 s of 1 kHz samples are kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +118,11 @@ class RunResult:
     run_folder : Path or None
         Folder with the event log and the episodes, None if the run was not kept.
 
+    Examples
+    --------
+    >>> RunResult().ending
+    'finished'
+
     """
 
     trials: tuple[TrialFinished, ...] = ()
@@ -129,7 +133,37 @@ class RunResult:
 
 
 class Session:
-    """A bench that can be run headless (``run``) or live (``open``, then ``engine``)."""
+    """One bench: simulated, emulated or of a laboratory. The only public face of a bench.
+
+    Scripts open one with ``simulated_bench``, ``emulated_bench`` or ``open_lab`` and call ``run``.
+    The window calls ``open``, then ``start``, ``stop``, ``reset``, ``answer`` and ``decide``.
+    A session is a context manager; leaving the block closes it.
+
+    Attributes
+    ----------
+    events : EventBus
+        Publishes every event; ``subscribe`` takes a callable.
+    interlock : Interlock
+        Stop latch, faults and limits.
+    engine : Engine
+        Pause, resume and cancel of the run in progress.
+    connection : BenchConnection or None
+        Connection of the devices of a laboratory, None where each scene has its own devices.
+    dataset : Dataset or None
+        Dataset that takes collected episodes; set it between runs.
+    calibrations : CalibrationStore or None
+        Calibrations of the bench; set before the first scene.
+    simulated : bool
+        Whether the bench is simulated, without any device or wire.
+
+    Examples
+    --------
+    >>> from touchdown.backend.bench import simulated_bench
+    >>> with simulated_bench() as bench:
+    ...     bench.simulated
+    True
+
+    """
 
     def __init__(
         self,
@@ -147,17 +181,14 @@ class Session:
         self.run_id, self.mode = "", ""  # of the last run
         self.limits_source, self.usual = "the program itself", SceneChoice()
         self.resources = ExitStack()  # closed after everything else
+        # Devices that outlive every scene, None if each scene has its own
         self.connection: BenchConnection | None = None
-        """Devices that outlive every scene (None: each scene has its own)."""
         self.events, self.interlock, self.gate = EventBus(), Interlock(), OperatorPrompt()
-        self.hush = RepaintHold()
-        """Whoever shares this interpreter draws nothing while it is on."""
+        self.hush = RepaintHold()  # holds repaints while a decision is computed
         self.decisions = PendingDecision()
-        self.dataset: Dataset | None = None
-        """Takes what is collected; set while no run goes on."""
-        self.calibrations: CalibrationStore | None = None
-        """What the bench knows about itself; set before its scene."""
-        self._used: Used = {}
+        self.dataset: Dataset | None = None  # collected episodes; set only between runs
+        self.calibrations: CalibrationStore | None = None  # set before the first scene
+        self._used: UsedCalibrations = {}
         self.frames: Mapping[Finger, Stream[TactileFrame]] = {
             finger: Stream(f"tactile_{finger}", FRAME_CAPACITY) for finger in FINGERS
         }
@@ -185,7 +216,7 @@ class Session:
 
     @property
     def devices(self) -> Mapping[str, Device]:
-        """The five devices by name; of a simulated bench those of the scene, once there is one."""
+        """The five devices by name; on a simulated bench those of the present scene."""
         if self._scene is not None:
             return self._stage.devices
         return {} if self.connection is None else self.connection.devices
@@ -197,22 +228,22 @@ class Session:
 
     @property
     def still_s(self) -> float:
-        """For how long the live bench has made no step."""
+        """Time since the last step of the live bench, s."""
         return self._live.still_s
 
     @property
     def run_folder(self) -> Path | None:
-        """Folder of the last run, None if it is not kept."""
+        """Folder of the last run, None if it was not kept."""
         return self._recorder.folder
 
     @property
     def hand(self) -> ManualControl | None:
-        """What the operator does by hand on the present scene (None before the first)."""
+        """Manual control of the present scene, None before the first one."""
         return None if self._scene is None else self._hand
 
     @property
     def model(self) -> ModelCard | None:
-        """What reads the probes of the present scene (None where no model does)."""
+        """Card of the model that estimates contact on the present scene, None without one."""
         estimator = None if self._scene is None else self._scene.estimator
         return estimator.card if isinstance(estimator, Estimator) else None
 
@@ -223,7 +254,7 @@ class Session:
 
     @property
     def drift(self) -> WrenchDrift | None:
-        """By how much the wrist sensor drifted, None while that is not known."""
+        """Drift of the wrist sensor, None while it is unknown."""
         return None if self._scene is None else self._scene.sensing.drift
 
     def clock_s(self) -> float:
@@ -235,7 +266,10 @@ class Session:
         return self.engine.status()
 
     def start(self, request: Request) -> None:
-        """Begin a run (live); raises ``RefusedError`` while another goes on or after STOP."""
+        """Begin a run on the live bench; returns at once.
+
+        Raises ``RefusedError`` while another run is in progress or after a stop.
+        """
         self._refuse_busy()
         if self.interlock.recovering:
             raise RefusedError("RECOVERY", "After a fault: jog away from contact first.")
@@ -296,16 +330,16 @@ class Session:
         )
 
     def stop(self) -> None:
-        """STOP: latch, halt arm and gripper, end the run. Legal always; returns at once."""
+        """STOP: latch, halt arm and gripper, end the run. Always allowed; returns at once."""
         self.interlock.stop()
 
     def reset(self) -> None:
-        """Clear latch and faults after the operator looked; nothing moves."""
+        """Clear latch and faults after the operator checked the bench; nothing moves."""
         self.interlock.reset()
         self.events.publish(FaultsReset(self.clock_s()))
 
     def answer(self, yes: bool) -> None:
-        """Approve or decline the action that waits."""
+        """Approve or decline the pending action."""
         self.gate.answer(yes)
 
     def decide(self, decision: EpisodeDecision) -> None:
@@ -313,7 +347,7 @@ class Session:
         self.decisions.give(decision)
 
     def prepare(self, choice: SceneChoice) -> None:
-        """Set a scene without starting a run, so that a live view has something to show."""
+        """Set a scene without starting a run, for a live view."""
         self._set_scene(choice)
 
     def connect(self, *, home: bool = False) -> None:
@@ -344,18 +378,18 @@ class Session:
         check_connected(self.connection)
 
     def join(self, connection: BenchConnection, name: str, limits: Limits, source: str) -> None:
-        """Take the devices of lab ``name``, which outlive every scene; STOP reaches them now."""
+        """Take the devices of lab ``name``, which outlive every scene, and connect STOP to them."""
         self.connection, self.name, self.limits_source = connection, name, source
         self.interlock.change_limits(limits, self.clock_s())
-        wire_stop(connection, self.interlock)
+        connect_stop(connection, self.interlock)
 
     def leave_scene(self) -> None:
-        """Let nothing move until a scene is set again: a device will be disconnected."""
+        """Block all motion until a scene is set again, before a device is disconnected."""
         self._refuse_busy()
         self._scene = None
 
     def home_gripper(self) -> None:
-        """Home the gripper, whose jaws must be empty; raises ``RefusedError``."""
+        """Home the empty gripper; raises ``RefusedError``."""
         self._refuse_busy()
         if self.interlock.latched:
             raise RefusedError("LATCHED", "The bench is stopped: press Reset first.")
@@ -363,9 +397,9 @@ class Session:
             self.connection.home()
 
     def change_limits(self, limits: Limits, person: str) -> None:
-        """Take other limits, between motions, once the change is durable in the limit journal.
+        """Set other limits between motions, once the change is durable in the limit log.
 
-        Raises ``RefusedError`` while something moves, ``InputError`` where the disk refuses.
+        Raises ``RefusedError`` while something moves, ``InputError`` if the log cannot be written.
         """
         self._refuse_busy()
         if self._keep.runs is not None:
@@ -376,7 +410,7 @@ class Session:
     # -- time -------------------------------------------------------------------------------------
 
     def advance(self) -> None:
-        """Move the bench by one step and process what the sensors delivered."""
+        """Advance the bench by one step and process the samples."""
         latch_device_faults(self.devices.values(), self.interlock)
         if (scene := self._scene) is not None:
             self._hand.tick()
@@ -388,7 +422,7 @@ class Session:
             self._teller.tell()
 
     def open(self, speed: float = 1.0) -> None:
-        """Start the live thread; ``speed`` simulated seconds per wall second."""
+        """Start the live thread; ``speed`` is simulated seconds per wall second."""
         self._live.open(speed)
 
     def close(self) -> None:
@@ -427,10 +461,10 @@ class Session:
         self.run_id = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
         stepped = self.simulated and not self._live.running
         self.mode = "stepped" if stepped else LIVE_MODES.get(self.facts.mode, "lab")
-        return plan_of(request, self)
+        return make_plan(request, self)
 
     def _wall_s(self) -> float:
-        """Return the clock of whoever holds a button: the wall's while live, else the bench's."""
+        """Return the clock of the jog lease: the wall clock while live, else the bench clock."""
         return time.monotonic() if self._live.running else self.clock_s()
 
     # -- for plans --------------------------------------------------------------------------------
@@ -466,11 +500,11 @@ class Session:
             placed=calibrated_positions(self._used),
         )
 
-    @blocking_section("sets the scene", SET_S)
-    def _set_scene(self, choice: SceneChoice, used: Used | None = None) -> Bench:
-        """Build the scene and let its sensors start; ``used``: what a run was checked with."""
+    @blocking_section("sets the scene", SCENE_TIMEOUT_S)
+    def _set_scene(self, choice: SceneChoice, used: UsedCalibrations | None = None) -> Bench:
+        """Build the scene and start its sensors; ``used`` are the calibrations of the run."""
         self.interlock.forget_stoppers()
-        wire_stop(self.connection, self.interlock)
+        connect_stop(self.connection, self.interlock)
         for finger in FINGERS:
             self.frames[finger].clear()
             self.fields[finger].clear()

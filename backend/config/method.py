@@ -175,7 +175,21 @@ class CollectSettings(Settings):
 
 
 class StackSettings(Settings):
-    """Settings of the stacking loop; recorded with every run."""
+    """Settings of the stacking loop, recorded with every run.
+
+    Attributes
+    ----------
+    probe, belief, stability, policy, release : Settings
+        Groups of settings, a class each; units stand in the names of the fields.
+    strategy : str
+        Strategy of the decisions.
+
+    Examples
+    --------
+    >>> StackSettings().probe.duration_s
+    2.0
+
+    """
 
     probe: ProbeSettings = ProbeSettings()
     belief: BeliefSettings = BeliefSettings()

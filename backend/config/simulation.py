@@ -107,7 +107,21 @@ class SpreadSettings(Settings):
 
 
 class SimulationSettings(Settings):
-    """The simulated bench; ``preset`` gives the defaults, other keys override them."""
+    """Settings of the simulated bench. ``preset`` gives the defaults, other keys override them.
+
+    Attributes
+    ----------
+    preset : {"mixed", "quiet", "hard", "off", "realistic", "bench-v1"}
+        Named set of nuisances.
+    cycle_us : int
+        Control cycle of the arm, microseconds.
+
+    Examples
+    --------
+    >>> SimulationSettings(preset="quiet").preset
+    'quiet'
+
+    """
 
     preset: Preset = "mixed"
     cycle_us: Annotated[int, Field(gt=0)] = 10_000

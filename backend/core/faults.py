@@ -20,6 +20,7 @@ class TouchdownError(Exception):
     --------
     >>> issubclass(InputError, TouchdownError)
     True
+
     """
 
 
@@ -78,6 +79,7 @@ class FaultError(TouchdownError):
     >>> error = FaultError(Fault("FT-LINK", "The sensor is silent.", "The run ended.", "Check it."))
     >>> error.fault.code
     'FT-LINK'
+
     """
 
     def __init__(self, fault: Fault) -> None:
@@ -98,7 +100,8 @@ class RefusedError(TouchdownError):
     Examples
     --------
     >>> str(RefusedError("BUSY", "A run is in progress."))
-    'BUSY: A run is in progress.'
+    'A run is in progress. [BUSY]'
+
     """
 
     def __init__(self, reason: str, what: str, next_step: str = "") -> None:

@@ -81,7 +81,24 @@ class ExportFormat:
 
 @dataclass(frozen=True, slots=True)
 class ExportResult:
-    """Result of an export: folder, number of episodes, hash of the manifest, warnings."""
+    """Result of an export.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder that holds the export.
+    episodes : int
+        Number of exported episodes.
+    manifest_sha256 : str
+        Hash of ``manifest.json``.
+    warnings : tuple of str
+        Restrictions of the export, a sentence each.
+
+    Examples
+    --------
+    >>> ExportResult(Path("out"), 12, "", ()).episodes
+    12
+    """
 
     folder: Path
     episodes: int

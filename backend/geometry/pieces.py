@@ -243,9 +243,28 @@ class PieceLibrary:
 
 
 def load_pieces(folder: Path | None = None) -> PieceLibrary:
-    """Read the shipped pieces and those of ``folder``.
+    """Read the shipped pieces and those of a folder.
 
-    Raises one ``InputError`` with file, key and reason for the first bad file.
+    Parameters
+    ----------
+    folder : Path, optional
+        Folder with further piece files (TOML).
+
+    Returns
+    -------
+    PieceLibrary
+        Pieces by name; ``tops`` can be grasped, ``bottoms`` can be touched.
+
+    Raises
+    ------
+    InputError
+        For the first invalid file, with file, key and reason.
+
+    Examples
+    --------
+    >>> load_pieces().tops
+    ('barrel', 'mug', 'mushroom', 'pot')
+
     """
     pieces = dict(_shipped_pieces())
     if folder is not None:

@@ -47,7 +47,28 @@ class NetworkSizes(BaseModel):
 
 
 class ModelCard(BaseModel):
-    """Model card: architecture, training and evaluation of the weights."""
+    """Card of a checkpoint: the network, its data, its training and its scores.
+
+    Attributes
+    ----------
+    arch, hyper
+        Architecture of the network and its sizes.
+    modality : {"FT", "Tac", "FT+Tac"}
+        Signals that the network reads.
+    piece : str
+        Piece whose face the network describes.
+    base_rate : float
+        Share of face points in contact over the training data.
+    weights_sha256 : str
+        Hash of the weights.
+
+    Examples
+    --------
+    >>> from touchdown.backend.bench import shipped_model
+    >>> from touchdown.backend.learning import load_checkpoint
+    >>> load_checkpoint(shipped_model("pot")).card.piece
+    'pot'
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     format: Literal["touchdown-model/1"] = "touchdown-model/1"

@@ -92,10 +92,30 @@ def calibration_error(bins: Sequence[ReliabilityBin]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationScores:
-    """Scores over ``episodes`` samples; stability is judged from one probe (n = 1).
+    """Scores of a model over ``episodes`` probes. Stability is judged from a single probe (n = 1).
 
-    ``base_rate``: accuracy of always predicting the more frequent class. ``unsafe``: share of the
-    truly unstable samples predicted as stable (NaN if there are none).
+    Attributes
+    ----------
+    episodes : int
+        Number of probes.
+    iou : float
+        Mean intersection over union of predicted and true contact patch, 0 to 1.
+    point_accuracy : float
+        Share of face points classified correctly, 0 to 1.
+    stability_accuracy : float
+        Share of probes whose stability is judged correctly, 0 to 1.
+    stability_interval : tuple of float
+        95 % Wilson interval of ``stability_accuracy``.
+    base_rate : float
+        Accuracy of always giving the commoner answer.
+    unsafe : float
+        Share of the unstable probes that are called stable, NaN without unstable probes.
+
+    Examples
+    --------
+    >>> scores = EvaluationScores(2, 0.7, 0.9, 1.0, (0.34, 1.0), 0.5, 0.0)
+    >>> scores.as_json()["episodes"]
+    2
     """
 
     episodes: int

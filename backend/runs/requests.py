@@ -14,20 +14,19 @@ from touchdown.backend.core import PlaceAction
 
 StrategyChoice = StrategyName
 DecisionMode = Literal["auto", "approve", "step"]
-GRIPS = 3
-"""So many grips at least does a campaign make by default: fewer do not show what a grip does."""
+GRIPS = 3  # default minimum of grips in a campaign: fewer do not show the effect of a grip
+# Default minimum of mountings; each is a series, and a model is tested on unseen series
 MOUNTINGS = 3
-"""On so many mountings at least, each a series: a model is measured on series it never saw."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneChoice:
-    """What stands on the bench: ``piece`` above ``bottoms`` (bottom-up; the last one is touched).
+    """Scene of a bench: ``piece`` above ``bottoms`` (bottom-up; the last one is touched).
 
     ``model`` is a checkpoint file, None for the one in use; without ``estimates`` none is loaded.
-    ``alone``: nobody is asked before a move, so the model has to fit the bench.
-    With ``jig`` the piece is taken from its jig beside the bottom; ``mounting`` counts the fittings
-    of bottom and gels. ``handed``: from a hand at that place, which holds it less well.
+    ``alone``: no move needs approval, so the model must fit the bench. With ``jig`` the piece is
+    taken from its jig beside the bottom; ``mounting`` counts the fittings of bottom and gels.
+    ``handed``: the operator hands the piece over there, with less precision.
     """
 
     piece: str = "pot"
@@ -43,10 +42,33 @@ class SceneChoice:
 
 @dataclass(frozen=True, slots=True)
 class StackRequest:
-    """Stack ``piece`` on ``bottoms`` (bottom-up; the last one is touched) ``trials`` times.
+    """Stack ``piece`` on ``bottoms`` a number of times.
 
-    Trial k uses ``seed + k``. ``model`` is a checkpoint file, None for the one in use.
-    ``origin_mm``: on devices, where the centre of the bottom is for the arm.
+    Parameters
+    ----------
+    piece : str, default: "pot"
+        Name of the grasped piece.
+    bottoms : tuple of str, default: ("short",)
+        Names of the support, bottom-up; the last one is touched.
+    seed : int, default: 0
+        Trial k = 0, 1, ... uses ``seed + k``.
+    trials : int, default: 1
+        Number of trials.
+    strategy : {"paper", "fused", "zero-wrench", "pick-and-place"}, default: "paper"
+        Strategy of the decisions; "pick-and-place" on simulated benches only.
+    mode : {"auto", "approve", "step"}, default: "auto"
+        Moves without approval, or each after ``Session.answer(True)``.
+    model : str, optional
+        Checkpoint file; the model in use otherwise.
+    origin_mm : tuple of float, default: (0, 0)
+        On devices: centre of the bottom in the arm's frame, mm.
+
+    Examples
+    --------
+    >>> request = StackRequest(piece="pot", bottoms=("short", "long"), strategy="fused", trials=3)
+    >>> [request.scene(trial).seed for trial in range(3)]
+    [0, 1, 2]
+
     """
 
     piece: str = "pot"
@@ -67,34 +89,63 @@ class StackRequest:
         )  # fmt: skip
 
     def method(self, base: StackSettings) -> StackSettings:
-        """Return the settings of this run, laid over those of the bench."""
+        """Return ``base`` with the settings of this run."""
         return base.model_copy(update={"strategy": self.strategy, "mode": self.mode})
 
 
 @dataclass(frozen=True, slots=True)
 class ProbeRequest:
-    """Probe once at the present place of the present scene; an empty gripper grips first."""
+    """Probe once at the present pose of the present scene; an empty gripper grips first."""
 
 
 @dataclass(frozen=True, slots=True)
 class SetRequest:
-    """Set the simulated bench anew; nothing moves."""
+    """Set a new scene on a simulated bench; nothing moves."""
 
     choice: SceneChoice
 
 
 @dataclass(frozen=True, slots=True)
 class CollectRequest:
-    """Collect ``count`` labelled probes of ``piece`` on ``bottom`` into the session's dataset.
+    """Collect labelled probes of ``piece`` on ``bottom`` into the dataset of the session.
 
-    ``within_mm`` limits displacements along x and y. ``origin_mm``: where the centre of the bottom
-    is for the arm, with its standard uncertainty (None: that of the settings). ``campaign`` goes on
-    with a former one, whose plan then holds instead. With ``ask`` the run waits for a decision
-    after every probe. ``check_origin``: probe at known displacements after every mounting.
-    ``probes_per_grip``: at most so many (None: as the settings say, and so few that the campaign
-    has ``GRIPS`` grips). ``grips_per_mounting``: alike (None: so few that it has ``MOUNTINGS``
-    mountings, where it has so many grips). ``hand_over``: the operator hands the piece to the
-    gripper where it is, as on every bench without a taught jig, and fits each mounting anew.
+    Parameters
+    ----------
+    piece, bottom : str
+        Names of the grasped piece and of the touched bottom.
+    count : int, default: 20
+        Number of probes of the campaign.
+    seed : int, default: 0
+        Seed of the planned displacements.
+    pattern : {"random", "grid", "adaptive"}, default: "random"
+        Distribution of the displacements.
+    person : str
+        Name of the operator; must not be empty.
+    within_mm : float, optional
+        Largest displacement along x and y.
+    origin_mm : tuple of float, default: (0, 0)
+        Centre of the bottom in the arm's frame, mm.
+    origin_sigma_mm : float, optional
+        Standard uncertainty of the origin; that of the settings otherwise.
+    check_origin : bool, default: False
+        Probe the edges of the bottom after every mounting.
+    campaign : str, optional
+        Identifier of a campaign to continue; its plan replaces the values above.
+    ask : bool, default: False
+        Wait for a decision after every probe.
+    probes_per_grip : int, optional
+        Most probes per grip. Without it the settings, and few enough for ``GRIPS`` grips.
+    grips_per_mounting : int, optional
+        Most grips per mounting. Without it the settings, and few enough for ``MOUNTINGS``.
+    hand_over : bool, default: False
+        The operator hands the piece to the gripper and refits each mounting, as on every bench
+        without a taught jig.
+
+    Examples
+    --------
+    >>> CollectRequest(piece="pot", bottom="circle15", count=30, person="ann").count
+    30
+
     """
 
     piece: str = "pot"
@@ -114,7 +165,7 @@ class CollectRequest:
     hand_over: bool = False
 
     def method(self, base: StackSettings) -> StackSettings:
-        """Return the settings of this run, laid over those of the bench."""
+        """Return ``base`` with the settings of this run."""
         probes, grips, most = self.probes_per_grip, self.grips_per_mounting, base.collect
         if probes is None:
             probes = min(most.probes_per_grip, max(1, -(-self.count // GRIPS)))
@@ -136,8 +187,8 @@ class CollectRequest:
 class CalibrateRequest:
     """Measure calibration ``what``; board, tool and camera hold ``piece`` over ``bottom``.
 
-    ``origin_mm``: where the centre of the bottom is for the arm. ``hand_over`` as in
-    ``CollectRequest``. ``pitch_mm`` of the dots of the gel.
+    ``origin_mm`` is the centre of the bottom in the arm's frame. ``hand_over`` as in
+    ``CollectRequest``. ``pitch_mm`` is the pitch of the gel markers.
     """
 
     what: CalibrationName
@@ -150,7 +201,7 @@ class CalibrateRequest:
 
     @property
     def takes_piece(self) -> bool:
-        """Whether a piece is held meanwhile."""
+        """Whether a piece is held during the measurement."""
         return self.what not in ("payload", "wrist")
 
     def scene(self) -> SceneChoice:
@@ -161,7 +212,6 @@ class CalibrateRequest:
 
 
 Request = StackRequest | ProbeRequest | CollectRequest | SetRequest | CalibrateRequest
-"""Everything that a session can run; ``touchdown.backend.runs.plans`` knows the plan of each."""
 
 
 class RunState(Enum):
@@ -178,10 +228,10 @@ class RunState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class RunStatus:
-    """A snapshot of the engine, taken under its lock.
+    """Snapshot of the engine, taken under its lock.
 
-    ``probe`` is the one begun last, ``felt`` the last one that gave an estimate. ``asks``: what the
-    run waits for at the operator's hand or eye; ``awaiting``: for a yes to this action.
+    ``probe`` is the newest probe, ``felt`` the newest one with an estimate. ``asks`` is the manual
+    step or observation that the run waits for, ``awaiting`` the action that waits for approval.
     """
 
     state: RunState
@@ -197,7 +247,7 @@ class RunStatus:
 
 
 def request_record(request: Request, method: StackSettings, bench: Mapping[str, object]) -> str:
-    """Return request, method and ``bench`` (what the host's check told) as JSON."""
+    """Return request, method and ``bench`` (see ``RunContext.check_scene``) as JSON."""
     return json.dumps(
         {"request": asdict(request), "method": method.model_dump(mode="json"), **bench}
     )

@@ -32,7 +32,7 @@ from touchdown.backend.runs import CalibrateRequest
 from touchdown.widgets.base import CaptionedView, Theme, label, rule, set_property, ui_font
 from touchdown.widgets.forms import inset_spin_boxes
 from touchdown.widgets.plots import draw_message
-from touchdown.widgets.views import LEAST, TactileView
+from touchdown.widgets.views import MIN_SIZE, TactileView
 
 MOST_BARS = 126
 
@@ -361,7 +361,7 @@ class CalibrateSheet(QDialog):
         pair = QHBoxLayout(self._pictures)
         pair.setContentsMargins(0, 0, 0, 0)
         for finger, view in self.fingers.items():
-            view.setFixedSize(LEAST)
+            view.setFixedSize(MIN_SIZE)
             pair.addWidget(CaptionedView(f"{finger.capitalize()} finger", view))
         seen = QHBoxLayout()
         seen.addWidget(self._pictures)

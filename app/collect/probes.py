@@ -19,7 +19,7 @@ from touchdown.backend.runs import (
     read_probe_summary,
 )
 from touchdown.widgets.lists import EpisodeTableRow
-from touchdown.widgets.plots import Bins, DistributionScene, reach_of
+from touchdown.widgets.plots import BinCounts, DistributionScene, reach_of
 
 # Signals that colour the distribution, in the order of ``ProbeCollected.signals``.
 SIGNALS: tuple[tuple[str, str, float], ...] = (
@@ -144,7 +144,7 @@ class PairProbes:
     def bins(self, chosen: str) -> DistributionScene:
         """Return counts per bin."""
         seen = self.covered
-        bins = Bins(seen.counts, seen.possible, seen.centre_mm(0, 0), seen.bin_mm)
+        bins = BinCounts(seen.counts, seen.possible, seen.centre_mm(0, 0), seen.bin_mm)
         return replace(self._scene(self.shown(), chosen), bins=bins, title="episodes per bin")
 
     def _scene(self, shown: Sequence[ProbeRecord], chosen: str) -> DistributionScene:

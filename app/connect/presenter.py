@@ -21,12 +21,12 @@ from touchdown.backend.core import RefusedError
 from touchdown.backend.devices import CONNECTION_STEPS
 from touchdown.backend.rig import BenchConnection, DeviceStatus
 from touchdown.widgets.base import Theme
-from touchdown.widgets.shell import CHIPS, FaultCards
+from touchdown.widgets.shell import DEVICE_CHIPS, FaultCards
 
 PERIOD_S = 0.1
-TITLES = dict(CHIPS)
+TITLES = dict(DEVICE_CHIPS)
 EXTRA = {"": "", "home": "Home", "acknowledge": "Acknowledge"}
-NOTHING_MOVES = "Nothing moves while connecting. The arm is switched on last, and stands."
+NOTHING_MOVES = "Nothing moves while connecting. The arm is switched on last and does not move."
 
 
 class ConnectPresenter:

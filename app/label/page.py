@@ -22,7 +22,7 @@ from touchdown.widgets.base import (
 )
 from touchdown.widgets.forms import ChoiceBar
 from touchdown.widgets.lists import LabelList
-from touchdown.widgets.plots import NAMES, PhasePlot, RecordedTraces
+from touchdown.widgets.plots import CHANNEL_NAMES, PhasePlot, RecordedTraces
 from touchdown.widgets.shell import StateStrip, UnsavedBanner
 from touchdown.widgets.views import FilmView, OffsetView, SceneShotView
 
@@ -32,12 +32,12 @@ class DatasetHealthPanel(QWidget):
 
     def __init__(self, look: Callable[[], None], choose: Callable[[int], None]) -> None:
         super().__init__()
-        self.said = label("Nothing was looked through yet.", "muted", wrap=True)
+        self.said = label("The dataset was not checked yet.", "muted", wrap=True)
         self.list = QListWidget()
         self.list.setAccessibleName("Findings of the dataset")
         WrappedItemDelegate(self.list)
-        self.look = QPushButton("Look through the dataset")
-        self.look.setToolTip("Look for what is out of order in all episodes (Ctrl+H)")
+        self.look = QPushButton("Check the dataset")
+        self.look.setToolTip("Check all episodes of the dataset (Ctrl+H)")
         self.look.clicked.connect(look)
         self.list.itemClicked.connect(lambda item: choose(self.list.row(item)))
         self.list.itemActivated.connect(lambda item: choose(self.list.row(item)))
@@ -70,7 +70,7 @@ class EmptyState:
 CHOOSE_OTHER_QUEUE = "Choose another queue (Ctrl+J)", "queue"
 SCORE_DATASET = "Let the model score the dataset (Ctrl+M)", "score"
 NO_PERSON = EmptyState(
-    "Nobody is named yet",
+    "No person is named yet",
     "What is to be labelled depends on who labels.",
     "Give your name (Ctrl+U)",
     "person",
@@ -109,7 +109,7 @@ EMPTY_QUEUES = {
     },
 }
 EMPTY_QUEUE = EmptyState(
-    "Nothing is in this queue", "No episode is what it asks for.", *CHOOSE_OTHER_QUEUE
+    "Nothing is in this queue", "No episode belongs to this queue.", *CHOOSE_OTHER_QUEUE
 )
 
 
@@ -218,7 +218,7 @@ class LabelPage(QWidget):
         self.forces = RecordedTraces(theme, FORCES, self.show_cursor)
         self.moments = RecordedTraces(theme, MOMENTS, self.show_cursor)
         self.phase = PhasePlot(theme)
-        pairs = [f"{NAMES[a]} with {NAMES[b]}" for a, b in PAIRS]
+        pairs = [f"{CHANNEL_NAMES[a]} with {CHANNEL_NAMES[b]}" for a, b in PAIRS]
         self.curves = _choice("Curves on one axis", ["Forces, moments", *pairs])
         self.person = QPushButton("nobody")
         self.person.setToolTip("Who labels (Ctrl+U)")
@@ -377,7 +377,7 @@ class LabelPage(QWidget):
 
     def show_nobody(self) -> None:
         """Show that a person must be named first."""
-        self.queue_panel.detail.setText("nobody is named")
+        self.queue_panel.detail.setText("no person is named")
         self.show_nothing(NO_PERSON)
         self.say("")
 

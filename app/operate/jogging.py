@@ -44,7 +44,7 @@ from touchdown.backend.devices import (
     turns,
 )
 from touchdown.backend.runs import ManualControl, SceneChoice, SetRequest
-from touchdown.widgets.forms import JOINTS, JogPad, JogUnit, PoseView
+from touchdown.widgets.forms import JOINTS, JogPad, JogUnit, PoseReadout
 from touchdown.widgets.shell import CardQuestion, FaultCards
 
 PERIOD_S = 0.1
@@ -192,17 +192,17 @@ class ManualControlPresenter:
             return "The servo is off: hold Servo in the top bar for 1 s"
         return "A run is going on" if is_run_active(self._bench) else ""
 
-    def _look(self) -> PoseView:
+    def _look(self) -> PoseReadout:
         arm, hand = self._bench.devices.get("arm"), self._bench.hand
         if arm is None or hand is None:
-            return PoseView()
+            return PoseReadout()
         try:
             t_s, _ = _arm(arm).poses.latest(self._bench.clock_s(), float("inf"))
             pose = _arm(arm).pose(float("inf"))
             text = self._pose_text(_arm(arm), pose)
             rooms = hand.jog.rooms(self._frame())
         except (StaleSampleError, RefusedError):
-            return PoseView()
+            return PoseReadout()
         slow = hand.jog.state.slow
         recovering, turned = self._bench.interlock.recovering, rotation_angle_rad(pose) > 0.0
         note = "Recovery: jog away from contact" if recovering else self._contact(hand)
@@ -218,7 +218,7 @@ class ManualControlPresenter:
             note = f"{self._jog_speed(hand)}: {slow}"
         age_s = max(self._bench.clock_s() - t_s, 0.0)
         said = tuple((what, _room_words(what, room)) for what, room in rooms.items())
-        return PoseView(text, age_s, said, note, warn=warn, turned=turned)
+        return PoseReadout(text, age_s, said, note, warn=warn, turned=turned)
 
     def _pose_text(self, arm: Arm, pose: Pose) -> str:
         """Return the pose of the hand in the terms of the visible pads."""

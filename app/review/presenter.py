@@ -27,7 +27,7 @@ from touchdown.app.shell import RunStory, SaveWorker, TrialStory, run_score
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import EVENT_LOG_NAME
 from touchdown.widgets.shell import CardText, FaultCards
-from touchdown.widgets.views import WORDS, DecisionText
+from touchdown.widgets.views import OUTCOME_WORDS, DecisionText
 
 # Longer lists use the height of their first row for all: measuring 10,000 takes 1 s.
 MOST_MEASURED = 500
@@ -275,7 +275,7 @@ class ReviewPresenter:
 
 
 def _trial_title(trial: TrialStory) -> str:
-    word = "not finished" if trial.finished is None else WORDS[trial.finished.outcome]
+    word = "not finished" if trial.finished is None else OUTCOME_WORDS[trial.finished.outcome]
     if trial.excuse:
         word += f" by {trial.excuse}, not counted"
     probes = "1 probe" if len(trial.probes) == 1 else f"{len(trial.probes)} probes"

@@ -34,7 +34,7 @@ from touchdown.backend.core import (
 from touchdown.backend.geometry import Outline, PieceLibrary, load_pieces
 from touchdown.backend.runs import EVENT_LOG_NAME, decode_event, event_log_path, read_events
 from touchdown.widgets.lists import RecordingRow
-from touchdown.widgets.views import WORDS
+from touchdown.widgets.views import OUTCOME_WORDS
 
 # Start of the log lines that are read here; other lines are skipped.
 _STARTS = tuple(
@@ -99,8 +99,10 @@ def activity_text(head: RunStarted) -> list[str]:
 def _outcome_counts(outcomes: tuple[Outcome, ...]) -> list[str]:
     """Return the single outcome, or the count of each."""
     if len(outcomes) == 1:
-        return [WORDS[outcomes[0]]]
-    return [f"{count} {WORDS[outcome]}" for outcome, count in Counter(outcomes).most_common()]
+        return [OUTCOME_WORDS[outcomes[0]]]
+    return [
+        f"{count} {OUTCOME_WORDS[outcome]}" for outcome, count in Counter(outcomes).most_common()
+    ]
 
 
 MOST_DESCRIBED = 50  # number of the newest runs that are described at once; older ones on demand

@@ -12,10 +12,10 @@ from touchdown.app.review.timing import TOUCHING, PatchScore, TrialTimeline
 from touchdown.app.shell import TrialStory, belief_scene, true_patch_outline, unprobed_scene
 from touchdown.backend.core import FloatArray, Said, TrialFinished
 from touchdown.backend.geometry import Outline
-from touchdown.widgets.plots import NOTHING
+from touchdown.widgets.plots import NO_WRENCH
 from touchdown.widgets.views import (
     NO_PROBES,
-    WORDS,
+    OUTCOME_WORDS,
     BeliefScene,
     DecisionText,
     TimeScene,
@@ -78,7 +78,7 @@ class ReplayPresenter:
         self._page.story.clear()
         self._page.story.addItems([text for _, text in lines] or list(told))
         self._page.signals_panel.detail.setText("")
-        why = NOTHING if trial is not None else NO_RECORDING.verdict
+        why = NO_WRENCH if trial is not None else NO_RECORDING.verdict
         for view in (self._page.forces, self._page.moments):
             view.show_trace(None, why=why)
         self._show_strip()
@@ -221,7 +221,7 @@ def _line(event: object) -> str:
     if isinstance(event, Said):
         return event.text
     if isinstance(event, TrialFinished):
-        return f"{WORDS[event.outcome].capitalize()}: {event.reason}"
+        return f"{OUTCOME_WORDS[event.outcome].capitalize()}: {event.reason}"
     return ""
 
 

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
 
 from touchdown.app.shell.layouts import Entry
 from touchdown.app.shell.workspace import WindowCommand, Workspace
-from touchdown.widgets.forms import BESIDE
+from touchdown.widgets.forms import ACTIVE_DURING_QUESTION
 from touchdown.widgets.shell import CommandPalette, KeyDialog, KeySheet, PaletteEntry
 
 EVERYWHERE_CONTEXT = ""
@@ -211,7 +211,7 @@ class _BoundCommand:
         self._run_command = row.command.run
         self.action = QAction(row.text, window)
         self.action.setAutoRepeat(row.command.repeats)
-        self.action.setProperty(BESIDE, row.command.beside)
+        self.action.setProperty(ACTIVE_DURING_QUESTION, row.command.beside)
         self.action.triggered.connect(self._run)
         self.action.setEnabled(on)
         self.take(row)

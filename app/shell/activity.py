@@ -13,7 +13,7 @@ from touchdown.backend.core import FaultError, Refused, Said
 from touchdown.backend.devices import NAMES, Device, RobotMode
 from touchdown.backend.rig import reconnect
 from touchdown.backend.runs import RunState
-from touchdown.widgets.shell import CHIPS, DeviceInspector, TopBar
+from touchdown.widgets.shell import DEVICE_CHIPS, DeviceInspector, TopBar
 
 DEGRADED_DELAY_S = 1.0  # a sensor degraded for longer keeps runs from starting
 ACTIVE_STATES = frozenset(
@@ -72,7 +72,7 @@ class DeviceInspectorPresenter:
 
     def __init__(self, bench: Session, bar: TopBar, window: QWidget) -> None:
         self._bench, self._bar, self._window = bench, bar, window
-        self._titles = dict(CHIPS)
+        self._titles = dict(DEVICE_CHIPS)
         self.sheet: DeviceInspector | None = None
         self._connecting = False
         for key, chip in bar.chips.items():

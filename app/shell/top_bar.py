@@ -25,7 +25,7 @@ from touchdown.backend.rig import BenchConnection
 from touchdown.backend.runs import RunState, RunStatus
 from touchdown.widgets.base import Age, Freshness
 from touchdown.widgets.shell import (
-    CHIPS,
+    DEVICE_CHIPS,
     ChipState,
     ChipValue,
     Colour,
@@ -98,7 +98,7 @@ def _which(degraded: tuple[DegradedDevice, ...], now_s: float) -> str:
     first, *others = degraded
     for_s, more = now_s - first.since_s, f" +{len(others)}" if others else ""
     lasted = f"{for_s:.1f} s" if for_s < 1.0 else f"{for_s:.0f} s"
-    return f"{dict(CHIPS)[first.device]} {first.how} {lasted}{more}"
+    return f"{dict(DEVICE_CHIPS)[first.device]} {first.how} {lasted}{more}"
 
 
 def _standing(connection: BenchConnection) -> PillState | None:
@@ -150,7 +150,7 @@ class DeviceChipsPresenter:
         self, bench: Session, bar: TopBar, now_s: Callable[[], float] = time.monotonic
     ) -> None:
         self._bench, self._bar, self._now_s = bench, bar, now_s
-        self._fresh = {key: Freshness() for key, _ in CHIPS}
+        self._fresh = {key: Freshness() for key, _ in DEVICE_CHIPS}
         self._drawn_s = float("-inf")
 
     def draw(self) -> bool:
@@ -161,7 +161,7 @@ class DeviceChipsPresenter:
         self._drawn_s = now_s
         devices = self._bench.devices
         degraded = {one.device: one for one in self._bench.degraded}
-        for key, _ in CHIPS:
+        for key, _ in DEVICE_CHIPS:
             device = devices.get(key)
             if device is not None:
                 self._bar.chips[key].show_value(self._chip(key, device, now_s, degraded.get(key)))

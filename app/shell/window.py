@@ -22,8 +22,8 @@ from PySide6.QtWidgets import (
 
 from touchdown.app.shell.bench_text import BenchCaption
 from touchdown.widgets.base import (
-    LEAST,
-    MOST,
+    MAX_SCALE,
+    MIN_SCALE,
     THEMES,
     Columns,
     ElidedLabel,
@@ -296,7 +296,7 @@ class Appearance(QObject):
         self._step(-STEP)
 
     def _step(self, step: float) -> None:
-        self._wanted_scale = min(max(self._wanted_scale + step, LEAST), MOST)
+        self._wanted_scale = min(max(self._wanted_scale + step, MIN_SCALE), MAX_SCALE)
         self._settled.start()
 
     def _show_wanted(self) -> None:

@@ -24,7 +24,7 @@ from touchdown.backend.runs import StackRequest, StrategyChoice
 from touchdown.widgets.base import Theme
 from touchdown.widgets.forms import STRATEGIES
 from touchdown.widgets.views import (
-    WORDS,
+    OUTCOME_WORDS,
     BeliefScene,
     ComparisonSheet,
     StrategyResult,
@@ -256,4 +256,4 @@ def _words(trial: TrialStory) -> tuple[str, bool | None]:
         return f"{trial.phase or 'begun'} \N{HORIZONTAL ELLIPSIS}", None
     probes = "1 probe" if done.probes == 1 else f"{done.probes} probes"
     good = done.outcome is Outcome.PLACED
-    return f"{WORDS[done.outcome].capitalize()} after {probes}. {done.reason}", good
+    return f"{OUTCOME_WORDS[done.outcome].capitalize()} after {probes}. {done.reason}", good

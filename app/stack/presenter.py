@@ -23,9 +23,9 @@ from touchdown.backend.runs import DecisionMode, RunState, RunStatus, StackReque
 from touchdown.widgets.forms import RunButtons, RunForm
 from touchdown.widgets.shell import CardText, FaultCards
 from touchdown.widgets.views import (
-    ESTIMATED,
-    TRUE,
-    WORDS,
+    ESTIMATED_MARGIN,
+    OUTCOME_WORDS,
+    TRUE_MARGIN,
     BeliefScene,
     DecisionText,
     Score,
@@ -37,7 +37,7 @@ from touchdown.widgets.views import (
 PRESSING = frozenset({"press", "hold"})
 # Text above the map of a trial without an estimate while its run is stopped.
 HELD_UP = {
-    RunState.PAUSING: ("Pausing", "The arm lifts, then stands until you resume."),
+    RunState.PAUSING: ("Pausing", "The arm lifts, then waits until you resume."),
     RunState.PAUSED: ("Paused", "The arm is lifted. Resume goes on."),
     RunState.CANCELLING: ("Cancelling", "The arm lifts; the grip is kept."),
 }
@@ -264,14 +264,14 @@ class StackPresenter:
         if done.outcome in RELEASED and done.margin_mm is not None:
             margin = signed_mm(done.margin_mm)
         head = self.story.head
-        word = WORDS[done.outcome]
+        word = OUTCOME_WORDS[done.outcome]
         several = head is not None and head.trials > 1
         return DecisionText(
             f"{mark} Trial {done.trial} {word}" if several else f"{mark} {word.capitalize()}",
             "good" if placed else "bad",
             margin,
             done.reason,
-            TRUE if self._bench.simulated else ESTIMATED,
+            TRUE_MARGIN if self._bench.simulated else ESTIMATED_MARGIN,
         )
 
     def _scene(self, index: int) -> BeliefScene:
@@ -294,7 +294,9 @@ class StackPresenter:
             if trial.finished is not None:
                 done = trial.finished
                 noun = "probe" if done.probes == 1 else "probes"
-                last = f"Seed {done.seed}: {WORDS[done.outcome]} after {done.probes} {noun}."
+                last = (
+                    f"Seed {done.seed}: {OUTCOME_WORDS[done.outcome]} after {done.probes} {noun}."
+                )
                 break
         return run_score(self.story.trials, head.trials if head is not None else 0, last)
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
 from functools import partial
 
 from touchdown.app.shell import (
@@ -13,6 +13,7 @@ from touchdown.app.shell import (
     WindowCommand,
     Workspace,
     WorkspaceContext,
+    restore_form,
 )
 from touchdown.app.stack.attended import OperatorPromptsPresenter
 from touchdown.app.stack.comparison import ComparisonPresenter
@@ -23,19 +24,7 @@ from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, Outcome
 from touchdown.backend.runs import SceneChoice
 from touchdown.widgets.forms import RunForm
-from touchdown.widgets.views import NOTHING_YET
-
-
-def remembered_run_form(memory: Mapping[str, object]) -> tuple[RunForm, list[str]]:
-    """Return (form, names of invalid fields); invalid fields get their defaults."""
-    default, known, dropped = RunForm(), {}, []
-    for entry in fields(RunForm):
-        value = memory.get(entry.name, getattr(default, entry.name))
-        if type(value) is type(getattr(default, entry.name)):
-            known[entry.name] = value
-        else:
-            dropped.append(entry.name)
-    return RunForm(**known), dropped  # type: ignore[arg-type]
+from touchdown.widgets.views import NO_DECISION
 
 
 def careful_form(form: RunForm, on_bench: SceneChoice) -> RunForm:
@@ -120,7 +109,7 @@ class StackWorkspace(Workspace):
         )
         page.run.show_devices(not bench.simulated)
         page.run.show_form(self._form if bench.simulated else careful_form(self._form, bench.usual))
-        page.decision.show_text(NOTHING_YET)
+        page.decision.show_text(NO_DECISION)
         self.presenter.show_model()
         page.run.chosen.connect(self.presenter.show_model)
         page.pause_requested.connect(self.presenter.pause_or_resume)
@@ -172,7 +161,7 @@ class StackWorkspace(Workspace):
 
     def recall(self, memory: Memory) -> Sequence[str]:
         """Restore the stored form; return the names of invalid fields."""
-        self._form, dropped = remembered_run_form(memory)
+        self._form, dropped = restore_form(RunForm(), memory)
         self.page.run.show_form(self._form)
         return dropped
 

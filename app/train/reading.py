@@ -23,7 +23,7 @@ from touchdown.backend.learning import (
     training_candidates,
     training_set_overview,
 )
-from touchdown.widgets.forms import LABELS, TrainingForm
+from touchdown.widgets.forms import LABEL_TITLES, TrainingForm
 from touchdown.widgets.plots import SampleScene
 
 NO_DATA_HINT = "Collect probes (Ctrl+2), or choose another folder (Ctrl+O)."
@@ -132,9 +132,9 @@ class TrainingReader:
 
 def _label_hint(form: TrainingForm) -> str:
     """Return a hint if the label selection leaves no episodes."""
-    names = [name for name, _ in LABELS]
+    names = [name for name, _ in LABEL_TITLES]
     review = "accept labels in Label (Ctrl+2) and let somebody else approve them"
-    for name, text in LABELS[names.index(form.labels) + 1 :]:
+    for name, text in LABEL_TITLES[names.index(form.labels) + 1 :]:
         labels = next(choice for choice in LABEL_CHOICES if choice == name)
         if count := len(training_candidates(Path(form.data), labels)):
             episodes = "1 episode" if count == 1 else f"{count} episodes"

@@ -19,7 +19,7 @@ from touchdown.backend.learning import (
     TrainingSetOverview,
 )
 from touchdown.widgets.lists import TrainingRow
-from touchdown.widgets.plots import TOKENS, CurveLine
+from touchdown.widgets.plots import RUN_COLOURS, CurveLine
 from touchdown.widgets.shell import CardText
 
 LETTERS = ("A", "B", "C")
@@ -110,20 +110,20 @@ def curve_lines(runs: Sequence[TrainingRun], name: str) -> list[CurveLine]:
     if len(runs) == 1 and name == "validation_loss":
         curves = runs[0].curves
         return [
-            CurveLine("train", _points(curves.get("train_loss", ())), TOKENS[1], dashed=True),
-            CurveLine("valid.", _points(curves.get(name, ())), TOKENS[0]),
+            CurveLine("train", _points(curves.get("train_loss", ())), RUN_COLOURS[1], dashed=True),
+            CurveLine("valid.", _points(curves.get(name, ())), RUN_COLOURS[0]),
         ]
     marks = LETTERS if len(runs) > 1 else ("",)
     return [
         CurveLine(mark, _points(run.curves.get(name, ())), token, dashed=at == 1)
-        for at, (run, mark, token) in enumerate(zip(runs, marks, TOKENS, strict=False))
+        for at, (run, mark, token) in enumerate(zip(runs, marks, RUN_COLOURS, strict=False))
     ]
 
 
 def reliability_lines(runs: Sequence[TrainingRun]) -> list[CurveLine]:
     """Return the reliability curve of each run at its best epoch."""
     lines = []
-    for at, (run, mark, token) in enumerate(zip(runs, LETTERS, TOKENS, strict=False)):
+    for at, (run, mark, token) in enumerate(zip(runs, LETTERS, RUN_COLOURS, strict=False)):
         bins = run.reliability.get(run.best_epoch, ())
         error = run.value("calibration_error", run.best_epoch)
         name = f"error {error:.3f}" if math.isfinite(error) else ""

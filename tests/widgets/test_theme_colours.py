@@ -14,7 +14,7 @@ from PySide6.QtWidgets import QComboBox, QLineEdit, QListWidget, QPushButton, QS
 from touchdown.widgets.base.style_sheet import make_style_sheet
 from touchdown.widgets.base.theme import CONTRAST, DARK, LIGHT, load_resources
 from touchdown.widgets.shell.devices import ChipState, mark_colours
-from touchdown.widgets.views.scene_camera import LOOKS
+from touchdown.widgets.views.scene_camera import OUTLINE_STYLES
 from touchdown.widgets.views.tactile import BIN_COLOURS
 
 ROOT = Path(__file__).parents[2]
@@ -224,7 +224,7 @@ def test_good_and_bad_differ_for_every_vision(tokens):
 
 def test_outlines_on_photographs_are_seen_and_differ():
     """What is seen by the camera is dotted besides; the letters lie on black."""
-    colours = {kind: colour for kind, (colour, _) in LOOKS.items()}
+    colours = {kind: colour for kind, (colour, _) in OUTLINE_STYLES.items()}
     for colour in colours.values():
         assert contrast_ratio(QColor(colour), QColor("#6B6B6B")) >= 3.0
         assert contrast_ratio(QColor(colour), QColor("#000000")) >= 4.5
@@ -234,7 +234,7 @@ def test_outlines_on_photographs_are_seen_and_differ():
 
 def test_every_colour_that_is_no_token_is_one_of_those_looked_at_here():
     """White and black are marks that lie on each other; the ground of the arrows is always dark."""
-    known = {*BIN_COLOURS, *(colour for colour, _ in LOOKS.values())}
+    known = {*BIN_COLOURS, *(colour for colour, _ in OUTLINE_STYLES.values())}
     known |= {"#FFFFFF", "#000000", ARROWS_ON}
     theme, found = ROOT / "widgets" / "base" / "theme.py", set()
     for file in (*(ROOT / "widgets").rglob("*.py"), *(ROOT / "app").rglob("*.py")):

@@ -22,9 +22,9 @@ from .rows import RowList as RowList
 from .rows import RowPainter as RowPainter
 from .rows import WrappedItemDelegate as WrappedItemDelegate
 from .rows import draw_elided_line as draw_elided_line
-from .theme import LEAST as LEAST
 from .theme import MAPS as MAPS
-from .theme import MOST as MOST
+from .theme import MAX_SCALE as MAX_SCALE
+from .theme import MIN_SCALE as MIN_SCALE
 from .theme import THEMES as THEMES
 from .theme import MapName as MapName
 from .theme import Theme as Theme
@@ -39,9 +39,9 @@ from .theme import map_colours as map_colours
 from .theme import ui_font as ui_font
 
 __all__ = [
-    "LEAST",
     "MAPS",
-    "MOST",
+    "MAX_SCALE",
+    "MIN_SCALE",
     "ROOT",
     "THEMES",
     "Age",

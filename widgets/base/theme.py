@@ -29,7 +29,7 @@ from touchdown.widgets.base.style_sheet import make_style_sheet
 ThemeName = Literal["dark", "light", "contrast"]
 THEMES: tuple[ThemeName, ...] = ("dark", "light", "contrast")
 BASE_POINTS = 10.0
-LEAST, MOST = 0.8, 2.0  # range of the font scale
+MIN_SCALE, MAX_SCALE = 0.8, 2.0  # range of the font scale
 STYLED = "touchdown-styled"  # property of an application whose style is set
 FONTS = "touchdown-fonts"  # property of an application with the bundled fonts
 
@@ -151,7 +151,7 @@ class Theme:
 
     def _take(self, application: QApplication, name: ThemeName, scale: float) -> None:
         self.tokens = tokens_of(name)
-        self.scale = min(max(scale, LEAST), MOST)
+        self.scale = min(max(scale, MIN_SCALE), MAX_SCALE)
         if not application.property(STYLED):
             application.setStyle("Fusion")
             application.setProperty(STYLED, True)

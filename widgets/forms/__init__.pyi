@@ -7,13 +7,13 @@ from .fields import set_entries as set_entries
 from .jogging import JOINTS as JOINTS
 from .jogging import JogPad as JogPad
 from .jogging import JogUnit as JogUnit
-from .jogging import PoseView as PoseView
+from .jogging import PoseReadout as PoseReadout
 from .probe import GripperPanel as GripperPanel
 from .probe import LastProbePanel as LastProbePanel
 from .probe import PairHealthPanel as PairHealthPanel
 from .probe import ProbePanel as ProbePanel
 from .probe import ProbeText as ProbeText
-from .questions import BESIDE as BESIDE
+from .questions import ACTIVE_DURING_QUESTION as ACTIVE_DURING_QUESTION
 from .questions import ChoiceBar as ChoiceBar
 from .questions import NameDialog as NameDialog
 from .run_form import STRATEGIES as STRATEGIES
@@ -21,15 +21,15 @@ from .run_form import RunButtons as RunButtons
 from .run_form import RunForm as RunForm
 from .run_form import RunPanel as RunPanel
 from .run_form import ScenePanel as ScenePanel
-from .training_form import LABELS as LABELS
+from .training_form import LABEL_TITLES as LABEL_TITLES
 from .training_form import TrainingButtons as TrainingButtons
 from .training_form import TrainingForm as TrainingForm
 from .training_form import TrainingFormPanel as TrainingFormPanel
 
 __all__ = [
-    "BESIDE",
+    "ACTIVE_DURING_QUESTION",
     "JOINTS",
-    "LABELS",
+    "LABEL_TITLES",
     "STRATEGIES",
     "ChoiceBar",
     "GripperPanel",
@@ -38,7 +38,7 @@ __all__ = [
     "LastProbePanel",
     "NameDialog",
     "PairHealthPanel",
-    "PoseView",
+    "PoseReadout",
     "ProbePanel",
     "ProbeText",
     "RunButtons",

@@ -127,7 +127,7 @@ JOINT_PADS = tuple(
 
 
 @dataclass(frozen=True, slots=True)
-class PoseView:
+class PoseReadout:
     """Pose of the hand and remaining travel; ``note``: reason for slow or blocked motion.
 
     ``pose``: pose in the present frame with its unit, "" if unknown. ``rooms``: second line of the
@@ -189,7 +189,7 @@ class JogPad(Panel):
         self._arrange()
         self.show_turning("")
         self._show_frame()
-        self.show_look(PoseView())
+        self.show_look(PoseReadout())
 
     @property
     def turning(self) -> bool:
@@ -237,7 +237,7 @@ class JogPad(Panel):
         if self.keys.isEnabled() != ready:
             self.keys.setEnabled(ready)
 
-    def show_look(self, look: PoseView) -> None:
+    def show_look(self, look: PoseReadout) -> None:
         """Show pose, remaining travel and note."""
         old = f"   ({look.age_s:.1f} s old)" if look.pose and look.age_s > 0.2 else ""
         pose = f"{look.pose}{old}" or "No pose yet"

@@ -20,7 +20,7 @@ from touchdown.widgets.base import hbox, label, scroll_into_view, vbox
 COLUMNS = 3
 LONG = 18  # answers longer than this, in letters, are laid out two to a row
 ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
-BESIDE = "beside"  # property of actions whose keys stay active during a question
+ACTIVE_DURING_QUESTION = "beside"  # property of actions whose keys stay active during a question
 
 
 class ChoiceBar(QFrame):
@@ -85,7 +85,7 @@ class ChoiceBar(QFrame):
         return self._offered[self._marked] if self._offered else ""
 
     def event(self, event: QEvent) -> bool:
-        """Claim keys before the shortcuts of the window, except those marked ``BESIDE``."""
+        """Claim keys before the shortcuts of the window, except ``ACTIVE_DURING_QUESTION``."""
         if event.type() is QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
             if event.text().upper() in self._choices or not self._acts_beside(event):
                 event.accept()
@@ -97,7 +97,9 @@ class ChoiceBar(QFrame):
         keypad = Qt.KeyboardModifier.KeypadModifier
         pressed = QKeySequence(QKeyCombination(event.modifiers() & ~keypad, Qt.Key(event.key())))
         return any(
-            action.property(BESIDE) and action.isEnabled() and action.shortcut() == pressed
+            action.property(ACTIVE_DURING_QUESTION)
+            and action.isEnabled()
+            and action.shortcut() == pressed
             for action in self.window().actions()
         )
 

@@ -25,7 +25,7 @@ from touchdown.widgets.forms.fields import (
     set_entries,
 )
 
-NOTHING = "nothing"
+NO_BODY = "nothing"
 STRATEGIES = (
     ("paper", "Probe and believe"),
     ("fused", "Learned fusion"),
@@ -161,7 +161,7 @@ class RunPanel(Panel):
         """Set the (key, title) pieces and bottoms; the selection is kept if possible."""
         form = self.form()
         for combo, entries in ((self._piece, pieces), (self._bottom, bottoms),
-                               (self._under, (("", NOTHING), *bottoms))):  # fmt: skip
+                               (self._under, (("", NO_BODY), *bottoms))):  # fmt: skip
             set_entries(combo, entries)
         self.show_form(form)
 

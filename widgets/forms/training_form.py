@@ -27,7 +27,7 @@ from touchdown.widgets.forms.fields import (
     set_entries,
 )
 
-LABELS = (
+LABEL_TITLES = (
     ("approved", "Approved labels"),
     ("submitted", "Approved and submitted"),
     ("drafts", "All, with drafts"),
@@ -92,7 +92,7 @@ class TrainingFormPanel(Panel):
         self.defaults.setText("Defaults")
         self.folder.setText("\N{HORIZONTAL ELLIPSIS}")
         self.folder.setProperty("role", "field")
-        set_entries(self.labels, LABELS)
+        set_entries(self.labels, LABEL_TITLES)
         set_entries(self.modality, MODALITIES)
         self._tips()
         self._arrange()

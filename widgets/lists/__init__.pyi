@@ -1,4 +1,4 @@
-from .recordings import CHIPS as CHIPS
+from .recordings import STATE_COLOURS as STATE_COLOURS
 from .recordings import HistoryList as HistoryList
 from .recordings import HistoryRow as HistoryRow
 from .recordings import LabelList as LabelList
@@ -13,7 +13,7 @@ from .tables import TrainingRow as TrainingRow
 from .tables import TrainingTable as TrainingTable
 
 __all__ = [
-    "CHIPS",
+    "STATE_COLOURS",
     "EpisodeTable",
     "EpisodeTableRow",
     "FigureTable",

@@ -167,7 +167,7 @@ class _RecordingPainter(RowPainter):
 
 
 # fill and text colour of the chip of each label state
-CHIPS: dict[str, tuple[str, str]] = {
+STATE_COLOURS: dict[str, tuple[str, str]] = {
     "unlabelled": ("pill_grey", "on_dark"),
     "draft": ("pill_yellow", "on_light"),
     "submitted": ("pill_blue", "on_dark"),
@@ -253,7 +253,7 @@ class _LabelPainter(RowPainter):
         painter.restore()
 
     def _chip(self, painter: QPainter, inner: QRectF, state: str, line: float) -> float:
-        fill, text = CHIPS[state]
+        fill, text = STATE_COLOURS[state]
         t = self.theme.tokens
         painter.setFont(ui_font(self.theme.scale, 0.8, 600))
         width = painter.fontMetrics().horizontalAdvance(state) + 12

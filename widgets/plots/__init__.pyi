@@ -8,15 +8,15 @@ from .axes import nice_step as nice_step
 from .axes import polygon_of as polygon_of
 from .axes import tick_text as tick_text
 from .axes import ticks as ticks
-from .distribution import Bins as Bins
+from .distribution import BinCounts as BinCounts
 from .distribution import DistributionScene as DistributionScene
 from .distribution import DistributionView as DistributionView
 from .distribution import reach_of as reach_of
 from .force_traces import SPANS_S as SPANS_S
 from .force_traces import TracePlot as TracePlot
 from .force_traces import TracesPanel as TracesPanel
-from .recorded_traces import NAMES as NAMES
-from .recorded_traces import NOTHING as NOTHING
+from .recorded_traces import CHANNEL_NAMES as CHANNEL_NAMES
+from .recorded_traces import NO_WRENCH as NO_WRENCH
 from .recorded_traces import Drawn as Drawn
 from .recorded_traces import PhaseDrawn as PhaseDrawn
 from .recorded_traces import PhasePlot as PhasePlot
@@ -25,7 +25,7 @@ from .recorded_traces import RecordedTraces as RecordedTraces
 from .recorded_traces import TraceSheet as TraceSheet
 from .recorded_traces import WrenchTrace as WrenchTrace
 from .recorded_traces import has_moments as has_moments
-from .training import TOKENS as TOKENS
+from .training import RUN_COLOURS as RUN_COLOURS
 from .training import CurveLine as CurveLine
 from .training import CurvePlot as CurvePlot
 from .training import ReliabilityPlot as ReliabilityPlot
@@ -33,11 +33,11 @@ from .training import SampleScene as SampleScene
 from .training import SampleStrip as SampleStrip
 
 __all__ = [
-    "NAMES",
-    "NOTHING",
+    "CHANNEL_NAMES",
+    "NO_WRENCH",
+    "RUN_COLOURS",
     "SPANS_S",
-    "TOKENS",
-    "Bins",
+    "BinCounts",
     "CurveLine",
     "CurvePlot",
     "DistributionScene",

@@ -33,7 +33,7 @@ def _no_points() -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Bins:
+class BinCounts:
     """Histogram: ``counts`` and ``possible`` (ny, nx); bin (0, 0) is centred at ``first_mm``."""
 
     counts: NDArray[np.intp]
@@ -59,7 +59,7 @@ class DistributionScene:
     flagged: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     chosen: int = -1
     reach_mm: float = 20.0
-    bins: Bins | None = None
+    bins: BinCounts | None = None
     title: str = ""
 
     @property
@@ -151,7 +151,7 @@ class DistributionView(QWidget):
         painter.restore()
         self._draw_scale(painter, area)
 
-    def _draw_bins(self, painter: QPainter, area: PlotArea, bins: Bins) -> None:
+    def _draw_bins(self, painter: QPainter, area: PlotArea, bins: BinCounts) -> None:
         shades = map_colours(bins.counts / self.scene.span[1], self._map)
         hole = QPen(self._theme.tokens.colour("border"), 1, Qt.PenStyle.DotLine)
         size = bins.bin_mm

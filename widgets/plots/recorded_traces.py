@@ -178,8 +178,8 @@ def min_max_per_column(
     return np.repeat(t_s[starts], 2), both
 
 
-NAMES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-NOTHING = "No wrench was recorded"
+CHANNEL_NAMES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+NO_WRENCH = "No wrench was recorded"
 Drawn = tuple[TraceSheet, QImage]  # a sheet and its picture, drawn in advance
 
 FONTS, GAP_PX = (0.85, 0.75, 0.68), 8  # font scales of the read-outs; the first that fits is used
@@ -194,7 +194,7 @@ class RecordedTraces(QWidget):
         self.channels = channels
         self.trace: WrenchTrace | None = None
         self.cursor_s = 0.0
-        self._why_empty = NOTHING
+        self._why_empty = NO_WRENCH
         self._drawn: Drawn | None = None
         self.setAccessibleName("Force and moment of the probe")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
@@ -206,7 +206,7 @@ class RecordedTraces(QWidget):
         return QSize(420, 130)
 
     def show_trace(
-        self, trace: WrenchTrace | None, drawn: Drawn | None = None, why: str = NOTHING
+        self, trace: WrenchTrace | None, drawn: Drawn | None = None, why: str = NO_WRENCH
     ) -> None:
         """Show another probe, or the reason ``why`` there is none; uses ``drawn`` if it fits."""
         self.trace, self._drawn, self._why_empty = trace, drawn, why
@@ -290,10 +290,10 @@ class RecordedTraces(QWidget):
 
 def _reading(channel: int, value: float) -> str:
     if math.isnan(value):
-        return f"{NAMES[channel]} none"
+        return f"{CHANNEL_NAMES[channel]} none"
     decimals = 1 if channel < 3 else 3
     text = f"{value:+.{decimals}f}".replace("-", "\N{MINUS SIGN}")
-    return f"{NAMES[channel]} {text}"
+    return f"{CHANNEL_NAMES[channel]} {text}"
 
 
 LEAST_NM = 0.02

@@ -27,7 +27,7 @@ from touchdown.widgets.views import stroke_on_black
 LEAST_EPOCHS = 4
 WIDEST_ENDING = "valid. 0.000"  # reserved width right of the curves, so that the plots align
 # Colours of the compared runs A, B, C; each line also carries its letter.
-TOKENS = ("axis_x", "axis_z", "axis_y")
+RUN_COLOURS = ("axis_x", "axis_z", "axis_y")
 Points = tuple[tuple[float, float], ...]
 
 

@@ -15,7 +15,7 @@ from .state import Colour as Colour
 from .state import PillState as PillState
 from .state import Shape as Shape
 from .state import StateStrip as StateStrip
-from .top_bar import CHIPS as CHIPS
+from .top_bar import DEVICE_CHIPS as DEVICE_CHIPS
 from .top_bar import BenchBanner as BenchBanner
 from .top_bar import TopBar as TopBar
 from .tour import RING_PX as RING_PX
@@ -24,7 +24,7 @@ from .tour import TourCard as TourCard
 from .tour import TourStop as TourStop
 
 __all__ = [
-    "CHIPS",
+    "DEVICE_CHIPS",
     "RING_PX",
     "STOPPED",
     "BenchBanner",

@@ -20,7 +20,7 @@ from PySide6.QtGui import (
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.widgets.base import Theme, ui_font
-from touchdown.widgets.lists import CHIPS
+from touchdown.widgets.lists import STATE_COLOURS
 
 Colour = Literal["grey", "blue", "green", "yellow", "red"]
 Shape = Literal["ring", "disc", "play", "bars", "square", "triangle", "diamond", "bang"]
@@ -164,7 +164,7 @@ class StateStrip(QWidget):
         left = 0.0
         painter.setFont(ui_font(self._theme.scale, 0.85, 600))
         if self.state:
-            left = self._chip(painter, left, self.state, *CHIPS[self.state])
+            left = self._chip(painter, left, self.state, *STATE_COLOURS[self.state])
         for number, badge in enumerate(self.badges):
             colours = ("pill_yellow", "on_light") if self.warns and not number else ("raised", "")
             if left + painter.fontMetrics().horizontalAdvance(badge) + 20 <= room:

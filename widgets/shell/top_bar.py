@@ -120,7 +120,7 @@ MARGIN, GAP, CHIP_GAP = 8, 8, 4
 OVERRIDE_PAD_PX = 20  # frame and padding beside the figures of the override
 OVERRIDE = (10, 100)  # range, %
 USUAL_MODE = "Robot: Program"
-CHIPS = (
+DEVICE_CHIPS = (
     ("arm", "Arm"),
     ("gripper", "Gripper"),
     ("force_torque", "F/T"),
@@ -138,7 +138,7 @@ class TopBar(QFrame):
         self.pill = StatePill(theme)
         self._robot = label("Robot: unknown", "small")
         self._safety = label("Safety: unknown", "small")
-        self.chips = {key: DeviceChip(theme, name) for key, name in CHIPS}
+        self.chips = {key: DeviceChip(theme, name) for key, name in DEVICE_CHIPS}
         self.override = QSpinBox()
         self.override.setRange(*OVERRIDE)
         self.override.setValue(OVERRIDE[1])

@@ -2,9 +2,9 @@ from .belief import BeliefLegend as BeliefLegend
 from .belief import BeliefScene as BeliefScene
 from .belief import BeliefView as BeliefView
 from .belief import stroke_on_black as stroke_on_black
-from .decision import ESTIMATED as ESTIMATED
-from .decision import NOTHING_YET as NOTHING_YET
-from .decision import TRUE as TRUE
+from .decision import ESTIMATED_MARGIN as ESTIMATED_MARGIN
+from .decision import NO_DECISION as NO_DECISION
+from .decision import TRUE_MARGIN as TRUE_MARGIN
 from .decision import DecisionPanel as DecisionPanel
 from .decision import DecisionText as DecisionText
 from .decision import TrialPanel as TrialPanel
@@ -44,26 +44,26 @@ from .scene import rotation as rotation
 from .scene_camera import PictureOutline as PictureOutline
 from .scene_camera import SceneShot as SceneShot
 from .scene_camera import SceneShotView as SceneShotView
-from .scores import WORDS as WORDS
+from .scores import OUTCOME_WORDS as OUTCOME_WORDS
 from .scores import ComparisonSheet as ComparisonSheet
 from .scores import Score as Score
 from .scores import ScorePanel as ScorePanel
 from .scores import StrategyResult as StrategyResult
 from .scores import success_rate_text as success_rate_text
-from .tactile import LEAST as LEAST
 from .tactile import LOOKS as LOOKS
+from .tactile import MIN_SIZE as MIN_SIZE
 from .tactile import TactileView as TactileView
 
 __all__ = [
-    "ESTIMATED",
-    "LEAST",
+    "ESTIMATED_MARGIN",
     "LOOKS",
-    "NOTHING_YET",
+    "MIN_SIZE",
+    "NO_DECISION",
     "NO_PROBES",
-    "TRUE",
+    "OUTCOME_WORDS",
+    "TRUE_MARGIN",
     "UPRIGHT",
     "USUAL_SPAN_MM",
-    "WORDS",
     "BeliefLegend",
     "BeliefPanel",
     "BeliefScene",

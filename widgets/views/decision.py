@@ -131,7 +131,7 @@ class TrialPanel(Panel):
 
 
 MINUS = "\N{MINUS SIGN}"
-ESTIMATED, TRUE = "estimated margin", "true margin"
+ESTIMATED_MARGIN, TRUE_MARGIN = "estimated margin", "true margin"
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,10 +145,10 @@ class DecisionText:
     tone: str
     margin: str
     text: str
-    caption: str = ESTIMATED
+    caption: str = ESTIMATED_MARGIN
 
 
-NOTHING_YET = DecisionText("No verdict yet", "", "", "Press Start stacking to begin.")
+NO_DECISION = DecisionText("No verdict yet", "", "", "Press Start stacking to begin.")
 
 
 def signed_mm(value: float) -> str:
@@ -163,7 +163,7 @@ def signed_mm(value: float) -> str:
 def decision_text(stability: Stability | None, action: PlaceAction | None) -> DecisionText:
     """Return verdict and margin as text; the reason comes from the policy."""
     if stability is None:
-        return NOTHING_YET
+        return NO_DECISION
     if stability.support is SupportKind.NO_ESTIMATE or math.isnan(stability.margin_mm):
         verdict, tone = "? No estimate", ""
     elif stability.stable:
@@ -183,7 +183,7 @@ class DecisionPanel(QFrame):
         self.setAccessibleName("Decision")
         self._verdict = label("", "figure")
         self._margin = label("", "figure")
-        self._caption = label(ESTIMATED, "small")
+        self._caption = label(ESTIMATED_MARGIN, "small")
         self._text = label("", wrap=True)
         self._text.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self._text.setMinimumHeight(2 * self.fontMetrics().lineSpacing() + 4)
@@ -196,7 +196,7 @@ class DecisionPanel(QFrame):
         self.decline.clicked.connect(on_decline)
         self._asking = QWidget()
         self._arrange()
-        self.show_text(NOTHING_YET)
+        self.show_text(NO_DECISION)
         self.show_question("")
 
     def _arrange(self) -> None:

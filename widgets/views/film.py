@@ -23,7 +23,7 @@ from touchdown.widgets.plots import PlotArea, nice_step, tick_text, ticks
 from touchdown.widgets.views.tactile import IMAGE_H, IMAGE_W, TactileView
 
 TICK_MS = 33
-UNSEEN = "No picture recorded"
+NOT_RECORDED = "No picture recorded"
 GROUND = 40  # grey of a frame without a picture
 
 
@@ -64,7 +64,7 @@ class FilmView(QWidget):
         self.cursor_s = 0.0
         self.views = {finger: TactileView(theme, finger) for finger in FINGERS}
         for view in self.views.values():
-            view.never = view.gone = UNSEEN
+            view.never = view.gone = NOT_RECORDED
         self.notes = {finger: label("", "small") for finger in FINGERS}
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
@@ -107,7 +107,7 @@ class FilmView(QWidget):
         self.stop()
         self._reel, self._span_s = reel, span_s
         for view in self.views.values():
-            view.never = view.gone = UNSEEN
+            view.never = view.gone = NOT_RECORDED
 
     def show_cursor(self, t_s: float) -> None:
         """Show the newest frame of each finger at this time."""

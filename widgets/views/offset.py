@@ -98,14 +98,19 @@ def offset_text(offset_mm: Point | None, sigma_mm: float = 0.0) -> str:
     return f"x {x}, y {y} mm{spread}"
 
 
-LINES: dict[GhostKind, Qt.PenStyle] = {
+LINE_STYLES: dict[GhostKind, Qt.PenStyle] = {
     "commanded": Qt.PenStyle.DashLine,
     "measured": Qt.PenStyle.DotLine,
     "scene": Qt.PenStyle.DashDotDotLine,
     "model": Qt.PenStyle.DashDotLine,
 }
 # Angle on the outline at which a source is labelled, rad.
-AT: dict[GhostKind, float] = {"commanded": 2.1, "measured": 3.9, "scene": 1.0, "model": -0.6}
+LABEL_ANGLES: dict[GhostKind, float] = {
+    "commanded": 2.1,
+    "measured": 3.9,
+    "scene": 1.0,
+    "model": -0.6,
+}
 SCALE_BAR_MM = 5.0
 THICKEN_PX = 0.3
 
@@ -146,7 +151,7 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
     height = painter.fontMetrics().height()
     for row, ghost in enumerate(scene.ghosts):
         pen = QPen(theme.tokens.colour("muted"), 1)
-        pen.setStyle(LINES[ghost.kind])
+        pen.setStyle(LINE_STYLES[ghost.kind])
         painter.setPen(pen)
         outline = _placed(area, scene.face, ghost.offset_mm, scene.yaw_rad)
         # Two thin lines: Qt takes ten times as long for a dashed line wider than 1 px.
@@ -159,7 +164,7 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
 
 def _letters(painter: QPainter, area: PlotArea, scene: OffsetScene, ghost: Ghost) -> None:
     """Write the source beside its outline, each source on another side."""
-    turn = AT[ghost.kind]
+    turn = LABEL_ANGLES[ghost.kind]
     radius = float(np.hypot(*scene.face.T).max())
     x = area.x(ghost.offset_mm[0] + radius * math.cos(turn))
     y = area.y(ghost.offset_mm[1] + radius * math.sin(turn))

@@ -17,12 +17,13 @@ from touchdown.widgets.plots import draw_message, polygon_of
 
 OutlineKind = Literal["bottom", "label", "scene"]
 # Line colours and styles on photographs, in every theme.
-LOOKS: dict[OutlineKind, tuple[str, Qt.PenStyle]] = {
+OUTLINE_STYLES: dict[OutlineKind, tuple[str, Qt.PenStyle]] = {
     "bottom": ("#FFFFFF", Qt.PenStyle.SolidLine),
     "label": ("#F0E442", Qt.PenStyle.SolidLine),
     "scene": ("#7CF2FF", Qt.PenStyle.DotLine),
 }
-UNSEEN, RESTS_ON = "No scene picture", "The label relies on arm, grasp and annotator alone."
+NO_PICTURE = "No scene picture"
+NO_PICTURE_DETAIL = "The label relies on arm, grasp and annotator alone."
 GAP = 4
 ROOM = 1.8  # size of the shown part in sizes of the outlines
 SHADOW = QColor(0, 0, 0, 150)
@@ -51,7 +52,7 @@ class SceneShotView(QWidget):
         super().__init__()
         self._theme = theme
         self.shots: tuple[SceneShot, ...] = ()
-        self._why_empty = UNSEEN
+        self._why_empty = NO_PICTURE
         self.setAccessibleName("Pictures of the scene camera")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setMinimumSize(240, 120)
@@ -61,7 +62,7 @@ class SceneShotView(QWidget):
         """Return room for two pictures."""
         return QSize(480, 180)
 
-    def show_shots(self, shots: Sequence[SceneShot], why: str = UNSEEN) -> None:
+    def show_shots(self, shots: Sequence[SceneShot], why: str = NO_PICTURE) -> None:
         """Show pictures of an episode; ``why``: reason if there are none."""
         self.shots, self._why_empty = tuple(shots), why
         kinds = ", ".join(o.kind for shot in self.shots[:1] for o in shot.outlines)
@@ -73,7 +74,7 @@ class SceneShotView(QWidget):
         painter = QPainter(self)
         painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
         if not self.shots:
-            text = RESTS_ON if self._why_empty == UNSEEN else ""
+            text = NO_PICTURE_DETAIL if self._why_empty == NO_PICTURE else ""
             draw_message(painter, self.rect(), self._theme, self._why_empty, text)
             return
         painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform)
@@ -96,7 +97,7 @@ class SceneShotView(QWidget):
         painter.setFont(ui_font(self._theme.scale, 0.85, 500))
         line = painter.fontMetrics().height()
         for row, outline in enumerate(shot.outlines):
-            colour, style = LOOKS[outline.kind]
+            colour, style = OUTLINE_STYLES[outline.kind]
             polygon = polygon_of(scale * outline.points_px + shift)
             painter.setPen(QPen(SHADOW, 3))
             painter.drawPolygon(polygon)

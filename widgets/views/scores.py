@@ -22,7 +22,7 @@ from touchdown.widgets.forms import field_label, inset_spin_boxes, set_entries
 from touchdown.widgets.views.belief import BeliefScene, BeliefView
 
 MOST_VOID = 3
-WORDS: dict[Outcome, str] = {
+OUTCOME_WORDS: dict[Outcome, str] = {
     Outcome.PLACED: "placed",
     Outcome.FELL: "fell",
     Outcome.KNOCKED_OVER: "knocked over",
@@ -66,7 +66,7 @@ class OutcomeMarks(QWidget):
         """Show the outcomes and the trials to come."""
         self._outcomes, self._trials = outcomes, max(trials, len(outcomes))
         self.setAccessibleName(
-            ", ".join(WORDS[o] for o in outcomes) if outcomes else "No trial finished"
+            ", ".join(OUTCOME_WORDS[o] for o in outcomes) if outcomes else "No trial finished"
         )
         self.update()
 

@@ -147,7 +147,7 @@ def magnitude_scale(font: QFont, ratio: float, map_name: MapName = "cividis") ->
     return drawn
 
 
-LEAST = QSize(160, 120)
+MIN_SIZE = QSize(160, 120)
 BRIGHTNESS = 0.7  # dims the image, so that dark markers do not hide short arrows
 PENS = tuple(QPen(QColor(colour), 2) for colour in BIN_COLOURS)
 
@@ -177,7 +177,7 @@ class TactileView(QWidget):
         self.paints = 0
         self.setAccessibleName(f"Tactile image, {finger} finger")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-        self.setMinimumSize(LEAST)
+        self.setMinimumSize(MIN_SIZE)
         self._limit_px = self.maximumHeight()
         self.never, self.gone = "No camera yet", "No live picture"  # titles of the empty view
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
@@ -196,7 +196,7 @@ class TactileView(QWidget):
         self._fit_height()
 
     def _fit_height(self) -> None:
-        height = max(min(self.width() * IMAGE_H // IMAGE_W, self._limit_px), LEAST.height())
+        height = max(min(self.width() * IMAGE_H // IMAGE_W, self._limit_px), MIN_SIZE.height())
         if height != self.minimumHeight() or height != self.maximumHeight():
             self.setFixedHeight(height)
 

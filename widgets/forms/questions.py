@@ -27,8 +27,8 @@ class ChoiceBar(QFrame):
     """Question that takes the keyboard until it is answered, left with Esc, or loses the focus.
 
     ``ask`` has a key for each answer. ``offer`` has none, so that a letter or digit typed for
-    something else is no answer: Tab selects, Enter accepts. Keys of actions marked ``BESIDE``, such
-    as zoom, stay active.
+    something else is no answer: Tab selects, Enter accepts. Keys of actions with the property
+    ``ACTIVE_DURING_QUESTION``, such as zoom, stay active.
     """
 
     def __init__(self, parent: QWidget) -> None:

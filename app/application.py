@@ -83,7 +83,7 @@ class BenchLoader:
         return self._arrived.pop()
 
     def _build(self, make: Callable[[], Session]) -> None:
-        arrived: Session | Exception = RuntimeError("an error that nobody expected")
+        arrived: Session | Exception = RuntimeError("an unexpected error")
         try:
             arrived = make()
         except (TouchdownError, OSError, ValueError, ImportError, RuntimeError) as error:
@@ -400,7 +400,7 @@ class TouchdownApp(QObject):
             parts[turn]()
 
     def _hushed(self) -> bool:
-        return self.bench is not None and self.bench.hush.on
+        return self.bench is not None and self.bench.repaint_hold.on
 
     def _pull(self) -> bool:
         arrived = self._arrival.take()

@@ -136,12 +136,12 @@ def tour_stops(
                  "Hold a pad: the arm moves as long as you hold it, or one step a press. Every pad "
                  "says how far it may go."),
         TourStop("operate", lambda: _of(workspaces, OperateWorkspace).page.probe, "Probe once",
-                 "Presses where the arm stands, and tells what was felt (F5)."),
+                 "Presses at the position of the arm and shows the result (F5)."),
         TourStop("collect", lambda: _target(workspaces), "Collect, then label",
                  "So many labelled probes of one pair, here. F2 changes to labelling: there Enter "
                  "accepts and goes on."),
         TourStop("train", lambda: _of(workspaces, TrainWorkspace).page.form, "Train a model",
-                 "On the labelled probes; curves, samples and comparison stand beside it."),
+                 "On the labelled probes; curves, samples and comparison are shown beside it."),
         TourStop("stack", lambda: _of(workspaces, StackWorkspace).page.run, "Stack by touch",
                  "Press Start stacking: the piece is pressed on, felt, shifted, and let go where "
                  "it will stand. The belief map and the decision in words follow every probe."),

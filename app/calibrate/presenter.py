@@ -67,7 +67,7 @@ STEPS: dict[CalibrationName, tuple[str, ...]] = {
     "board": (
         "Fix the bottom. The piece waits in its jig, or is handed over.",
         "The piece touches the bottom in five places and feels each edge twice.",
-        "It goes back. The residual tells whether anything moved meanwhile.",
+        "It goes back. The residual shows if anything moved meanwhile.",
     ),
     "tool": (
         "Fix a bottom whose place is known and give it as the origin.",
@@ -84,7 +84,7 @@ STEPS: dict[CalibrationName, tuple[str, ...]] = {
 # Message after accepting a result that needs another step.
 AFTER: dict[CalibrationName, str] = {
     "camera": ". The pictures stay as they are until the bench is started again: close the window "
-    "and open it anew."
+    "and open it again."
 }
 
 # Figure of the residuals that the limit applies to.
@@ -248,7 +248,7 @@ class CalibratePresenter:
         self._read_s, store = self._now_s(), self._bench.calibrations
         if store is not None:
             names = device_names(self._bench.devices)
-            self._standings = {what: store.standing(what, names) for what in CALIBRATION_NAMES}
+            self._standings = {what: store.status(what, names) for what in CALIBRATION_NAMES}
 
     def _look(self) -> CalibrationView:
         what, active = self._chosen, is_run_active(self._bench)

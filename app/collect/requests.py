@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -105,7 +104,7 @@ def apply_decision(
     return read_probe(dataset, dataset.entry(uuid), signals=True)
 
 
-ANSWERS = "Fitted anew", "As it was"  # answers to the question about the mounting
+ANSWERS = "Mounted again", "As it was"  # answers to the question about the mounting
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,18 +189,6 @@ def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> Col
         probes_per_grip=form.probes_per_grip or None,
         hand_over=form.hand_over,
     )
-
-
-def remembered_target_form(memory: Mapping[str, object]) -> tuple[TargetForm, list[str]]:
-    """Return (form, names of invalid fields); invalid fields get their defaults."""
-    default, known, dropped = TargetForm(), {}, []
-    for entry in fields(TargetForm):
-        value = memory.get(entry.name, getattr(default, entry.name))
-        if type(value) is type(getattr(default, entry.name)):
-            known[entry.name] = value
-        else:
-            dropped.append(entry.name)
-    return TargetForm(**known), dropped  # type: ignore[arg-type]
 
 
 def remembered_table(memory: object) -> TableArrangement:

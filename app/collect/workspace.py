@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from touchdown.app.collect.origin import origin_note
 from touchdown.app.collect.page import CollectPage
 from touchdown.app.collect.presenter import CollectPresenter
-from touchdown.app.collect.requests import remembered_table, remembered_target_form
+from touchdown.app.collect.requests import remembered_table
 from touchdown.app.label import HalvesPage, LabelWorkspace
 from touchdown.app.shell import (
     LivePresenter,
@@ -20,6 +20,7 @@ from touchdown.app.shell import (
     Workspace,
     WorkspaceContext,
     portable_key,
+    restore_form,
 )
 from touchdown.backend.annotations import DESCRIPTION, Dataset
 from touchdown.backend.bench import Session
@@ -176,7 +177,7 @@ class CollectWorkspace(Workspace):
         dropped = list(self.label.recall(memory))
         target, half = memory.get("target", {}), memory.get("half", COLLECT)
         if isinstance(target, Mapping):
-            form, wrong = remembered_target_form(target)
+            form, wrong = restore_form(TargetForm(), target)
             dropped += wrong
         else:
             form = TargetForm()

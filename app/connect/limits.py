@@ -234,7 +234,7 @@ class LimitsPresenter:
         )
         assert self.sheet is not None
         self.sheet.question.ask(
-            f"Change {told}? It holds until the program ends, and goes on record.",
+            f"Change {told}? It applies until the program ends, and is logged.",
             "Keep", "Change", lambda: self._take(wanted),
         )  # fmt: skip
         return ""

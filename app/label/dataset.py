@@ -48,7 +48,7 @@ class DatasetTasks:
     def look_through(self, done: Callable[[QualityReport], None]) -> None:
         """Check the quality of all episodes."""
         if self._jobs.busy:
-            self._page.say("Wait until the dataset is looked through or scored.")
+            self._page.say("Wait until the dataset is checked or scored.")
             return
         self._page.say("Looking through the dataset …")
         dataset, progress = self._opened.dataset, self._teller("Looking through")

@@ -231,7 +231,7 @@ class LabelPresenter:
             self._show_present()
         else:
             end = "The end of the queue" if at > 0 else "The beginning of the queue"
-            self._page.say(f"{end}: Ctrl+R reads it anew.")
+            self._page.say(f"{end}: Ctrl+R reads it again.")
 
     def _arrived(self, uuid: str) -> None:
         if uuid == self.walk.uuid and (
@@ -395,7 +395,7 @@ class LabelPresenter:
 
 def _waiting_words(count: int) -> str:
     what = "1 action waits and is" if count == 1 else f"{count} actions wait and are"
-    return f"another program is writing to the dataset. {what} done as soon as it lets go."
+    return f"another program is writing to the dataset. {what} done as soon as it has finished."
 
 
 DIGITS = 9
@@ -464,7 +464,7 @@ def health_text(health: QualityReport, kinds: int, at: datetime) -> str:
     """Return how many episodes were checked and the number of findings."""
     whole = f"{health.looked:,}" + (f" of {health.count:,}" if health.looked < health.count else "")
     noun = "episode was" if health.looked == 1 else "episodes were"
-    found = {0: "nothing is out of order", 1: "1 kind of finding"}.get(
+    found = {0: "no problems were found", 1: "1 kind of finding"}.get(
         kinds, f"{kinds} kinds of findings"
     )
-    return f"{whole} {noun} looked through at {at:%H:%M}: {found}."
+    return f"{whole} {noun} checked at {at:%H:%M}: {found}."

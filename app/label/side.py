@@ -53,8 +53,8 @@ def agreement_text(dataset: Dataset) -> str:
         parts.append(suggestion_bias_text(swayed))
     return "\n\n".join(parts) or (
         "No two people have answered the same episodes yet.\n\n"
-        "One episode in 20 of what is to be labelled is gold: an approved label of others, not "
-        "told from the rest. What you decide there is an opinion, as in the queue 'Gold': no "
+        "One unlabelled episode in 20 is gold: it has an approved label by another person, but looks "
+        "like the others. Your decision there is stored as an opinion, as in the queue 'Gold': no "
         "label changes."
     )
 

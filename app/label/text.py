@@ -50,9 +50,9 @@ def models_text(weights: str) -> str:
 def provenance_text(revision: Revision) -> str:
     """Return source and uncertainty of a label as text."""
     if not revision.label.is_set:
-        return "nobody has said yet where the face was"
+        return "no displacement is set yet"
     sigma = revision.label.sigma_um
-    spread = "uncertainty not told" if sigma is None else f"sigma {sigma / 1e3:.2f} mm"
+    spread = "uncertainty unknown" if sigma is None else f"sigma {sigma / 1e3:.2f} mm"
     kind = revision.source.partition(":")[0]
     basis = {
         "commanded": "commanded displacement",

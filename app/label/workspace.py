@@ -533,7 +533,7 @@ def _queue(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
                 lambda: w.on(lambda p: p.go_to(len(p.walk.order) - 1))),
         WindowCommand("number", "Go to a place of the queue, by its number", "Q", w.ask_number),
         WindowCommand("queue", "Choose the queue", "Ctrl+J", w.list_queues),
-        WindowCommand("reread", "Read the queue anew", "Ctrl+R",
+        WindowCommand("reread", "Read the queue again", "Ctrl+R",
                 lambda: w.on(lambda p: p.flushed(p.read_queue))),
     )  # fmt: skip
 
@@ -548,7 +548,7 @@ def _side_commands(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
                       lambda: w.beside(SideTabKeys.log)),
         WindowCommand("bulk", "Change every label of the queue", "B",
                       lambda: w.beside(SideTabKeys.many)),
-        WindowCommand("health", "Look through the dataset for what is out of order", "Ctrl+H",
+        WindowCommand("health", "Check all episodes of the dataset", "Ctrl+H",
                 w.look_through),
         WindowCommand("findings", "Choose a finding, by its digit", "F",
                 lambda: w.healthy(HealthPresenter.ask)),

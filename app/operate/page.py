@@ -65,7 +65,7 @@ class OperatePage(LivePage):
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
         self.maps = self.belief_panel.maps
         self.looks = compact_combo_box([text for _, text in LOOKS], "What the tactile views show")
-        self.baseline = flat_button("Baseline", "Take the tactile reference anew, in air (B)")
+        self.baseline = flat_button("Baseline", "Take a new tactile reference, in air (B)")
         self.span = compact_combo_box([f"{span:.0f} s" for span in SPANS_S], "Length of the traces")
         self.zero = flat_button("Zero", "Zero force and moment here, in air (Z)")
         self.pause = flat_button(

@@ -266,7 +266,7 @@ class OperateWorkspace(Workspace):
             ),
             WindowCommand(
                 "baseline",
-                "Take the tactile reference anew",
+                "Take a new tactile reference",
                 "B",
                 lambda: self.page.baseline_requested.emit(),
             ),
@@ -293,7 +293,10 @@ class OperateWorkspace(Workspace):
                 "level", "Level the hand", "Shift+T", lambda: self.page.jog.level_requested.emit()
             ),
             WindowCommand(
-                "scene", "Set the simulated bench anew", "Ctrl+N", lambda: self.page.scene.ask()
+                "scene",
+                "Set up a new scene on the simulated bench",
+                "Ctrl+N",
+                lambda: self.page.scene.ask(),
             ),
             WindowCommand(
                 "freeze", "Hold the traces still", "Ctrl+P", lambda: self.page.pause.toggle()

@@ -88,7 +88,7 @@ class ReviewPage(QWidget):
         seek = self.time_chosen.emit
         self.runs = RecordingList(theme, "Recorded runs", self.recording_chosen.emit)
         self.trials = KeylessList("Trials of the run")
-        self.story = KeylessList("What happened", "No steps: a run tells them, a series does not.")
+        self.story = KeylessList("What happened", "No steps: only runs have them.")
         self.kind, self.order, self.filter = QComboBox(), QComboBox(), QLineEdit()
         self.refresh, self.experiments = QToolButton(), QToolButton()
         self.empty = label("", "muted", wrap=True)

@@ -61,6 +61,7 @@ from .saving import SaveWorker as SaveWorker
 from .settings import WindowSettings as WindowSettings
 from .settings import ignored_words as ignored_words
 from .settings import load_settings as load_settings
+from .settings import restore_form as restore_form
 from .settings import save_settings as save_settings
 from .settings import settings_path as settings_path
 from .top_bar import DeviceChipsPresenter as DeviceChipsPresenter
@@ -142,6 +143,7 @@ __all__ = [
     "pill_state",
     "portable_key",
     "refusal_card",
+    "restore_form",
     "run_model_caption",
     "run_score",
     "save_settings",

@@ -32,7 +32,7 @@ class BenchCaption:
 
 def bench_caption(bench: Session) -> BenchCaption:
     """Return the names of a bench, consistent with its recordings."""
-    mode = bench.facts.mode
+    mode = bench.description.mode
     if mode == "simulated":
         return BenchCaption(
             "Touchdown (SIMULATED)",

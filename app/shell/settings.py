@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import cast
+from typing import TypeVar, cast
 
 from touchdown.app.shell.window import CHOICES, ThemeChoice
 from touchdown.backend.core import write_atomically
@@ -31,6 +31,18 @@ class WindowSettings:
     keys: dict[str, str] = field(default_factory=dict)
     toured: bool = False
     pages: dict[str, Json] = field(default_factory=dict)
+
+
+Form = TypeVar("Form")
+
+
+def restore_form(default: Form, memory: Mapping[str, object]) -> tuple[Form, list[str]]:
+    """Return (form, names of invalid fields); invalid and missing fields keep their defaults."""
+    values = {e.name: getattr(default, e.name) for e in fields(default)}  # type: ignore[arg-type]
+    known = {name: memory[name] for name in values if name in memory}
+    dropped = [name for name, value in known.items() if type(value) is not type(values[name])]
+    valid = {name: value for name, value in known.items() if name not in dropped}
+    return type(default)(**(values | valid)), dropped
 
 
 def settings_path() -> Path:

@@ -95,7 +95,7 @@ class OperatorPromptsPresenter:
         """Report the outcome of the trial."""
         if self._asked is not None and self._asked.proposed is not None:
             self._ask(None)
-            self._bench.gate.see(outcome, reason)
+            self._bench.prompt.see(outcome, reason)
 
     def ask_photo(self) -> None:
         """Let the operator choose a picture of this trial."""

@@ -44,7 +44,7 @@ class TrainPage(QWidget):
         self.figures = FigureTable(theme, "Figures per bottom", ("IoU / points right, %", "A"))
         self.split.empty = "No episode that counts yet"
         self.runs.empty = "No training on these data yet. Fill in the form, then Start training."
-        self.figures.empty = "Choose a finished training: its figures per bottom stand here"
+        self.figures.empty = "Choose a finished training: its figures per bottom are shown here"
         self.differences.empty = "Choose up to three trainings (Ctrl+click): what differs"
         self.in_use = label("", "", wrap=True)
         self.promote, self.roll_back = QPushButton("Promote"), QPushButton("Roll back")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from touchdown.app.shell import (
     WindowCommand,
     Workspace,
     WorkspaceContext,
+    restore_form,
 )
 from touchdown.app.train.page import TrainPage
 from touchdown.app.train.presenter import TrainPresenter
@@ -64,7 +65,7 @@ class TrainWorkspace(Workspace):
                 self._order(TrainPresenter.roll_back),
             ),
             WindowCommand("folder", "Train on another folder", "Ctrl+O", self._ask_folder),
-            WindowCommand("reread", "Read data and trainings anew", "Ctrl+R", self._reread),
+            WindowCommand("reread", "Read data and trainings again", "Ctrl+R", self._reread),
         )
 
     def build(self) -> Iterator[None]:
@@ -118,7 +119,7 @@ class TrainWorkspace(Workspace):
 
     def recall(self, memory: Memory) -> Sequence[str]:
         """Restore stored settings; return the names of invalid fields."""
-        form, dropped = remembered_training_form(memory)
+        form, dropped = restore_form(TrainingForm(), memory)
         folders = memory.get("folders", [])
         if isinstance(folders, list) and all(isinstance(one, str) for one in folders):
             self._folders = [self._folders[0], *(Path(one) for one in folders[:MOST_FOLDERS])]
@@ -180,16 +181,3 @@ class TrainWorkspace(Workspace):
 def _short(folder: Path, names: Sequence[str]) -> str:
     """Return the folder name, with its parent where two names are equal."""
     return f"{folder.parent.name}/{folder.name}" if names.count(folder.name) > 1 else folder.name
-
-
-def remembered_training_form(memory: Mapping[str, object]) -> tuple[TrainingForm, list[str]]:
-    """Return (form, names of invalid fields); invalid fields get their defaults."""
-    default = asdict(TrainingForm())
-    known, dropped = dict(default), []
-    for name, value in default.items():
-        given = memory.get(name, value)
-        if type(given) is type(value):
-            known[name] = given
-        else:
-            dropped.append(name)
-    return TrainingForm(**known), dropped

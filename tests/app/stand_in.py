@@ -109,7 +109,7 @@ class StandInBench:
     """Satisfies ``touchdown.backend.bench.Session``."""
 
     simulated = True
-    facts = BenchDescription(mode="simulated")
+    description = BenchDescription(mode="simulated")
     name, limits_source, connection = "", "the program itself", None
     usual, hand, model, dataset = SceneChoice(), None, None, None
     calibrations = None
@@ -118,7 +118,7 @@ class StandInBench:
 
     def __init__(self):
         self.events, self.interlock, self.catalogue = EventBus(), Interlock(), load_pieces()
-        self.hush, self.gate, self.run_folder = RepaintHold(), OperatorPrompt(), None
+        self.repaint_hold, self.prompt, self.run_folder = RepaintHold(), OperatorPrompt(), None
         self.frames = {f: Stream(f"tactile_{f}", 8) for f in FINGERS}
         self.fields = {f: Stream(f"markers_{f}", 8) for f in FINGERS}
         self.wrench = SampleStream("wrench", 6, 20_000)

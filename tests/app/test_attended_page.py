@@ -55,7 +55,7 @@ def test_the_scene_is_pictured_and_a_key_says_that_it_is_set(live, bench, stack)
 
 
 def ask(live, bench):
-    bench.gate.ask()
+    bench.prompt.ask()
     bench.events.publish(ASKED)
     settle(live)
 
@@ -74,20 +74,20 @@ def test_one_key_says_what_became_of_it(live, bench, stack, key, seen):
     roles = {o: b.property("role") for o, b in stack.page.trial.outcomes.items()}
     assert [o for o, role in roles.items() if role == "primary"] == [ASKED.proposed]
     press(live, key)
-    assert bench.gate.seen == (seen, "")
+    assert bench.prompt.seen == (seen, "")
     assert not stack.page.trial.isVisible()
 
 
 def test_a_void_trial_needs_its_reason_and_is_listed(live, bench, stack):
     ask(live, bench)
     press(live, Qt.Key.Key_4)
-    assert bench.gate.seen is None
+    assert bench.prompt.seen is None
     trial = stack.page.trial
     assert trial.reason.hasFocus()
     QTest.keyClicks(trial.reason, "2 hands were in the way")
-    assert bench.gate.seen is None, "keys of a text field judge nothing"
+    assert bench.prompt.seen is None, "keys of a text field judge nothing"
     QTest.keyClick(trial.reason, Qt.Key.Key_Return)
-    assert bench.gate.seen == (Outcome.ABORTED, "2 hands were in the way")
+    assert bench.prompt.seen == (Outcome.ABORTED, "2 hands were in the way")
     why = "Void: 2 hands were in the way."
     bench.events.publish(TrialFinished(4.0, 1, 7, Outcome.ABORTED, why, 3, None, None))
     settle(live)
@@ -115,4 +115,4 @@ def test_what_is_asked_goes_when_the_run_goes_on(live, bench, stack):
     settle(live)
     assert not stack.page.trial.isVisible()
     press(live, Qt.Key.Key_1)
-    assert bench.gate.seen is None
+    assert bench.prompt.seen is None

@@ -32,7 +32,7 @@ def devices():
 def lab(main, bench, devices):
     """The window on the stand-in bench, as if its devices were connected by hand."""
     bench.connection, bench.name = BenchConnection(devices), "Bench 2"
-    bench.facts, bench.simulated = BenchDescription(mode="hardware"), False
+    bench.description, bench.simulated = BenchDescription(mode="hardware"), False
     bench.limits_source, bench.left = "lab.toml", []
     bench.usual = SceneChoice("barrel", ("long", "hex20"))
     bench.leave_scene = lambda: bench.left.append("scene")
@@ -71,7 +71,7 @@ def test_the_forms_begin_with_what_is_on_the_bench(lab):
     ],
 )
 def test_each_kind_of_bench_has_its_own_words(bench, mode, banner, striped, note):
-    bench.facts, bench.name = BenchDescription(mode=mode), "Bench 2"
+    bench.description, bench.name = BenchDescription(mode=mode), "Bench 2"
     words = bench_caption(bench)
     assert (words.banner, words.striped, words.note) == (banner, striped, note)
     assert ("SIMULATED" in words.title) is (mode == "simulated")

@@ -52,7 +52,7 @@ def file(tmp_path):
 def wizard(main, bench, file):
     """The form of a bench whose devices are not connected, as the operator opens it."""
     bench.connection, bench.name = BenchConnection(scripted()[0]), "Bench 2"
-    bench.facts, bench.simulated = BenchDescription(mode="hardware"), False
+    bench.description, bench.simulated = BenchDescription(mode="hardware"), False
     bench.limits_source = str(file)
     main.attach(bench)
     main.panels.connect.sheet.devices.click()

@@ -16,8 +16,7 @@ from tests.app.stand_in import StandInBench
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.actions import EVERYWHERE_CONTEXT, STOP_BINDINGS, portable_key
 from touchdown.app.shell.errors import ErrorBox, install_error_hooks, log_to
-from touchdown.app.shell.settings import WindowSettings, load_settings, save_settings
-from touchdown.app.stack.workspace import remembered_run_form
+from touchdown.app.shell.settings import WindowSettings, load_settings, restore_form, save_settings
 from touchdown.app.start import incompatibility
 from touchdown.widgets.base.theme import THEMES
 from touchdown.widgets.forms.run_form import RunForm
@@ -179,7 +178,7 @@ def test_good_fields_of_a_partly_bad_file_are_kept(tmp_path):
     settings, warning = load_settings(path)
     assert settings.theme == "light"
     assert "scale" in warning
-    form, dropped = remembered_run_form(settings.pages["stack"])
+    form, dropped = restore_form(RunForm(), settings.pages["stack"])
     assert (form.piece, form.seed, dropped) == ("barrel", RunForm().seed, ["seed"])
 
 
@@ -188,7 +187,7 @@ def test_closing_remembers_the_form(main, tmp_path):
     main.workspaces["stack"].page.run.show_form(RunForm("mushroom", "circle25", seed=42))
     main.close()
     settings, _ = load_settings(tmp_path / "window.json")
-    form, _ = remembered_run_form(settings.pages["stack"])
+    form, _ = restore_form(RunForm(), settings.pages["stack"])
     assert (form.piece, form.bottom, form.seed) == ("mushroom", "circle25", 42)
 
 
@@ -202,7 +201,9 @@ def test_closing_without_a_bench_keeps_the_remembered_form(qapp, tmp_path, qtbot
     main.window.deleteLater()
     main.deleteLater()
     settings, _ = load_settings(path)
-    assert remembered_run_form(settings.pages["stack"])[0] == RunForm("barrel", "hex20", "long", 5)
+    assert restore_form(RunForm(), settings.pages["stack"])[0] == RunForm(
+        "barrel", "hex20", "long", 5
+    )
 
 
 # -- guard and hooks -------------------------------------------------------------------------------

@@ -232,7 +232,7 @@ def test_a_campaign_that_goes_on_asks_for_its_mounting_and_takes_either_answer(p
     assert target.why_not.text() == (
         "Were the circle15 or the gels fitted anew since mounting 2 of this campaign?"
     )
-    assert (target.start.text(), target.go_on.text()) == ("Fitted anew", "As it was")
+    assert (target.start.text(), target.go_on.text()) == ("Mounted again", "As it was")
     assert target.start.isEnabled()
     assert target.go_on.isEnabled()
     with_key = Qt.KeyboardModifier.NoModifier if anew else Qt.KeyboardModifier.ShiftModifier

@@ -192,7 +192,7 @@ def test_whoever_starts_first_is_asked_for_a_name(start):
     desk = start(person="")
     assert desk.workspace.presenter is None
     assert desk.page.words.isVisible()
-    assert desk.page.nothing.title.text() == "Nobody is named yet"
+    assert desk.page.nothing.title.text() == "No person is named yet"
     assert desk.page.nothing.button.text() == "Give your name (Ctrl+U)"
     desk.type("ANN")
     desk.press(KEY.Key_Return)

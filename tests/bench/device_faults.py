@@ -175,7 +175,7 @@ class _Struck(Failing):
             if self.struck_s == float("inf") and self.session.clock_s() >= self._due_s:
                 scene = self.session._scene
                 assert scene is not None
-                blow(scene.stage.gripper._world)
+                blow(scene.gripper._world)
                 self.struck_s = self.session.clock_s()
 
         self.session.advance = advance

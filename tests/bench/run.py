@@ -32,7 +32,6 @@ MODULES: tuple[str, ...] = (
     "tests.bench.device_faults",
     "tests.bench.camera_faults",
     "tests.bench.wire_faults",
-    "tests.bench.motion_faults",
     "tests.bench.wired",
     "tests.bench.wired_faults",
     "tests.bench.disk_faults",

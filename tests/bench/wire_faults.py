@@ -9,7 +9,7 @@ import random
 import threading
 import time
 import tracemalloc
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -19,7 +19,7 @@ from tests.backend.devices.codecs.codecs import CODECS, IN
 from tests.backend.devices.codecs.vectors import VECTORS, data
 from tests.backend.devices.emulated_arm import Rig
 from tests.backend.devices.melfa.leaps import Leaping
-from tests.backend.devices.melfa.test_stream import LEAD_MM, SPEED_MM_S, doing
+from tests.backend.devices.melfa.test_stream import LEAD_MM, SPEED_MM_S
 from tests.bench.registry import Figure, figure
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core.faults import FaultError
@@ -44,8 +44,6 @@ NOISY_FRAMES, FLIPPED_RECORDS = 500_000, 100_000
 COUNTS_PER_N, MAX_RECORD_STEP_N = 65, 50.0
 LEAPS, STORM_CYCLES, MOST_SHARE = 200, 10, 0.5
 LOSSES, MINUTES = (0.05, 0.20), 10.0
-ERRORS = (2000, 2601, 4140, 6020, 4242, 50, 61, 70)
-STATES = ("stand", "travel", "jog", "press")
 
 
 @figure("faults")
@@ -241,52 +239,6 @@ def _failed(motion: CommandedMotion) -> bool:
     except FaultError:
         return True
     return False
-
-
-@figure("faults")
-def errors_in_every_state() -> list[Figure]:
-    """Each error of the list in each state of the arm: commands after it, and the first anew."""
-    kinds: Sequence[tuple[str, Callable[[Rig], None]]] = [
-        *((str(n), lambda rig, n=n: rig.device.controller.raise_error(n)) for n in ERRORS),
-        ("servo off", lambda rig: rig.device.controller.switch_servo(False)),
-        ("program ended", lambda rig: rig.device.controller.finish_program()),
-    ]
-    broken, count = [], 0
-    for name, happen in kinds:
-        for state in STATES:
-            found = _after(state, happen, name if name.isdigit() else "")
-            broken += [f"{name} while {state}: {what}" for what in found]
-            count += 1
-    text = "errors of the controller not ended as documented"
-    told = f"{count} pairs of event and state" + "".join(f"; {one}" for one in broken[:3])
-    return [Figure(text, len(broken), "", "0", not broken, told)]
-
-
-def _after(state: str, happen: Callable[[Rig], None], said: str) -> list[str]:
-    """Return what does not hold after the event, and after the connection that follows."""
-    rig = Rig()
-    rig.arm.connect(1.0, threading.Event())
-    rig.rest(0.1)
-    doing(rig, state)
-    happen(rig)
-    followed = rig.device.stream.commands
-    rig.rest(0.35)
-    fault = rig.arm.fault
-    rows = {
-        "no fault": rig.arm.state is DeviceState.FAULT and fault is not None,
-        "not told": fault is None or said in fault.what,
-    }
-    rig.arm.close()
-    rows["a command followed"] = rig.device.stream.commands == followed
-    rig.device.controller.emergency = False
-    rig.device.controller.reset_error()
-    here_mm = rig.true_mm
-    del rig.wires.packets[:]
-    rig.arm.connect(1.0, threading.Event())
-    rig.rest(0.1)
-    rows["not ready again"] = rig.arm.state is DeviceState.READY
-    rows["not the echo first"] = bool(np.abs(_places(rig) - here_mm).max() < 0.01)
-    return [name for name, holds in rows.items() if not holds]
 
 
 FRAMED = (

@@ -19,7 +19,7 @@ import numpy as np
 
 from tests.backend.devices.emulated_arm import settings as melfa_settings
 from tests.backend.rig.served import Served
-from touchdown.backend.bench.emulated_scene import PRIORITY, shorten_switch_interval
+from touchdown.backend.bench.emulated_scene import EMULATOR_PRIORITY, shorten_switch_interval
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.scheduling import round_robin_priority
 from touchdown.backend.devices.framing import ProtocolError
@@ -131,7 +131,7 @@ class LoggedArm:
 
 def main(host: str) -> None:
     """Serve and answer until the input ends."""
-    with round_robin_priority(PRIORITY):
+    with round_robin_priority(EMULATOR_PRIORITY):
         served = Served(partial(LoggedFront, host=host))
     # Tests let it wait for a computer that stalls: here it ends a silent stream, as on hardware.
     device = served.arm._device

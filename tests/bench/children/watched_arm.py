@@ -21,7 +21,7 @@ import numpy as np
 
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, make_scene
 from touchdown.backend.bench.emulated_scene import (
-    PRIORITY,
+    EMULATOR_PRIORITY,
     EmulatedScene,
     lab_toml,
     serve_bench,
@@ -106,7 +106,7 @@ def main(folder: Path) -> None:
     """Serve and answer until the input ends."""
     settings = SimulatedBenchChoice(preset="quiet").settings()
     scene = make_scene(load_pieces(), SceneChoice("pot", ("short",), SEED), settings)
-    with round_robin_priority(PRIORITY):
+    with round_robin_priority(EMULATOR_PRIORITY):
         joined, emulation = serve_bench(scene, folder, FaultPlan())
         (folder / LAB).write_text(lab_toml(scene, emulation), "utf-8")
         shorten_switch_interval()

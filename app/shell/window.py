@@ -43,7 +43,7 @@ FOOT_OF_RAIL = (("layouts", "Layout"), ("theme", "Theme"), ("keys", "Keys"))
 
 
 class WorkspaceTab(Protocol):
-    """What the window needs of a workspace."""
+    """A workspace, as the window uses it."""
 
     name: str
     title: str

@@ -54,8 +54,8 @@ def agreement_text(dataset: Dataset) -> str:
     return "\n\n".join(parts) or (
         "No two people have answered the same episodes yet.\n\n"
         "One unlabelled episode in 20 is gold: it has an approved label of another person and "
-        "looks like the others. Your decision there is stored as an opinion, as in the queue 'Gold': "
-        "it changes no label."
+        "looks like the others. Your decision there is stored as an opinion, as in the queue "
+        "'Gold': it changes no label."
     )
 
 

@@ -267,7 +267,7 @@ def _exchanged(folder: Path) -> Path:
         f"tactile_{finger}": DeviceName(maker="GelSight", model="Mini", serial=camera.serial)
         for finger, camera in cameras
     }
-    calibrations_of(lab).accept(SEEN.told(0.0, "camera"), who)
+    calibrations_of(lab).accept(SEEN.to_event(0.0, "camera"), who)
     return path
 
 
@@ -296,11 +296,11 @@ def sheets(stage: Stage, folder: Path) -> Iterator[str]:
     """Connect panel, limits, calibration wizard."""
     main, bench = stage.main, stage.bench
     main.go("operate")
-    bench.name, facts = "Bench 2", bench.facts
-    bench.facts = BenchDescription(mode="hardware")
+    bench.name, facts = "Bench 2", bench.description
+    bench.description = BenchDescription(mode="hardware")
     yield from _connecting(stage, folder)
     yield from _devices(stage, folder / "lab.toml", "connect-devices")
-    bench.name, bench.facts = "", facts
+    bench.name, bench.description = "", facts
     main.actions.action("limits").trigger()
     yield "limits"
     main.panels.limits.sheet.edit.click()

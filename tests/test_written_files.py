@@ -315,7 +315,7 @@ def test_a_lab_file_opens() -> None:
 
 def test_calibrations_hold() -> None:
     store = CalibrationStore(WRITTEN / "calibrations", "simulated")
-    standings = {standing.what: standing for standing in store.standings({}, NOW)}
+    standings = {standing.what: standing for standing in store.statuses({}, NOW)}
     assert {what for what, s in standings.items() if s.condition == "valid"} == {
         "payload", "wrist", "camera"
     }  # fmt: skip

@@ -308,7 +308,7 @@ class CalibratePresenter:
             return NO_STORE, ""
         if standing.condition != "valid" or standing.record is None:
             # Calibrations are required on hardware only.
-            needed = standing.condition != "missing" or self._bench.facts.mode == "hardware"
+            needed = standing.condition != "missing" or self._bench.description.mode == "hardware"
             return standing.why[:1].upper() + standing.why[1:], "bad" if needed else ""
         file = standing.record.file
         left = validity_text(standing.record.days_left(datetime.now(UTC)))

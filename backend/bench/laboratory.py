@@ -1,7 +1,7 @@
 """Session on the devices of a lab file.
 
-Nothing is connected at first: ``session.connection`` does that at the operator's order. The scene
-is set once all devices are ready.
+Nothing is connected at first: ``Session.connect`` or ``session.connection`` does that. The scene is
+set once all devices are ready.
 """
 
 from __future__ import annotations
@@ -10,10 +10,9 @@ import shlex
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
-from touchdown.backend.bench.assembly import BenchModels
+from touchdown.backend.bench.assembly import BenchModels, run_record
 from touchdown.backend.bench.session import Session
 from touchdown.backend.calibration import (
     CalibrationRecord,
@@ -26,7 +25,6 @@ from touchdown.backend.core import BenchClock, InputError, raised_priority
 from touchdown.backend.devices import Limits
 from touchdown.backend.geometry import Piece, PieceLibrary, load_pieces
 from touchdown.backend.learning import ModelRegistry
-from touchdown.backend.placement import Estimator
 from touchdown.backend.rig import LATE_S, BenchConnection, BenchDevices, FlightRecorder
 from touchdown.backend.runs import (
     GelCheck,
@@ -41,10 +39,10 @@ from touchdown.backend.sensing import RawStreams, gripper_payload
 
 @dataclass(frozen=True, slots=True)
 class LabChoice:
-    """Which lab, by its file; ``pieces``: folder with further piece files.
+    """Choice of a laboratory by its file; ``pieces`` is a folder with further piece files.
 
-    ``any_gels``: connect also other gels than were calibrated, to calibrate them. ``campaign``:
-    on hardware, not without calibrations that hold.
+    ``any_gels``: also connect gels without a calibration, to calibrate them. ``campaign``: on
+    hardware, require valid calibrations.
     """
 
     file: Path
@@ -60,23 +58,26 @@ def lab_session(
     method: StackSettings | None = None,
     registry: ModelRegistry | None = None,
 ) -> Session:
-    """Return a session on the devices of ``choice``; raises ``InputError`` for a bad file.
+    """Return a session on the devices of ``choice``; raises ``InputError`` for an invalid file.
 
-    For a campaign it raises ``RefusedError`` naming the first calibration that does not hold, and
-    what measures it, before anything is connected; devices are compared when a run begins.
-    A model that fits the first piece is loaded now: later that would disturb the arm's stream.
+    For a campaign it raises ``RefusedError`` naming the first invalid calibration and the command
+    that measures it, before anything is connected. Devices are compared when a run begins. A model
+    that fits the first piece is loaded now, since loading later would disturb the arm's stream.
     """
     written, catalogue = load_lab(choice.file), load_pieces(choice.pieces)
     if choice.campaign and written.settings.kind == "hardware":
         calibrations_of(written).in_use({}, required=True)
-    lab = _as_calibrated(written)
+    lab, seats = written, _seats(written)
+    if seats is not None:
+        gelsight = calibrated_cameras(written.settings.gelsight, seats)
+        lab = Lab(written.path, written.settings.model_copy(update={"gelsight": gelsight}))
     method = method or StackSettings()
     bench = _LabBench(lab, catalogue, method, registry)
     session = Session(
         bench.make_stage, bench.check, catalogue,
-        settings=method, keep=keep or RecordingOptions(), facts=lab.facts,
+        settings=method, keep=keep or RecordingOptions(), description=lab.facts,
     )  # fmt: skip
-    bench.wire(session, any_gels=choice.any_gels).notices = otherwise_named(written)
+    bench.wire(session, any_gels=choice.any_gels).notices = find_camera_conflicts(written)
     return session
 
 
@@ -141,36 +142,27 @@ def open_lab(
 
 
 def calibrations_of(lab: Lab) -> CalibrationStore:
-    """Return the calibrations of a lab, beside its file or where that says."""
+    """Return the calibrations of a laboratory, beside its file or in the configured folder."""
     bench = f"--bench {shlex.quote(str(lab.path))} --home"
     return CalibrationStore(lab.calibrations, lab.settings.kind, bench)
 
 
-def otherwise_named(lab: Lab) -> dict[str, str]:
-    """Return, by device, where the calibration has another camera than the file; it counts."""
+def find_camera_conflicts(lab: Lab) -> dict[str, str]:
+    """Return the conflicts of lab file and calibration by camera; the calibration wins."""
     seats = _seats(lab)
     if seats is None:
         return {}
     return camera_conflicts(lab.settings.gelsight, seats, calibrations_of(lab).command("camera"))
 
 
-def _as_calibrated(lab: Lab) -> Lab:
-    """Return the lab with its cameras as the newest calibration found them to sit."""
-    seats = _seats(lab)
-    if seats is None:
-        return lab
-    gelsight = calibrated_cameras(lab.settings.gelsight, seats)
-    return Lab(lab.path, lab.settings.model_copy(update={"gelsight": gelsight}))
-
-
 def _seats(lab: Lab) -> CalibrationRecord | None:
-    """Return the calibration of the cameras; age moves no camera to the other finger."""
-    kept = calibrations_of(lab).standing("camera", {})
+    """Return the calibration of the cameras; an expired one still holds for the assignment."""
+    kept = calibrations_of(lab).status("camera", {})
     return kept.record if kept.condition in ("valid", "expired") else None
 
 
 class _LabBench:
-    """Makes the scenes of a lab: always of the same devices."""
+    """Makes the scenes of a laboratory, always with the same devices."""
 
     def __init__(
         self,
@@ -191,7 +183,7 @@ class _LabBench:
         self._first = first
 
     def wire(self, session: Session, *, any_gels: bool) -> BenchConnection:
-        """Make the drivers on the streams of ``session``; returns what connects them."""
+        """Make the drivers on the streams of ``session``; return their connection."""
         raw, settings, session.usual = session.raw, self._lab.settings, self._first
         self._wired = wired = BenchDevices(
             settings, self._clock.now_s, raw.frames, raw.samples, raw.poses, session.interlock
@@ -202,7 +194,7 @@ class _LabBench:
         connection = BenchConnection(wired.devices, serials)
 
         def set_first() -> None:
-            # The scene of devices that were only connected again is still there.
+            # Devices that were only reconnected keep their scene.
             if session.hand is None:
                 session.prepare(self._first)
 
@@ -214,7 +206,7 @@ class _LabBench:
         return connection
 
     def make_stage(self, choice: SceneChoice, raw: RawStreams) -> SceneDevices:
-        """Return the devices as a scene: what stands on the bench is what the operator says."""
+        """Return the devices as a scene, with the piece and bottom that the operator named."""
         piece, settings, wired = self._scene(choice), self._lab.settings, self._wired
         mounting = settings.mounting
         return SceneDevices(
@@ -234,15 +226,10 @@ class _LabBench:
         )
 
     def check(self, choice: SceneChoice) -> Mapping[str, object]:
-        """Return what a run depends on here; raises ``InputError`` for a piece nobody knows."""
+        """Return the settings a run depends on; raises ``InputError`` for an unknown piece."""
         piece = self._scene(choice)
-        loaded: Estimator | None = self._models.check(choice, piece)
-        return {
-            "lab": self._lab.settings.model_dump(mode="json"),
-            "model": loaded
-            and {"piece": loaded.card.piece, "weights_sha256": loaded.card.weights_sha256},
-            "program": version("touchdown"),
-        }
+        bench = {"lab": self._lab.settings.model_dump(mode="json")}
+        return run_record(bench, self._models.check(choice, piece))
 
     def _scene(self, choice: SceneChoice) -> Piece:
         for name in choice.bottoms:

@@ -287,7 +287,7 @@ class CalibrationStore:
             ) from error
         return path
 
-    def standing(
+    def status(
         self, what: CalibrationName, devices: Mapping[str, DeviceName], now: datetime | None = None
     ) -> CalibrationStatus:
         """Return the validity of the newest calibration of a kind with the present ``devices``.
@@ -316,11 +316,11 @@ class CalibrationStore:
             return CalibrationStatus(what, "expired", record, f"expired {_age(-left)} ago", command)
         return CalibrationStatus(what, "valid", record, "", command)
 
-    def standings(
+    def statuses(
         self, devices: Mapping[str, DeviceName], now: datetime | None = None
     ) -> list[CalibrationStatus]:
         """Return the validity of all calibrations."""
-        return [self.standing(what, devices, now) for what in CALIBRATION_NAMES]
+        return [self.status(what, devices, now) for what in CALIBRATION_NAMES]
 
     def in_use(
         self, devices: Mapping[str, DeviceName], *, required: bool, now: datetime | None = None
@@ -330,16 +330,16 @@ class CalibrationStore:
         Its reason is CALIBRATION-MISSING, -EXPIRED, -OTHER-DEVICE or -DAMAGED.
         """
         used: dict[CalibrationName, CalibrationRecord] = {}
-        for standing in self.standings(devices, now):
-            if standing.condition == "valid":
-                assert standing.record is not None
-                used[standing.what] = standing.record
+        for status in self.statuses(devices, now):
+            if status.condition == "valid":
+                assert status.record is not None
+                used[status.what] = status.record
             elif required:
-                title = CALIBRATION_KINDS[standing.what].title
+                title = CALIBRATION_KINDS[status.what].title
                 raise RefusedError(
-                    f"CALIBRATION-{standing.condition.upper().replace(' ', '-')}",
-                    f"{title}: {standing.why}.",
-                    standing.fix,
+                    f"CALIBRATION-{status.condition.upper().replace(' ', '-')}",
+                    f"{title}: {status.why}.",
+                    status.fix,
                 )
         return used
 

@@ -104,7 +104,7 @@ class CalibrationEstimate:
         read_only(self.covariance)
         read_only(self.residuals)
 
-    def told(self, t_s: float, what: str, about: str = "") -> CalibrationMeasured:
+    def to_event(self, t_s: float, what: str, about: str = "") -> CalibrationMeasured:
         """Return the event of calibration ``what``; ``about``: piece and bottom."""
         return CalibrationMeasured(
             t_s,
@@ -126,7 +126,7 @@ class CalibrationEstimate:
     @property
     def acceptable(self) -> bool:
         """True if the residual is within its limit and there is no obstacle."""
-        return self.told(0.0, "").acceptable
+        return self.to_event(0.0, "").acceptable
 
     def value(self, name: str) -> float:
         """Return the value of a quantity; raises KeyError."""

@@ -222,7 +222,7 @@ def _status(store: CalibrationStore, screen: VerbOutput) -> int:
     from datetime import UTC, datetime
 
     now = datetime.now(UTC)
-    standings = store.standings({}, now)
+    standings = store.statuses({}, now)
     table = Table(title=f"Calibrations in {store.folder}")
     for column in ("what", "condition", "residual", "date", "days left"):
         table.add_column(column)

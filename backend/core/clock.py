@@ -82,7 +82,7 @@ class ManualClock:
         """Return the present time in s."""
         return self._now_us * 1e-6
 
-    def wind(self, step_us: int) -> None:
+    def advance(self, step_us: int) -> None:
         """Advance by ``step_us`` microseconds; raises ValueError if negative."""
         if step_us < 0:
             raise ValueError("a clock cannot go back")

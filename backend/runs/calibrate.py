@@ -51,6 +51,7 @@ from touchdown.backend.runs import messages
 from touchdown.backend.runs.bench import Bench, RunContext
 from touchdown.backend.runs.jig import pick_piece, return_piece, with_handed_piece
 from touchdown.backend.runs.motions import (
+    FIRST_POSES_S,
     MOVE_S,
     middle_of_overlap,
     move_to,
@@ -72,11 +73,9 @@ from touchdown.backend.runs.touch_probing import (
 )
 from touchdown.backend.sensing import take_reference
 
-INSET_MM = 2.0
-"""An edge is felt this far from its ends."""
+INSET_MM = 2.0  # distance of a probed point from the ends of an edge
 CORNERS = ((0.0, 0.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
-BOARD_REACH = 0.6
-"""The piece touches so far out, as a share of the half width of the bottom."""
+BOARD_REACH = 0.6  # offset of the corner touches, as a share of the half width of the bottom
 EDGES = tuple((axis, side, way) for axis in range(2) for side in (-1.0, 1.0) for way in (-1.0, 1.0))
 BOARD_STEPS = len(CORNERS) + len(EDGES)
 BOARD_ROUNDS = 2
@@ -84,14 +83,17 @@ BOARD_ROUNDS = 2
 
 @dataclass(frozen=True, slots=True)
 class EdgeOffsets:
-    """How far off the middle each edge is felt (across x, across y), and whose yaw that tells."""
+    """Distances from the edge middle at which edges are probed (across x, across y), in mm.
+
+    ``yaw_of`` names the body whose yaw follows from them.
+    """
 
     mm: tuple[float, float]
     yaw_of: YawOf
 
 
 def measure_board(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
-    """Return where the bottom is for the arm with the piece as it is held."""
+    """Measure the position of the bottom in the arm's frame, with the held piece."""
     yield from pick_piece(bench)
     centre = np.array(request.origin_mm)
     contact_mm = yield from find_height(bench, centre)
@@ -114,20 +116,22 @@ def measure_board(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEs
 def _edges(
     bench: Bench, centre: FloatArray, start_mm: float, along: EdgeOffsets, before: int
 ) -> Plan[list[TouchedEdge]]:
-    """Return all edges, felt round ``centre`` (2,) after ``before`` rounds."""
     edges = []
     for at, (axis, side, way) in enumerate(EDGES):
         yield PausePoint()
         yield _progress(bench, before, len(CORNERS) + at, f"edge {at + 1} of {len(EDGES)}")
         off = along.mm[axis] * way
-        edges.append((yield from felt_edge(bench, centre, (axis, side, off), start_mm)))
+        edges.append((yield from probed_edge(bench, centre, (axis, side, off), start_mm)))
     return edges
 
 
-def felt_edge(
+def probed_edge(
     bench: Bench, centre: FloatArray, where: tuple[int, float, float], start_mm: float
 ) -> Plan[TouchedEdge]:
-    """Feel one edge round ``centre`` (2,). ``where``: axis across, side, mm off along the edge."""
+    """Probe one edge around ``centre`` (2,).
+
+    ``where`` is the axis across the edge, the side (+1 or -1) and the distance along the edge, mm.
+    """
     axis, side, off_mm = where
     from_mm = centre.copy()
     from_mm[1 - axis] += off_mm
@@ -137,10 +141,10 @@ def felt_edge(
 
 
 def along_edges(face: Outline, bottom: Outline) -> EdgeOffsets:
-    """Return where edges are felt so that one part of the piece, or of the bottom, stays in touch.
+    """Return where to probe the edges so that the yaw of one body can be estimated.
 
-    A straight edge of the bottom tells its yaw along the stretch where a round face, or the corner
-    of a shorter one, runs on it; a longer face on a smaller bottom tells its own.
+    A straight edge of the bottom gives its own yaw along the stretch that a round face, or the
+    corner of a shorter face, reaches. A face longer than the bottom gives the yaw of the piece.
     """
     longer, shorter = _half_lengths(bottom), _half_lengths(face)
     round_face, round_bottom = face.kind == "circle", bottom.kind == "circle"
@@ -169,7 +173,7 @@ def _half_lengths(outline: Outline) -> tuple[float, float] | None:
 
 
 def _touches(bench: Bench, centre: FloatArray, start_mm: float, before: int) -> Plan[FloatArray]:
-    """Return (5, 3): middle of the overlap and height of contact, for the arm."""
+    """Return (5, 3): centre of the overlap and height of contact in the arm's frame."""
     out_mm = BOARD_REACH * np.array(bench.outline.half_extents_mm)
     found = []
     for at, corner in enumerate(CORNERS):
@@ -185,7 +189,7 @@ def _touches(bench: Bench, centre: FloatArray, start_mm: float, before: int) -> 
 
 
 def _progress(bench: Bench, before: int, done: int, text: str) -> Progress:
-    """Say how far it is after ``before`` rounds and ``done`` steps; a second one is as long."""
+    """Return the progress after ``before`` complete rounds and ``done`` steps."""
     steps = BOARD_STEPS * (before + 1)
     return Progress(bench.now_s(), BOARD_STEPS * before + done, steps, text)
 
@@ -195,7 +199,7 @@ TOOL_STEPS = TOOL_GRIPS * len(TOOL_SIDES)
 
 
 def measure_tool(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
-    """Return the centre of the face from the axis of the tool."""
+    """Measure the centre of the face relative to the tool axis."""
     bottom = np.array(request.origin_mm)
     felt = []
     for grip in range(TOOL_GRIPS):
@@ -211,7 +215,7 @@ def measure_tool(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEst
 
 
 def _felt_centre(bench: Bench, bottom: FloatArray, start_mm: float, grip: int) -> Plan[FloatArray]:
-    """Return where the hand stands with the face over the centre of the bottom (2,)."""
+    """Return the hand position (2,) with the face centred over the bottom."""
     between = np.zeros(2)
     for at, (axis, side) in enumerate(TOOL_SIDES):
         yield PausePoint()
@@ -221,27 +225,26 @@ def _felt_centre(bench: Bench, bottom: FloatArray, start_mm: float, grip: int) -
             TOOL_STEPS,
             f"grip {grip + 1} of {TOOL_GRIPS}",
         )
-        edge = yield from felt_edge(bench, bottom, (axis, side, 0.0), start_mm)
+        edge = yield from probed_edge(bench, bottom, (axis, side, 0.0), start_mm)
         between[axis] += 0.5 * edge.at_mm
     return between
 
 
-RAISE_MM = 60.0
-"""The hand leans only this far above where it is."""
+RAISE_MM = 60.0  # height above the start pose at which the hand tilts
 LEAN = math.radians(14.0)
+# Rotations about x and y, rad
 LEANS = (
     (0.0, 0.0), (LEAN, 0.0), (-LEAN, 0.0), (0.0, LEAN), (0.0, -LEAN), (0.7 * LEAN, 0.7 * LEAN),
 )  # fmt: skip
-"""Turns about x and y, rad."""
+# Positions (x, y) of a level hand; the pull of the cables differs between them
 LEVEL_MM = ((0.0, 0.0), (30.0, 0.0), (-30.0, 0.0), (0.0, 30.0), (0.0, -30.0), (0.0, 0.0))
-"""Places of a hand that stays level: cables pull differently at each."""
 SETTLE_S, WEIGH_S = 0.5, 1.0
 
 
 def measure_payload(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
-    """Return what hangs below the sensor; refused while a piece is held.
+    """Measure the payload below the wrist sensor, with an empty gripper.
 
-    An arm that cannot turn its hand stays level: mass and place in the plane only.
+    An arm that cannot tilt its hand stays level: mass and horizontal centre of mass only.
     """
     turns, wrenches = yield from _weighed(bench)
     if bench.arm.rotates:
@@ -250,7 +253,7 @@ def measure_payload(bench: Bench, request: CalibrateRequest) -> Plan[Calibration
 
 
 def measure_wrist(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
-    """Return how the wrist sensor is turned; refused where the hand cannot lean."""
+    """Measure the yaw of the wrist sensor; raises ``RefusedError`` if the hand cannot tilt."""
     if not bench.arm.rotates:
         raise RefusedError("CANNOT-TURN", "This arm keeps its hand level: the yaw shows no weight.")
     turns, wrenches = yield from _weighed(bench)
@@ -258,48 +261,37 @@ def measure_wrist(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEs
 
 
 def _weighed(bench: Bench) -> Plan[tuple[FloatArray, FloatArray]]:
-    """Return turns (6, 3, 3) and mean untared wrenches (6, 6); refused while a piece is held."""
+    """Return rotations (6, 3, 3) and mean untared wrenches (6, 6) of an empty gripper."""
     if bench.gripper.status().holding:
         raise RefusedError("HOLDING", "A piece is held: put it away, the gripper is weighed empty.")
-    # What leaning changes must not look like a contact.
+    # The change of wrench by tilting must not count as contact.
     yield from zero_wrench(bench)
     here = bench.arm.pose(max_age_s=0.2)
     turns, wrenches = [], []
-    for at, place in enumerate(_poses(here, rotates=bench.arm.rotates)):
+    high_mm = here.z_mm + RAISE_MM
+    if bench.arm.rotates:
+        places = [Pose(here.x_mm, here.y_mm, high_mm, rx, ry) for rx, ry in LEANS]
+    else:
+        places = [Pose(here.x_mm + x, here.y_mm + y, high_mm) for x, y in LEVEL_MM]
+    for at, place in enumerate(places):
         yield PausePoint()
         yield Progress(bench.now_s(), at, PAYLOAD_POSES, f"pose {at + 1} of {PAYLOAD_POSES}")
         yield PhaseEntered(bench.now_s(), "shift", 0)
         yield from move_to(bench, place, "the hand to lean")
         yield from wait(bench, SETTLE_S + WEIGH_S)
         turns.append(pose_rotation(bench.arm.pose(max_age_s=0.2)))
-        wrenches.append(_mean(bench))
+        now_s = bench.now_s()
+        rows = bench.sensing.raw.samples.window(now_s - WEIGH_S, now_s).values
+        wrenches.append(rows.mean(axis=0) if len(rows) else np.full(6, np.nan))
     yield Progress(bench.now_s(), PAYLOAD_POSES, PAYLOAD_POSES, "back to level")
-    high = Pose(here.x_mm, here.y_mm, here.z_mm + RAISE_MM)
-    yield from move_to(bench, high, "the hand to level")
+    yield from move_to(bench, Pose(here.x_mm, here.y_mm, high_mm), "the hand to level")
     return np.stack(turns), np.stack(wrenches)
 
 
-def _poses(here: Pose, *, rotates: bool) -> list[Pose]:
-    high_mm = here.z_mm + RAISE_MM
-    if rotates:
-        return [Pose(here.x_mm, here.y_mm, high_mm, rx, ry) for rx, ry in LEANS]
-    return [Pose(here.x_mm + x, here.y_mm + y, high_mm) for x, y in LEVEL_MM]
-
-
-def _mean(bench: Bench) -> FloatArray:
-    """Return the mean untared wrench (6,) of the last ``WEIGH_S``; NaN without samples."""
-    now_s = bench.now_s()
-    window = bench.sensing.raw.samples.window(now_s - WEIGH_S, now_s)
-    if not len(window.t_s):
-        return np.full(6, np.nan)
-    return np.asarray(window.values.mean(axis=0), dtype=np.float64)
-
-
+# Offset of the tool axis beyond the rim of the bottom, as a share of the half width of the face.
+# Closer to the middle the face lies flat and the piece does not tilt.
 PUSH_REACH = 0.7
-"""The axis of the tool goes beyond the rim of the bottom by this share of the half width of the
-face: nearer to the middle the face lies flat, and the piece does not lean."""
-ACROSS: tuple[Side, Side] = ("+y", "-y")
-"""The sides on which one finger feels more than the other."""
+ACROSS: tuple[Side, Side] = ("+y", "-y")  # sides on which the fingers are loaded differently
 PUSH_ROUNDS, MOST_PUSH_ROUNDS = 3, 10
 MOST_PUSHES = len(SIDES) + len(ACROSS) * (MOST_PUSH_ROUNDS - 1)
 REST_S, LOOKS = 0.8, 8
@@ -307,7 +299,7 @@ DEPTH_MM, RAMP_S, HOLD_S, MEAN_S = 1.2, 0.8, 1.4, 0.4
 
 
 def measure_cameras(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
-    """Return the scale of both cameras; an obstacle if a finger or a mirror is set wrongly."""
+    """Measure the scale of both cameras and check their assignment and mirroring."""
     gels_px, why = yield from _gels_at_rest(bench)
     pushed = yield from _pushes(bench, request)
     found = estimate_cameras(pushed, request.pitch_mm)
@@ -316,9 +308,9 @@ def measure_cameras(bench: Bench, request: CalibrateRequest) -> Plan[Calibration
 
 
 def _gels_at_rest(bench: Bench) -> Plan[tuple[tuple[float, ...], str]]:
-    """Return the resting dots of both gels while the hand is still empty, or none and why.
+    """Return the resting markers of both gels with an empty hand, or none and the reason.
 
-    A dot that is not seen for a moment is waited for: without it the gels are not known again.
+    Retries while a marker is hidden: a fingerprint needs all of them.
     """
     numbers, why = tuple[float, ...](), ""
     for _ in range(LOOKS):
@@ -355,7 +347,9 @@ def _pushes(bench: Bench, request: CalibrateRequest) -> Plan[list[SidePress]]:
     while (side := next_side(pushed)) is not None:
         yield PausePoint()
         yield Progress(bench.now_s(), len(pushed), MOST_PUSHES, f"press at the rim, {side}")
-        x_mm, y_mm = (origin + out_mm * _towards(side)).tolist()
+        way = np.zeros(2)
+        way["xy".index(side[1])] = 1.0 if side[0] == "+" else -1.0
+        x_mm, y_mm = (origin + out_mm * way).tolist()
         yield from move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
         push, after_void = partial(_push, bench, side), partial(_after_void, bench, start_mm)
         each = yield from retry_if_void(bench, push, after_void)
@@ -367,8 +361,10 @@ def _pushes(bench: Bench, request: CalibrateRequest) -> Plan[list[SidePress]]:
 
 
 def next_side(pushed: Sequence[SidePress]) -> Side | None:
-    """Return where to press next, None for enough: once to each side, then to both sides of y until
-    the fingers are told apart by more than the gels creep, ``ROUNDS`` times or more.
+    """Return the next side to press on, None when there are enough presses.
+
+    Each side is pressed once. Then both y sides alternate for ``PUSH_ROUNDS`` or more rounds, until
+    the difference between the fingers exceeds the creep of the gels.
     """
     if len(pushed) < len(SIDES):
         return SIDES[len(pushed)]
@@ -386,7 +382,6 @@ def _after_void(bench: Bench, start_mm: float, fault: Fault) -> Plan[None]:
 
 
 def _push(bench: Bench, side: Side) -> Plan[SidePress]:
-    """Press here and stay pressed."""
     yield from zero_sensors(bench, 0)
     yield PhaseEntered(bench.now_s(), "press", 0)
     probe = bench.settings.probe
@@ -403,11 +398,6 @@ def _push(bench: Bench, side: Side) -> Plan[SidePress]:
     )
     yield Wait(lambda: press.done, MOVE_S, "the press to end")
     press.result()
-    return _felt(bench, side)
-
-
-def _felt(bench: Bench, side: Side) -> SidePress:
-    """Return the means of the end of the press."""
     now_s = bench.now_s()
     at_rest, moved = [], []
     for finger in FINGERS:
@@ -419,12 +409,6 @@ def _felt(bench: Bench, side: Side) -> SidePress:
     return SidePress(side, np.stack(at_rest), np.stack(moved))
 
 
-def _towards(side: Side) -> FloatArray:
-    way = np.zeros(2)
-    way["xy".index(side[1])] = 1.0 if side[0] == "+" else -1.0
-    return way
-
-
 Measure = Callable[[Bench, CalibrateRequest], Plan[CalibrationEstimate]]
 MEASURES: dict[CalibrationName, Measure] = {
     "payload": measure_payload,
@@ -433,27 +417,25 @@ MEASURES: dict[CalibrationName, Measure] = {
     "wrist": measure_wrist,
     "camera": measure_cameras,
 }
-FIRST_POSES_S = 0.1
-"""A scene that was just set has no pose of the arm yet."""
 
 
-def calibrate_run(host: RunContext, request: CalibrateRequest) -> Plan[None]:
-    """Measure what was asked for; a person accepts the result afterwards, or does not."""
+def calibrate_run(session: RunContext, request: CalibrateRequest) -> Plan[None]:
+    """Measure a calibration and report it; accepting it is a separate step of the operator."""
     choice = request.scene()
-    settings = request_record(request, host.method, host.check_scene(choice))
-    host.open_record()
+    settings = request_record(request, session.method, session.check_scene(choice))
+    session.open_record()
     yield RunStarted(
-        0.0, host.run_id, request.piece, request.bottom, request.what, request.seed, 1,
-        host.simulated, settings, activity="calibrate",
+        0.0, session.run_id, request.piece, request.bottom, request.what, request.seed, 1,
+        session.simulated, settings, activity="calibrate",
     )  # fmt: skip
-    bench = host.set_scene(choice, host.method)
+    bench = session.set_scene(choice, session.method)
     ended = yield from run_to_end(bench, _measured(bench, request))
     if ended.value is not None:
         about = f"{request.piece}{ON_BOTTOM}{request.bottom}" if request.what == "board" else ""
-        yield ended.value.told(bench.now_s(), request.what, about)
+        yield ended.value.to_event(bench.now_s(), request.what, about)
     ending = ended.run_ending or ("failed" if ended.value is None else "finished")
     reason = ended.reason or f"The {request.what} is measured."
-    yield RunFinished(bench.now_s(), host.run_id, ending, reason)
+    yield RunFinished(bench.now_s(), session.run_id, ending, reason)
 
 
 def _measured(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:

@@ -1,4 +1,4 @@
-"""Validity of the calibrations on a connected bench: records in use, gel identity, wrist drift."""
+"""Use of calibrations on a connected bench: records in use, gel identity, wrist drift."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ from touchdown.backend.sensing import (
     measure_rest,
 )
 
-Used = Mapping[CalibrationName, CalibrationRecord]
+UsedCalibrations = Mapping[CalibrationName, CalibrationRecord]
 
 
 def device_names(devices: Mapping[str, Device]) -> dict[str, DeviceName]:
-    """Return who each connected device says it is; firmware may change without harm."""
+    """Return the identity of each connected device, without its firmware version."""
     known = {name: device.identity for name, device in devices.items()}
     return {
         name: DeviceName(maker=who.maker, model=who.model, serial=who.serial)
@@ -78,12 +78,13 @@ def calibrations_for(
     mode: BenchMode,
     store: CalibrationStore | None,
     devices: Mapping[str, Device],
-) -> Used:
+) -> UsedCalibrations:
     """Return the calibrations that a run uses.
 
-    On hardware, stacking and collecting need all of them: raises ``RefusedError`` naming the first
-    that is missing, expired, damaged or of another device or bottom, with the fix. Elsewhere those
-    that hold are used.
+    Stacking and collecting on hardware need all of them; other runs use those that are valid.
+
+    Raises ``RefusedError`` naming the first calibration that is missing, expired, damaged, or of
+    another device or bottom, with the command that measures it.
     """
     required = mode == "hardware" and isinstance(request, StackRequest | CollectRequest)
     if store is not None:
@@ -98,10 +99,10 @@ def calibrations_for(
     return {}
 
 
-def contact_height_mm(piece: Piece, bottom: str, used: Used) -> float:
+def contact_height_mm(piece: Piece, bottom: str, used: UsedCalibrations) -> float:
     """Return the height of ``G`` at which the held piece touches ``bottom``; NaN if unknown.
 
-    As the board was felt with this piece on this bottom; else by the nominal height of the grip.
+    Uses the calibration of the board for this pair, otherwise the nominal grip height.
     """
     board = calibrated_positions(used).board
     if board is not None and board.is_of(piece.name, bottom):
@@ -110,23 +111,26 @@ def contact_height_mm(piece: Piece, bottom: str, used: Used) -> float:
 
 
 def payload_wrench(
-    store: CalibrationStore | None, devices: Mapping[str, Device], used: Used | None = None
+    store: CalibrationStore | None,
+    devices: Mapping[str, Device],
+    used: UsedCalibrations | None = None,
 ) -> FloatArray | None:
-    """Return the measured wrench (6,) of the gripper, hand level; None if none holds.
+    """Return the calibrated wrench (6,) of the empty gripper with a level hand, None if unknown.
 
-    ``used``: what a run was checked with. Its record counts, whatever has become of the file.
+    ``used`` are the calibrations that a run was checked with. They take precedence over files that
+    changed since.
     """
     names = device_names(devices)
     record = None if used is None else used.get("payload")
     if record is not None:
         record = None if record.foreign(names) else record
     elif store is not None:
-        standing = store.standing("payload", names)
+        standing = store.status("payload", names)
         record = standing.record if standing.condition == "valid" else None
     if record is None:
         return None
     values = record.file.values
-    # The height of the centre of mass makes no moment while the hand is level.
+    # Its height produces no moment while the hand is level.
     centre_mm = (values["com_x_mm"].value, values["com_y_mm"].value, 0.0)
     return gripper_payload(values["mass_kg"].value, centre_mm)
 
@@ -137,10 +141,10 @@ def accept_calibration(
     devices: Mapping[str, Device],
     person: str = "",
 ) -> Path:
-    """Accept what was measured with ``devices``; refused as ``CalibrationStore.accept``.
+    """Accept a calibration measured with ``devices``; raises as ``CalibrationStore.accept``.
 
-    Of the cameras it keeps which serial number is at which finger and how each raw picture is to be
-    mirrored, and the fingerprint of each gel, whatever the settings were while it was measured.
+    For cameras it stores the serial number and the mirroring of each finger, and the fingerprint of
+    each gel, independent of the settings during the measurement.
     """
     names = device_names(devices)
     if measured.what != "camera":
@@ -164,29 +168,28 @@ def accept_calibration(
 
 
 def _places(gels_px: Sequence[float]) -> list[FloatArray]:
-    """Return the dots (63, 2) of each finger, none where no fingerprint was taken."""
+    """Return the markers (63, 2) of each finger, an empty list without fingerprints."""
     return [
         numbers_to_dots(gels_px[i : i + FINGERPRINT_VALUES])
         for i in range(0, len(gels_px), FINGERPRINT_VALUES)
     ]
 
 
-def calibration_metadata(used: Used) -> tuple[tuple[str, str], ...]:
-    """Return the pairs that an episode keeps: which calibration, by its SHA-256."""
+def calibration_metadata(used: UsedCalibrations) -> tuple[tuple[str, str], ...]:
+    """Return the metadata of an episode: SHA-256 of each calibration in use."""
     return tuple((f"calibration_{what}", record.sha256) for what, record in used.items())
 
 
-WAIT_S, LOOK_S = 3.0, 0.02
-"""A camera has so long for its pictures, looked for so often."""
+WAIT_S, LOOK_S = 3.0, 0.02  # time limit and poll interval for the images of a camera
 FEWEST = 3
 UNUSED = "The connection was closed again; nothing was moved."
 
 
 class GelCheck:
-    """Of one bench: ``store`` has the fingerprints (None: any 7 x 9 gel will do), ``frames``
-    what the cameras send.
+    """Check that each camera has the gel it was calibrated with.
 
-    ``pause`` lets ``LOOK_S`` pass, or ends it at once where connecting was cancelled.
+    ``store`` holds the fingerprints; with None any 7 x 9 gel is accepted. ``frames`` are the
+    streams of the cameras. ``pause`` waits ``LOOK_S`` or until connecting is cancelled.
     """
 
     def __init__(
@@ -200,11 +203,11 @@ class GelCheck:
         self._pause = pause
 
     def prove(self, name: str, cancel: threading.Event) -> None:
-        """Raise ``FaultError`` if ``name`` is a camera with another gel than was calibrated.
+        """Raise ``FaultError`` if camera ``name`` has another gel than at its calibration.
 
-        The faults: its own, or GEL-UNSEEN (too few pictures), GEL-GRID (no grid of 7 x 9),
-        GEL-MOVES, and GEL-OTHER, which names whose gel it is where that is known. Other devices
-        pass.
+        Codes: the fault of the device itself, GEL-UNSEEN (too few images), GEL-GRID (no 7 x 9
+        grid), GEL-MOVES, and GEL-OTHER, which names the finger the gel belongs to if known. Other
+        devices pass.
         """
         finger = next((finger for finger in FINGERS if name == f"tactile_{finger}"), None)
         if finger is None:
@@ -214,7 +217,9 @@ class GelCheck:
             return
         if len(frames) < FEWEST:
             told = fault_of(self._devices[name])
-            raise _unseen(name) if told is None else FaultError(told)
+            if told is not None:
+                raise FaultError(told)
+            raise _fault("GEL-UNSEEN", name, "Its pictures come too seldom.", "Look at its cable.")
         seen = measure_rest(frames)
         if not seen.grid.usable:
             what = f"{seen.grid.message[:1].upper()}{seen.grid.message[1:]}."
@@ -222,7 +227,7 @@ class GelCheck:
         self._compare(finger, seen)
 
     def _newest(self, finger: Finger, cancel: threading.Event) -> list[TactileFrame]:
-        """Return the next pictures, fewer where the camera is slow."""
+        """Return the next images; fewer from a slow camera."""
         stream, waited_s = self._frames[finger], 0.0
         begun = stream.count
         while stream.count - begun < REST_FRAMES and waited_s < WAIT_S and not cancel.is_set():
@@ -247,10 +252,10 @@ class GelCheck:
         raise other_gel_fault(finger, (away_px, limit_px), _next_step(name, owner, mirror), again)
 
     def _known(self) -> dict[str, FloatArray]:
-        """Return the fingerprints of the raw pictures, by camera; none where they are of others."""
+        """Return the fingerprints of the raw images by camera, empty if not of these cameras."""
         if self._store is None:
             return {}
-        standing = self._store.standing("camera", device_names(self._devices))
+        standing = self._store.status("camera", device_names(self._devices))
         record: CalibrationRecord | None = standing.record
         if record is None or standing.condition not in ("valid", "expired"):
             return {}
@@ -260,7 +265,7 @@ class GelCheck:
         return str(self._devices[name].describe().get("mirror", "none"))
 
     def _empty(self) -> bool:
-        """Whether the jaws are known to hold nothing."""
+        """Return True if the gripper is known to hold nothing."""
         gripper = self._devices.get("gripper")
         if gripper is None or gripper.state is not DeviceState.READY:
             return False
@@ -270,9 +275,10 @@ class GelCheck:
 def other_gel_fault(
     finger: Finger, px: tuple[float, float], next_step: str, again: str
 ) -> FaultError:
-    """Return the fault of a gel whose dots rest ``px[0]`` (limit ``px[1]``) from where they did.
+    """Return the fault of a gel whose markers rest ``px[0]`` from the calibrated ones (limit
+    ``px[1]``).
 
-    ``again``: the command that calibrates the cameras anew.
+    ``again`` is the command that calibrates the cameras.
     """
     away_px, limit_px = px
     far = f"{away_px:.1f} px" if away_px < float("inf") else "too few dots seen"
@@ -285,7 +291,6 @@ def other_gel_fault(
 
 
 def _next_step(name: str, owner: str, mirror: str) -> str:
-    """Return what to do, by what the picture is like."""
     if owner and owner != name:
         other = owner.removeprefix("tactile_")
         return f"It is the gel of the {other} finger: put the two back."
@@ -294,28 +299,20 @@ def _next_step(name: str, owner: str, mirror: str) -> str:
     return "Have gels or sensors been exchanged? Put the right one back."
 
 
-def _unseen(name: str) -> FaultError:
-    return _fault("GEL-UNSEEN", name, "Its pictures come too seldom.", "Look at its cable.")
-
-
 def _fault(code: str, name: str, what: str, next_step: str) -> FaultError:
     return FaultError(Fault(code, what, UNUSED, next_step, name))
 
 
-CLEAR_MM = 1.0
-"""So high above the support a hand touches nothing."""
-STILL_MM, STILL_RAD = 0.05, 0.001
-"""A hand that moves by less stands."""
-SETTLE_S = 0.2
-"""Vibration dies out before its air counts."""
-SAME_MM = 0.3
-"""Jaws that moved by less hold what they held."""
+CLEAR_MM = 1.0  # clearance above the support that excludes contact
+STILL_MM, STILL_RAD = 0.05, 0.001  # a hand within these limits is at rest
+SETTLE_S = 0.2  # vibration has decayed after this time
+SAME_MM = 0.3  # jaws within this limit still hold the same load
 POSE_AGE_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class DriftScene:
-    """Where the devices of one scene stand. ``surface_mm``: height of ``G`` in contact."""
+    """Devices of a scene; ``surface_mm`` returns the height of ``G`` in contact."""
 
     now_s: Callable[[], float]
     arm: Arm
@@ -324,7 +321,7 @@ class DriftScene:
 
 
 class DriftMonitor:
-    """One scene. ``update`` is called once per advance of the bench and tells ``sensing``."""
+    """Monitor of the wrist drift at rest in air. Call ``update`` once per bench step."""
 
     def __init__(
         self, place: DriftScene, sensing: LiveSensing, publish: Callable[[Event], None]
@@ -337,7 +334,7 @@ class DriftMonitor:
         self._load: tuple[bool, float] | None = None
 
     def update(self) -> None:
-        """Take what arrived since the last call; publish ``Noticed`` where the drift is much."""
+        """Process new samples; publish ``Noticed`` when the drift exceeds its limit."""
         samples = self._sensing.raw.samples.since(self._cursor)
         self._cursor = samples.cursor
         if not self._stands_in_air():
@@ -374,7 +371,7 @@ class DriftMonitor:
 
 
 def drift_notice(drift: WrenchDrift) -> Fault:
-    """Return what to say of a sensor that drifts much; nothing is latched."""
+    """Return the notice of a drifting wrist sensor; nothing is latched."""
     per_min = 60.0 * drift.rate_n_s
     return Fault(
         "FT-DRIFT",
@@ -393,7 +390,7 @@ def _same_load(one: tuple[bool, float], other: tuple[bool, float]) -> bool:
 
 
 def _stands(one: Pose, other: Pose) -> bool:
-    # Number by number: asked in every step, of so few numbers, arrays take ten times as long.
+    # Scalars instead of arrays: ten times faster for six numbers in every step.
     moved = (one.x_mm - other.x_mm, one.y_mm - other.y_mm, one.z_mm - other.z_mm)
     turned = (one.rx_rad - other.rx_rad, one.ry_rad - other.ry_rad, one.rz_rad - other.rz_rad)
     return all(abs(d) <= STILL_MM for d in moved) and all(abs(d) <= STILL_RAD for d in turned)

@@ -19,21 +19,17 @@ from touchdown.backend.runs.recorder import wait_until_durable
 from touchdown.backend.sensing import TorsionSlipDetector, assemble_episode, synchronise
 
 BEFORE_ONSET_S = 0.3
-LEVEL_S = 0.2
-"""A face that meets the support at an angle turns until it lies flat: from then on the piece is to
-stay as it is in the grasp."""
-AFTER_LAST_TICK_S = 0.08
-"""The frame after the last tick must have arrived (25 Hz plus jitter)."""
+LEVEL_S = 0.2  # A tilted face rotates until it lies flat; slip in the grasp counts after this time
+AFTER_LAST_TICK_S = 0.08  # arrival of the frame after the last tick (25 Hz plus jitter)
+# The estimator gets all ticks but the last this long before the end, when the frame after the last
+# but one has arrived
 EARLY_S = 0.06
-"""This long before the end the estimator gets all ticks but the last: the frame after the last but
-one is then as late as the end waits for."""
-HUSH_S = 0.02
-"""Who is drawing has this long to end it before the decision is due."""
+HUSH_S = 0.02  # lead time for repaints in progress to end before the decision
 LONGEST_HUSH_S = 0.08
 
 
 def press_command(bench: Bench) -> PressCommand:
-    """Return the press of the method's settings."""
+    """Return the press command of the method's settings."""
     probe = bench.settings.probe
     return PressCommand(
         depth_mm=probe.depth_mm,
@@ -49,11 +45,11 @@ def press_command(bench: Bench) -> PressCommand:
 def press_once(
     bench: Bench, probe: int, offset_mm: FloatArray | None = None, *, decides: bool = False
 ) -> Plan[PressedProbe]:
-    """Press and stay pressed; return what was felt, accepted or not.
+    """Press and stay pressed; return the probe, accepted or not.
 
-    ``offset_mm`` (2,): commanded displacement (None: where the arm is, in its own frame).
-    ``decides``: a decision follows at once, which nothing should disturb. A press that a short
-    silence of arm or wrist made void is made again.
+    ``offset_mm`` (2,) is the commanded displacement; with None it is the arm position. ``decides``:
+    a decision follows at once, so repaints are held off. A press that is void after a short dropout
+    of arm or wrist is repeated.
     """
 
     def after_void(fault: Fault) -> Plan[None]:
@@ -78,13 +74,13 @@ def _press(
     level_s = bench.now_s() + LEVEL_S
     yield Wait(lambda: motion.done or bench.now_s() >= level_s, limit_s, "the faces to meet")
     turning = TorsionSlipDetector(bench.sensing.fields)
-    yield Wait(lambda: motion.done or turning.seen(), limit_s, "the press to end")
+    yield Wait(lambda: motion.done or turning.update(), limit_s, "the press to end")
     _refuse_turned(bench, turning)
     try:
         motion.result()
     except FaultError as cause:
         if cause.fault.code == "NO-CONTACT":
-            # It stands lower than it should ever be: back to where the press began.
+            # The arm is below any expected contact: return to the start of the press.
             yield from move_to(bench, here, "the arm to go back up")
         raise
     onset_s = motion.onset_s
@@ -101,13 +97,13 @@ def _press(
     yield PhaseEntered(bench.now_s(), "hold", probe)
     end_s = onset_s + SAMPLES_PER_PROBE * TICK_S + AFTER_LAST_TICK_S
     scene = scene_pictures(bench)
-    yield Wait(lambda: bench.now_s() >= end_s - EARLY_S or turning.seen(), 5.0, "the last ticks")
+    yield Wait(lambda: bench.now_s() >= end_s - EARLY_S or turning.update(), 5.0, "the last ticks")
     _refuse_turned(bench, turning)
     so_far = bench.sensing.recording(onset_s - BEFORE_ONSET_S, bench.now_s())
     bench.estimator.prepare(synchronise(so_far, onset_s).observation()[:EARLY_TICKS])
     yield Wait(lambda: bench.now_s() >= end_s - HUSH_S, 5.0, "the last frames")
     if decides:
-        bench.hush.begin(LONGEST_HUSH_S)
+        bench.repaint_hold.begin(LONGEST_HUSH_S)
     yield Wait(lambda: bench.now_s() >= end_s, 5.0, "the last frames")
     _refuse_turned(bench, turning)
     sampled_s = bench.wall_s()
@@ -122,8 +118,8 @@ def _press(
 
 
 def _refuse_turned(bench: Bench, turning: TorsionSlipDetector) -> None:
-    """Latch and raise the fault of a piece that turned in the grasp, if it did."""
-    if not turning.seen():
+    """Latch and raise the fault of a piece that rotated in the grasp."""
+    if not turning.update():
         return
     fault = turned_fault(turning.turned_rad)
     bench.interlock.raise_fault(fault)
@@ -131,7 +127,7 @@ def _refuse_turned(bench: Bench, turning: TorsionSlipDetector) -> None:
 
 
 def turned_fault(turned_rad: float) -> Fault:
-    """Return the fault of a piece that turned by ``turned_rad``, as the markers tell."""
+    """Return the fault of a piece that rotated by ``turned_rad`` according to the markers."""
     return Fault(
         "PIECE-TURNED",
         f"The piece turned in the grasp: the markers by {math.degrees(turned_rad):.1f}°.",
@@ -142,17 +138,14 @@ def turned_fault(turned_rad: float) -> Fault:
 
 
 def scene_pictures(bench: Bench) -> tuple[ScenePicture, ...]:
-    """Return a picture of the bench as it is now, none without a scene camera."""
+    """Return a picture of the bench, none without a scene camera."""
     if bench.scene_view is None:
         return ()
     return (ScenePicture(bench.now_s(), bench.scene_view.picture()),)
 
 
 def _calibration(bench: Bench) -> tuple[tuple[str, str], ...]:
-    """Return what it was measured against: scene camera, references and calibrations by hash.
-
-    And by how much the wrist sensor had drifted, as far as that is known.
-    """
+    """Return the metadata of a probe: scene camera, references, drift and calibrations."""
     view = bench.scene_view
     board = () if view is None else (("scene_homography", view.homography.text()),)
     references = bench.sensing.references.items()
@@ -163,15 +156,15 @@ def _calibration(bench: Bench) -> tuple[tuple[str, str], ...]:
 
 
 def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[PressedProbe]:
-    """Probe; a rejected episode is no observation: lift and press again, at most ``tries`` times.
+    """Probe; lift and press again after a rejected episode, at most ``tries`` times in all.
 
-    Rejected episodes are kept in the store as well, with their reasons.
+    Rejected episodes are kept in the store with their reasons.
     """
     for attempt in range(tries):
         felt = yield from press_once(bench, probe, decides=True)
         if felt.episode.quality.accepted:
             return felt
-        bench.hush.end()
+        bench.repaint_hold.end()
         reasons = "; ".join(felt.episode.quality.reasons)
         yield Said(bench.now_s(), messages.rejected_message(probe, felt.episode.quality.reasons))
         bench.store.keep(felt.episode)

@@ -159,7 +159,7 @@ class TorsionSlipDetector:
         # By how much the markers turned as the piece slipped; 0 while it sticks.
         self.turned_rad = 0.0
 
-    def seen(self) -> bool:
+    def update(self) -> bool:
         """Process fields since the last call; return True if the piece has rotated."""
         for finger in FINGERS:
             fields, self._cursors[finger], _ = self._fields[finger].since(self._cursors[finger])

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-from functools import cache
-from typing import Any, Self, cast
+from dataclasses import Field, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,23 +18,22 @@ class Rows:
     """
 
     __slots__ = ()
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     def take(self, rows: NDArray[np.intp]) -> Self:
         """Return the probes ``rows``."""
         parts: dict[str, Any] = {}
-        for name in _field_names(type(self)):
+        for name in self.__dataclass_fields__:
             part = getattr(self, name)
             if isinstance(part, np.ndarray):
-                part = part[:, rows] if name == AXIS_1 else part[rows]
+                parts[name] = part[:, rows] if name == AXIS_1 else part[rows]
             elif isinstance(part, Rows):
-                part = part.take(rows)
-            parts[name] = part
-        taken: Self = cast(Any, type(self))(**parts)
-        return taken
+                parts[name] = part.take(rows)
+        return replace(self, **parts)
 
     def put(self, rows: NDArray[np.intp], by: Self) -> None:
         """Overwrite the probes ``rows`` with those of ``by``."""
-        for name in _field_names(type(self)):
+        for name in self.__dataclass_fields__:
             part = getattr(self, name)
             if isinstance(part, np.ndarray):
                 part[(slice(None), rows) if name == AXIS_1 else rows] = getattr(by, name)
@@ -45,23 +43,16 @@ class Rows:
     def copied(self) -> Self:
         """Return a copy that shares no array."""
         parts: dict[str, Any] = {}
-        for name in _field_names(type(self)):
+        for name in self.__dataclass_fields__:
             part = getattr(self, name)
             if isinstance(part, np.ndarray):
-                part = part.copy()
+                parts[name] = part.copy()
             elif isinstance(part, Rows):
-                part = part.copied()
-            parts[name] = part
-        made: Self = cast(Any, type(self))(**parts)
-        return made
+                parts[name] = part.copied()
+        return replace(self, **parts)
 
     def replaced(self, rows: NDArray[np.intp], by: Self) -> Self:
         """Return a copy in which the probes ``rows`` are those of ``by``."""
         changed = self.copied()
         changed.put(rows, by)
         return changed
-
-
-@cache
-def _field_names(kind: Any) -> tuple[str, ...]:
-    return tuple(field.name for field in fields(kind))

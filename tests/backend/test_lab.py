@@ -11,8 +11,8 @@ from tests.backend.runs.test_calibrated import SEEN
 from touchdown.backend.bench.laboratory import (
     LabChoice,
     calibrations_of,
+    find_camera_conflicts,
     lab_session,
-    otherwise_named,
 )
 from touchdown.backend.calibration.records import DeviceName
 from touchdown.backend.cli.doctor.command import lab_checks
@@ -36,7 +36,7 @@ def session(tmp_path):
 
 
 def test_it_is_called_by_its_name_and_knows_its_limits(session, tmp_path):
-    assert (session.name, session.facts.mode, session.simulated) == ("My lab", "hardware", False)
+    assert (session.name, session.description.mode, session.simulated) == ("My lab", "hardware", False)
     assert session.interlock.limits.press_n == 20.0
     assert session.limits_source == str(tmp_path / "lab.toml")
     assert list(session.devices) == list(LINES)
@@ -85,6 +85,7 @@ def test_a_bottom_that_nobody_knows_is_said_before_any_device_is_touched(tmp_pat
         lab_session(LabChoice(path))
 
 
+@pytest.mark.promise("C6")
 @pytest.mark.parametrize("days", [1, 400])
 def test_a_file_with_the_cameras_exchanged_is_told_and_the_calibration_counts(tmp_path, days):
     """Also where it has expired: age moves no camera to the other finger."""
@@ -94,10 +95,10 @@ def test_a_file_with_the_cameras_exchanged_is_told_and_the_calibration_counts(tm
     own = lab.settings.gelsight
     serials = {"left": own.right.serial, "right": own.left.serial}
     assert all(serials.values())
-    assert otherwise_named(lab) == {}
+    assert find_camera_conflicts(lab) == {}
     who = {"maker": "GelSight", "model": "Mini"}
     calibrations_of(lab).accept(
-        SEEN.told(0.0, "camera"),
+        SEEN.to_event(0.0, "camera"),
         {f"tactile_{f}": DeviceName(**who, serial=number) for f, number in serials.items()},
         now=datetime.now(UTC) - timedelta(days=days),
     )

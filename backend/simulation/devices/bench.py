@@ -114,9 +114,9 @@ class SimulatedBench:
         while self._world.now_us + self._world.cycle_us <= end_us:
             watched = [f for f in FINGERS if self.tactile[f].state is DeviceState.READY]
             sensed = self._world.step(watched)
-            self.clock.wind(sensed.end_us - self.clock.now_us)
+            self.clock.advance(sensed.end_us - self.clock.now_us)
             self._deliver(sensed)
-        self.clock.wind(end_us - self.clock.now_us)
+        self.clock.advance(end_us - self.clock.now_us)
 
     def truth(self, *, animate: bool = False) -> SceneTruth:
         """Return the ground truth; ``animate`` adds the motion of a fall if possible."""

@@ -47,7 +47,7 @@ ESTIMATE = CalibrationEstimate(
     note="Level.",
 )
 
-FOUND = ESTIMATE.told(0.0, "payload")
+FOUND = ESTIMATE.to_event(0.0, "payload")
 
 
 def of_kind(what: CalibrationName) -> CalibrationMeasured:
@@ -94,13 +94,13 @@ def test_what_is_not_acceptable_is_not_written(store) -> None:
 
 
 def test_the_newest_holds_until_it_expires(store) -> None:
-    assert store.standing("payload", DEVICES, NOW).condition == "missing"
+    assert store.status("payload", DEVICES, NOW).condition == "missing"
     store.accept(FOUND, DEVICES, now=NOW)
     newer = store.accept(replace(FOUND, residual=0.2), DEVICES, now=NOW + timedelta(1))
-    standing = store.standing("payload", DEVICES, NOW + timedelta(90.9))
+    standing = store.status("payload", DEVICES, NOW + timedelta(90.9))
     assert standing.condition == "valid"
     assert standing.record == read_record(newer)
-    late = store.standing("payload", DEVICES, NOW + timedelta(94))
+    late = store.status("payload", DEVICES, NOW + timedelta(94))
     assert (late.condition, late.why) == ("expired", "expired 3 days ago")
     assert late.fix == "Run 'touchdown calibrate payload --bench lab.toml --accept'."
 
@@ -108,12 +108,12 @@ def test_the_newest_holds_until_it_expires(store) -> None:
 def test_a_calibration_belongs_to_its_devices_and_to_its_kind_of_bench(store) -> None:
     store.accept(FOUND, DEVICES, now=NOW)
     other = {**DEVICES, "force_torque": DeviceName(maker="W", model="Six", serial="F2")}
-    assert store.standing("payload", other, NOW).condition == "other device"
-    assert "force_torque F1" in store.standing("payload", other, NOW).why
+    assert store.status("payload", other, NOW).condition == "other device"
+    assert "force_torque F1" in store.status("payload", other, NOW).why
     # The arm is no part of a payload, and devices that are not there yet are not compared.
-    assert store.standing("payload", {"arm": other["force_torque"]}, NOW).condition == "valid"
+    assert store.status("payload", {"arm": other["force_torque"]}, NOW).condition == "valid"
     elsewhere = CalibrationStore(store.folder, "simulated")
-    assert elsewhere.standing("payload", DEVICES, NOW).condition == "missing"
+    assert elsewhere.status("payload", DEVICES, NOW).condition == "missing"
 
 
 def test_a_device_that_tells_no_number_goes_by_the_name_of_its_port(store) -> None:
@@ -126,7 +126,7 @@ def test_a_device_that_tells_no_number_goes_by_the_name_of_its_port(store) -> No
     for port, condition in (
         ("links-2/force_torque", "valid"), ("links-1/other", "other device"),
     ):  # fmt: skip
-        assert store.standing("payload", by_port(port), NOW).condition == condition
+        assert store.status("payload", by_port(port), NOW).condition == condition
 
 
 @pytest.mark.promise("D13")
@@ -142,7 +142,7 @@ def test_a_changed_or_broken_file_is_said_and_not_used(store) -> None:
         path.write_text(bad)
         with pytest.raises(InputError, match=said):
             read_record(path)
-        assert store.standing("payload", DEVICES, NOW).condition == "damaged"
+        assert store.status("payload", DEVICES, NOW).condition == "damaged"
 
 
 def rewritten(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
@@ -181,12 +181,12 @@ def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(
     for change in changes:
         path.write_text(whole)
         rewritten(path, change)
-        standing = store.standing(what, DEVICES, NOW)
+        standing = store.status(what, DEVICES, NOW)
         assert standing.condition == "damaged", change
         assert path.name in standing.why
     for text in ("[" * 100_000, whole + " " * 1_000_000, whole[:-30], ""):
         path.write_text(text)
-        assert store.standing(what, DEVICES, NOW).condition == "damaged"
+        assert store.status(what, DEVICES, NOW).condition == "damaged"
     used = store.in_use(DEVICES, required=False, now=NOW)
     assert calibrated_positions(used) == UNCALIBRATED
     assert payload_wrench(store, {}) is None
@@ -206,7 +206,7 @@ def test_a_disk_that_takes_no_more_keeps_the_calibration_before(store: Calibrati
             store.accept(of_kind("camera"), DEVICES, now=NOW + timedelta(hours=1))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    standing = store.standing("camera", DEVICES, NOW)
+    standing = store.status("camera", DEVICES, NOW)
     assert standing.condition == "valid"
     kept = [path for path in store.folder.rglob("*") if path.is_file()]
     assert [path.read_bytes() for path in kept] == [before]

@@ -11,8 +11,8 @@ from touchdown.backend.core.clock import BenchClock, ClockJumpDetector, ManualCl
 def test_many_small_steps_are_one_large_step(steps):
     by_steps, at_once = ManualClock(), ManualClock()
     for step in steps:
-        by_steps.wind(step)
-    at_once.wind(sum(steps))
+        by_steps.advance(step)
+    at_once.advance(sum(steps))
     assert by_steps.now_us == at_once.now_us
     assert by_steps.now_s() == at_once.now_s()
 
@@ -20,15 +20,15 @@ def test_many_small_steps_are_one_large_step(steps):
 def test_a_cycle_of_10_ms_wound_for_an_hour_is_an_hour():
     clock = ManualClock()
     for _ in range(360_000):
-        clock.wind(10_000)
+        clock.advance(10_000)
     assert clock.now_s() == 3600.0
 
 
 def test_it_is_never_wound_back():
     clock = ManualClock()
-    clock.wind(5)
+    clock.advance(5)
     with pytest.raises(ValueError, match="cannot go back"):
-        clock.wind(-1)
+        clock.advance(-1)
     assert clock.now_us == 5
 
 

@@ -210,7 +210,7 @@ class Rig:
         """Wind the clock; the sensor has delivered a sample at every whole millisecond."""
         clock = self.wires.clock
         first_us = clock.now_us // 1000 * 1000 + 1000
-        clock.wind(step_us)
+        clock.advance(step_us)
         stamps_s = 1e-6 * np.arange(first_us, clock.now_us + 1, 1000)
         if len(stamps_s):
             wrench = np.zeros((len(stamps_s), 6))

@@ -66,7 +66,7 @@ class Scripted:
             self._stop.set()
             return None
         content, step_s = self._contents.pop(0)
-        self._clock.wind(round(step_s * 1e6))
+        self._clock.advance(round(step_s * 1e6))
         if isinstance(content, Exception):
             raise content
         return content

@@ -66,7 +66,7 @@ class Impatient:
         return False
 
     def wait(self, seconds: float) -> bool:
-        self._clock.wind(round(seconds * 1e6))
+        self._clock.advance(round(seconds * 1e6))
         return False
 
 
@@ -90,7 +90,7 @@ class SteppedLink:
         if not self._held:
             step_s = self.stall_s or self._rng.uniform(0.0005, 0.004)
             self.stall_s = 0.0
-            self._clock.wind(round(step_s * 1e6))
+            self._clock.advance(round(step_s * 1e6))
         now_s = self._clock.now_s()
         if self._faults.active("unplug", now_s):
             raise OSError("the device is gone")

@@ -123,9 +123,9 @@ class WoundWires:
     def _pass(self, step_us: int) -> None:
         end_us = self.clock.now_us + step_us
         while (next_us := (self.clock.now_us // 500 + 1) * 500) <= end_us:
-            self.clock.wind(next_us - self.clock.now_us)
+            self.clock.advance(next_us - self.clock.now_us)
             self._tend()
-        self.clock.wind(end_us - self.clock.now_us)
+        self.clock.advance(end_us - self.clock.now_us)
 
     def _tend(self) -> None:
         now_s, world = self.clock.now_s(), self.joined.world

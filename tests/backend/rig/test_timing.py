@@ -45,7 +45,7 @@ def report() -> dict[str, SensorTiming]:
 
     def wait(seconds: float) -> None:
         before_us = clock.now_us
-        clock.wind(round(1e6 * seconds))
+        clock.advance(round(1e6 * seconds))
         for sensor in sensors.values():
             sensor.come(before_us)
 

@@ -91,7 +91,7 @@ class GelBench:
         )
         accept_calibration(
             self.store,
-            replace(found, gels_px=tuple(numbers if fingerprint else ())).told(0.0, "camera"),
+            replace(found, gels_px=tuple(numbers if fingerprint else ())).to_event(0.0, "camera"),
             self.devices,
         )
 

@@ -58,7 +58,7 @@ def test_a_wrong_prior_is_put_right_by_the_board(tmp_path, monkeypatch):
     found = blind.run(lambda bench: measure_board(bench, request))
     assert found.acceptable
     store = CalibrationStore(tmp_path, "simulated")
-    store.accept(found.told(0.0, "board", ABOUT), {})
+    store.accept(found.to_event(0.0, "board", ABOUT), {})
     used = store.in_use({}, required=False)
     placed = calibrated_positions(used)
     misses: dict[str, tuple[float, float]] = {}
@@ -92,7 +92,7 @@ def test_the_hand_stands_off_a_known_bottom_by_the_face(tmp_path):
         np.eye(2), np.zeros(2), 0.05, 0.2, "mm",
     )  # fmt: skip
     store = CalibrationStore(tmp_path, "simulated")
-    store.accept(estimate.told(0.0, "tool"), {})
+    store.accept(estimate.to_event(0.0, "tool"), {})
     placed = calibrated_positions(store.in_use({}, required=False))
     at = placed.origin((10.0, 5.0), 0.2, "short")
     assert (at.x_mm, at.y_mm) == pytest.approx((9.7, 5.2))

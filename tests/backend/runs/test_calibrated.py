@@ -91,7 +91,7 @@ class Camera:
 def filled(folder, devices, mode="hardware", at=NOW) -> CalibrationStore:
     store = CalibrationStore(folder, mode)
     for what in CALIBRATION_NAMES:
-        store.accept(WEIGHED.told(0.0, what), device_names(devices), now=at)
+        store.accept(WEIGHED.to_event(0.0, what), device_names(devices), now=at)
     return store
 
 
@@ -109,7 +109,7 @@ def test_campaigns_on_hardware_need_calibrations_that_hold(tmp_path, request_) -
 
 def test_a_board_felt_on_another_bottom_is_no_board_of_this_one(tmp_path) -> None:
     store = filled(tmp_path, {})
-    store.accept(FELT.told(0.0, "board", "pot on square15"), {}, now=NOW + timedelta(seconds=2))
+    store.accept(FELT.to_event(0.0, "board", "pot on square15"), {}, now=NOW + timedelta(seconds=2))
     with pytest.raises(RefusedError, match=r"measured on square15, not on short.*--bottom short"):
         calibrations_for(StackRequest(bottoms=("short",)), "hardware", store, {})
     assert calibrations_for(CollectRequest(bottom="square15"), "hardware", store, {})
@@ -128,8 +128,8 @@ def test_cameras_are_kept_as_they_sit_whatever_the_settings_were(tmp_path) -> No
     }
     shown = (mirrored_dots(at_px["A"], "x"), at_px["B"])
     gels_px = tuple(np.concatenate([px.ravel() for px in shown]).tolist())
-    accept_calibration(store, replace(SEEN, gels_px=gels_px).told(0.0, "camera"), devices)
-    record = store.standing("camera", {}).record
+    accept_calibration(store, replace(SEEN, gels_px=gels_px).to_event(0.0, "camera"), devices)
+    record = store.status("camera", {}).record
     assert record is not None
     # The fingerprints go with their cameras, and are those of the raw pictures.
     for name, gel in (("tactile_left", "B"), ("tactile_right", "A")):
@@ -189,7 +189,7 @@ def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(tmp_path) ->
     session.close()
     told = dict(recorded[0].episode.metadata)
     for what in CALIBRATION_NAMES:
-        standing = store.standing(what, device_names(session.devices))
+        standing = store.status(what, device_names(session.devices))
         assert standing.record is not None
         assert told[f"calibration_{what}"] == standing.record.sha256
 
@@ -222,7 +222,7 @@ def test_a_sensor_that_was_changed_needs_a_new_payload(tmp_path) -> None:
     names = device_names(session.devices)
     assert names["force_torque"].model
     other = names["force_torque"].model_copy(update={"serial": "another"})
-    standing = store.standing("payload", {**names, "force_torque": other})
+    standing = store.status("payload", {**names, "force_torque": other})
     assert standing.condition == "other device"
     session.close()
 

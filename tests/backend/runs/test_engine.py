@@ -33,7 +33,7 @@ class Rig:
         self.events.subscribe(self.facts.append)
 
     def advance(self) -> None:
-        self.clock.wind(20_000)
+        self.clock.advance(20_000)
 
     def tick(self, times: int = 1) -> None:
         for _ in range(times):

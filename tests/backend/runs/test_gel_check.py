@@ -79,7 +79,7 @@ def test_a_held_piece_may_press_the_dots_out_of_their_rest(bench):
 def test_a_calibration_without_a_fingerprint_stays_valid_and_says_so(tmp_path):
     bench = GelBench(tmp_path, FINE)
     bench.calibrate(fingerprint=False)
-    standing = bench.store.standing("camera", {})
+    standing = bench.store.status("camera", {})
     assert (standing.condition, standing.notice) == ("valid", "no fingerprint of the gels yet")
     bench.gels = {"left": FINE["right"], "right": FINE["left"]}
     assert bench.connect() == {}

@@ -34,7 +34,7 @@ class Gels:
             field = MarkerField(finger, self._count, t_s, REST_PX + moved, moved, state, 1.0)
             self.fields[finger].put(t_s, field)
         self._count += 1
-        return self.watch.seen()
+        return self.watch.update()
 
 
 @pytest.fixture

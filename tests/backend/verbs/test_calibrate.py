@@ -29,7 +29,7 @@ GOOD = CalibrationEstimate(
         Quantity("com_y_mm", 0.0, 0.1, "mm"),
     ),
     np.eye(3), np.zeros(6), 0.05, 0.3, "N", note="Level.",
-).told(0.0, "payload")  # fmt: skip
+).to_event(0.0, "payload")  # fmt: skip
 
 
 class Bench:

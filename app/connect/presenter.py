@@ -125,7 +125,7 @@ class ConnectPresenter:
         connection, lines = self._connection, self._connection.lines()
         can = not is_run_active(self._bench)
         rows = tuple(device_row(line, can=can and not connection.busy) for line in lines)
-        kind = "emulated bench" if self._bench.facts.mode == "emulated" else "real devices"
+        kind = "emulated bench" if self._bench.description.mode == "emulated" else "real devices"
         return ConnectView(
             f"{self._bench.name} ({kind})", self._text(lines), rows, connection.busy, can
         )

@@ -1,4 +1,4 @@
-"""Assembly of a session on the simulated bench from names, settings."""
+"""Assembly of a session on the simulated bench from names and settings."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from touchdown.backend.geometry import (
     draw_tower,
     load_pieces,
 )
-from touchdown.backend.learning import ModelCard, ModelRegistry, card_mismatches, check_autonomous
+from touchdown.backend.learning import ModelRegistry, card_mismatches, check_autonomous
 from touchdown.backend.placement import Estimator
 from touchdown.backend.runs import (
     NoEstimator,
@@ -49,18 +49,17 @@ from touchdown.backend.sensing import RawStreams, calibrate_scene_camera, grippe
 from touchdown.backend.simulation import Scene, SceneTruth, start_command_mm, true_margin_mm
 from touchdown.backend.simulation.devices import BenchStreams, SimulatedBench
 
-TOWERS = 100
-"""So many towers are drawn at most until the piece can stand on one."""
+TOWERS = 100  # most draws of a tower on which the piece can stand
 DIRECTIONS = 32
-JIG_MM = (-80.0, 0.0)
-"""The jig stands here beside the bottom."""
+JIG_MM = (-80.0, 0.0)  # position of the jig beside the bottom
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedBenchChoice:
-    """Which simulated bench: given settings, else a file, else a preset; faults; extra pieces.
+    """Choice of a simulated bench: given settings, else a file, else a preset.
 
-    ``disturbances`` are texts such as ``tactile_left:stop@3.0``.
+    ``disturbances`` are texts such as ``tactile_left:stop@3.0``. ``pieces`` is a folder with
+    further piece files.
     """
 
     file: Path | None = None
@@ -70,7 +69,7 @@ class SimulatedBenchChoice:
     given: SimulationSettings | None = None
 
     def settings(self) -> SimulationSettings:
-        """Read or make the settings; raises ``InputError``."""
+        """Return the settings; raises ``InputError``."""
         if self.given is not None:
             return self.given
         if self.file is not None:
@@ -86,22 +85,22 @@ class SimulatedBenchChoice:
         return SimulationSettings.model_validate({"preset": name})
 
 
-class KnownScene(Protocol):
-    """A scene of which the truth is known."""
+class SceneWithTruth(Protocol):
+    """Scene with known ground truth."""
 
     @property
     def scene(self) -> Scene:
-        """What was set up."""
+        """The scene as it was set."""
 
     def truth(self, *, animate: bool = False) -> SceneTruth:
-        """Return how things really are."""
+        """Return the ground truth."""
 
 
 @dataclass
 class SimulatedScoring:
-    """The truth of one scene, handed to scoring and display, never to the method."""
+    """Ground truth of one scene for scoring and display, never for the method."""
 
-    bench: KnownScene
+    bench: SceneWithTruth
     longest_step_mm: float
     animate: bool
 
@@ -112,7 +111,7 @@ class SimulatedScoring:
     def least_probes(self) -> int:
         """Return 1 + the least number of longest steps from the start to a stable offset.
 
-        The distance to the stable region is searched along ``DIRECTIONS`` rays.
+        Searches along ``DIRECTIONS`` rays.
         """
         scene = self.bench.scene
         x, y = scene.start_mm
@@ -130,7 +129,7 @@ class SimulatedScoring:
         return 1 + steps
 
     def verdict(self) -> ReleaseVerdict:
-        """Judge the scene as it is; after the release the physics engine is asked as well."""
+        """Judge the present scene; if animated, the physics engine judges a release as well."""
         truth = self.bench.truth()
         if truth.stands is not None and self.animate:
             truth = self.bench.truth(animate=True)
@@ -144,7 +143,7 @@ class SimulatedScoring:
 
 
 def shipped_model(piece: str) -> Path:
-    """Return the path of the default model of ``piece``; raises ``InputError`` if none ships."""
+    """Return the path of the shipped model of ``piece``; raises ``InputError`` without one."""
     path = Path(str(files("touchdown.resources"))) / "models" / f"{piece}.safetensors"
     if not path.is_file():
         raise InputError(
@@ -156,17 +155,17 @@ def shipped_model(piece: str) -> Path:
 
 
 class BenchModels:
-    """The trained models of a bench: each file is read once for a piece.
+    """Trained models of a bench; each file is read once per piece.
 
-    Without a file in the choice it is the model in use of ``registry``, else the one that ships;
-    a run keeps the one that it was checked with, whatever is promoted or becomes of its file
-    meanwhile. The next run reads a file that has changed anew.
+    Without a file in the choice the model in use of ``registry`` is loaded, else the shipped one. A
+    run keeps the model it was checked with, whatever is promoted or deleted meanwhile. The next run
+    reads a changed file again.
     """
 
     def __init__(
-        self, registry: ModelRegistry | None, facts: BenchDescription, grid_mm: float
+        self, registry: ModelRegistry | None, description: BenchDescription, grid_mm: float
     ) -> None:
-        self._registry, self._facts, self._grid_mm = registry, facts, grid_mm
+        self._registry, self._description, self._grid_mm = registry, description, grid_mm
         self._loaded: dict[tuple[Path, str], Estimator] = {}
         self._stamps: dict[Path, tuple[int, int] | None] = {}
         self._checked: dict[str, Path] = {}
@@ -179,7 +178,7 @@ class BenchModels:
         return self._read(path or model_in_use(choice.piece, self._registry), piece)
 
     def check(self, choice: SceneChoice, piece: Piece) -> Estimator | None:
-        """Return the model for a run that begins; ``InputError`` if it must not be ``alone``."""
+        """Return the model of a new run; ``InputError`` if it must not run without approval."""
         if not choice.estimates:
             return None
         path = Path(choice.model or model_in_use(choice.piece, self._registry))
@@ -193,7 +192,7 @@ class BenchModels:
             probes = (
                 0 if self._registry is None else self._registry.hardware_probes(card.weights_sha256)
             )
-            found = card_mismatches(card, self._facts, piece.sha256, self._grid_mm, probes)
+            found = card_mismatches(card, self._description, piece.sha256, self._grid_mm, probes)
             check_autonomous(card, found, f"model {card.weights_sha256[:12]}")
         return loaded
 
@@ -205,7 +204,7 @@ class BenchModels:
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
-    """Return by what a file is known to be the same as before, None if there is none."""
+    """Return modification time and size of a file, None if there is none."""
     try:
         told = path.stat()
     except OSError:
@@ -214,18 +213,28 @@ def _stamp(path: Path) -> tuple[int, int] | None:
 
 
 def model_in_use(piece: str, registry: ModelRegistry | None) -> Path:
-    """Return the model that was put in use for ``piece``, else the one that ships."""
+    """Return the model in use for ``piece``, else the shipped one."""
     path = None if registry is None else registry.in_use(piece)
     return shipped_model(piece) if path is None else path
+
+
+def run_record(bench: Mapping[str, object], model: Estimator | None) -> dict[str, object]:
+    """Return ``bench`` with model and program version, as the event log stores them."""
+    card = None if model is None else model.card
+    return {
+        **bench,
+        "model": card and {"piece": card.piece, "weights_sha256": card.weights_sha256},
+        "program": version("touchdown"),
+    }
 
 
 def make_tower(
     catalogue: PieceLibrary, choice: SceneChoice, piece: Piece, rng: np.random.Generator
 ) -> Tower:
-    """Stand the named bottoms on each other; those above the first lean out at random.
+    """Stack the named bottoms; those above the first lean out at random.
 
-    Drawn until ``piece`` can stand on it. Raises ``InputError`` for an unknown bottom, or where
-    nothing could be placed.
+    Drawn until ``piece`` can stand on it. Raises ``InputError`` for an unknown bottom or if no draw
+    fits.
     """
     names = choice.bottoms
     if not names or not all(names):
@@ -241,7 +250,7 @@ def make_tower(
 
 
 def make_scene(catalogue: PieceLibrary, choice: SceneChoice, settings: SimulationSettings) -> Scene:
-    """Return the scene of one trial: everything about it follows from the seed."""
+    """Return the scene of one trial; it depends on the choice and its seed only."""
     seed = choice.seed
     if seed < 0:
         raise InputError(f"The seed {seed} is negative.", "--seed", "Give 0 or a positive number.")
@@ -257,7 +266,7 @@ def make_scene(catalogue: PieceLibrary, choice: SceneChoice, settings: Simulatio
 def _collecting(
     piece: Piece, tower: Tower, choice: SceneChoice, settings: SimulationSettings
 ) -> Scene:
-    """Return a scene with the piece in its jig: a jig grasps better than a hand."""
+    """Return a scene with the piece in its jig, which holds it more precisely than a hand."""
     grasp_mm = settings.spread.grasp_offset_mm if choice.handed else settings.spread.jig_mm
     spread = settings.spread.model_copy(update={"grasp_offset_mm": grasp_mm})
     return Scene(
@@ -269,11 +278,6 @@ def _collecting(
         mounting=choice.mounting,
         jig=True,
     )
-
-
-def _scene_view(bench: SimulatedBench) -> SceneView:
-    """Return the scene camera, calibrated by a picture of the bench with the piece in its jig."""
-    return SceneView(bench.scene_picture, calibrate_scene_camera(bench.scene_picture()))
 
 
 def simulated_session(
@@ -301,8 +305,8 @@ def simulated_session(
     script = parse_script(disturbances)
     catalogue = load_pieces(choice.pieces)
     method = method or StackSettings()
-    facts = describe_simulation(settings)
-    models = BenchModels(registry, facts, method.belief.pitch_mm)
+    description = describe_simulation(settings)
+    models = BenchModels(registry, description, method.belief.pitch_mm)
 
     def _estimator(bench: SimulatedBench, choice: SceneChoice) -> PatchEstimator:
         if estimate is not None:
@@ -326,16 +330,24 @@ def simulated_session(
             payload=gripper_payload(settings.wrist.payload_kg, settings.wrist.payload_com_mm),
             outline=scene.surface,
             jig=Pose(*start_command_mm(scene).tolist()) if scene.jig else None,
-            scene_view=_scene_view(bench) if scene.jig else None,
+            scene_view=SceneView(bench.scene_picture, calibrate_scene_camera(bench.scene_picture()))
+            if scene.jig
+            else None,
         )
 
     def check(choice: SceneChoice) -> Mapping[str, object]:
         scene = make_scene(catalogue, choice, settings)
         loaded = None if estimate else models.check(choice, scene.piece)
-        return _told(settings, disturbances, None if loaded is None else loaded.card)
+        bench = {"simulation": settings.model_dump(mode="json"), "disturbances": [*disturbances]}
+        return run_record(bench, loaded)
 
     return Session(
-        make_stage, check, catalogue, settings=method, keep=keep or RecordingOptions(), facts=facts
+        make_stage,
+        check,
+        catalogue,
+        settings=method,
+        keep=keep or RecordingOptions(),
+        description=description,
     )
 
 
@@ -400,15 +412,3 @@ def simulated_bench(
     )
     session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
     return session
-
-
-def _told(
-    settings: SimulationSettings, disturbances: Sequence[str], card: ModelCard | None
-) -> dict[str, object]:
-    """Return what a run journal says of the bench."""
-    return {
-        "simulation": settings.model_dump(mode="json"),
-        "disturbances": list(disturbances),
-        "model": card and {"piece": card.piece, "weights_sha256": card.weights_sha256},
-        "program": version("touchdown"),
-    }

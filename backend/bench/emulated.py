@@ -66,8 +66,8 @@ class EmulatedBench:
         self._pieces, self._catalogue = choice.pieces, load_pieces(choice.pieces)
         self._method = method or StackSettings()
         self._clock = BenchClock()
-        facts = describe_simulation(self._settings)
-        self._models = BenchModels(registry, facts, self._method.belief.pitch_mm)
+        description = describe_simulation(self._settings)
+        self._models = BenchModels(registry, description, self._method.belief.pitch_mm)
         self._present = ExitStack()
         self._process = EmulatedProcess(lambda fault: self.session.interlock.raise_fault(fault))
         self.session = Session(
@@ -76,7 +76,7 @@ class EmulatedBench:
             self._catalogue,
             settings=self._method,
             keep=keep or RecordingOptions(),
-            facts=facts,
+            description=description,
         )
         self._wired: BenchDevices | None = None
         self._truth: TruthClient | None = None

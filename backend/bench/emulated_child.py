@@ -1,7 +1,7 @@
-"""Process of an emulated bench: one scene after the other, as lines of JSON on its input.
+"""Process of an emulated bench: scenes as lines of JSON on its standard input.
 
-A process of its own, so that the arm's stream of 3.5 ms shares no interpreter with drivers and
-plans. It ends when its input does.
+A separate process, so that the 3.5 ms stream of the arm shares no interpreter with drivers and
+plans. It ends at the end of its input.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from touchdown.backend.bench.assembly import make_scene
-from touchdown.backend.bench.emulated_scene import TruthServer, serve_bench, take_short_turns
+from touchdown.backend.bench.emulated_scene import TruthServer, serve_bench, shorten_switch_interval
 from touchdown.backend.config import SimulationSettings
 from touchdown.backend.core import Fault, FaultError, ProcessStallDetector, ThreadStallDetector
 from touchdown.backend.emulation import FaultPlan, TcpServer
@@ -28,14 +28,14 @@ from touchdown.backend.runs import SceneChoice
 
 END_S = 1.5
 LOOK_S = 0.05
+# Limits of a rest and of the whole time to set a scene; both are far longer than needed
 REST_S, SET_S = 10.0, 60.0
-"""Who sets a scene waits for threads that end, for far less than this, and is done long before."""
 
 
 class EmulatedProcess:
     """Starts the process with the first scene; ``close`` ends it.
 
-    ``tell`` hears at once, on a thread of its own, of a process that dies or stands still.
+    ``tell`` is called on a watch thread when the process dies or stalls.
     """
 
     def __init__(self, tell: Callable[[Fault], None]) -> None:
@@ -52,9 +52,10 @@ class EmulatedProcess:
         folder: Path,
         pieces: Path | None = None,
     ) -> tuple[str, int]:
-        """Emulate a scene with the bench file in ``folder``; return where its truth is told.
+        """Emulate a scene with the bench file in ``folder``; return the address of its ground
+        truth.
 
-        Raises ``FaultError`` if the process has died, or does not come to its orders.
+        Raises ``FaultError`` if the process has died or does not respond.
         """
         self._serving.clear()
         child = self._running()
@@ -80,7 +81,7 @@ class EmulatedProcess:
         return str(host), int(port)
 
     def end_if_still(self) -> None:
-        """End a process that stands still now: nobody need wait for its devices any more."""
+        """Kill a stalled process, so that nothing waits for its devices."""
         if self._still and self._child is not None:
             self._over.set()
             self._child.kill()
@@ -93,7 +94,7 @@ class EmulatedProcess:
             return
         for pipe in (child.stdin, child.stdout):
             if pipe is not None:
-                with suppress(BrokenPipeError):  # it has died with an order unread
+                with suppress(BrokenPipeError):  # the child died with an unread order
                     pipe.close()
         try:
             child.wait(END_S)
@@ -102,7 +103,7 @@ class EmulatedProcess:
             child.wait()
 
     def _answer_of(self, child: subprocess.Popen[str], answers: IO[str]) -> str:
-        """Return its next line, "" at its end; one whose first thread rests is ended."""
+        """Return the next line of the child, "" at its end; kills a stalled child."""
         rest, begun_s = ThreadStallDetector(child.pid, child.pid), time.monotonic()
         try:
             while not select.select([answers], [], [], LOOK_S)[0]:
@@ -135,7 +136,7 @@ class EmulatedProcess:
             if child.poll() is not None:
                 self._tell(GONE)
                 return
-            # Between two scenes it waits for an order.
+            # Between two scenes the child waits for input.
             still = watch.look(time.monotonic()) and self._serving.is_set()
             if still and not self._still:
                 self._tell(STILL)
@@ -163,7 +164,7 @@ NOT_SET = Fault(
 
 
 def serve(orders: IO[str], answers: IO[str]) -> None:
-    """Emulate the scene of each line until there are no more."""
+    """Emulate the scene of each line until the input ends."""
     with ExitStack() as present:
         for line in orders:
             present.close()
@@ -182,7 +183,7 @@ def _set(order: dict[str, Any], present: ExitStack) -> tuple[str, int]:
     told = TcpServer(TruthServer(joined))
     for ending in (told.close, emulation.close, joined.close):
         present.callback(ending)
-    take_short_turns()
+    shorten_switch_interval()
     joined.start()
     emulation.start()
     told.start()

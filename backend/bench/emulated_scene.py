@@ -1,10 +1,10 @@
-"""Emulated devices around one simulated scene, served with the bench file, scoring channel.
+"""Emulated devices around one simulated scene, with the bench file and the scoring channel.
 
-The world follows the joints of the emulated controller in real time. The arm itself is stiff: the
-driver's compliance makes it give way. A world that is late takes the arm where it was at the time
-of each cycle, so that a sample is late but never wrongly stamped. The monitor records driver
-behaviour that a real bench must never see; it judges by what reached the devices over the wires.
-The scoring channel serves the truth, for scoring and never for a driver.
+The world follows the joints of the emulated controller in real time. The emulated arm is stiff; the
+driver provides the compliance. A late world uses the arm position at the time of each cycle:
+samples may be late, their time stamps are correct. The monitor records driver behaviour that must
+never occur on a real bench, from the data on the wires. The scoring channel serves the ground truth
+to scoring, never to a driver.
 """
 
 from __future__ import annotations
@@ -59,20 +59,19 @@ from touchdown.backend.emulation import (
 )
 from touchdown.backend.simulation import ArmCycle, CycleRecord, Scene, SceneTruth, World
 
-STILL_S = 0.2  # how long before now the arm is looked at once more, to know whether it stands
-# Wrist samples of a bench that was just set up: what hangs on the sensor, without any contact
-REST_ROWS = 100
+STILL_S = 0.2  # interval over which motion of the arm is measured
+REST_ROWS = 100  # wrist samples of a new scene, averaged to the payload without contact
 
 
 @dataclass(frozen=True, slots=True)
 class DriverObservations:
-    """Since the scene was set. ``step_share``: largest step of a joint, share of its top speed.
+    """Driver behaviour since the scene was set.
 
-    ``late_command_s``: how long after an error of the controller (an emergency stop, an alarm, the
-    servo off) a motion command still came. ``moving_mm``: how far the pivot went in the last 0.2 s.
-    ``openings``: how often the jaws were told to open while they held. ``barred``: motions asked of
-    a gripper whose fault nobody had acknowledged. ``force_n``: largest force on the wrist, beside
-    what hangs on it.
+    ``step_share`` is the largest joint step as a share of the joint's top speed. ``late_command_s``
+    is the time of the last motion command after a controller error (emergency stop, alarm, servo
+    off). ``moving_mm`` is the path of the pivot in the last 0.2 s. ``openings`` counts open
+    commands on a held piece, ``barred`` motions of a gripper with an unacknowledged fault.
+    ``force_n`` is the largest force on the wrist beyond its payload.
     """
 
     step_share: float
@@ -95,14 +94,14 @@ class DriverObservations:
 
 
 class WatchedGripper(Protocol):
-    """What is asked of the emulated gripper."""
+    """Counters of the emulated gripper."""
 
     openings: int
     barred: int
 
 
 class DriverMonitor:
-    """Looks at the devices; ``gripper`` is set once there is one."""
+    """Monitor of the devices of a scene; ``gripper`` is set once there is one."""
 
     def __init__(self, melfa: EmulatedMelfa) -> None:
         self._melfa = melfa
@@ -112,7 +111,7 @@ class DriverMonitor:
         self._force_n = 0.0
 
     def feel(self, wrench: FloatArray) -> None:
-        """Take (N, 6) wrist samples of the world."""
+        """Process wrist samples (N, 6) of the world."""
         force_n = wrench[:, :3]
         if sum(map(len, self._rest)) < REST_ROWS:
             self._rest.append(force_n)
@@ -122,7 +121,7 @@ class DriverMonitor:
             self._force_n = max(self._force_n, float(strongest_n))
 
     def told(self, moving_mm: float) -> DriverObservations:
-        """Return what was seen so far."""
+        """Return the observations so far."""
         stream, gripper = self._melfa.stream, self.gripper
         return DriverObservations(
             step_share=stream.largest_share,
@@ -135,24 +134,21 @@ class DriverMonitor:
 
 
 STIFF_N_MM = 1000.0
-# A descent below this height over first touch is another probe: its nuisances are drawn
+# A descent below this height above first contact starts a new probe with its own nuisances
 NEXT_PROBE_MM = 2.0
-# A world later than this takes no picture: it would be one of another time than it comes at, and
-# without pictures the world catches up several times as fast
+# A world this late renders no image, which would be outdated; it then catches up several times
+# faster
 PICTURE_S = 0.040
-BEHIND_S = 0.5  # a world later than this gives up catching up
-# Age of a wrist sample when the sensor has it: the cycle in which it arises, and its computing
-LATENCY_S = 0.020
-KEPT = 500  # wrist samples that are kept for the sensor
+BEHIND_S = 0.5  # a world this late skips the delay
+LATENCY_S = 0.020  # Age of a wrist sample at the sensor: one cycle and its computation
+KEPT = 500  # wrist samples kept for the sensor
 CONTACT_MM = 0.02
-# On a bench with a jig a piece let go so high is in the hand of the operator, to be given back
-HAND_MM = 5.0
-# A third of what the tracker errs by: a gel at rest is drawn anew once it has crept so far
-STILL_PX = 0.01
+HAND_MM = 5.0  # On a bench with a jig, a piece released this high goes to the operator's hand
+STILL_PX = 0.01  # A gel at rest is rendered again after this creep, a third of the tracker's error
 
 
 class EmulatedScene:
-    """One scene and what its devices have of it; time passes on a thread of its own."""
+    """Scene with the state that its devices read; time passes on its own thread."""
 
     def __init__(self, scene: Scene, settings: MelfaSettings) -> None:
         self._scene, self.world = scene, World(scene, still_px=STILL_PX)
@@ -166,39 +162,38 @@ class EmulatedScene:
         self._felt: tuple[float, FloatArray] = (0.0, np.zeros((1, 6)))
         self._pictures: dict[Finger, ImageArray] = {}
         self._stop = threading.Event()
-        # Real-time priority while time passes, where the user may have it; 0: as it is
-        self.priority = 0
+        self.priority = 0  # real-time priority of the world thread if permitted; 0: unchanged
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
-        self.late = 0  # cycles that were given up
+        self.late = 0  # skipped cycles
 
     @property
     def scene(self) -> Scene:
-        """What was set up."""
+        """The scene as it was set."""
         return self._scene
 
     def start(self) -> None:
-        """Let time pass."""
+        """Start the time."""
         self._thread.start()
 
     def close(self) -> None:
-        """Stop time."""
+        """Stop the time."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
 
     @property
     def told_until_s(self) -> float:
-        """Until when (monotonic) the sensor has its samples: the world has come so far."""
+        """Monotonic time up to which the wrist sensor has samples."""
         return self._zero_s + self._felt[0] + LATENCY_S
 
     def joints_rad(self, world_s: float) -> FloatArray:
-        """Return (6,) where the joints of the emulated arm were at a time of the world."""
+        """Return the joints (6,) of the emulated arm at a time of the world."""
         return self.melfa.controller.joints_at(self._zero_s + world_s)
 
     def wrench(self, now_s: float) -> tuple[float, ...]:
-        """Return what the wrist felt ``LATENCY_S`` before ``now_s`` (monotonic), N and N·m.
+        """Return the wrench ``LATENCY_S`` before ``now_s`` (monotonic), N and N·m.
 
-        The newest sample there is, if the world has not come so far.
+        Returns the newest sample if the world is late.
         """
         newest_s, rows = self._felt
         rate_hz = self._scene.settings.wrist.rate_hz
@@ -206,24 +201,24 @@ class EmulatedScene:
         return tuple(rows[max(-1 - max(behind, 0), -len(rows))].tolist())
 
     def _felt_in_base(self) -> FloatArray:
-        """Return the newest wrench (6,) in axes of the arm's base."""
+        """Return the newest wrench (6,) in axes of the arm base."""
         newest, in_base = self._felt[1][-1], self.frame.in_base
         return np.concatenate([in_base(newest[:3]), in_base(newest[3:])])
 
     def picture(self, finger: Finger) -> ImageArray | None:
-        """Return the newest picture of a finger; None if it was given already."""
+        """Return the newest image of a finger, None if it was returned before."""
         return self._pictures.pop(finger, None)
 
     def truth(self, *, animate: bool = False) -> SceneTruth:
-        """Return how things really are."""
+        """Return the ground truth."""
         return self.world.truth(animate=animate)
 
     def watch_gripper(self, gripper: WatchedGripper) -> None:
-        """Let what is asked of the gripper be seen, too."""
+        """Include the counters of ``gripper`` in the observations."""
         self._witness.gripper = gripper
 
     def witnessed(self) -> DriverObservations:
-        """Return what the devices have seen of their driver so far."""
+        """Return the driver behaviour observed so far."""
         controller, pivot_mm = self.melfa.controller, self.frame.pivot_mm
         now_s = controller.now_s
         before_mm = pivot_mm(controller.joints_at(now_s - STILL_S))
@@ -231,7 +226,7 @@ class EmulatedScene:
         return self._witness.told(float(np.linalg.norm(way_mm)))
 
     def step(self, behind_s: float = 0.0) -> CycleRecord:
-        """Advance the world, which is so late, by one cycle and hand out what was sensed."""
+        """Advance the world, late by ``behind_s``, by one cycle and publish its samples."""
         sensed = self.world.step(FINGERS if behind_s <= PICTURE_S else ())
         self._witness.feel(sensed.wrench)
         rows = np.concatenate([self._felt[1], sensed.wrench])[-KEPT:]
@@ -242,7 +237,7 @@ class EmulatedScene:
         return sensed
 
     def _run(self) -> None:
-        """Step each cycle as soon as it is over: so it knows where the arm has come to."""
+        """Step each cycle as soon as it is over, when the arm position at its end is known."""
         set_realtime_priority(self.priority)
         self._zero_s = time.monotonic() - 1e-6 * self.world.now_us
         while not self._stop.is_set():
@@ -256,14 +251,14 @@ class EmulatedScene:
                 self.step(-wait_s)
 
     def _give_up(self, behind_s: float) -> None:
-        """Leave out so much time; no sample from before it is told of it."""
+        """Skip the delay; samples from before are not returned for times after."""
         self._felt = (self._felt[0], self._felt[1][-1:])
         self._zero_s += behind_s
         self.late += round(1e6 * behind_s / self.world.cycle_us)
 
 
 class BenchFrame:
-    """Where the bench stands in the base of the arm, by the chain of joint frames."""
+    """Transform between the bench and the arm base."""
 
     def __init__(self, settings: MelfaSettings) -> None:
         yaw, hand = math.radians(settings.yaw_deg), math.radians(settings.hand_deg)
@@ -273,24 +268,24 @@ class BenchFrame:
         self._last: tuple[list[float], FloatArray] = ([], np.eye(4))
 
     def _frame(self, joints_rad: FloatArray) -> FloatArray:
-        """Return (4, 4) of the flange; that of joints which stand is not computed again."""
+        """Return the flange pose (4, 4), cached for joints at rest."""
         last, joints = self._last, joints_rad.tolist()
         if joints != last[0]:
             self._last = last = (joints, frame_of(joints_rad))
         return last[1]
 
     def pivot_mm(self, joints_rad: FloatArray) -> FloatArray:
-        """Return (3,) where ``G`` is in the bench."""
+        """Return the position (3,) of ``G`` in the bench frame."""
         frame = self._frame(joints_rad)
         at_mm = frame[:3, 3] + self._tool_mm * frame[:3, 2]
         return np.asarray(self._turn.T @ (at_mm - self._origin_mm))
 
     def in_base(self, vector: FloatArray) -> FloatArray:
-        """Return a vector (3,) of the bench in axes of the base."""
+        """Return a vector (3,) of the bench in axes of the arm base."""
         return np.asarray(self._turn @ vector)
 
     def turn(self, joints_rad: FloatArray) -> FloatArray:
-        """Return (3, 3) by how much the hand is turned; as good as unturned is unturned."""
+        """Return the rotation (3, 3) of the hand; the identity within the level tolerance."""
         hand = self._frame(joints_rad)[:3, :3]
         turn = self._turn.T @ hand @ self._hand.T @ self._turn
         return (
@@ -300,7 +295,7 @@ class BenchFrame:
         )
 
     def joints(self, pivot_mm: FloatArray) -> FloatArray:
-        """Return (6,) joints that have ``G`` there, hand down; ``ValueError`` out of reach."""
+        """Return joints (6,) with ``G`` there and the hand down; ``ValueError`` out of reach."""
         frame = np.eye(4)
         frame[:3, :3] = self._hand
         frame[:3, 3] = self._origin_mm + self._turn @ pivot_mm - self._tool_mm * self._hand[:, 2]
@@ -311,17 +306,17 @@ class BenchFrame:
 
 
 class CarriedProgram:
-    """The program of the world's arm: go where the joints of the emulated arm are."""
+    """Arm program of the world: follow the joints of the emulated arm."""
 
     done = False
     failure: Fault | None = None
 
     def __init__(self, joined: EmulatedScene) -> None:
         self._joined = joined
-        self.turn: FloatArray = IDENTITY_ROTATION  # the hand is turned as that of the emulated arm
+        self.turn: FloatArray = IDENTITY_ROTATION  # rotation of the emulated arm's hand
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
-        """Return where the arm was at the end of ``cycle``; a descent begins the next probe."""
+        """Return the arm position at the end of ``cycle``; a descent begins the next probe."""
         joints_rad, frame = self._joined.joints_rad(cycle.end_s), self._joined.frame
         here, holding = frame.pivot_mm(joints_rad), self._joined.world.holding
         self.turn = frame.turn(joints_rad)
@@ -333,7 +328,7 @@ class CarriedProgram:
 
 
 class SceneDynpick(EmulatedDynpick):
-    """The emulated wrist sensor of the scene: it tells of no time that the world has not seen."""
+    """Emulated wrist sensor of a scene; sends no sample beyond the time of the world."""
 
     def __init__(self, joined: EmulatedScene, faults: Faults | None = None) -> None:
         faults = faults or Faults("force_torque")
@@ -342,12 +337,12 @@ class SceneDynpick(EmulatedDynpick):
         self._joined = joined
 
     def due(self, now_s: float) -> bytes:
-        """Return the records of the stream as far as the world has come."""
+        """Return the records of the stream up to the time of the world."""
         return super().due(min(now_s, self._joined.told_until_s))
 
 
 class SceneWsg(EmulatedWsg):
-    """The emulated gripper whose jaws hold the piece of the scene."""
+    """Emulated gripper whose jaws hold the piece of a scene."""
 
     def __init__(self, joined: EmulatedScene, faults: Faults | None = None) -> None:
         super().__init__(part_mm=joined.scene.piece.width_mm, faults=faults)
@@ -357,7 +352,7 @@ class SceneWsg(EmulatedWsg):
         joined.watch_gripper(self)
 
     def due(self, now_s: float) -> bytes:
-        """Return what the gripper sends, and let the world know of its jaws."""
+        """Return the gripper's output and apply its jaws to the world."""
         hand = self._world.jaws
         if hand.piece_present and self._faults.active("part_lost", now_s):
             hand.lose()
@@ -376,12 +371,12 @@ class SceneWsg(EmulatedWsg):
         elif self._in_hand and not hand.piece_present:
             self._in_hand, hand.piece_present = False, True
         elif motion is None and not (self._held or hand.piece_present) and self._is_taken():
-            # It stands where it was put, or lies where it fell: the operator sets up once more.
+            # The piece stands or lies on the bench: the operator sets up once more.
             self._world.set_up_again()
         return out
 
     def _is_taken(self) -> bool:
-        """Whether an operator is there, and has the piece in the hand when the jaws let it go."""
+        """Return True if an operator holds the piece when the jaws open: on a bench with a jig."""
         world = self._world
         return world.scene.jig and world.clear_mm(world.drive.command_mm) > HAND_MM
 
@@ -402,24 +397,21 @@ piece = "{piece}"
 bottom = "{bottom}"
 
 """
-# How often the cameras are asked for a new picture: once a cycle of the world, which takes them at
-# the rate of the scene
-POLL_HZ = 100.0
+POLL_HZ = 100.0  # Poll rate of the cameras: once per cycle of the world
 
-# Real-time priority of all devices: what they stand for loses no time to this computer's other
-# work. Below that of the rig.
+# Real-time priority of all devices, below that of the rig: real devices do not share the CPU
 EMULATOR_PRIORITY = 20
-# About a cycle of the arm, which feels once a cycle; each look wakes sensor and driver
+# About one cycle of the arm, which senses once a cycle; each poll wakes sensor and driver
 SENSOR_TICK_S = 0.004
 
-# Python's own 5 ms, waited for by thread after thread, made the arm miss ten cycles at a time
+# The default of 5 ms, accumulated over threads, made the arm miss ten cycles at a time
 SWITCH_S = 0.0005
 
 
 def shorten_switch_interval() -> None:
-    """For the process that serves a bench: no thread waits long behind those that render.
+    """Prepare the process that serves a bench for real time.
 
-    What was made so far stays, so the collector need not look through it either.
+    Threads switch sooner, and the garbage collector ignores the objects made so far.
     """
     sys.setswitchinterval(SWITCH_S)
     gc.collect()
@@ -429,7 +421,7 @@ def shorten_switch_interval() -> None:
 def serve_bench(
     scene: Scene, folder: Path, plan: FaultPlan, host: str = "127.0.0.1"
 ) -> tuple[EmulatedScene, Emulation]:
-    """Make arm, gripper, wrist sensor and both cameras of ``scene``; ports are free ones.
+    """Make arm, gripper, wrist sensor and both cameras of ``scene`` on free ports.
 
     ``folder`` takes the links of sensor and cameras, and the bench file. Raises ``OSError``.
     """
@@ -455,7 +447,7 @@ def serve_bench(
 
 
 def lab_toml(scene: Scene, emulation: Emulation) -> str:
-    """Return a lab file that leads to an emulated bench, with what a lab would have measured."""
+    """Return a lab file of an emulated bench, with the values that a laboratory would measure."""
     wrist, tactile = scene.settings.wrist, scene.settings.tactile
     bottoms = "+".join(body.name for body in scene.bottoms.bodies)
     tables = {name: dict(table) for name, table in emulation.bench.items()}
@@ -499,10 +491,11 @@ def _camera(joined: EmulatedScene, finger: Finger, folder: Path, plan: FaultPlan
 ANSWER_S = 2.0
 LONGEST = 4096
 TRUTH, SEEN = b"?\n", b"seen\n"
+TRUTH_FIELDS = ("offset_mm", "yaw_rad", "margin_mm", "stands", "slip_mm", "knocked_over")
 
 
 class TruthServer:
-    """Answers every line with one line of JSON: the truth, or what the devices have seen."""
+    """Answers each line with a line of JSON: ground truth or driver observations."""
 
     def __init__(self, joined: EmulatedScene) -> None:
         self._joined = joined
@@ -514,36 +507,38 @@ class TruthServer:
             if line == SEEN:
                 told += json.dumps(asdict(self._joined.witnessed())).encode() + b"\n"
             elif line.endswith(b"\n"):
-                told += _line(self._joined.truth())
+                truth = self._joined.truth()
+                fields = {name: getattr(truth, name) for name in TRUTH_FIELDS}
+                told += json.dumps(fields).encode() + b"\n"
         return told
 
     def due(self, now_s: float) -> bytes:
-        """Nothing."""
+        """Return nothing: it only answers."""
         return b""
 
     def closed(self, now_s: float) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 class TruthClient:
-    """The truth of ``scene``, which another process emulates at ``address``."""
+    """Ground truth of ``scene``, which another process emulates at ``address``."""
 
     def __init__(self, scene: Scene, address: tuple[str, int]) -> None:
         self._scene, self._address = scene, address
 
     @property
     def scene(self) -> Scene:
-        """What was set up."""
+        """The scene as it was set."""
         return self._scene
 
     def truth(self, *, animate: bool = False) -> SceneTruth:
-        """Ask how things really are; raises ``OSError``."""
+        """Return the ground truth; raises ``OSError``."""
         told = self._ask(TRUTH)
         x, y = told.pop("offset_mm")
         return SceneTruth(offset_mm=(x, y), fall=None, **told)
 
     def witnessed(self) -> DriverObservations:
-        """Ask what the devices have seen of their driver; raises ``OSError``."""
+        """Return the driver observations; raises ``OSError``."""
         return DriverObservations(**self._ask(SEEN))
 
     def _ask(self, question: bytes) -> dict[str, Any]:
@@ -557,15 +552,3 @@ class TruthClient:
                 heard += more
         answer: dict[str, Any] = json.loads(heard)
         return answer
-
-
-def _line(truth: SceneTruth) -> bytes:
-    told = {
-        "offset_mm": list(truth.offset_mm),
-        "yaw_rad": truth.yaw_rad,
-        "margin_mm": truth.margin_mm,
-        "stands": truth.stands,
-        "slip_mm": truth.slip_mm,
-        "knocked_over": truth.knocked_over,
-    }
-    return json.dumps(told).encode() + b"\n"

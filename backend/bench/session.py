@@ -173,18 +173,18 @@ class Session:
         *,
         settings: StackSettings,
         keep: RecordingOptions,
-        facts: BenchDescription,
+        description: BenchDescription,
     ) -> None:
         self._make_stage, self._check, self.catalogue = make_stage, check, catalogue
-        self.method, self.facts = settings, facts
-        self.simulated, self.name = facts.mode == "simulated", ""
+        self.method, self.description = settings, description
+        self.simulated, self.name = description.mode == "simulated", ""
         self.run_id, self.mode = "", ""  # of the last run
         self.limits_source, self.usual = "the program itself", SceneChoice()
         self.resources = ExitStack()  # closed after everything else
         # Devices that outlive every scene, None if each scene has its own
         self.connection: BenchConnection | None = None
-        self.events, self.interlock, self.gate = EventBus(), Interlock(), OperatorPrompt()
-        self.hush = RepaintHold()  # holds repaints while a decision is computed
+        self.events, self.interlock, self.prompt = EventBus(), Interlock(), OperatorPrompt()
+        self.repaint_hold = RepaintHold()  # holds repaints while a decision is computed
         self.decisions = PendingDecision()
         self.dataset: Dataset | None = None  # collected episodes; set only between runs
         self.calibrations: CalibrationStore | None = None  # set before the first scene
@@ -202,7 +202,7 @@ class Session:
         self.raw = RawStreams(self.frames, samples, poses, commands)
         self._supervision = Supervision(self.interlock, self.wrench, self.frames)
         self.engine = Engine(self.events, self.interlock, self.clock_s, self._supervision.unwell)
-        mode = LIVE_MODES.get(facts.mode, "lab")
+        mode = LIVE_MODES.get(description.mode, "lab")
         self._keep, self._recorder = keep, RunRecorder(keep, self.events, self.interlock, mode)
         self._teller = FaultNotifier(self.events, self.interlock, self.clock_s)
         self._scene: Bench | None = None  # assigned after the three below
@@ -340,7 +340,7 @@ class Session:
 
     def answer(self, yes: bool) -> None:
         """Approve or decline the pending action."""
-        self.gate.answer(yes)
+        self.prompt.answer(yes)
 
     def decide(self, decision: EpisodeDecision) -> None:
         """Keep, discard, redo, flag or skip the newest collected episode; never waits."""
@@ -457,10 +457,12 @@ class Session:
 
     def _plan(self, request: Request) -> Plan[None]:
         check_devices(self.connection, request)
-        self._used = calibrations_for(request, self.facts.mode, self.calibrations, self.devices)
+        self._used = calibrations_for(
+            request, self.description.mode, self.calibrations, self.devices
+        )
         self.run_id = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
         stepped = self.simulated and not self._live.running
-        self.mode = "stepped" if stepped else LIVE_MODES.get(self.facts.mode, "lab")
+        self.mode = "stepped" if stepped else LIVE_MODES.get(self.description.mode, "lab")
         return make_plan(request, self)
 
     def _wall_s(self) -> float:
@@ -546,17 +548,17 @@ class Session:
             piece=stage.piece,
             bottom=stage.bottom,
             store=self._recorder.store,
-            gate=self.gate,
+            prompt=self.prompt,
             settings=self.method,
             scoring=stage.scoring,
             wall_s=time.perf_counter,
             status=self.status,
-            hush=self.hush,
+            repaint_hold=self.repaint_hold,
             outline=stage.outline,
             jig=stage.jig,
             scene_view=stage.scene_view,
             wrench_late_s=stage.wrench_late_s,
-            sensor_height_mm=self.facts.sensor_height_mm,
+            sensor_height_mm=self.description.sensor_height_mm,
             real_time=stage.real_time,
         )
         self._supervision.begin(now_s(), gripper, stage.devices["force_torque"])

@@ -236,11 +236,11 @@ def _judge(line: str, fact: OutcomeAwaited, session: Session, screen: VerbOutput
     while line:
         said = parse_outcome(line, fact)
         if said is not None:
-            session.gate.see(*said)
+            session.prompt.see(*said)
             return
         screen.say(f"  {OUTCOME_HELP}")
         line = sys.stdin.readline()
-    session.gate.see(Outcome.ABORTED, "nobody said what became of the piece")
+    session.prompt.see(Outcome.ABORTED, "nobody said what became of the piece")
 
 
 def _read_line_in_thread(take: Callable[[str], None]) -> None:

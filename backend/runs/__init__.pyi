@@ -1,4 +1,4 @@
-from .bench import SET_S as SET_S
+from .bench import SCENE_TIMEOUT_S as SCENE_TIMEOUT_S
 from .bench import Bench as Bench
 from .bench import NoEstimator as NoEstimator
 from .bench import OperatorPrompt as OperatorPrompt
@@ -12,7 +12,7 @@ from .bench import SceneView as SceneView
 from .calibrations import DriftMonitor as DriftMonitor
 from .calibrations import DriftScene as DriftScene
 from .calibrations import GelCheck as GelCheck
-from .calibrations import Used as Used
+from .calibrations import UsedCalibrations as UsedCalibrations
 from .calibrations import accept_calibration as accept_calibration
 from .calibrations import calibration_metadata as calibration_metadata
 from .calibrations import calibrations_for as calibrations_for
@@ -28,8 +28,8 @@ from .campaign import newest_campaign as newest_campaign
 from .campaign import read_campaign as read_campaign
 from .campaign import read_examined_episodes as read_examined_episodes
 from .campaign import read_probe_summary as read_probe_summary
-from .collector import Signals as Signals
-from .collector import last_signals as last_signals
+from .collector import SignalExcerpt as SignalExcerpt
+from .collector import last_signal_excerpt as last_signal_excerpt
 from .engine import Engine as Engine
 from .engine import LiveThread as LiveThread
 from .event_log import EVENT_LOG_NAME as EVENT_LOG_NAME
@@ -44,18 +44,18 @@ from .manual_control import ManualDevices as ManualDevices
 from .manual_control import check_connected as check_connected
 from .manual_control import check_devices as check_devices
 from .manual_control import check_no_contact as check_no_contact
+from .manual_control import connect_stop as connect_stop
 from .manual_control import latch_device_faults as latch_device_faults
-from .manual_control import wire_stop as wire_stop
-from .messages import DECIDED as DECIDED
+from .messages import DECISION_WORDS as DECISION_WORDS
 from .messages import hand_over_message as hand_over_message
 from .messages import mounting_question as mounting_question
 from .messages import outcome_question as outcome_question
 from .messages import scene_to_set_message as scene_to_set_message
 from .motions import RunEnding as RunEnding
-from .outcome import excusing_fault as excusing_fault
+from .outcome import excluding_fault as excluding_fault
 from .plan import Plan as Plan
-from .plans import plan_of as plan_of
-from .recorder import KINDS as KINDS
+from .plans import make_plan as make_plan
+from .recorder import PHOTO_SUFFIXES as PHOTO_SUFFIXES
 from .recorder import RecordingOptions as RecordingOptions
 from .recorder import RunRecorder as RunRecorder
 from .recorder import calibrations_folder as calibrations_folder
@@ -76,10 +76,10 @@ from .requests import StackRequest as StackRequest
 from .requests import StrategyChoice as StrategyChoice
 
 __all__ = [
-    "DECIDED",
+    "DECISION_WORDS",
     "EVENT_LOG_NAME",
-    "KINDS",
-    "SET_S",
+    "PHOTO_SUFFIXES",
+    "SCENE_TIMEOUT_S",
     "Bench",
     "CalibrateRequest",
     "Campaign",
@@ -113,10 +113,10 @@ __all__ = [
     "SceneFactory",
     "SceneView",
     "SetRequest",
-    "Signals",
+    "SignalExcerpt",
     "StackRequest",
     "StrategyChoice",
-    "Used",
+    "UsedCalibrations",
     "accept_calibration",
     "calibration_metadata",
     "calibrations_folder",
@@ -125,6 +125,7 @@ __all__ = [
     "check_connected",
     "check_devices",
     "check_no_contact",
+    "connect_stop",
     "contact_height_mm",
     "counts_for_coverage",
     "current_campaign",
@@ -133,23 +134,22 @@ __all__ = [
     "decode_event",
     "device_names",
     "event_log_path",
-    "excusing_fault",
+    "excluding_fault",
     "hand_over_message",
     "keep_photo",
     "labelled_coverage",
-    "last_signals",
+    "last_signal_excerpt",
     "latch_device_faults",
     "log_limit_change",
+    "make_plan",
     "models_folder",
     "mounting_question",
     "newest_campaign",
     "outcome_question",
     "payload_wrench",
-    "plan_of",
     "read_campaign",
     "read_events",
     "read_examined_episodes",
     "read_probe_summary",
     "scene_to_set_message",
-    "wire_stop",
 ]

@@ -38,7 +38,7 @@ from touchdown.backend.sensing import Homography, LiveSensing, RawStreams
 
 
 class PendingDecision:
-    """Holds the latest decision about the latest episode, whether it was asked for or not."""
+    """Latest decision of the operator about the newest collected episode."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -46,23 +46,23 @@ class PendingDecision:
 
     @property
     def given(self) -> bool:
-        """Whether a decision waits to be carried out."""
+        """Whether a decision is pending."""
         return self._decision is not None
 
     def give(self, decision: EpisodeDecision) -> None:
-        """Decide; a later word replaces an earlier one that was not carried out yet."""
+        """Set the decision; replaces one that is still pending."""
         with self._lock:
             self._decision = decision
 
     def take(self) -> EpisodeDecision | None:
-        """Return the decision, if there is one, and forget it."""
+        """Return the pending decision and clear it, None if there is none."""
         with self._lock:
             decision, self._decision = self._decision, None
             return decision
 
 
 class OperatorPrompt:
-    """Holds one answer. The plan asks and looks; the operator answers from any thread."""
+    """One open question to the operator. The plan polls; the answer comes from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -71,25 +71,25 @@ class OperatorPrompt:
         self._seen: tuple[Outcome, str] | None = None
 
     def ask(self) -> None:
-        """Forget an old answer and wait for a new one."""
+        """Open a question and clear the previous answer."""
         with self._lock:
             self._asked, self._answer, self._seen = True, None, None
 
     def answer(self, yes: bool) -> None:
-        """Answer the open question; without one this does nothing."""
+        """Answer the open question; ignored without one."""
         with self._lock:
             if self._asked:
                 self._asked, self._answer = False, yes
 
     def see(self, outcome: Outcome, reason: str) -> None:
-        """Say what became of a piece; without an open question this does nothing."""
+        """Answer the open question with the observed outcome; ignored without one."""
         with self._lock:
             if self._asked:
                 self._asked, self._seen = False, (outcome, reason)
 
     @property
     def seen(self) -> tuple[Outcome, str] | None:
-        """What the operator saw, and the reason they gave; None before they said it."""
+        """Observed outcome and its reason, None before the answer."""
         return self._seen
 
     @property
@@ -105,8 +105,10 @@ class OperatorPrompt:
 
 @dataclass(frozen=True, slots=True)
 class PressedProbe:
-    """A probe as felt: ``ended_s`` bench time of its last sample, ``sampled_s`` the wall clock then
-    (for the decision latency only).
+    """Pressed probe with its episode.
+
+    ``ended_s`` is the bench time of the last sample. ``sampled_s`` is the wall clock at that
+    moment, used for the decision latency only.
     """
 
     episode: Episode
@@ -117,7 +119,7 @@ class PressedProbe:
 
 @dataclass(frozen=True, slots=True)
 class JudgedProbe:
-    """A felt probe with the conclusion, reached at bench time ``at_s`` while still pressed."""
+    """Pressed probe with the decision on it, made at bench time ``at_s`` while still pressed."""
 
     felt: PressedProbe
     stability: Stability
@@ -126,60 +128,57 @@ class JudgedProbe:
 
 
 class PatchEstimator(Protocol):
-    """What the method needs of a trained model."""
+    """Contact patch estimator as used by a run."""
 
     @property
     def base_rate(self) -> float | None:
         """Share of contact points in its training data, for the prior correction."""
 
     def prepare(self, early: NDArray[np.float32]) -> None:
-        """Take the first ticks of the probe in progress, so that its estimate is quick."""
+        """Process the first ticks of the probe in progress to shorten its estimate."""
 
     def estimate(self, episode: Episode) -> ContactPatch:
         """Return the contact patch of one episode."""
 
 
 class NoEstimator:
-    """Stands in where a run needs no model, such as collecting the data that trains one."""
+    """Placeholder for runs that need no model, such as data collection."""
 
     base_rate: float | None = None
 
     def prepare(self, early: NDArray[np.float32]) -> None:
-        """Nothing to prepare."""
+        """Do nothing."""
 
     def estimate(self, episode: Episode) -> ContactPatch:
-        """Raise ``InputError``: there is nothing to estimate with."""
+        """Raise ``InputError``."""
         raise InputError(
             f"No model of '{episode.piece}' is loaded.", "model", "Train one, or name one."
         )
 
 
 class EpisodeStore(Protocol):
-    """Where episodes go; ``keep`` returns at once, ``settle`` when the file is durable.
-
-    ``written``: whether ``settle`` would return, or raise, at once.
-    """
+    """Storage of the episodes of a run."""
 
     def keep(self, episode: Episode) -> None:
-        """Begin to write ``episode``."""
+        """Start to write ``episode``; returns at once."""
 
     @property
     def written(self) -> bool:
-        """Whether nothing is on its way to the disk."""
+        """Whether no write is in progress, so that ``settle`` returns or raises at once."""
 
     def settle(self) -> Path | None:
-        """Wait for the last write; return the path of its file, None if files are not kept.
+        """Wait until the last episode is durable; return its path, None if files are not kept.
 
-        Raises ``FaultError`` where the disk refused; asked again it writes once more.
+        Raises ``FaultError`` if the disk refused it; the next call writes it again.
         """
 
     def obstacle(self) -> Fault | None:
-        """Return what keeps the run from recording another probe, None if nothing does."""
+        """Return the fault that prevents recording another probe, None if there is none."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneView:
-    """The scene camera: ``picture`` (h, w, 3) of the bench now, and where the board is in it."""
+    """Scene camera: ``picture`` returns (h, w, 3); ``homography`` maps the board to the picture."""
 
     picture: Callable[[], ImageArray]
     homography: Homography
@@ -187,9 +186,9 @@ class SceneView:
 
 @dataclass(frozen=True, slots=True)
 class ReleaseVerdict:
-    """What a bench with known truth says after the jaws opened.
+    """Ground truth after the gripper opened.
 
-    ``contradicted``: a second judge says otherwise beyond its own error (None if not asked).
+    ``contradicted``: a second judge disagrees beyond its own error (None if there was none).
     """
 
     stands: bool
@@ -200,29 +199,30 @@ class ReleaseVerdict:
 
 
 class GroundTruth(Protocol):
-    """The truth of a simulated bench, for scoring only: the method never sees it."""
+    """Ground truth of a simulated bench, for scoring only."""
 
     def start_mm(self) -> tuple[float, float]:
         """Return the true offset at the start of the trial."""
 
     def least_probes(self) -> int:
-        """Return the least number of probes that any policy would need."""
+        """Return the least number of probes that any policy needs."""
 
     def verdict(self) -> ReleaseVerdict:
-        """Judge the scene as it is now."""
+        """Judge the scene in its present state."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """One trial's bench. ``now_s`` is its clock; ``scoring`` is None where truth is unknown.
+    """Bench of one run on one scene.
 
-    ``wall_s`` measures decision latency only; ``status`` returns the progress of the run; ``hush``
-    keeps decisions undisturbed;
-    ``outline`` of the surface that is touched; ``jig``: pose of ``G`` with the piece in its jig, or
-    where the piece is ``handed`` over by the operator. ``wrench_late_s``: age of a wrench sample
-    when it comes. ``calibrations``: pairs that every episode keeps. ``sensor_height_mm``: wrist
-    sensor above the grasp pivot, None where nobody told. ``below``: the tower under the touched
-    surface as it was entered, None for a single bottom.
+    Attributes beyond their types: ``now_s`` returns the bench time, ``wall_s`` the wall clock (for
+    the decision latency only), ``status`` the progress of the run. ``scoring`` is None where the
+    truth is unknown. ``outline`` is the touched surface. ``jig`` is the pose of ``G`` with the
+    piece in its jig, or at the hand-over when ``handed`` is set. ``wrench_late_s`` is the age of a
+    wrench sample on arrival. ``calibrations`` are metadata of every episode. ``sensor_height_mm``
+    is the wrist sensor above the grasp pivot, None if unknown. ``below`` is the tower under the
+    touched surface as entered, None for a single bottom. ``placed`` holds the calibrated positions
+    of board and tool. ``real_time``: time passes by itself, so waits must let the sensors be read.
     """
 
     now_s: Callable[[], float]
@@ -234,12 +234,12 @@ class Bench:
     piece: Piece
     bottom: str
     store: EpisodeStore
-    gate: OperatorPrompt
+    prompt: OperatorPrompt
     settings: StackSettings
     scoring: GroundTruth | None
     wall_s: Callable[[], float]
     status: Callable[[], RunStatus]
-    hush: RepaintHold
+    repaint_hold: RepaintHold
     outline: Outline
     jig: Pose | None
     scene_view: SceneView | None = None
@@ -249,26 +249,24 @@ class Bench:
     sensor_height_mm: float | None = None
     below: SupportTower | None = None
     placed: CalibratedPositions = UNCALIBRATED
-    """What board and tool say of places."""
     real_time: bool = False
-    """Time passes by itself: who waits for something else must let the sensors be read."""
 
 
-SET_S = 120.0
-"""Setting a scene takes so long at most: emulated devices are made and connected anew."""
+SCENE_TIMEOUT_S = 120.0  # longest time to set a scene, with emulated devices to start
+# Returns the settings a run on the scene depends on, JSON-ready: bench, model, program. Raises
+# ``InputError`` before anything is written or moved.
 SceneCheck = Callable[[SceneChoice], Mapping[str, object]]
-"""Raises ``InputError`` before anything is written or moved; else returns what a run on the scene
-depends on beside request and method, JSON-ready: bench settings, model, program."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneDevices:
-    """Unguarded devices of one scene. ``advance`` moves the bench's time by so many microseconds.
+    """Unguarded devices of one scene, made by a kind of bench.
 
-    ``devices`` names all five for the chips; ``scoring`` is None where the truth is unknown;
-    ``payload`` (6,) is the calibrated weight below the sensor, N and N·m. ``jig``: taught pose of
-    ``G`` with the piece in its jig, None where there is no jig. ``outline`` of the touched face.
-    ``wrench_late_s``: age of a wrench sample when it comes. ``real_time``: time passes by itself.
+    ``devices`` has all five by name. ``advance`` moves the bench time by a number of microseconds.
+    ``scoring`` is None where the truth is unknown. ``payload`` (6,) is the calibrated weight below
+    the wrist sensor, N and N·m. ``outline`` is the touched surface. ``jig`` is the taught pose of
+    ``G`` with the piece in its jig, None without a jig. ``wrench_late_s`` is the age of a wrench
+    sample on arrival. ``real_time``: time passes by itself.
     """
 
     clock: Clock
@@ -289,46 +287,23 @@ class SceneDevices:
 
 
 class SceneFactory(Protocol):
-    """Builds a scene on the streams of a session."""
+    """Builds the devices of a scene on the streams of a session."""
 
     def __call__(self, choice: SceneChoice, raw: RawStreams) -> SceneDevices:
-        """Return the stage; raises ``InputError`` for an unknown piece, bottom or model."""
+        """Return the devices; raises ``InputError`` for an unknown piece, bottom or model."""
 
 
 class RunContext(Protocol):
-    """Part of a session that a plan uses. All calls come from the plan, on the bench's own time."""
+    """Part of a session that a plan uses. Plans call it on the thread of the bench."""
 
-    @property
-    def run_id(self) -> str:
-        """Identifier of the run: UTC start time, also the name of its folder."""
-
-    @property
-    def simulated(self) -> bool:
-        """Whether the bench is simulated."""
-
-    @property
-    def mode(self) -> str:
-        """Kind of bench that episodes record: stepped, live simulation, emulated or lab."""
-
-    @property
-    def facts(self) -> BenchDescription:
-        """Description of the bench that episodes record."""
-
-    @property
-    def dataset(self) -> Dataset | None:
-        """Dataset that takes collected episodes, None if none is open."""
-
-    @property
-    def decisions(self) -> PendingDecision:
-        """Decision of the operator on the newest collected episode."""
-
-    @property
-    def catalogue(self) -> PieceLibrary:
-        """Pieces and bottoms by name."""
-
-    @property
-    def method(self) -> StackSettings:
-        """Settings of the method before those of the request."""
+    run_id: str  # UTC start time of the run, also the name of its folder
+    simulated: bool
+    mode: str  # recorded with episodes: stepped, live simulation, emulated or lab
+    description: BenchDescription  # recorded with episodes
+    dataset: Dataset | None  # takes collected episodes
+    decisions: PendingDecision
+    catalogue: PieceLibrary
+    method: StackSettings  # before the settings of the request
 
     def check_scene(self, choice: SceneChoice) -> Mapping[str, object]:
         """Return the settings a run on ``choice`` depends on, JSON-ready; raises ``InputError``."""

@@ -1,4 +1,4 @@
-"""Campaign of data collection: planned displacements, file on disk, progress report.
+"""Campaign of data collection: planned displacements, plan on disk, progress.
 
 A campaign continues after a restart.
 """
@@ -32,7 +32,7 @@ from touchdown.backend.geometry import (
     draw_offset,
     overlap_area_mm2,
 )
-from touchdown.backend.runs.messages import DECIDED
+from touchdown.backend.runs.messages import DECISION_WORDS
 
 Pattern = Literal["random", "grid", "adaptive"]
 PATTERNS: tuple[Pattern, ...] = ("random", "grid", "adaptive")
@@ -43,14 +43,14 @@ _ITEM = 88
 
 @dataclass(frozen=True, slots=True)
 class ProbeTarget:
-    """What is probed: two faces, and the largest displacement wanted along x and y (mm)."""
+    """Pair of faces to probe, with the largest displacement along x and y (mm)."""
 
     face: Outline
     bottom: Outline
     within_mm: float | None = None
 
     def allows(self, offsets_mm: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        """Return (n,) which of ``offsets_mm`` (n, 2) overlap enough and lie within the range."""
+        """Return (n,): which of ``offsets_mm`` (n, 2) overlap enough and lie within the range."""
         area = overlap_area_mm2(self.face, offsets_mm, self.bottom, segments=COARSE_SEGMENTS)
         enough = area >= MIN_OVERLAP_MM2
         if self.within_mm is not None:
@@ -59,7 +59,7 @@ class ProbeTarget:
 
     @property
     def reach_mm(self) -> float:
-        """Largest displacement along x or y that could count."""
+        """Largest displacement along x or y that can overlap."""
         reach = float(max(np.add(self.face.half_extents_mm, self.bottom.half_extents_mm)))
         return reach if self.within_mm is None else min(reach, self.within_mm)
 
@@ -69,24 +69,26 @@ def planned_displacement_mm(
 ) -> tuple[float, float]:
     """Return the displacement of item 0, 1, ... of ``count``; raises ``InputError`` if none fits.
 
-    ``seen``: what has been recorded so far; only the adaptive pattern looks at it.
+    ``seen`` is the coverage so far, used by the adaptive pattern only.
     """
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, _ITEM, item])))
     if pattern == "grid":
-        return _pair(grid_displacements_mm(target, count)[item])
+        return xy_mm(grid_displacements_mm(target, count)[item])
     if pattern == "adaptive":
         return _into_a_hole(rng, target, seen)
     for _ in range(TRIES):
         tried = draw_offset(rng, target.face, target.bottom, 8)
         fitting = tried[target.allows(tried)]
         if len(fitting):
-            return _pair(fitting[0])
+            return xy_mm(fitting[0])
     raise _nothing_fits(target)
 
 
 @lru_cache(maxsize=4)
 def grid_displacements_mm(target: ProbeTarget, count: int) -> FloatArray:
-    """Return (count, 2) places on the widest square lattice that holds so many, there and back."""
+    """Return (count, 2) points of the widest square lattice with enough points, in boustrophedon
+    order.
+    """
     coarse_mm = target.reach_mm / 40
     pitch_mm = coarse_mm * float(np.sqrt(len(_lattice(target, coarse_mm)) / count))
     if not pitch_mm >= FINEST_MM:
@@ -105,7 +107,7 @@ def grid_displacements_mm(target: ProbeTarget, count: int) -> FloatArray:
 
 
 def _lattice(target: ProbeTarget, pitch_mm: float) -> FloatArray:
-    """Return the lattice points (n, 2) that the target allows, row by row, to and fro."""
+    """Return the allowed lattice points (n, 2) row by row, in alternating direction."""
     count = int(target.reach_mm / pitch_mm)
     steps = pitch_mm * np.arange(-count, count + 1)
     rows = [
@@ -119,7 +121,7 @@ def _lattice(target: ProbeTarget, pitch_mm: float) -> FloatArray:
 def _into_a_hole(
     rng: np.random.Generator, target: ProbeTarget, seen: Coverage
 ) -> tuple[float, float]:
-    """Draw a place in one of the emptiest bins that can be reached."""
+    """Draw a point in one of the reachable bins with the fewest probes."""
     rows, columns = np.nonzero(seen.possible)
     order = np.lexsort((rng.random(len(rows)), seen.counts[rows, columns]))
     for k in order:
@@ -127,11 +129,12 @@ def _into_a_hole(
         tried = centre + seen.bin_mm * (rng.random((16, 2)) - 0.5)
         fitting = tried[target.allows(tried)]
         if len(fitting):
-            return _pair(fitting[0])
+            return xy_mm(fitting[0])
     raise _nothing_fits(target)
 
 
-def _pair(place: FloatArray) -> tuple[float, float]:
+def xy_mm(place: FloatArray) -> tuple[float, float]:
+    """Return the first two components as floats."""
     return float(place[0]), float(place[1])
 
 
@@ -150,9 +153,10 @@ FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """The plan of a campaign. ``skipped``: items that nobody wants any more.
+    """Plan of a campaign.
 
-    ``mountings``: how many were begun; each start of the campaign begins a new one.
+    ``skipped`` are items left out. ``mountings`` counts the mountings begun; each start of the
+    campaign begins another one.
     """
 
     uuid: str
@@ -166,16 +170,16 @@ class Campaign:
     mountings: int = 0
 
     def todo(self, entries: Iterable[EpisodeEntry]) -> list[int]:
-        """Return the items that neither ``entries`` nor the skipped ones hold, in order."""
+        """Return the items that are neither in ``entries`` nor skipped, in order."""
         done = {e.plan_item for e in entries if e.quality.accepted and not e.deleted}
         return [k for k in range(self.count) if k not in done and k not in self.skipped]
 
     def with_mounting(self) -> Campaign:
-        """Return the campaign with one more mounting begun."""
+        """Return the campaign with one more mounting."""
         return replace(self, mountings=self.mountings + 1)
 
     def without(self, item: int) -> Campaign:
-        """Return the campaign that leaves ``item`` out."""
+        """Return the campaign without ``item``."""
         return replace(self, skipped=tuple(sorted({*self.skipped, item})))
 
     def save(self, dataset: Path) -> None:
@@ -187,7 +191,7 @@ class Campaign:
 def new_campaign(
     piece: str, bottom: str, pattern: Pattern, seed: int, count: int, within_mm: float | None
 ) -> Campaign:
-    """Return a campaign that has not begun; raises ``InputError`` for senseless numbers."""
+    """Return a new campaign; raises ``InputError`` for numbers out of range."""
     if count < 1:
         raise InputError("A campaign has at least one probe.", "--count", "Give a number above 0.")
     if seed < 0:
@@ -214,14 +218,14 @@ def read_campaign(dataset: Path, uuid: str) -> Campaign:
 
 
 def current_campaign(dataset: Dataset, uuid: str) -> Campaign:
-    """Return a campaign as it goes on: without what its file or its episodes say was skipped."""
+    """Return a campaign without the items that its file or its episodes mark as skipped."""
     plan = read_campaign(dataset.folder, uuid)
-    skipped = items_deleted(dataset.database, uuid, DECIDED["skip"])
+    skipped = items_deleted(dataset.database, uuid, DECISION_WORDS["skip"])
     return replace(plan, skipped=tuple(sorted({*plan.skipped, *skipped})))
 
 
 def newest_campaign(dataset: Path) -> str | None:
-    """Return the id of the campaign that was begun last, None if there is none."""
+    """Return the id of the newest campaign, None if there is none."""
     names = sorted(path.stem for path in (dataset / FOLDER).glob("*.json"))
     return names[-1] if names else None
 
@@ -233,19 +237,20 @@ def _path(dataset: Path, uuid: str) -> Path:
 def labelled_coverage(
     dataset: Dataset, entries: Sequence[EpisodeEntry], face: Outline, bottom: Outline
 ) -> Coverage:
-    """Count the labelled displacements of those ``entries`` of one pair that count."""
+    """Return the coverage of the valid ``entries`` of one pair."""
     kept = [entry.uuid for entry in entries if counts_for_coverage(entry)]
     return count_coverage(dataset.labels.offsets_mm(kept), face, bottom)
 
 
 def counts_for_coverage(entry: EpisodeEntry) -> bool:
-    """Whether a probe covers its place: an observation that nobody discarded or rejected."""
+    """Return True for an accepted observation that was neither discarded nor rejected."""
     return entry.quality.accepted and not entry.deleted and entry.state != "rejected"
 
 
 def pair_coverage(dataset: Dataset, campaign: Campaign, target: ProbeTarget) -> Coverage:
-    """Count what there is for ``campaign`` to fill up: its own probes, and all others of its pair
-    that somebody stands for (submitted or approved).
+    """Return the coverage that a campaign starts from.
+
+    It counts the campaign's own probes and the submitted or approved ones of the same pair.
     """
     entries = dataset.episodes(EpisodeFilter(piece=campaign.piece, bottom=campaign.bottom))
     stood_for = [
@@ -258,14 +263,14 @@ def pair_coverage(dataset: Dataset, campaign: Campaign, target: ProbeTarget) -> 
 
 @dataclass(frozen=True, slots=True)
 class ProbeSummary:
-    """What is looked at of a probe: for the checks, and where it was meant to go (mm)."""
+    """Probe as used by the quality checks, with its commanded displacement (mm)."""
 
     examined: ExaminedEpisode
     commanded_mm: tuple[float, float]
 
 
 def read_probe_summary(dataset: Dataset, entry: EpisodeEntry) -> ProbeSummary:
-    """Read one probe without its pictures; raises ``InputError`` naming a damaged file."""
+    """Read one probe without its images; raises ``InputError`` naming a damaged file."""
     label_mm = dataset.labels.head(entry.uuid).label.offset_mm
     if entry.mode == "mass":
         episode = dataset.read(entry.uuid)
@@ -285,5 +290,5 @@ def read_probe_summary(dataset: Dataset, entry: EpisodeEntry) -> ProbeSummary:
 def read_examined_episodes(
     dataset: Dataset, entries: Sequence[EpisodeEntry]
 ) -> list[ExaminedEpisode]:
-    """Read what the health checks look at; raises ``InputError`` naming a damaged file."""
+    """Read the input of the quality checks; raises ``InputError`` naming a damaged file."""
     return [read_probe_summary(dataset, entry).examined for entry in entries]

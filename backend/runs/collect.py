@@ -1,4 +1,4 @@
-"""Collecting run: mounting after mounting until the plan of the campaign is done."""
+"""Collecting run: probe mounting after mounting until the plan of the campaign is complete."""
 
 from __future__ import annotations
 
@@ -38,17 +38,15 @@ from touchdown.backend.runs.campaign import (
 )
 from touchdown.backend.runs.collector import BottomOrigin, Collector, EpisodeRecorder
 from touchdown.backend.runs.jig import wait_for_refit
-from touchdown.backend.runs.motions import PlanEnd, run_to_end
-from touchdown.backend.runs.plan import Plan, Wait
+from touchdown.backend.runs.motions import PlanEnd, ask_operator, run_to_end
+from touchdown.backend.runs.plan import Plan
 from touchdown.backend.runs.recorder import plan_not_saved_fault, save_or_wait
 from touchdown.backend.runs.requests import CollectRequest, request_record
-
-OPERATOR_S = 24 * 3600.0
 
 
 @dataclass(frozen=True, slots=True)
 class MountingProgress:
-    """What a mounting that ``goes_on`` holds so far: ``series`` ("" for none), and ``grips``."""
+    """State of a mounting that may continue: its series ("" for none) and number of grips."""
 
     goes_on: bool = False
     series: str = ""
@@ -59,19 +57,17 @@ NEW_MOUNTING = MountingProgress()
 
 
 def newest_mounting_id(campaign: Campaign) -> str:
-    """Return the id of the mounting that was begun last."""
+    """Return the id of the newest mounting."""
     return f"{campaign.uuid}/mounting-{campaign.mountings}"
 
 
 def ask_mounting(bench: Bench, dataset: Dataset, campaign: Campaign) -> Plan[MountingProgress]:
-    """Ask whether bottom or gels were fitted anew; return the last mounting if not, else ``NEW``.
+    """Ask whether bottom or gels were refitted; return the last mounting if not, else a new one.
 
     Nothing moves meanwhile.
     """
-    bench.gate.ask()
-    yield MountingAwaited(bench.now_s(), bench.bottom, campaign.mountings)
-    yield Wait(lambda: bench.gate.answered, OPERATOR_S, "word on the mounting")
-    if bench.gate.yes:
+    question = MountingAwaited(bench.now_s(), bench.bottom, campaign.mountings)
+    if (yield from ask_operator(bench, question, "the answer about the mounting")):
         return NEW_MOUNTING
     found = _last(dataset, campaign)
     yield Said(bench.now_s(), messages.same_mounting_message(campaign.mountings, found.grips))
@@ -79,7 +75,7 @@ def ask_mounting(bench: Bench, dataset: Dataset, campaign: Campaign) -> Plan[Mou
 
 
 def _last(dataset: Dataset, campaign: Campaign) -> MountingProgress:
-    """Return what the dataset holds of the last mounting, discarded probes as well."""
+    """Return the progress of the last mounting from the dataset, discarded probes included."""
     wanted, series, grips = newest_mounting_id(campaign), "", 0
     for entry in dataset.episodes(EpisodeFilter(campaign=campaign.uuid, deleted=None)):
         if entry.mounting_id == wanted:
@@ -88,103 +84,94 @@ def _last(dataset: Dataset, campaign: Campaign) -> MountingProgress:
     return MountingProgress(True, series, grips)
 
 
-def collect_run(host: RunContext, request: CollectRequest) -> Plan[None]:
-    """Collect what the plan still lacks; every episode is durable before the next press."""
-    dataset = _dataset(host, request)
+def collect_run(session: RunContext, request: CollectRequest) -> Plan[None]:
+    """Collect the missing items of the plan; every episode is durable before the next press."""
+    dataset = _dataset(session, request)
     campaign = _begun(dataset, request)
     request = replace(
         request, piece=campaign.piece, bottom=campaign.bottom, count=campaign.count,
         pattern=campaign.pattern, seed=campaign.seed, within_mm=campaign.within_mm,
         campaign=campaign.uuid,
     )  # fmt: skip
-    method = request.method(host.method)
-    settings = request_record(request, method, host.check_scene(request.scene()))
+    method = request.method(session.method)
+    settings = request_record(request, method, session.check_scene(request.scene()))
     entries = dataset.episodes(EpisodeFilter(campaign=campaign.uuid))
     free_space_for(dataset.folder, len(campaign.todo(entries)))
-    host.open_record()
+    session.open_record()
     yield RunStarted(
-        0.0, host.run_id, request.piece, request.bottom, request.pattern, request.seed, 1,
-        host.simulated, settings, activity="collect",
+        0.0, session.run_id, request.piece, request.bottom, request.pattern, request.seed, 1,
+        session.simulated, settings, activity="collect",
     )  # fmt: skip
     recorder = EpisodeRecorder(dataset)
     try:
-        yield from _mountings(host, request, campaign, entries, recorder)
+        yield from _mountings(session, request, campaign, entries, recorder)
     finally:
         recorder.close()
 
 
 def _mountings(
-    host: RunContext,
+    session: RunContext,
     request: CollectRequest,
     campaign: Campaign,
     entries: list[EpisodeEntry],
     recorder: EpisodeRecorder,
 ) -> Plan[None]:
-    method = request.method(host.method)
-    bench = host.set_scene(request.scene(campaign.mountings), method)
+    method = request.method(session.method)
+    bench = session.set_scene(request.scene(campaign.mountings), method)
     target = ProbeTarget(bench.piece.face, bench.outline, request.within_mm)
-    collector = _collector(host, request, campaign, entries, recorder, target)
+    seen = pair_coverage(recorder.dataset, campaign, target)
+    # Raises ``InputError`` before anything moves if no displacement can be probed.
+    planned_displacement_mm(campaign.pattern, target, campaign.seed, 0, campaign.count, seen)
+    collector = Collector(campaign, recorder, session.decisions, seen, entries)
+    collector.ask, collector.check_origin = request.ask, request.check_origin
+    collector.hand_over = request.hand_over
     begun = yield from run_to_end(bench, _mounting(bench, request, recorder.dataset, campaign))
     ended: PlanEnd[bool] = PlanEnd(None, begun.run_ending, begun.reason)
     mounting = begun.value
     if mounting is not None and mounting.goes_on:
-        bench = host.set_scene(request.scene(campaign.mountings - 1), method)
+        bench = session.set_scene(request.scene(campaign.mountings - 1), method)
     while mounting is not None:
-        ended = yield from _one(host, request, bench, target, collector, mounting)
+        ended = yield from _one(session, request, bench, target, collector, mounting)
         if ended.value is None or not collector.todo:
             break
         if _by_hand(request, bench):
-            # No simulation does it: two mountings are two only if somebody fitted them.
+            # Two mountings differ only if a person refitted bottom and gels.
             ended = yield from run_to_end(bench, wait_for_refit(bench))
             if ended.value is None:
                 break
         mounting = NEW_MOUNTING
-        bench = host.set_scene(request.scene(collector.campaign.mountings), method)
+        bench = session.set_scene(request.scene(collector.campaign.mountings), method)
     ending = ended.run_ending or ("finished" if ended.value else "failed")
-    reason = ended.reason or _summary(collector)
-    yield RunFinished(bench.now_s(), host.run_id, ending, reason)
-
-
-def _collector(
-    host: RunContext,
-    request: CollectRequest,
-    campaign: Campaign,
-    entries: list[EpisodeEntry],
-    recorder: EpisodeRecorder,
-    target: ProbeTarget,
-) -> Collector:
-    """Return what works off the campaign; raises ``InputError`` where nothing can be probed."""
-    seen = pair_coverage(recorder.dataset, campaign, target)
-    planned_displacement_mm(campaign.pattern, target, campaign.seed, 0, campaign.count, seen)
-    collector = Collector(campaign, recorder, host.decisions, seen, entries)
-    collector.ask, collector.check_origin = request.ask, request.check_origin
-    collector.hand_over = request.hand_over
-    return collector
+    reason = f"{collector.done} of {collector.campaign.count} probes are collected"
+    left_out = len(collector.campaign.skipped)
+    reason += f", {left_out} left out." if left_out else "."
+    reason = ended.reason or reason
+    yield RunFinished(bench.now_s(), session.run_id, ending, reason)
 
 
 def _by_hand(request: CollectRequest, bench: Bench) -> bool:
-    """Whether somebody fits bottom and gels; a simulation with a jig does so by itself."""
+    """Return True if a person fits bottom and gels; a simulation with a jig refits by itself."""
     return request.hand_over or bench.jig is None
 
 
 def _mounting(
     bench: Bench, request: CollectRequest, dataset: Dataset, campaign: Campaign
 ) -> Plan[MountingProgress]:
-    """Return the mounting to begin with: only one that a person fitted may be the former one."""
+    """Return the mounting to start with; only one fitted by hand may be continued."""
     if campaign.mountings and _by_hand(request, bench):
         return (yield from ask_mounting(bench, dataset, campaign))
     return NEW_MOUNTING
 
 
 def _one(
-    host: RunContext,
+    session: RunContext,
     request: CollectRequest,
     bench: Bench,
     target: ProbeTarget,
     collector: Collector,
     mounting: MountingProgress,
 ) -> Plan[PlanEnd[bool]]:
-    """Collect on one mounting, a new one or the rest of one; the campaign is saved around it."""
+    """Collect on one mounting, new or continued; the campaign is saved before and after."""
     dataset = collector.recorder.dataset
     if not mounting.goes_on:
         begun = collector.campaign.with_mounting()
@@ -192,8 +179,12 @@ def _one(
         if not kept.value:
             return kept
         collector.campaign = begun
-    origin = _origin(bench, request)
-    context = _context(host, request, bench, origin, collector.campaign, dataset)
+    sigma_mm = request.origin_sigma_mm
+    if sigma_mm is None:
+        sigma_mm = bench.settings.collect.origin_sigma_mm
+    at = bench.placed.origin(request.origin_mm, sigma_mm, bench.bottom)
+    origin = BottomOrigin(at.x_mm, at.y_mm, at.sigma_mm)
+    context = _context(session, request, bench, origin, collector.campaign, dataset)
     context = replace(context, series=mounting.series or context.series)
     yield CampaignBegan(
         bench.now_s(), collector.campaign.uuid, context.series, str(dataset.folder),
@@ -203,7 +194,7 @@ def _one(
     try:
         ended = yield from run_to_end(bench, work)
     except Exception:
-        # The probe before is on its way to the disk: it is told whatever ended the run.
+        # The previous probe is being written: announce it before the error ends the run.
         yield from collector.settle(bench)
         raise
     yield from collector.settle(bench)
@@ -212,7 +203,7 @@ def _one(
 
 
 def _saved_after(collector: Collector, dataset: Dataset, *, waits: bool) -> Plan[bool]:
-    """Save what a mounting left out; only a run that goes on ``waits`` for room on a full disk."""
+    """Save the items left out; only a run that goes on ``waits`` for space on a full disk."""
     if waits:
         return (yield from save_or_wait(lambda: collector.campaign.save(dataset.folder)))
     try:
@@ -224,16 +215,10 @@ def _saved_after(collector: Collector, dataset: Dataset, *, waits: bool) -> Plan
     return True
 
 
-def _summary(collector: Collector) -> str:
-    left_out = len(collector.campaign.skipped)
-    text = f"{collector.done} of {collector.campaign.count} probes are collected"
-    return f"{text}, {left_out} left out." if left_out else f"{text}."
-
-
-def _dataset(host: RunContext, request: CollectRequest) -> Dataset:
-    if host.dataset is None:
+def _dataset(session: RunContext, request: CollectRequest) -> Dataset:
+    if session.dataset is None:
         raise RefusedError("NO-DATASET", "No dataset is open to collect into.")
-    if not host.dataset.writable:
+    if not session.dataset.writable:
         raise RefusedError("READ-ONLY", "The dataset is open for reading only.")
     for name, limit in (
         ("grip", request.probes_per_grip),
@@ -246,13 +231,13 @@ def _dataset(host: RunContext, request: CollectRequest) -> Dataset:
             )
     if not request.person.strip():
         raise InputError("Nobody is named.", "--person", "Say who collects.")
-    return host.dataset
+    return session.dataset
 
 
 def _begun(dataset: Dataset, request: CollectRequest) -> Campaign:
     if request.campaign:
         return current_campaign(dataset, request.campaign)
-    # Resuming takes the newest one by its id, also after the clock was set back.
+    # Ids order campaigns by age, also after the clock was set back.
     follow_uuid(newest_campaign(dataset.folder) or "")
     return new_campaign(
         request.piece, request.bottom, request.pattern, request.seed, request.count,
@@ -260,24 +245,16 @@ def _begun(dataset: Dataset, request: CollectRequest) -> Campaign:
     )  # fmt: skip
 
 
-def _origin(bench: Bench, request: CollectRequest) -> BottomOrigin:
-    sigma_mm = request.origin_sigma_mm
-    if sigma_mm is None:
-        sigma_mm = bench.settings.collect.origin_sigma_mm
-    at = bench.placed.origin(request.origin_mm, sigma_mm, bench.bottom)
-    return BottomOrigin(at.x_mm, at.y_mm, at.sigma_mm)
-
-
 def _context(
-    host: RunContext,
+    session: RunContext,
     request: CollectRequest,
     bench: Bench,
     origin: BottomOrigin,
     campaign: Campaign,
     dataset: Dataset,
 ) -> EpisodeContext:
-    """Return what holds for all episodes of one mounting: a series of its own."""
-    bottom = host.catalogue.piece(request.bottom)
+    """Return the metadata shared by all episodes of one mounting, which is a series."""
+    bottom = session.catalogue.piece(request.bottom)
     calibration = {"origin_mm": [origin.x_mm, origin.y_mm], "origin_sigma_mm": origin.sigma_mm}
     return EpisodeContext(
         series=uuid7(),
@@ -287,11 +264,11 @@ def _context(
         grip_id="",
         mounting_id=newest_mounting_id(campaign),
         campaign=campaign.uuid,
-        mode=host.mode,
+        mode=session.mode,
         seed=request.seed,
         bench={
-            "run": host.run_id,
+            "run": session.run_id,
             "origin": json.dumps(calibration),
-            "facts": host.facts.model_dump_json(),
+            "facts": session.description.model_dump_json(),
         },
     )

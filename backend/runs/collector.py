@@ -40,18 +40,25 @@ from touchdown.backend.core import (
 from touchdown.backend.episodes import Coverage
 from touchdown.backend.runs import messages
 from touchdown.backend.runs.bench import Bench, PendingDecision, PressedProbe
-from touchdown.backend.runs.campaign import Campaign, ProbeTarget, planned_displacement_mm
+from touchdown.backend.runs.campaign import Campaign, ProbeTarget, planned_displacement_mm, xy_mm
 from touchdown.backend.runs.jig import (
     approach_with_piece,
     pick_piece,
     return_piece,
     with_handed_piece,
 )
-from touchdown.backend.runs.motions import descent_start, lift, move_to, wait
+from touchdown.backend.runs.motions import (
+    FIRST_POSES_S,
+    OPERATOR_TIMEOUT_S,
+    descent_start,
+    lift,
+    move_to,
+    wait,
+)
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait
 from touchdown.backend.runs.probe import press_once, scene_pictures
 from touchdown.backend.runs.recorder import (
-    FULL,
+    DISK_FULL,
     decision_not_saved_fault,
     no_space_fault,
     refused_episode_fault,
@@ -67,7 +74,7 @@ MEASURED = "measured"
 
 @dataclass(frozen=True, slots=True)
 class BottomOrigin:
-    """Where the centre of the bottom is for the arm, in mm, and its standard uncertainty."""
+    """Centre of the bottom in the arm's frame with its standard uncertainty, mm."""
 
     x_mm: float
     y_mm: float
@@ -76,7 +83,7 @@ class BottomOrigin:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredOffset:
-    """Displacement (2,) at contact, its standard uncertainty, and the height of contact, in mm."""
+    """Displacement (2,) at contact, its standard uncertainty, and the contact height, mm."""
 
     offset_mm: FloatArray
     sigma_mm: float
@@ -91,9 +98,9 @@ class MeasuredOffset:
 def measure_offset(
     episode: Episode, origin: BottomOrigin, settings: CollectSettings
 ) -> MeasuredOffset:
-    """Return where the arm really was at the contact onset, relative to ``origin``.
+    """Return the position of the arm at contact onset relative to ``origin``.
 
-    The three uncertainties (arm, place of the bottom, piece in the grasp) are independent.
+    The uncertainties of arm, bottom and grasp are independent.
     """
     recording = episode.recording
     assert recording is not None
@@ -105,11 +112,11 @@ def measure_offset(
     return MeasuredOffset(np.array([x - origin.x_mm, y - origin.y_mm]), sigma_mm, z)
 
 
-Signals = tuple[float, float, float, float, float]
+SignalExcerpt = tuple[float, float, float, float, float]
 
 
-def last_signals(observation: NDArray[np.float32]) -> Signals:
-    """Return what the distribution is coloured by: marker shift u, v; Tx, Ty, Fz; last tick.
+def last_signal_excerpt(observation: NDArray[np.float32]) -> SignalExcerpt:
+    """Return marker shift u, v and Tx, Ty, Fz of the last tick, for display.
 
     ``observation`` (20, 258) as in ``Episode``.
     """
@@ -121,13 +128,13 @@ def last_signals(observation: NDArray[np.float32]) -> Signals:
 
 
 def _largest(values: FloatArray) -> float:
-    """Return the value of the largest magnitude, with its sign; NaN where one is missing."""
+    """Return the value of largest magnitude with its sign; NaN if a value is missing."""
     flat = values.ravel()
     return float(flat[np.argmax(np.abs(flat))])
 
 
 class EpisodeRecorder:
-    """Records into a dataset on one thread of its own, so that the bench waits for no disk."""
+    """Writes episodes into a dataset on its own thread; the bench never waits for the disk."""
 
     def __init__(self, dataset: Dataset) -> None:
         self.dataset = dataset
@@ -136,21 +143,21 @@ class EpisodeRecorder:
         self._newest: tuple[Episode, Label, EpisodeContext] | None = None
 
     def record(self, episode: Episode, label: Label, context: EpisodeContext) -> None:
-        """Begin to record; the one before must have been settled."""
+        """Start to write an episode; the previous one must be settled."""
         assert self._pending is None
-        # Its id is fixed here: whatever is tried again becomes the same episode, the same file.
+        # The id is fixed here, so that a repeated write makes the same file.
         self._newest = with_uuid(episode), label, context
         self._pending = self._begin()
 
     @property
     def written(self) -> bool:
-        """Whether ``settle`` would return, or raise, at once."""
+        """Whether no write is in progress, so that ``settle`` returns or raises at once."""
         return self._pending is not None and self._pending.done()
 
     def settle(self) -> EpisodeEntry:
-        """Return the entry of the last episode once it is durable; raises what prevented it.
+        """Return the entry of the last episode once it is durable; raises the error of the write.
 
-        Asked again after that, it tries once more: the episode is still held.
+        The next call after an error writes the episode again.
         """
         pending, self._pending = self._pending or self._begin(), None
         with blocking_section("waits for the disk", DISK_TIMEOUT_S):
@@ -164,15 +171,15 @@ class EpisodeRecorder:
         )
 
     def close(self) -> None:
-        """End the thread; an episode on its way is still written."""
+        """End the thread after the write in progress."""
         self._writer.shutdown(wait=True)
 
 
 @dataclass(frozen=True, slots=True)
 class OriginCheck:
-    """``residual_mm`` (2,): felt centre of the bottom minus the origin; standard uncertainty.
+    """Measured centre of the bottom minus the origin (2,), with its standard uncertainty, mm.
 
-    The uncertainty holds resolution, arm, and the piece in this very grasp.
+    The uncertainty combines resolution, arm and grasp.
     """
 
     residual_mm: FloatArray
@@ -185,7 +192,7 @@ class OriginCheck:
 
 
 def check_origin(bench: Bench, origin: BottomOrigin) -> Plan[OriginCheck]:
-    """Touch with the held piece at known displacements around all four edges.
+    """Touch around all four edges with the held piece and return the residual of the origin.
 
     Raises ``RefusedError`` "ORIGIN-FAR" if an edge is too far off.
     """
@@ -209,16 +216,11 @@ def check_origin(bench: Bench, origin: BottomOrigin) -> Plan[OriginCheck]:
     return check
 
 
-OPERATOR_S = 24 * 3600.0
 SLIP_MM = EpisodeLimits().slip_mm
-FIRST_POSES_S = 0.1
-"""A scene that was just set has no pose of the arm yet."""
 
 
 @dataclass(frozen=True, slots=True)
 class _PendingEpisode:
-    """A probe on its way to the disk."""
-
     felt: PressedProbe
     item: int
     where: MeasuredOffset
@@ -226,7 +228,7 @@ class _PendingEpisode:
 
 
 class Collector:
-    """Works off the items of a campaign; lives as long as its run, whatever the mounting."""
+    """Works through the items of a campaign during one run, over all its mountings."""
 
     def __init__(
         self,
@@ -245,10 +247,9 @@ class Collector:
         self._probes = 0
         self._taken: _PendingEpisode | None = None
         self._last: tuple[EpisodeEntry, int] | None = None
+        # Decision on the last episode until it is carried out
         self._said: EpisodeDecision | None = None
-        """What was decided about the last one, until it is carried out."""
-        self._untold: deque[Event] = deque()
-        """Facts about a probe that is durable, in their order."""
+        self._untold: deque[Event] = deque()  # events of durable probes, in order
 
     def mounting(
         self,
@@ -258,9 +259,9 @@ class Collector:
         context: EpisodeContext,
         after: int = 0,
     ) -> Plan[bool]:
-        """Grip and probe until nothing is left to do, or the bottom is due to be fitted anew.
+        """Grip and probe until no item is left or the bottom has to be refitted.
 
-        ``after`` so many grips that were made on it before; one more at least is made.
+        ``after`` is the number of grips made on this mounting before; at least one more is made.
         """
         if self.hand_over or bench.jig is None:
             yield from wait(bench, FIRST_POSES_S)
@@ -282,10 +283,9 @@ class Collector:
         return True
 
     def settle(self, bench: Bench) -> Plan[None]:
-        """Announce the probe on which a mounting ended early; a disk that refuses it is a fault.
+        """Announce the last probe of a mounting that ended early; a refused write is a fault.
 
-        Whatever ended it: what is in the dataset is told, also where only part of it was told yet,
-        and what was decided before the end is carried out.
+        Announces everything that is in the dataset and carries out the pending decision.
         """
         yield from self._tell()
         for rest_of in (self._carry_out, self._settled):
@@ -296,7 +296,7 @@ class Collector:
                 yield FaultRaised(bench.now_s(), cause.fault)
 
     def _settled(self, bench: Bench, *, waits: bool = True) -> Plan[None]:
-        """Announce the probe before, once it is durable; ``waits`` for room on a full disk."""
+        """Announce the previous probe once it is durable; ``waits`` for space on a full disk."""
         taken = self._taken
         if taken is None:
             return
@@ -316,10 +316,10 @@ class Collector:
             probe=taken.felt.probe,
             done=self.done,
             total=self.campaign.count,
-            commanded_mm=_pair(episode.offset_mm),
-            measured_mm=_pair(where.offset_mm),
+            commanded_mm=xy_mm(episode.offset_mm),
+            measured_mm=xy_mm(where.offset_mm),
             sigma_mm=where.sigma_mm,
-            signals=last_signals(episode.observation),
+            signals=last_signal_excerpt(episode.observation),
             slip_mm=episode.quality.slip_mm,
             drift_mm=taken.drift_mm,
             reasons="; ".join(episode.quality.reasons),
@@ -327,14 +327,14 @@ class Collector:
         yield from self._tell()
 
     def _tell(self) -> Plan[None]:
-        """Announce what is durable; a stop between two facts leaves the second for later."""
+        """Publish the queued events; a stop between two events leaves the rest queued."""
         while self._untold:
             yield self._untold.popleft()
 
     def _checked(
         self, bench: Bench, origin: BottomOrigin, context: EpisodeContext
     ) -> Plan[EpisodeContext]:
-        """Feel the edges of the bottom; the result goes with every episode of the mounting."""
+        """Check the origin; the result is stored with every episode of the mounting."""
         check = yield from check_origin(bench, origin)
         x_mm, y_mm = check.residual_mm.tolist()
         yield Said(bench.now_s(), messages.origin_message(x_mm, y_mm, check.sigma_mm, check.agrees))
@@ -344,14 +344,14 @@ class Collector:
     # -- inside -----------------------------------------------------------------------------------
 
     def _durable(self, bench: Bench, *, waits: bool) -> Plan[EpisodeEntry]:
-        """Return the entry of the last probe; a full disk pauses the campaign until it is there."""
+        """Return the entry of the last probe; a full disk pauses until it is written."""
         while True:
             if waits:
                 yield from wait_while_writing(bench, lambda: self.recorder.written)
             try:
                 return self.recorder.settle()
             except FaultError as error:
-                if error.fault.code != FULL or not waits:
+                if error.fault.code != DISK_FULL or not waits:
                     self._taken = None
                     raise
                 obstacle = refused_episode_fault(error.fault)
@@ -360,7 +360,7 @@ class Collector:
     def _grip(
         self, bench: Bench, target: ProbeTarget, origin: BottomOrigin, context: EpisodeContext
     ) -> Plan[None]:
-        """Probe until this grip is used up: too many probes, slipped, or drifted."""
+        """Probe until the grip is used up: count, slip, or drift of the contact height."""
         settings = bench.settings.collect
         first_mm: float | None = None
         for _ in range(settings.probes_per_grip):
@@ -401,7 +401,7 @@ class Collector:
         origin: BottomOrigin,
         first_mm: float | None,
     ) -> Plan[_PendingEpisode]:
-        """Go there, press, and lift off again; the probe before is settled on the way."""
+        """Move to the displacement, press and lift; the previous probe is settled on the way."""
         self._probes += 1
         probe = bench.settings.probe
         there = (origin.x_mm + wanted_mm[0], origin.y_mm + wanted_mm[1])
@@ -421,15 +421,15 @@ class Collector:
         return _PendingEpisode(felt, item, where, drift_mm)
 
     def _enter(self, taken: _PendingEpisode, context: EpisodeContext) -> None:
-        """Give the probe to the recorder, and the item back to the plan if it is none."""
+        """Pass the probe to the recorder; a rejected probe puts its item back into the plan."""
         self.recorder.record(taken.felt.episode, taken.where.label(), context)
         self._taken = taken
         item = self.todo.popleft()
         if taken.felt.episode.quality.accepted:
-            self.seen = self.seen.with_offset(_pair(taken.where.offset_mm))
+            self.seen = self.seen.with_offset(xy_mm(taken.where.offset_mm))
             return
         self._rejected[item] += 1
-        # Once more at once, then after all others, then never: one bad place holds up nothing.
+        # Retry at once, then after all others, then drop the item.
         if self._rejected[item] == 1:
             self.todo.appendleft(item)
         elif self._rejected[item] == 2:
@@ -441,12 +441,12 @@ class Collector:
         assert self._last is not None
         entry, item = self._last
         yield DecisionAwaited(bench.now_s(), entry.uuid, item)
-        yield Wait(lambda: self._decisions.given, OPERATOR_S, "the operator")
+        yield Wait(lambda: self._decisions.given, OPERATOR_TIMEOUT_S, "the operator")
 
     def _carry_out(self, bench: Bench, *, waits: bool = True) -> Plan[None]:
-        """Carry out what the operator decided about the newest recorded episode.
+        """Carry out the operator's decision on the newest recorded episode.
 
-        ``waits`` for room on a full disk; what the end of the run cuts short is done at its end.
+        ``waits`` for space on a full disk; at the end of a run it does not.
         """
         self._said = decision = self._decisions.take() or self._said
         if decision is None or self._last is None:
@@ -462,7 +462,7 @@ class Collector:
             self._said = None
             yield Said(bench.now_s(), f"Refused: {cause.detail}")
         except FaultError as cause:
-            if waits or cause.fault.code != FULL:
+            if waits or cause.fault.code != DISK_FULL:
                 raise
             folder = self.recorder.dataset.folder
             raise FaultError(decision_not_saved_fault(folder, decision, item)) from cause
@@ -477,7 +477,7 @@ class Collector:
         if decision == "flag":
             labels.flag(entry.person, entry.uuid)
             return
-        labels.delete(entry.person, entry.uuid, messages.DECIDED[decision])
+        labels.delete(entry.person, entry.uuid, messages.DECISION_WORDS[decision])
         self._last = None
         if entry.quality.accepted:
             self.done -= 1
@@ -492,12 +492,8 @@ class Collector:
 
 
 def _with_outcome(episode: Episode, bench: Bench) -> Episode:
-    """Return the episode with one more picture of the scene: after lifting."""
+    """Return the episode with one more picture of the scene, after lifting."""
     if episode.recording is None:
         return episode
     scene = (*episode.recording.scene, *scene_pictures(bench))
     return replace(episode, recording=replace(episode.recording, scene=scene))
-
-
-def _pair(place: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[float, float]:
-    return float(place[0]), float(place[1])

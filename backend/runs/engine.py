@@ -1,7 +1,7 @@
 """Engine that runs one plan at a time, paced by a thread on a live bench.
 
-It publishes the events of the plan, waits for it, pauses, cancels and stops it. A watchdog reports
-a live thread that makes no step.
+It publishes the events of the plan and handles waits, pause, cancel and stop. A watchdog reports a
+live thread that makes no step.
 """
 
 from __future__ import annotations
@@ -59,13 +59,12 @@ _ASKS: dict[type[Event], str] = {
     MountingAwaited: "say whether it was fitted anew",
     OutcomeAwaited: "say the outcome",
 }
-STAND_S = 1.0
-"""A run stands this long at a checkpoint for a degraded sensor; then it pauses."""
+DEGRADED_WAIT_S = 1.0  # A run waits this long at a checkpoint for a degraded sensor, then it pauses
 _ACTIVE = {RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.PREPARING}
 
 
 class Engine:
-    """Runs plans. ``tick`` is called by whoever owns the bench's time (a thread or a loop)."""
+    """Runs plans. ``tick`` is called by the owner of the bench time: a thread or a loop."""
 
     def __init__(
         self,
@@ -76,8 +75,8 @@ class Engine:
     ) -> None:
         self._hub, self._interlock, self._now_s = hub, interlock, now_s
         self._unwell = unwell
+        # Set while the plan waits at a checkpoint for a degraded sensor
         self._stand_until_s: float | None = None
-        """Set while the plan is at a checkpoint and a sensor was degraded there."""
         self._lock = threading.RLock()
         self._status = RunStatus(RunState.IDLE)
         self._plan: Plan[object] | None = None
@@ -86,8 +85,7 @@ class Engine:
         self._throw: TouchdownError | None = None
         self._result: object | None = None
         self._error: Exception | None = None
-        self._obstacle: Fault | None = None
-        """Why the last pause came by itself, None if it was asked for."""
+        self._obstacle: Fault | None = None  # reason of an automatic pause
         self._idle = threading.Event()
         self._idle.set()
 
@@ -100,7 +98,7 @@ class Engine:
 
     @property
     def busy(self) -> bool:
-        """Whether a plan is being driven."""
+        """Whether a plan is running."""
         return self._plan is not None
 
     def begin(self, plan: Plan[object]) -> None:
@@ -120,22 +118,22 @@ class Engine:
         self._change({RunState.RUNNING}, RunState.PAUSING)
 
     def resume(self) -> None:
-        """Go on after a pause."""
+        """Continue after a pause."""
         self._change({RunState.PAUSING, RunState.PAUSED}, RunState.RUNNING)
 
     def cancel(self) -> None:
-        """End in an orderly way: lift, keep the piece."""
+        """End the run in order: lift, keep the piece."""
         with self._lock:
             if self._status.state in _ACTIVE:
                 self._throw = CancelledError("cancelled by the operator")
                 self._status = replace(self._status, state=RunState.CANCELLING)
 
     def wait_idle(self, timeout_s: float) -> bool:
-        """Block until no plan is driven; for scripts, never for a window."""
+        """Block until no plan is running. For scripts, never for a window."""
         return self._idle.wait(timeout_s)
 
     def abandon(self, error: BaseException) -> None:
-        """Latch a fault and end the run, if any: the bench's time ended with ``error``."""
+        """Latch a fault and end the run: the bench thread ended with ``error``."""
         fault = Fault(
             "BENCH-DIED",
             f"The bench thread ended: {type(error).__name__}: {error}.",
@@ -147,15 +145,17 @@ class Engine:
     # -- the bench's time -----------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Drive the plan until it waits; call once per advance of the bench."""
+        """Run the plan until it waits; call once per bench step."""
         with self._lock:
             plan = self._plan
             if plan is None:
                 return
             if self._interlock.latched and not isinstance(self._throw, StoppedError | FaultError):
-                self._throw = self._why_stopped()
+                faults = self._interlock.faults
+                stopped = StoppedError(stopped_message(self._interlock.stopped_by))
+                self._throw = FaultError(faults[0]) if faults else stopped
                 if self._status.state in (RunState.PAUSING, RunState.PAUSED):
-                    # A plan that is paused would not come to tell how its trial ended.
+                    # A paused plan has to run to report how its trial ended.
                     self._status = replace(self._status, state=RunState.FINISHING)
         for _ in range(10_000):
             self._interlock.renew_lease(self._now_s())
@@ -165,15 +165,18 @@ class Engine:
                 return
 
     def run(self, plan: Plan[object], advance: Callable[[], None]) -> object:
-        """Drive ``plan`` to its end on this thread; ``advance`` moves the bench by one step.
+        """Run ``plan`` to its end on this thread and return its value; raises its error.
 
-        Returns the plan's value; raises what ended it if that was an error. A run that an obstacle
-        paused, and that nobody resumed when it was told, is cancelled: nobody else would.
+        ``advance`` moves the bench by one step. A run that paused by itself and was not resumed is
+        cancelled.
         """
         self.begin(plan)
         while self.busy:
             self.tick()
-            self._end_if_left_paused()
+            with self._lock:
+                if self._status.state is RunState.PAUSED and self._obstacle is not None:
+                    self._throw = CancelledError(f"nobody resumed it: {self._obstacle.what}")
+                    self._status = replace(self._status, state=RunState.CANCELLING)
             if self.busy:
                 advance()
         if self._error is not None:
@@ -181,12 +184,6 @@ class Engine:
         return self._result
 
     # -- inside ---------------------------------------------------------------------------------
-
-    def _end_if_left_paused(self) -> None:
-        with self._lock:
-            if self._status.state is RunState.PAUSED and self._obstacle is not None:
-                self._throw = CancelledError(f"nobody resumed it: {self._obstacle.what}")
-                self._status = replace(self._status, state=RunState.CANCELLING)
 
     def _may_go_on(self) -> bool:
         with self._lock:
@@ -238,8 +235,8 @@ class Engine:
         with self._lock:
             asked = self._status.state is RunState.PAUSING
             if not asked and (obstacle is None or self._status.state is not RunState.RUNNING):
-                # ``tick`` asks for the sensors before the plan goes on.
-                self._stand_until_s = self._now_s() + STAND_S
+                # ``tick`` checks the sensors before the plan continues.
+                self._stand_until_s = self._now_s() + DEGRADED_WAIT_S
                 return True
         self._pause(obstacle)
         return False
@@ -253,7 +250,7 @@ class Engine:
             self._publish(Paused(self._now_s(), obstacle))
 
     def _sensors_well(self, until_s: float) -> bool:
-        """Whether the plan may leave its checkpoint; pauses the run where it waited in vain."""
+        """Return True if the plan may leave its checkpoint; pauses the run after ``until_s``."""
         unwell = self._unwell()
         if unwell is None:
             return True
@@ -265,10 +262,10 @@ class Engine:
             self._pause(unwell)
         return False
 
-    def _publish(self, fact: Event) -> None:
+    def _publish(self, event: Event) -> None:
         with self._lock:
-            self._status = _followed(self._status, fact)
-        self._hub.publish(fact)
+            self._status = _followed(self._status, event)
+        self._hub.publish(event)
 
     def _change(self, allowed: set[RunState], state: RunState) -> None:
         with self._lock:
@@ -306,33 +303,26 @@ class Engine:
         if was_busy:
             self._hub.publish(RunFinished(now_s, run_id, ending, str(error)))
 
-    def _why_stopped(self) -> TouchdownError:
-        faults = self._interlock.faults
-        if faults:
-            return FaultError(faults[0])
-        return StoppedError(stopped_message(self._interlock.stopped_by))
 
-
-def _followed(status: RunStatus, fact: Event) -> RunStatus:
-    """Return the status after ``fact``."""
-    if isinstance(fact, RunStarted):
+def _followed(status: RunStatus, event: Event) -> RunStatus:
+    if isinstance(event, RunStarted):
         return replace(
-            status, state=RunState.RUNNING, run_id=fact.run_id, trials=fact.trials, text="Running"
+            status, state=RunState.RUNNING, run_id=event.run_id, trials=event.trials, text="Running"
         )
-    if isinstance(fact, TrialStarted):
-        return replace(status, trial=fact.trial, probe=0, felt=0, phase="", awaiting=None, asks="")
-    if isinstance(fact, PhaseEntered):
-        return replace(status, phase=fact.phase, probe=fact.probe, awaiting=None, asks="")
-    if type(fact) in _ASKS or isinstance(fact, Released):
-        return replace(status, asks=_ASKS.get(type(fact), ""))
-    if isinstance(fact, PatchEstimated):
-        return replace(status, felt=fact.probe)
-    if isinstance(fact, ActionChosen):
-        return replace(status, text=fact.action.reason)
-    if isinstance(fact, ApprovalAwaited):
-        return replace(status, awaiting=fact.action)
-    if isinstance(fact, Said):
-        return replace(status, text=fact.text)
+    if isinstance(event, TrialStarted):
+        return replace(status, trial=event.trial, probe=0, felt=0, phase="", awaiting=None, asks="")
+    if isinstance(event, PhaseEntered):
+        return replace(status, phase=event.phase, probe=event.probe, awaiting=None, asks="")
+    if type(event) in _ASKS or isinstance(event, Released):
+        return replace(status, asks=_ASKS.get(type(event), ""))
+    if isinstance(event, PatchEstimated):
+        return replace(status, felt=event.probe)
+    if isinstance(event, ActionChosen):
+        return replace(status, text=event.action.reason)
+    if isinstance(event, ApprovalAwaited):
+        return replace(status, awaiting=event.action)
+    if isinstance(event, Said):
+        return replace(status, text=event.text)
     return status
 
 
@@ -349,18 +339,18 @@ def _fault_of(error: Exception) -> Fault:
     )
 
 
-LOOK_S = 0.05
+WATCH_PERIOD_S = 0.05
+# A thread that slept this long without a step is stalled; reported within 500 ms (P7)
 STILL_S = 0.25
-"""A thread that has rested so long without a step stands still: told within 500 ms (P7)."""
+# A busy thread without a step is stalled after this time; the longest step takes about 1 s
 WORKS_S = 30.0
-"""One that works so long without a step makes none any more; the longest takes about 1 s."""
 
 
 class ThreadWatchdog:
-    """Looks at the thread ``number`` (of the system) every ``LOOK_S``.
+    """Watches thread ``number`` (native id) every ``WATCH_PERIOD_S``.
 
-    ``steps`` counts what it has done, one each ``step_s`` of the wall's seconds at least; ``tell``
-    hears of its standstill at each look, as long as that lasts.
+    ``steps`` counts its steps, at least one per ``step_s`` of wall time. ``tell`` is called at each
+    look while the thread is stalled.
     """
 
     def __init__(
@@ -371,7 +361,7 @@ class ThreadWatchdog:
         self._seen, self._stepless_s = -1, 0.0
 
     def look(self, now_s: float) -> None:
-        """Judge at ``now_s``, of ``time.monotonic``."""
+        """Judge at ``now_s`` of ``time.monotonic``."""
         rested_s = self._rest.look(now_s)
         steps, said = self._steps(), blocking_section_of(self._number)
         if steps != self._seen or said is not None:
@@ -387,7 +377,7 @@ class ThreadWatchdog:
 
 
 def bench_fault(why: str) -> Fault:
-    """Return the fault of a thread that stands still; ``why`` is a sentence without its end."""
+    """Return the fault of a stalled bench thread; ``why`` is a sentence without its full stop."""
     return Fault(
         "BENCH-STILL",
         f"The thread of the bench stands still. {why}.",
@@ -396,17 +386,15 @@ def bench_fault(why: str) -> Fault:
     )
 
 
-BEHIND_S = 0.25
-"""A live bench that is later than this against the wall clock gives up catching up."""
+BEHIND_S = 0.25  # a live bench this late against the wall clock skips the delay
 JOIN_S = 5.0
-HUNG_S, HUNG_JOIN_S = 2.0, 0.5
-"""One that has made no step for so long is not waited for as others are."""
+HUNG_S, HUNG_JOIN_S = 2.0, 0.5  # A thread without a step for HUNG_S is joined for HUNG_JOIN_S only
 
 
 class LiveThread:
-    """Calls ``step`` every ``step_s`` of bench time; ``failed`` hears what ended it early.
+    """Calls ``step`` every ``step_s`` of bench time; ``failed`` receives the error that ended it.
 
-    ``still`` hears, on a thread of its own, that it makes no step: every ``LOOK_S``, meanwhile.
+    ``still`` is called on a watch thread every ``WATCH_PERIOD_S`` while no step is made.
     """
 
     def __init__(
@@ -419,24 +407,22 @@ class LiveThread:
         self._step, self._step_s, self._failed, self._still = step, step_s, failed, still
         self._thread: threading.Thread | None = None
         self._closing, self._over = threading.Event(), threading.Event()
-        self._hung_at = -1
-        """The step after which it was told to stand still."""
+        self._hung_at = -1  # step count at which a stall was reported
         self._speed, self._stepped_s, self._steps = 1.0, 0.0, 0
-        self.pace = 0.0
-        """Bench seconds per wall second, measured once a second."""
+        self.pace = 0.0  # bench seconds per wall second, measured every second
 
     @property
     def running(self) -> bool:
-        """Whether it was started and not closed."""
+        """Whether it was opened and not closed."""
         return self._thread is not None
 
     @property
     def still_s(self) -> float:
-        """For how long no step has ended; 0 while none are made."""
+        """Time since the last step, 0 while closed."""
         return time.monotonic() - self._stepped_s if self._thread is not None else 0.0
 
     def open(self, speed: float) -> None:
-        """Start; ``speed`` bench seconds per wall second. A second time changes nothing."""
+        """Start with ``speed`` bench seconds per wall second; a second call changes nothing."""
         if self._thread is None:
             self._closing.clear()
             self._over.clear()
@@ -448,7 +434,7 @@ class LiveThread:
             ).start()
 
     def close(self, settle: Callable[[], object]) -> None:
-        """End; ``settle`` is called first, while time still passes."""
+        """End the thread; ``settle`` is called first, while time still passes."""
         hung = self.still_s > HUNG_S
         thread, self._thread = self._thread, None
         if thread is None:
@@ -456,9 +442,9 @@ class LiveThread:
         settle()
         self._closing.set()
         begun_s = waited_s = time.monotonic()
-        # It may also be told only now that it stands still.
+        # The watchdog may report the stall only now.
         while waited_s - begun_s < (HUNG_JOIN_S if hung else JOIN_S) and thread.is_alive():
-            thread.join(LOOK_S)
+            thread.join(WATCH_PERIOD_S)
             waited_s, hung = time.monotonic(), hung or self._hung_at == self._steps
         self._over.set()
 
@@ -466,7 +452,7 @@ class LiveThread:
         try:
             self._keep_pace()
         except BaseException as error:
-            # Whatever it was: latch, stop, end the run, and let the exception hooks show it.
+            # Latch, stop and end the run; the exception hooks show the error.
             self._failed(error)
             raise
 
@@ -490,7 +476,7 @@ class LiveThread:
         assert thread.native_id is not None
         step_s = self._step_s / self._speed
         watch = ThreadWatchdog(thread.native_id, lambda: self._steps, step_s, self._hangs)
-        while thread.is_alive() and not self._over.wait(LOOK_S):
+        while thread.is_alive() and not self._over.wait(WATCH_PERIOD_S):
             watch.look(time.monotonic())
 
     def _hangs(self, fault: Fault) -> None:

@@ -1,7 +1,7 @@
 """Append-only logs in JSON lines: events of a run, changes of the limits of a bench.
 
 Each line is durable before the next one. Arrays become ``{"shape", "dtype", "data"}`` with base64
-of little-endian bytes; a float that is not finite becomes the text ``nan``, ``inf`` or ``-inf``, so
+of little-endian bytes. A float that is not finite becomes the text ``nan``, ``inf`` or ``-inf``, so
 that every line is standard JSON. Signals of episodes are not repeated: the episode file is named.
 """
 
@@ -67,7 +67,7 @@ from touchdown.backend.core import (
 from touchdown.backend.devices import Limits
 
 FORMAT = 1
-# The name of each event in a log: written to disk, so it stays when a class is renamed.
+# Recorded names of events. They are data on disk and stay when a class is renamed.
 _RECORDED: dict[str, type[Event]] = {
     "RunStarted": RunStarted,
     "TrialStarted": TrialStarted,
@@ -105,25 +105,25 @@ _KIND_OF = {cls: kind for kind, cls in _RECORDED.items()}
 _DTYPES = {"float64", "float32", "bool", "uint8"}
 
 
-def encode_event(fact: Event) -> dict[str, Any]:
-    """Return ``fact`` as a JSON-ready dictionary with its kind."""
-    return {"kind": _KIND_OF[type(fact)], **_encode_fields(fact)}
+def encode_event(event: Event) -> dict[str, Any]:
+    """Return ``event`` as a JSON-ready dictionary with its kind."""
+    return {"kind": _KIND_OF[type(event)], **_encode_fields(event)}
 
 
 def decode_event(line: dict[str, Any], where: str) -> Event:
-    """Return the fact of a dictionary made by ``encode``; raises ``InputError``."""
+    """Return the event of a dictionary made by ``encode_event``; raises ``InputError``."""
     kind = line.get("kind")
     cls = _RECORDED.get(kind) if isinstance(kind, str) else None
     if cls is None:
-        raise InputError(f"Unknown fact {kind!r}.", where, "Use a newer Touchdown to replay it.")
+        raise InputError(f"Unknown event {kind!r}.", where, "Use a newer Touchdown to replay it.")
     try:
-        fact = _build(cls, line)
+        event = _build(cls, line)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"Damaged fact {kind}: {error}.", where, "Replay the lines before."
+            f"Damaged event {kind}: {error}.", where, "Replay the lines before."
         ) from error
-    assert isinstance(fact, Event)
-    return fact
+    assert isinstance(event, Event)
+    return event
 
 
 def _encode_fields(value: Any) -> dict[str, Any]:
@@ -156,7 +156,7 @@ def _encoded(value: Any) -> Any:
 
 @cache
 def _hints(cls: type) -> dict[str, Any]:
-    """Return the types of the fields: worked out anew for every fact they took half the time."""
+    """Return the field types, cached: resolving them took half the time of a read."""
     return typing.get_type_hints(cls)
 
 
@@ -205,7 +205,7 @@ MAX_LINE_BYTES = 8_000_000
 
 
 class EventLog:
-    """Subscribes to a hub and appends every fact to ``folder/journal.jsonl``."""
+    """Event bus subscriber that appends every event to ``folder/journal.jsonl``."""
 
     def __init__(self, folder: Path) -> None:
         make_folder(folder.parent)
@@ -217,19 +217,19 @@ class EventLog:
         sync_folder(folder)
         sync_folder(folder.parent)
 
-    def __call__(self, fact: Event) -> None:
-        """Append ``fact``."""
+    def __call__(self, event: Event) -> None:
+        """Append ``event``."""
         if not self._file.closed:
-            self._append(encode_event(fact))
+            self._append(encode_event(event))
 
     def close(self) -> None:
         """Close the file; closing twice is allowed."""
         self._file.close()
 
     def mend(self) -> None:
-        """Open the file anew after a failed write, without the part of a line it may have left.
+        """Reopen the file after a failed write and cut off an incomplete line.
 
-        Raises ``OSError`` where that fails too. What was synced before stays untouched.
+        Raises ``OSError`` if that fails too. Synced lines stay untouched.
         """
         self.abandon()
         self._file = (self.folder / EVENT_LOG_NAME).open("r+b")
@@ -251,18 +251,34 @@ class EventLog:
 
 
 def event_log_path(run: Path) -> Path:
-    """Return the journal of a run folder (or the file itself); raises ``InputError``."""
+    """Return the event log of a run folder, or the file itself; raises ``InputError``."""
     path = run / EVENT_LOG_NAME if run.is_dir() else run
     if not path.is_file():
-        raise InputError("There is no run journal.", str(run), "Name the folder of a run.")
+        raise InputError("There is no event log.", str(run), "Name the folder of a run.")
     return path
 
 
 def read_events(run: Path) -> Iterator[Event]:
-    """Yield the facts of a run in order.
+    """Yield the events of a run in order.
 
-    A torn last line (the program was killed while writing it) ends the journal quietly: it was
-    never acknowledged. Any other damage raises ``InputError`` naming file and line.
+    An incomplete last line (the program was killed while writing it) ends the log without an
+    error: it was never acknowledged.
+
+    Parameters
+    ----------
+    run : Path
+        Folder of the run, or its event log.
+
+    Yields
+    ------
+    Event
+        Events in order of publication; times are bench seconds.
+
+    Raises
+    ------
+    InputError
+        If there is no event log or a line is damaged; names file and line.
+
     """
     path = event_log_path(run)
     with path.open("rb") as file:
@@ -271,12 +287,12 @@ def read_events(run: Path) -> Iterator[Event]:
                 return
             where = f"{path}, line {number}"
             if len(raw) > MAX_LINE_BYTES:
-                raise InputError("A line is too long.", where, "The journal is damaged.")
+                raise InputError("A line is too long.", where, "The event log is damaged.")
             try:
                 line = json.loads(raw)
             except ValueError as error:
                 if number == 1:
-                    raise _no_journal(where) from error
+                    raise _no_log(where) from error
                 raise InputError(
                     "A line is not valid JSON.",
                     where,
@@ -290,15 +306,15 @@ def read_events(run: Path) -> Iterator[Event]:
 
 def _check_head(line: object, where: str) -> None:
     if not isinstance(line, dict) or line.get("program") != "touchdown":
-        raise _no_journal(where)
+        raise _no_log(where)
     if line.get("format") != FORMAT:
         raise InputError(
-            f"Journal format {line.get('format')} is not known.", where, "Use a newer Touchdown."
+            f"Event log format {line.get('format')} is not known.", where, "Use a newer Touchdown."
         )
 
 
-def _no_journal(where: str) -> InputError:
-    return InputError("This is not a Touchdown journal.", where, "Name the folder of a run.")
+def _no_log(where: str) -> InputError:
+    return InputError("This is not a Touchdown event log.", where, "Name the folder of a run.")
 
 
 LIMIT_LOG_NAME = "limits.jsonl"
@@ -311,7 +327,7 @@ def changed_limits(before: Limits, after: Limits) -> dict[str, tuple[float, floa
 
 
 def log_limit_change(folder: Path, bench: str, person: str, before: Limits, after: Limits) -> None:
-    """Append what changes to ``folder/limits.jsonl``; raises ``InputError`` where that fails."""
+    """Append the change to ``folder/limits.jsonl``; raises ``InputError`` if that fails."""
     line = {
         "at": datetime.now(UTC).isoformat(timespec="seconds"),
         "bench": bench,

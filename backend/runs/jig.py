@@ -1,4 +1,4 @@
-"""Piece hand-over: take from the jig, weigh, put back; by hand where there is no jig."""
+"""Hand-over of the piece: take it from the jig, weigh it, put it back; by hand without a jig."""
 
 from __future__ import annotations
 
@@ -18,20 +18,18 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.devices import JigEvidence, recent_positions_mm, travelled_mm
 from touchdown.backend.runs.bench import Bench
-from touchdown.backend.runs.motions import MOVE_S, move_to, take_piece, wait
-from touchdown.backend.runs.plan import CancelledError, Plan, Wait, motion_done
+from touchdown.backend.runs.motions import MOVE_S, ask_operator, move_to, take_piece, wait
+from touchdown.backend.runs.plan import CancelledError, Plan, motion_done
 from touchdown.backend.sensing import STANDARD_GRAVITY_M_S2
 
-WEIGH_S = 0.5
-"""Time over which the wrench is averaged; the mean of 500 samples errs by 5 mN."""
+WEIGH_S = 0.5  # averaging time of the weight; the mean of 500 samples errs by 5 mN
 SETTLE_S = 0.3
-OPERATOR_S = 24 * 3600.0
 
 
 def with_handed_piece(bench: Bench) -> Bench:
-    """Return the bench with the piece handed over where the arm is now.
+    """Return the bench with the hand-over at the present arm pose.
 
-    A hand holds a piece less well than a jig: labels are worth less.
+    A hand holds a piece less precisely than a jig: the label uncertainty is larger.
     """
     collect = bench.settings.collect
     collect = collect.model_copy(update={"grip_sigma_mm": collect.handed_sigma_mm})
@@ -40,11 +38,11 @@ def with_handed_piece(bench: Bench) -> Bench:
 
 
 def pick_piece(bench: Bench) -> Plan[float]:
-    """Take the piece from the jig, or from the operator, and raise it; returns its mass in g.
+    """Take the piece from the jig or the operator and raise it; return its mass in g.
 
-    Raises ``RefusedError`` if something is held already, ``FaultError`` "WRONG-WEIGHT" if what is
-    held is not the piece (masses that are nominal are only told), ``CancelledError`` if the
-    operator does not hand it over.
+    Raises ``RefusedError`` if the gripper holds something, ``FaultError`` "WRONG-WEIGHT" if the
+    weight does not match (nominal masses are only reported), ``CancelledError`` if the operator
+    declines.
     """
     jig = _jig(bench)
     if bench.gripper.status().holding:
@@ -66,9 +64,9 @@ def pick_piece(bench: Bench) -> Plan[float]:
 
 
 def return_piece(bench: Bench) -> Plan[None]:
-    """Carry the piece back and let it go in the jig, or in the operator's hand.
+    """Carry the piece back and release it in the jig or in the operator's hand.
 
-    Refused where it does not sit freely in the jig.
+    Raises ``RefusedError`` if it does not sit freely in the jig.
     """
     jig = _jig(bench)
     yield PhaseEntered(bench.now_s(), "shift", 0)
@@ -91,7 +89,7 @@ def return_piece(bench: Bench) -> Plan[None]:
 
 
 def approach_with_piece(bench: Bench, place: Pose) -> Plan[None]:
-    """Carry the held piece over ``place``: up, across, and down to it."""
+    """Carry the held piece over ``place``: up, across, and down."""
     high_mm = _above(bench, _jig(bench)).z_mm
     here = bench.arm.pose(max_age_s=0.2)
     yield from _go(bench, Pose(here.x_mm, here.y_mm, max(here.z_mm, high_mm)))
@@ -100,26 +98,21 @@ def approach_with_piece(bench: Bench, place: Pose) -> Plan[None]:
 
 
 def wait_for_refit(bench: Bench) -> Plan[bool]:
-    """Wait until the operator has fitted bottom and gels anew; ``CancelledError`` on a no."""
-    bench.gate.ask()
-    yield HandOverAwaited(bench.now_s(), bench.bottom, gives=False, anew=True)
-    yield Wait(lambda: bench.gate.answered, OPERATOR_S, "a new mounting")
-    if not bench.gate.yes:
+    """Wait until the operator has refitted bottom and gels; raises ``CancelledError`` on a no."""
+    question = HandOverAwaited(bench.now_s(), bench.bottom, gives=False, anew=True)
+    if not (yield from ask_operator(bench, question, "a new mounting")):
         raise CancelledError("bottom and gels were not fitted anew")
     return True
 
 
 def _hand_at_the_jaws(bench: Bench, *, gives: bool) -> Plan[None]:
-    """Wait until the operator's hand is where it should be; raises ``CancelledError`` on a no."""
-    bench.gate.ask()
-    yield HandOverAwaited(bench.now_s(), bench.piece.name, gives)
-    yield Wait(lambda: bench.gate.answered, OPERATOR_S, "the operator's hand")
-    if not bench.gate.yes:
+    """Wait for the operator's hand at the jaws; raises ``CancelledError`` on a no."""
+    question = HandOverAwaited(bench.now_s(), bench.piece.name, gives)
+    if not (yield from ask_operator(bench, question, "the operator's hand")):
         raise CancelledError("the piece was not handed over")
 
 
 def _weighed(bench: Bench, weight_n: float) -> Plan[None]:
-    """Compare the weight with the file of the piece."""
     piece = bench.piece
     expected_n = 1e-3 * piece.mass_g * STANDARD_GRAVITY_M_S2
     if abs(weight_n - expected_n) <= bench.settings.collect.weight_tolerance_n:
@@ -141,7 +134,7 @@ def _weighed(bench: Bench, weight_n: float) -> Plan[None]:
 
 
 def _vertical_n(bench: Bench) -> float:
-    """Return the mean vertical force of the last ``WEIGH_S``, untared."""
+    """Return the mean untared vertical force of the last ``WEIGH_S``."""
     now_s = bench.now_s()
     window = bench.sensing.raw.samples.window(now_s - WEIGH_S, now_s)
     return float(np.mean(window.values[:, 2])) if len(window.t_s) else math.nan

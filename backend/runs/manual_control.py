@@ -39,16 +39,14 @@ from touchdown.backend.sensing import LiveSensing
 
 REFERENCE_FRAMES = 10
 REFERENCE_S = 2.0
-CLEAR_MM = 10.0
-"""By hand the jaws open this far beyond their present width."""
+CLEAR_MM = 10.0  # manual opening beyond the present width
 OPEN_MM_S = 5.0
-WAITING = 4
-"""So many orders to the sensing may wait; further ones are refused."""
+WAITING = 4  # queue length of sensing orders
 
 
 @dataclass(frozen=True, slots=True)
 class ManualDevices:
-    """The devices and the sensing of one scene."""
+    """Guarded devices and sensing of one scene."""
 
     arm: GuardedArm
     gripper: GuardedGripper
@@ -56,7 +54,7 @@ class ManualDevices:
 
 
 class ManualControl:
-    """One operator at one scene. ``tick`` is called once per advance of the bench."""
+    """Manual control of one scene. ``tick`` is called once per bench step."""
 
     def __init__(
         self,
@@ -74,7 +72,7 @@ class ManualControl:
 
     @property
     def active(self) -> bool:
-        """Whether something moves by hand."""
+        """Whether something moves under manual control."""
         return self.jog.active or self._gripping or self.switching
 
     @property
@@ -94,32 +92,32 @@ class ManualControl:
 
     @property
     def pressing_n(self) -> float:
-        """How hard the held piece presses on what is below, N; 0 while nothing is touched.
+        """Press force of the held piece, N; 0 without contact.
 
-        Without a piece the tare still holds its weight: what the wrist then feels is no contact.
+        Without a piece the tare still includes its weight, so the wrench is no contact force.
         """
         press_n = self._around.press_n()
         return press_n if press_n > self._interlock.limits.contact_n and self.holding else 0.0
 
     @property
     def rotates(self) -> bool:
-        """Whether the hand can turn and single joints can be driven."""
+        """Whether the hand can rotate and single joints can be driven."""
         return self._reach.arm.rotates
 
     def refuse_turned(self) -> None:
-        """Refuse to probe with a turned face: what it feels would mean something else."""
+        """Raise ``RefusedError`` if the hand is rotated: a probe needs a level face."""
         with suppress(StaleSampleError):
             require_unrotated(pose_rotation(self._reach.arm.pose(max_age_s=1.0)))
 
     # -- from any thread --------------------------------------------------------------------------
 
     def grip(self, force_n: float) -> None:
-        """Close on the piece with ``force_n`` per finger; raises ``RefusedError``."""
+        """Close with ``force_n`` per finger; raises ``RefusedError``."""
         self._take()
         self._grip = self._reach.gripper.grip(force_n)
 
     def open(self, *, confirmed: bool) -> None:
-        """Open the jaws; raises ``RefusedError``, "HOLDING" if a piece is held unconfirmed."""
+        """Open the gripper; raises ``RefusedError``, "HOLDING" on a held piece unless confirmed."""
         self._take()
         status, press_n = self._reach.gripper.status(), self._around.press_n()
         self._grip = self._reach.gripper.open_by_hand(
@@ -130,7 +128,7 @@ class ManualControl:
             self._publish(Said(self._around.now_s(), text))
 
     def servo(self, on: bool) -> None:
-        """Switch the motors, on a thread of its own; raises ``RefusedError``."""
+        """Switch the motors on a separate thread; raises ``RefusedError``."""
         if self._around.busy():
             raise RefusedError("BUSY", "A run is going on: cancel it first.")
         if self.switching:
@@ -143,20 +141,20 @@ class ManualControl:
         self._switch.start()
 
     def zero_wrench(self) -> None:
-        """Take the tare anew, at rest in air."""
+        """Take a new tare, at rest in air."""
         self._order(self._zero, 0.0)
 
     def take_references(self) -> None:
-        """Take both tactile references anew, at rest in air.
+        """Take new tactile references, at rest in air.
 
-        A marker hidden for a moment refuses them; they are tried again for ``REFERENCE_S``.
+        Retries for ``REFERENCE_S`` while a marker is hidden.
         """
         self._order(self._reference, REFERENCE_S)
 
     # -- on the bench's own time ------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Move on: the jog lease, the gripper's end, what waits for the sensing."""
+        """Process the jog lease, the end of a grip, and queued sensing orders."""
         self._recover()
         self.jog.tick()
         if self._grip is not None and self._grip.done:
@@ -184,7 +182,7 @@ class ManualControl:
         return self._grip is not None and not self._grip.done
 
     def _take(self) -> None:
-        """Refuse while something else moves; else take the permission to move."""
+        """Raise ``RefusedError`` while something else moves, else renew the lease."""
         if self._around.busy():
             raise RefusedError("BUSY", "A run is going on: cancel it first.")
         if self.active:
@@ -228,9 +226,9 @@ class ManualControl:
 
 
 def check_devices(connection: BenchConnection | None, request: Request) -> None:
-    """Raise ``RefusedError`` for what only a simulation can do, or while a device is away.
+    """Raise ``RefusedError`` for simulation-only requests on devices or a missing device.
 
-    Where each scene has its own devices (None) there is nothing to refuse.
+    ``connection`` is None on benches whose scenes bring their own devices.
     """
     if connection is None:
         return
@@ -242,7 +240,7 @@ def check_devices(connection: BenchConnection | None, request: Request) -> None:
 
 
 def check_connected(connection: BenchConnection) -> None:
-    """Raise the first fault of a device, or the first step that its operator has to do."""
+    """Raise the first fault of a device, or the step its operator has to do first."""
     for line in connection.lines():
         if line.fault is not None:
             raise FaultError(line.fault)
@@ -262,7 +260,7 @@ def check_connected(connection: BenchConnection) -> None:
 
 
 def check_no_contact(hand: ManualControl | None) -> None:
-    """Refuse to move off sideways, or to tare and reference, while the piece presses."""
+    """Raise ``RefusedError`` while the held piece presses on something."""
     pressing_n = 0.0 if hand is None else hand.pressing_n
     if pressing_n:
         raise RefusedError(
@@ -271,8 +269,8 @@ def check_no_contact(hand: ManualControl | None) -> None:
         )
 
 
-def wire_stop(connection: BenchConnection | None, interlock: Interlock) -> None:
-    """Let STOP end connecting, and reach arm and gripper before there is a scene."""
+def connect_stop(connection: BenchConnection | None, interlock: Interlock) -> None:
+    """Connect STOP to the connection, the arm and the gripper before there is a scene."""
     if connection is None:
         return
     interlock.on_stop(connection.cancel)
@@ -283,7 +281,7 @@ def wire_stop(connection: BenchConnection | None, interlock: Interlock) -> None:
 
 
 def latch_device_faults(devices: Iterable[Device], interlock: Interlock) -> None:
-    """Latch the fault of each device that was lost, or that has a fault of its own."""
+    """Latch the fault of each device that was lost or has a fault."""
     for device in devices:
         fault = fault_of(device)
         if fault is not None and device.state is DeviceState.FAULT:
@@ -291,7 +289,7 @@ def latch_device_faults(devices: Iterable[Device], interlock: Interlock) -> None
 
 
 class FaultNotifier:
-    """Announces faults that were latched while no run was there to do it; each once."""
+    """Publishes faults that were latched without a run, each once."""
 
     def __init__(self, hub: EventBus, interlock: Interlock, now_s: Callable[[], float]) -> None:
         self._hub, self._interlock, self._now_s = hub, interlock, now_s
@@ -299,19 +297,19 @@ class FaultNotifier:
         hub.subscribe(self._note)
 
     def tell(self) -> None:
-        """Announce what is latched and was not announced since the last reset."""
+        """Publish latched faults that were not published since the last reset."""
         for fault in self._interlock.faults:
             if (fault.code, fault.device) not in self._told:
                 self._hub.publish(FaultRaised(self._now_s(), fault))
 
     def tell_now(self, fault: Fault) -> None:
-        """Latch ``fault`` and announce it on this thread, if that was not done since the reset."""
+        """Latch and publish ``fault`` unless it was published since the last reset."""
         if (fault.code, fault.device) not in self._told:
             self._interlock.raise_fault(fault)
             self._hub.publish(FaultRaised(self._now_s(), fault))
 
-    def _note(self, fact: Event) -> None:
-        if isinstance(fact, FaultRaised):
-            self._told.add((fact.fault.code, fact.fault.device))
-        elif isinstance(fact, FaultsReset):
+    def _note(self, event: Event) -> None:
+        if isinstance(event, FaultRaised):
+            self._told.add((event.fault.code, event.fault.device))
+        elif isinstance(event, FaultsReset):
             self._told.clear()

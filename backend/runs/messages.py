@@ -23,7 +23,7 @@ CONTRADICTED = "The physics engine contradicts the static judge here; the static
 def decision_message(
     probe: int, patch: ContactPatch, stability: Stability, action: PlaceAction
 ) -> str:
-    """One line per probe: estimate, belief, verdict with signed margin, chosen move."""
+    """Return one line per probe: estimate, belief, verdict with signed margin, chosen move."""
     points = int((patch.probability > 0.5).sum())
     share = 100.0 * points / max(1, len(patch.probability))
     return (
@@ -33,7 +33,7 @@ def decision_message(
 
 
 def support_message(stability: Stability) -> str:
-    """Say what supports the piece, and the verdict."""
+    """Return the kind of support and the verdict."""
     if stability.support is SupportKind.AREA:
         verdict = "stable" if stability.stable else "not stable"
         digits = 1 if abs(stability.margin_mm) >= 0.1 else 2
@@ -43,7 +43,7 @@ def support_message(stability: Stability) -> str:
 
 
 def release_message(stands: bool, margin_mm: float) -> str:
-    """Say what became of the released piece."""
+    """Return the outcome of a release."""
     if not math.isfinite(margin_mm):
         return "The piece stands." if stands else "The piece fell: nothing supported it."
     if stands:
@@ -51,22 +51,21 @@ def release_message(stands: bool, margin_mm: float) -> str:
     return f"The piece fell: its centre of mass was {-margin_mm:.1f} mm outside its support."
 
 
-DECIDED = {
+DECISION_WORDS = {
     "discard": "discarded while collecting",
     "redo": "probed again",
     "skip": "left out of the campaign",
-}
-"""Why an episode was deleted, by the decision."""
+}  # recorded reason of a deletion, by decision
 
 
 def origin_message(x_mm: float, y_mm: float, sigma_mm: float, agrees: bool) -> str:
-    """Say where the bottom was felt against where it should be."""
+    """Return the measured deviation of the bottom from its origin."""
     felt = f"The bottom was felt {x_mm:+.2f}, {y_mm:+.2f} mm off its origin (s.d. {sigma_mm:.2f})"
     return f"{felt}." if agrees else f"{felt}: set the origin again, the labels are off by this."
 
 
 def repeated_board_message(residual_mm: float, limit_mm: float) -> str:
-    """Say why a board is measured twice."""
+    """Return the reason for a second round on the board."""
     return (
         f"The residual is {residual_mm:.2f} mm, beyond its limit of {limit_mm:.1f} mm: the board "
         "is felt once more, and both rounds count."
@@ -74,12 +73,12 @@ def repeated_board_message(residual_mm: float, limit_mm: float) -> str:
 
 
 def regrip_message(why: str) -> str:
-    """Say why the piece goes back into its jig before its time."""
+    """Return the reason for an early return of the piece to its jig."""
     return f"The piece is gripped anew: {why}."
 
 
 def hand_over_message(awaited: HandOverAwaited) -> str:
-    """Say what the operator's hands have to do before the campaign goes on."""
+    """Return the next manual step of the operator."""
     if awaited.anew:
         return f"Take the {awaited.piece} and the gels off and fit them anew: a new series begins."
     if awaited.gives:
@@ -88,33 +87,33 @@ def hand_over_message(awaited: HandOverAwaited) -> str:
 
 
 def mounting_question(awaited: MountingAwaited) -> str:
-    """Ask whether the campaign goes on with the mounting that it had."""
+    """Return the question whether the last mounting of the campaign continues."""
     what = f"the {awaited.bottom} or the gels"
     return f"Were {what} fitted anew since mounting {awaited.mounting} of this campaign?"
 
 
 def same_mounting_message(number: int, grips: int) -> str:
-    """Say that nothing was fitted anew."""
+    """Return the message for a mounting that continues."""
     return f"Mounting {number} and its series go on, after {grips} grips."
 
 
 def rejected_message(probe: int, reasons: tuple[str, ...]) -> str:
-    """Say why a probe is no observation."""
+    """Return the reasons for rejecting a probe."""
     return f"Probe {probe} is not an observation: {'; '.join(reasons)}."
 
 
 def void_press_message(probe: int, fault: Fault) -> str:
-    """Say why a press is made again."""
+    """Return the reason for repeating a press."""
     return f"Probe {probe} is void: {fault.what} Pressing again."
 
 
 def void_touch_message(fault: Fault) -> str:
-    """Say why a touch that looks for a height or an edge is made again."""
+    """Return the reason for repeating a touch."""
     return f"The touch is void: {fault.what} Touching again."
 
 
 def late_verdict_message(held_s: float) -> str:
-    """Say that a verdict came too late to be acted on while pressed."""
+    """Return the message for a verdict that came too late to act on."""
     return f"The verdict took {held_s:.1f} s, too long to hold the press: lifted, probing again."
 
 
@@ -126,7 +125,7 @@ _SEEN = {
 
 
 def seen_outcome_message(outcome: Outcome, reason: str) -> str:
-    """Say what the operator saw, with the reason they gave; a trial that is void needs one."""
+    """Return the outcome as observed by the operator, with the given reason."""
     if outcome is Outcome.ABORTED:
         return f"Void: {reason.rstrip('.')}."
     said = _SEEN[outcome]
@@ -134,7 +133,7 @@ def seen_outcome_message(outcome: Outcome, reason: str) -> str:
 
 
 def scene_to_set_message(awaited: SetUpAwaited) -> str:
-    """Say what stands where before a trial on devices begins."""
+    """Return the scene the operator has to set before a trial on devices."""
     x, y = (f"{value:+.1f}".replace("-", "\N{MINUS SIGN}") for value in awaited.start_mm)
     bottom = " on ".join(reversed(awaited.bottom.split("+")))
     held = "" if awaited.holds else f" The {awaited.piece} is handed over next."
@@ -145,7 +144,7 @@ def scene_to_set_message(awaited: SetUpAwaited) -> str:
 
 
 def outcome_question(awaited: OutcomeAwaited) -> str:
-    """Ask what became of the piece, with what the signals speak for."""
+    """Return the question for the outcome, with the outcome proposed by the signals."""
     said = {
         Outcome.PLACED: "it stands",
         Outcome.FELL: "it fell",

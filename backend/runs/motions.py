@@ -1,8 +1,8 @@
-"""Motions that plans are made of, and the end of a plan after cancel, stop, refusal or fault.
+"""Motions that plans consist of, and the end of a plan after cancel, stop, refusal or fault.
 
-Motions are plans themselves: they yield events and waits, and never sleep. Cancel and refusal lift
-the arm; stop and fault leave it where it is. A press made void by a short silence of arm or wrist
-is repeated.
+Motions are plans: they yield events and waits and never sleep. Cancel and refusal lift the arm;
+stop and fault leave it where it is. A press that is void after a short dropout of arm or wrist is
+repeated.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Generic, Literal, TypeVar
 import numpy as np
 
 from touchdown.backend.core import (
+    Event,
     Fault,
     FaultError,
     FaultRaised,
@@ -47,10 +48,10 @@ from touchdown.backend.sensing import slip_since_loading
 
 
 def descent_start(bench: Bench, at_mm: tuple[float, float]) -> Pose:
-    """Return where descents to (x, y) begin: the usual way above where contact should be.
+    """Return the start of a descent at (x, y): the start height above the expected contact.
 
-    The height of contact is that of the board, at the middle of what touches there, where it was
-    felt with this piece on this bottom; else that of the file of the piece.
+    The contact height comes from the calibration of the board for this pair of piece and bottom,
+    otherwise from the file of the piece.
     """
     contact_mm = bench.piece.grip_height_mm or 0.0
     board = bench.placed.board
@@ -63,7 +64,7 @@ def descent_start(bench: Bench, at_mm: tuple[float, float]) -> Pose:
 def middle_of_overlap(face: Outline, bottom: Outline, offset_mm: FloatArray) -> FloatArray:
     """Return the centroid (2,) of the overlap of ``face`` at ``offset_mm`` (2,) with ``bottom``.
 
-    Faces that do not overlap have the middle of the bottom.
+    Without overlap it is the centre of the bottom.
     """
     x_mm, y_mm = offset_mm.tolist()
     ring = overlap_polygon(face, (x_mm, y_mm), bottom)
@@ -74,27 +75,22 @@ def middle_of_overlap(face: Outline, bottom: Outline, offset_mm: FloatArray) -> 
     return np.asarray(((ring + after) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
 
 
-SETTLE_S = 0.3
-"""Vibration of the arm dies out before reference and tare are taken."""
-REFERENCE_S = 5.0
-"""A reference is tried again for this long; smears on single markers last up to 0.4 s."""
+FIRST_POSES_S = 0.1  # a new scene has no arm pose before
+OPERATOR_TIMEOUT_S = 24 * 3600.0
+SETTLE_S = 0.3  # decay of vibration before reference and tare
+REFERENCE_S = 5.0  # time limit of a reference; smears on single markers last up to 0.4 s
 GRIP_S = 5.0
-MOVE_S = 30.0
-"""Longer than any move takes at full speed; one in air may take longer by the override."""
+MOVE_S = 30.0  # time limit of a move at full speed; scaled by the override
 LEASE_TRIES, AGAIN_S = 3, 0.1
-UNLEASED = ("NO-LEASE", "LEASE-LAPSED")
-"""This program was too late with its permission: nothing else is wrong."""
+UNLEASED = ("NO-LEASE", "LEASE-LAPSED")  # codes of a lapsed motion lease
+# Largest age of the wrench at release beyond the sensor's own delay: 1.5 control cycles of 10 ms
 WRENCH_AGE_LIMIT_S = 0.015
-"""At release the wrench is at most 1.5 control cycles of 10 ms older than the sensor makes it."""
-FRESH_S = 0.5
-"""So long a younger wrench is waited for."""
-REST_S = 1.0
-"""So long it is waited for an arm to stand whose controller holds it by a program of its own."""
+FRESH_S = 0.5  # time limit for a fresh wrench sample
+REST_S = 1.0  # time limit for the arm to come to rest
 NO_PIECE = (
     "The gripper closed on nothing: no piece is between the jaws. Open them and hold one between "
     "them, or set the simulated bench anew (Ctrl+N in Operate)."
 )
-"""Such as after a run that let its piece go."""
 
 
 def wait(bench: Bench, seconds: float) -> Plan[None]:
@@ -104,11 +100,10 @@ def wait(bench: Bench, seconds: float) -> Plan[None]:
 
 
 def move_to(bench: Bench, place: Pose, what: str) -> Plan[None]:
-    """Move straight to ``place`` in air, as fast as the override lets it.
+    """Move straight to ``place`` in air, as fast as the override allows.
 
-    Where time passes by itself, what kept this program busy may have left the wrench too old for a
-    motion sideways: then the next one is waited for. A permission to move that lapsed on the way
-    holds the arm; the order is given again.
+    In real time the wrench may be too old for a lateral motion; then the next sample is waited for.
+    If the motion lease lapses, the arm holds and the motion is commanded again.
     """
     for left in reversed(range(LEASE_TRIES)):
         if bench.real_time:
@@ -125,8 +120,16 @@ def move_to(bench: Bench, place: Pose, what: str) -> Plan[None]:
             return
 
 
+def ask_operator(bench: Bench, question: Event, what: str) -> Plan[bool]:
+    """Publish ``question`` and wait for the operator's yes or no; ``what`` names the wait."""
+    bench.prompt.ask()
+    yield question
+    yield Wait(lambda: bench.prompt.answered, OPERATOR_TIMEOUT_S, what)
+    return bench.prompt.yes
+
+
 def take_piece(bench: Bench) -> Plan[None]:
-    """Close the gripper on the piece and let it settle; a piece that is held stays so."""
+    """Close the gripper on the piece and let it settle; does nothing if a piece is held."""
     if bench.gripper.status().holding:
         return
     yield PhaseEntered(bench.now_s(), "grip", 0)
@@ -138,10 +141,9 @@ def take_piece(bench: Bench) -> Plan[None]:
 
 
 def zero_sensors(bench: Bench, probe: int) -> Plan[None]:
-    """In air, at rest: take the tare and both tactile references.
+    """Take the tare and both tactile references, at rest in air.
 
-    A marker hidden for a moment, a gap in the samples or a knock at the table refuses them; they
-    are tried again until ``REFERENCE_S``.
+    Retries for ``REFERENCE_S`` after a hidden marker, a gap in the samples or a knock.
     """
     yield PhaseEntered(bench.now_s(), "reference", probe)
     count = bench.settings.probe.reference_frames
@@ -153,18 +155,26 @@ def zero_sensors(bench: Bench, probe: int) -> Plan[None]:
 
     try:
         yield from _until_still(bench, take)
-    except (FaultError, RefusedError) as cause:
-        raise _no_reference(cause) from cause
+    except RefusedError as cause:
+        raise FaultError(
+            Fault(
+                "NO-REFERENCE",
+                f"No tactile reference within {REFERENCE_S:.0f} s: {cause.detail}",
+                "No probe was started; the gripper was not opened.",
+                "Look at the tactile images, then press Reset.",
+                "tactile",
+            )
+        ) from cause
 
 
 def zero_wrench(bench: Bench) -> Plan[None]:
-    """In air, at rest: take the tare alone; tried again as with the references."""
+    """Take the tare alone, at rest in air; retries as ``zero_sensors``."""
     yield from wait(bench, SETTLE_S)
     yield from _until_still(bench, lambda: bench.sensing.zero_wrench(bench.now_s()))
 
 
 def _until_still(bench: Bench, take: Callable[[], object]) -> Plan[None]:
-    """Take what the sensors read at rest; raises what refuses it after ``REFERENCE_S``."""
+    """Call ``take`` until it succeeds; raises its error after ``REFERENCE_S``."""
     give_up_s = bench.now_s() + REFERENCE_S
     while True:
         try:
@@ -177,20 +187,6 @@ def _until_still(bench: Bench, take: Callable[[], object]) -> Plan[None]:
         yield from wait(bench, 0.1)
 
 
-def _no_reference(cause: FaultError | RefusedError) -> FaultError:
-    if isinstance(cause, FaultError):
-        return cause
-    return FaultError(
-        Fault(
-            "NO-REFERENCE",
-            f"No tactile reference within {REFERENCE_S:.0f} s: {cause.detail}",
-            "No probe was started; the gripper was not opened.",
-            "Look at the tactile images, then press Reset.",
-            "tactile",
-        )
-    )
-
-
 def lift(bench: Bench, probe: int) -> Plan[None]:
     """Rise straight by the start height."""
     yield PhaseEntered(bench.now_s(), "lift", probe)
@@ -200,7 +196,7 @@ def lift(bench: Bench, probe: int) -> Plan[None]:
 
 
 def shift_piece(bench: Bench, step_mm: tuple[float, float], probe: int) -> Plan[None]:
-    """Move sideways by ``step_mm``; the arm has been lifted before."""
+    """Move sideways by ``step_mm`` with the arm lifted."""
     yield PhaseEntered(bench.now_s(), "shift", probe)
     here = bench.arm.pose(max_age_s=0.2)
     there = Pose(here.x_mm + step_mm[0], here.y_mm + step_mm[1], here.z_mm)
@@ -208,9 +204,9 @@ def shift_piece(bench: Bench, step_mm: tuple[float, float], probe: int) -> Plan[
 
 
 def release_piece(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[None]:
-    """Unload, settle, check slip again, open slowly, rise (rulings 5).
+    """Unload, settle, check slip again, open slowly, rise.
 
-    Raises ``RefusedError`` if the interlock finds a release condition that does not hold.
+    Raises ``RefusedError`` if a release condition of the interlock does not hold.
     """
     settings = bench.settings.release
     probe = judged.felt.probe
@@ -242,7 +238,7 @@ def open_and_rise(
 
 
 def wait_at_rest(bench: Bench) -> Plan[None]:
-    """Wait until the arm stands by the places that it tells, ``REST_S`` at most."""
+    """Wait until the arm is at rest by its poses, ``REST_S`` at most."""
     until_s = bench.now_s() + REST_S
 
     def stands() -> bool:
@@ -253,7 +249,7 @@ def wait_at_rest(bench: Bench) -> Plan[None]:
 
 
 def wait_fresh_wrench(bench: Bench) -> Plan[None]:
-    """Wait for the next sample where the newest is too old, ``FRESH_S`` at most."""
+    """Wait for the next wrench sample if the newest is too old, ``FRESH_S`` at most."""
     until_s = bench.now_s() + FRESH_S
     if not _wrench_is_fresh(bench):
         yield Wait(
@@ -272,7 +268,7 @@ def _wrench_is_fresh(bench: Bench) -> bool:
 def release_evidence(
     bench: Bench, judged: JudgedProbe, width_mm: float, *, approved: bool
 ) -> ReleaseEvidence:
-    """Read the bench's own sensors again and gather the release conditions."""
+    """Read the sensors again and return the release conditions."""
     now_s = bench.now_s()
     status = bench.gripper.status()
     window = bench.sensing.wrench.window(now_s - 0.1, now_s)
@@ -301,12 +297,10 @@ def release_evidence(
     )
 
 
-VOID_TRIES = 3
-"""So many presses, while each is void because something was silent for a moment."""
-TOUCH_TRIES = 6
-"""So many touches: a calibration is made of dozens, a touch is short, and no label hangs on it."""
+VOID_TRIES = 3  # presses in all while each is void
+TOUCH_TRIES = 6  # touches in all while each is void; a calibration has dozens of short ones
+# Codes of short dropouts of arm or wrist, shorter than a latched fault
 VOID = (VOID_PRESS, "FT-STALE")
-"""Replies of the arm, or samples of the wrist, stayed away for less than makes a latched fault."""
 T = TypeVar("T")
 
 
@@ -316,10 +310,10 @@ def retry_if_void(
     after_void: Callable[[Fault], Plan[None]],
     tries: int = VOID_TRIES,
 ) -> Plan[T]:
-    """Return what ``attempt`` came to, tried ``tries`` times in all while its press is void.
+    """Return the result of ``attempt``, repeated up to ``tries`` times while its press is void.
 
-    ``after_void`` says so and draws the arm back, once the wrist is heard again. The last void
-    press is raised, as is any other fault, and any that latched the interlock.
+    ``after_void`` reports the fault and draws the arm back, once wrench samples arrive again. The
+    last void press is raised, as is any other fault, and any that latched the interlock.
     """
     for left in reversed(range(tries)):
         try:
@@ -340,9 +334,9 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True)
 class PlanEnd(Generic[R]):
-    """``value`` of a plan that came to its end, else None and the ``reason``.
+    """End of a plan: its ``value``, or None with the ``reason``.
 
-    ``run_ending``: how the whole run ends with it, None where the run may go on.
+    ``run_ending`` is the ending of the whole run, None where the run may continue.
     """
 
     value: R | None
@@ -351,7 +345,10 @@ class PlanEnd(Generic[R]):
 
 
 def run_to_end(bench: Bench, plan: Plan[R]) -> Plan[PlanEnd[R]]:
-    """Drive ``plan``; lift off after a cancel or a refusal, never move after a stop or a fault."""
+    """Run ``plan`` to its end.
+
+    Cancel and refusal lift the arm; stop and fault leave it where it is.
+    """
     try:
         value = yield from plan
     except CancelledError as cause:
@@ -362,7 +359,7 @@ def run_to_end(bench: Bench, plan: Plan[R]) -> Plan[PlanEnd[R]]:
     except RefusedError as cause:
         faults = bench.interlock.faults
         if faults:
-            # The order met the latch of a fault that nobody has told this run yet.
+            # The command met the latch of a fault that this run has not published yet.
             yield FaultRaised(bench.now_s(), faults[0])
             return PlanEnd(None, "failed", str(FaultError(faults[0])))
         if bench.interlock.latched:
@@ -372,9 +369,9 @@ def run_to_end(bench: Bench, plan: Plan[R]) -> Plan[PlanEnd[R]]:
         return PlanEnd(None, None, str(cause))
     except (FaultError, StaleSampleError) as cause:
         if bench.interlock.stopped_by and not bench.interlock.faults:
-            # The motion was interrupted by STOP: that is no fault of a device.
+            # STOP interrupted the motion: that is no device fault.
             return PlanEnd(None, "stopped", _stop_reason(bench))
-        # A fault that stopped the arm comes back as an interrupted motion: name the first cause.
+        # A fault that stopped the arm shows as an interrupted motion: report its cause.
         faults = bench.interlock.faults
         found = stale_fault(cause) if isinstance(cause, StaleSampleError) else cause.fault
         first = FaultError(faults[0] if faults else found)

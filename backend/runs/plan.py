@@ -1,7 +1,7 @@
 """Plan of a run: a generator that yields events and waits.
 
-A plan never sleeps, never touches a thread and never reads a wall clock. Each ``yield`` is a point
-where the engine publishes, pauses or cancels; a test drives a plan with ``next``.
+A plan never sleeps, never uses threads and never reads a wall clock. At each ``yield`` the engine
+may publish, pause or cancel; a test runs a plan with ``next``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ SAYS = {"arm": "The arm does not tell where it is"}
 
 
 def stale_fault(error: StaleSampleError) -> Fault:
-    """Return the fault of ``error``, which begins with the name of the stream."""
+    """Return the fault of ``error``, whose text begins with the name of the stream."""
     name, _, detail = str(error).partition(": ")
     says = SAYS.get(name, f"No fresh sample of '{name}'")
     return Fault(
@@ -31,7 +31,7 @@ def stale_fault(error: StaleSampleError) -> Fault:
 
 
 class CancelledError(TouchdownError):
-    """Thrown into a plan by the engine: end in an orderly way (lift, keep the piece)."""
+    """Thrown into a plan by the engine: end in order (lift, keep the piece)."""
 
 
 class StoppedError(TouchdownError):
@@ -39,13 +39,13 @@ class StoppedError(TouchdownError):
 
 
 def stopped_message(who: str) -> str:
-    """Say who stopped a run; ``who`` is empty where a reset came before anybody could ask."""
+    """Return the reason of a stopped run; ``who`` is empty after an early reset."""
     return f"stopped by {who}" if who else "stopped"
 
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """The plan goes on when ``until()`` is true; after ``timeout_s`` it fails with a fault."""
+    """Wait until ``until()`` is true; fails with a fault after ``timeout_s``."""
 
     until: Callable[[], bool]
     timeout_s: float
@@ -54,9 +54,9 @@ class Wait:
 
 @dataclass(frozen=True, slots=True)
 class PausePoint:
-    """A safe place to pause: the arm is lifted and nothing moves.
+    """Safe place to pause: the arm is lifted and nothing moves.
 
-    ``obstacle``: the run pauses here by itself until the operator has removed it and resumes.
+    With an ``obstacle`` the run pauses here until the operator removes it and resumes.
     """
 
     obstacle: Fault | None = None
@@ -68,13 +68,13 @@ Plan = Generator[Step, None, R]
 
 
 def motion_done(motion: Motion, timeout_s: float, what: str) -> Plan[None]:
-    """Wait for ``motion``; raises its cause if it failed."""
+    """Wait for ``motion``; raises its error."""
     yield Wait(lambda: motion.done, timeout_s, what)
     motion.result()
 
 
 def timeout_fault(waiting: Wait) -> FaultError:
-    """Return the fault of a wait that took too long."""
+    """Return the fault of a wait that exceeded its time limit."""
     return FaultError(
         Fault(
             code="TIMEOUT",

@@ -1,4 +1,4 @@
-"""Plans by request: the table to extend for a new activity of the bench."""
+"""Plans by request. A new activity of the bench is added here."""
 
 from __future__ import annotations
 
@@ -24,33 +24,33 @@ from touchdown.backend.runs.requests import (
 from touchdown.backend.runs.stack import stack_run
 
 
-def set_scene_run(host: RunContext, request: SetRequest) -> Plan[None]:
-    """Set the scene and say so; nothing moves."""
-    host.check_scene(request.choice)
-    bench = host.set_scene(request.choice, host.method)
+def set_scene_run(session: RunContext, request: SetRequest) -> Plan[None]:
+    """Set the scene; nothing moves."""
+    session.check_scene(request.choice)
+    bench = session.set_scene(request.choice, session.method)
     yield Said(bench.now_s(), f"The bench is set: {bench.piece.name} above {bench.bottom}.")
 
 
-def probe_run(host: RunContext, request: ProbeRequest) -> Plan[None]:
-    """Probe once where the arm is, tell what was felt, and lift."""
-    bench = host.present_scene(host.method)
-    host.open_record()
+def probe_run(session: RunContext, request: ProbeRequest) -> Plan[None]:
+    """Probe once at the present arm pose, report the result, and lift."""
+    bench = session.present_scene(session.method)
+    session.open_record()
     yield RunStarted(
         bench.now_s(),
-        host.run_id,
+        session.run_id,
         bench.piece.name,
         bench.bottom,
         "",
         0,
         1,
-        host.simulated,
-        request_record(request, host.method, {}),
+        session.simulated,
+        request_record(request, session.method, {}),
         activity="probe",
     )
     ended = yield from run_to_end(bench, _probe(bench))
     ending = ended.run_ending or ("finished" if ended.value else "failed")
     reason = ended.reason or "The probe is done."
-    yield RunFinished(bench.now_s(), host.run_id, ending, reason)
+    yield RunFinished(bench.now_s(), session.run_id, ending, reason)
 
 
 def _probe(bench: Bench) -> Plan[bool]:
@@ -73,14 +73,14 @@ def _probe(bench: Bench) -> Plan[bool]:
     return True
 
 
-def plan_of(request: Request, host: RunContext) -> Plan[None]:
-    """Return the plan of ``request``; nothing happens until it is driven."""
+def make_plan(request: Request, session: RunContext) -> Plan[None]:
+    """Return the plan of ``request``; nothing happens until it runs."""
     if isinstance(request, CollectRequest):
-        return collect_run(host, request)
+        return collect_run(session, request)
     if isinstance(request, CalibrateRequest):
-        return calibrate_run(host, request)
+        return calibrate_run(session, request)
     if isinstance(request, ProbeRequest):
-        return probe_run(host, request)
+        return probe_run(session, request)
     if isinstance(request, SetRequest):
-        return set_scene_run(host, request)
-    return stack_run(host, request)
+        return set_scene_run(session, request)
+    return stack_run(session, request)

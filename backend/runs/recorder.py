@@ -1,7 +1,7 @@
 """Recording of a run: event log, episode files, operator photos, wait for disk space.
 
-One folder a run, with an append-only log and one file per episode. When the disk fills up, the run
-pauses before the next probe.
+Each run has a folder with an append-only log and one file per episode. When the disk fills up, the
+run pauses before the next probe.
 """
 
 from __future__ import annotations
@@ -35,60 +35,59 @@ from touchdown.backend.runs.bench import Bench
 from touchdown.backend.runs.event_log import EventLog
 from touchdown.backend.runs.plan import CancelledError, PausePoint, Plan, StoppedError, Wait
 
-FULL = "DISK-FULL"
+DISK_FULL = "DISK-FULL"
 CONSEQUENCE = "The run is paused, the arm stands lifted; every probe so far is safe."
 NEXT_STEP = "Make room on this disk, then resume (P)."
-WRITE_S = 60.0
-"""An episode is on its way to the disk for so long at most."""
+WRITE_S = 60.0  # time limit of an episode write
 
 
 def wait_for_space(obstacle: Callable[[], Fault | None]) -> Plan[None]:
-    """Pause, as often as it is resumed, until nothing keeps the run from recording any more."""
+    """Pause until nothing prevents the run from recording."""
     while (fault := obstacle()) is not None:
         yield PausePoint(fault)
 
 
 def no_space_fault(folder: Path) -> Fault | None:
-    """Return what to say where too little is free to record another episode, else None."""
+    """Return the fault if there is too little space for another episode, else None."""
     short_bytes = free_bytes_if_low(folder)
     if short_bytes is None:
         return None
     what = f"Only {short_bytes / 1e9:.2f} GB are free on the disk of {folder}."
-    return Fault(FULL, what, CONSEQUENCE, NEXT_STEP)
+    return Fault(DISK_FULL, what, CONSEQUENCE, NEXT_STEP)
 
 
 def refused_episode_fault(fault: Fault) -> Fault:
-    """Return what to say of a probe that is still held in memory, since the disk refused it."""
+    """Return the fault of a probe that is kept in memory after a refused write."""
     return replace(fault, consequence=f"{CONSEQUENCE} The last one is kept in memory.",
                    next_step=NEXT_STEP)  # fmt: skip
 
 
 def save_or_wait(save: Callable[[], None]) -> Plan[bool]:
-    """Save something small, and return True; a full disk pauses the run until it is saved.
+    """Call ``save`` and return True; a full disk pauses the run until it succeeds.
 
-    Raises ``FaultError`` or ``OSError`` where the disk refuses for another reason.
+    Raises ``FaultError`` or ``OSError`` for other errors of the disk.
     """
     while True:
         try:
             with blocking_section("waits for the disk", DISK_TIMEOUT_S):
                 save()
         except FaultError as error:
-            if error.fault.code != FULL:
+            if error.fault.code != DISK_FULL:
                 raise
             fault = error.fault
         except OSError as error:
             if error.errno not in NO_ROOM:
                 raise
-            fault = Fault(FULL, "The disk is full.", "", "")
+            fault = Fault(DISK_FULL, "The disk is full.", "", "")
         else:
             return True
         yield PausePoint(replace(fault, consequence=CONSEQUENCE, next_step=NEXT_STEP))
 
 
 def plan_not_saved_fault(folder: Path) -> Fault:
-    """Return what to say where a campaign that ended could not write down what it left out."""
+    """Return the fault of a campaign that ended without saving its skipped items."""
     return Fault(
-        FULL,
+        DISK_FULL,
         f"The disk of {folder} is full: the plan of the campaign could not be saved.",
         "Every probe and decision is safe; places given up after three refused probes are tried "
         "again when it goes on.",
@@ -98,9 +97,9 @@ def plan_not_saved_fault(folder: Path) -> Fault:
 
 
 def decision_not_saved_fault(folder: Path, decision: EpisodeDecision, item: int) -> Fault:
-    """Return what to say where a run ended and its last decision could not be saved."""
+    """Return the fault of a run that ended without saving its last decision."""
     return Fault(
-        FULL,
+        DISK_FULL,
         f"The disk of {folder} is full: '{decision}' for item {item + 1} could not be saved.",
         "The probe stays in the dataset as it was.",
         "Make room on this disk, press Reset, choose the probe and decide again.",
@@ -109,20 +108,20 @@ def decision_not_saved_fault(folder: Path, decision: EpisodeDecision, item: int)
 
 
 def wait_while_writing(bench: Bench, written: Callable[[], bool]) -> Plan[None]:
-    """Where time passes by itself, let the sensors be read until ``written()``.
+    """In real time, wait until ``written()`` while the sensors are read.
 
-    A slow disk would leave the newest wrench so old that no motion sideways may begin. A bench
-    that is stepped does not wait by its own clock: no number may depend on the disk.
+    Otherwise a slow disk would leave a wrench too old for a lateral motion. A stepped bench does
+    not wait: no number may depend on the disk.
     """
     if bench.real_time and not written():
         yield Wait(written, WRITE_S, "the episode to be on the disk")
 
 
 def wait_until_durable(bench: Bench) -> Plan[Path | None]:
-    """Return the file of the last episode; a full disk pauses the run until it is there.
+    """Return the file of the last episode; a full disk pauses the run until it is written.
 
-    Raises ``FaultError`` where the disk refused for another reason, and where the run ends while
-    it waits: what was held is then lost.
+    Raises ``FaultError`` for other errors of the disk, and if the run ends while it waits; the
+    episode is then lost.
     """
     store = bench.store
     while True:
@@ -130,7 +129,7 @@ def wait_until_durable(bench: Bench) -> Plan[Path | None]:
         try:
             return store.settle()
         except FaultError as error:
-            if error.fault.code != FULL:
+            if error.fault.code != DISK_FULL:
                 raise
             refused = error
         try:
@@ -140,7 +139,7 @@ def wait_until_durable(bench: Bench) -> Plan[Path | None]:
 
 
 def data_folder() -> Path:
-    """Return the folder of the operator's data: $TOUCHDOWN_DATA, else the XDG data folder."""
+    """Return the operator's data folder: $TOUCHDOWN_DATA, else the XDG data folder."""
     chosen = os.environ.get("TOUCHDOWN_DATA")
     if chosen:
         return Path(chosen)
@@ -149,25 +148,24 @@ def data_folder() -> Path:
 
 
 def dataset_folder() -> Path:
-    """Return the folder of the operator's usual dataset."""
+    """Return the folder of the operator's default dataset."""
     return data_folder() / "dataset"
 
 
 def calibrations_folder() -> Path:
-    """Return where the calibrations of a bench without a lab file are kept."""
+    """Return the folder of the calibrations of a bench without a lab file."""
     return data_folder() / "calibrations"
 
 
 def models_folder() -> Path:
-    """Return where the models in use are kept."""
+    """Return the folder of the models in use."""
     return data_folder() / "models"
 
 
 class RunStore:
-    """Writes episodes on one thread of its own, so that a run does not wait for the disk.
+    """Writes episodes on its own thread, so that a run never waits for the disk.
 
-    ``settle`` returns only when the last episode is durable; a failed write raises there, and the
-    episode is held for another try. ``obstacle``: what keeps the run from recording.
+    A failed write raises in ``settle`` and the episode is kept for another attempt.
     """
 
     def __init__(
@@ -180,11 +178,10 @@ class RunStore:
         self.obstacle = obstacle
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="episode-writer")
         self._pending: Future[Path] | None = None
-        self._newest: Episode | None = None
-        """Not known to be on disk."""
+        self._newest: Episode | None = None  # not yet durable
 
     def keep(self, episode: Episode) -> None:
-        """Begin to write ``episode`` (nothing is written where no folder was given)."""
+        """Start to write ``episode``; nothing is written without a folder."""
         if self._folder is not None:
             self.settle()
             self._newest = episode
@@ -192,13 +189,13 @@ class RunStore:
 
     @property
     def written(self) -> bool:
-        """Whether ``settle`` would return, or raise, at once."""
+        """Whether no write is in progress, so that ``settle`` returns or raises at once."""
         return self._pending is None or self._pending.done()
 
     def settle(self) -> Path | None:
-        """Wait until the last episode is on disk; return its path.
+        """Wait until the last episode is durable; return its path.
 
-        Raises ``FaultError`` where the disk refused it; asked again it writes once more.
+        Raises ``FaultError`` if the disk refused it; the next call writes it again.
         """
         if self._pending is None and self._newest is not None and self._folder is not None:
             self._begin(self._folder, self._newest)
@@ -209,9 +206,9 @@ class RunStore:
         except OSError as error:
             raise FaultError(
                 Fault(
-                    FULL if error.errno in NO_ROOM else "EPISODE-FAILED",
+                    DISK_FULL if error.errno in NO_ROOM else "EPISODE-FAILED",
                     f"The episode cannot be written: {error.strerror or error}.",
-                    "The run ends; its journal and all earlier episodes are on disk.",
+                    "The run ends; its event log and all earlier episodes are on disk.",
                     f"Make room on the disk of {self._folder}, then press Reset.",
                     "store",
                 )
@@ -220,7 +217,7 @@ class RunStore:
         return path
 
     def close(self) -> None:
-        """Finish the last write and end the thread; what was refused before is let go."""
+        """Finish the last write and end the thread; a refused episode is dropped."""
         try:
             if self._pending is not None:
                 self.settle()
@@ -238,23 +235,22 @@ class RunStore:
 
 
 FOLDER = "photos"
-KINDS = (".jpg", ".jpeg", ".png")
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png")
 MAX_BYTES = 30_000_000
 _BEGINS = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")
 
 
 def keep_photo(run: Path, trial: int, source: Path) -> Path:
-    """Copy ``source`` into the folder of a run as the picture of ``trial``; return its new path.
+    """Copy ``source`` into a run folder as a picture of ``trial``; return its path.
 
-    Each gets the number after the last: none takes the place of another. Raises ``InputError``
-    naming the file.
+    Photos are numbered and never overwritten. Raises ``InputError`` naming the file.
     """
     fix = "Choose a JPEG or PNG picture below 30 MB."
     try:
         if source.stat().st_size > MAX_BYTES:
             raise InputError("The picture is too large.", str(source), fix)
         content = source.read_bytes()
-        if source.suffix.lower() not in KINDS or not content.startswith(_BEGINS):
+        if source.suffix.lower() not in PHOTO_SUFFIXES or not content.startswith(_BEGINS):
             raise InputError("This is no picture.", str(source), fix)
         name = f"trial-{trial:03d}-"
         taken = [p.stem.removeprefix(name) for p in (run / FOLDER).glob(f"{name}*")]
@@ -267,8 +263,7 @@ def keep_photo(run: Path, trial: int, source: Path) -> Path:
     return path
 
 
-MOST_HELD = 2000
-"""So many facts wait for room at most; a run pauses long before."""
+MOST_HELD = 2000  # most events kept in memory; a run pauses long before
 CLOCK_SET = (
     "The clock of this computer was set by {:+.0f} s, or it slept: no measurement goes by it."
 )
@@ -276,31 +271,29 @@ CLOCK_SET = (
 
 @dataclass(frozen=True, slots=True)
 class RecordingOptions:
-    """Where runs are kept (None: nowhere), and whether episodes are kept beside the journal."""
+    """Folder of the runs (None: nothing is kept), and whether episode files are written."""
 
     runs: Path | None = None
     episodes: bool = True
 
 
 class RunRecorder:
-    """Opens journal and store of a run and closes them; one run at a time."""
+    """Opens and closes event log and episode store of a run; one run at a time."""
 
     def __init__(
         self, keep: RecordingOptions, hub: EventBus, interlock: Interlock, mode: str
     ) -> None:
         self._keep, self._hub, self._interlock, self._mode = keep, hub, interlock, mode
-        self._journal: EventLog | None = None
+        self._log: EventLog | None = None
         self._leave: Callable[[], None] | None = None
-        self._held: list[Event] = []
-        """Facts for which the disk has no room, in order."""
+        self._held: list[Event] = []  # events that did not fit on the disk, in order
         self._lock = SharedLock()
         self._wall = ClockJumpDetector()
-        self.store = RunStore(None, {})
-        """Takes episodes; those of no run are not kept."""
+        self.store = RunStore(None, {})  # discards episodes outside a run
         self.folder: Path | None = None
 
     def open(self, run_id: str) -> None:
-        """Begin run ``run_id``; raises ``InputError`` where there is no room, or no folder."""
+        """Begin run ``run_id``; raises ``InputError`` without space or a writable folder."""
         self.close()
         self._wall = ClockJumpDetector()
         self.folder = None if self._keep.runs is None else self._keep.runs / run_id
@@ -309,49 +302,60 @@ class RunRecorder:
             if self._keep.episodes:
                 episodes = self.folder / "episodes"
                 free_space_for(episodes, 1)
-            self._journal = _new_journal(self.folder)
+            try:
+                self._log = EventLog(self.folder)
+            except OSError as error:
+                raise InputError(
+                    f"The run cannot be kept: {error.strerror or error}.",
+                    str(self.folder.parent),
+                    "Name a folder that can be written (--runs, or TOUCHDOWN_DATA).",
+                ) from error
             self._leave = self._hub.subscribe(self._record)
         self.store = RunStore(episodes, {"run": run_id, "mode": self._mode}, self.obstacle)
 
     def obstacle(self) -> Fault | None:
-        """Return what keeps the run from recording another probe, None if nothing does."""
+        """Return the fault that prevents recording another probe, None if there is none."""
         with self._lock:
             self._try_again()
             if self._held:
-                what = "The run journal cannot be written: the disk is full."
+                what = "The event log cannot be written: the disk is full."
                 return Fault(
-                    FULL, what, f"{CONSEQUENCE} What it did is kept in memory.", NEXT_STEP, "store"
+                    DISK_FULL,
+                    what,
+                    f"{CONSEQUENCE} What it did is kept in memory.",
+                    NEXT_STEP,
+                    "store",
                 )
         if self.folder is None or not self._keep.episodes:
             return None
         return no_space_fault(self.folder)
 
     def close(self) -> None:
-        """Close journal and store of the last run, if any."""
+        """Close event log and store of the last run."""
         if self._leave is not None:
             self._leave()
         with self._lock:
             self._try_again()
-            if self._journal is not None and self._held:
+            if self._log is not None and self._held:
                 lost = len(self._held)
                 self._give_up(f"the disk is full, the last {lost} lines are lost")
-            if self._journal is not None:
-                self._journal.close()
-            self._leave = self._journal = None
+            if self._log is not None:
+                self._log.close()
+            self._leave = self._log = None
         store, self.store = self.store, RunStore(None, {})
         store.close()
 
-    def _record(self, fact: Event) -> None:
-        """Append ``fact`` to the journal; where the disk has no room it is held until there is.
+    def _record(self, event: Event) -> None:
+        """Append ``event`` to the log; without disk space it is kept in memory.
 
-        A disk that refuses for another reason stops the run with a fault.
+        Other errors of the disk stop the run with a fault.
         """
         with self._lock:
-            if self._journal is None:
+            if self._log is None:
                 return
             if jump_s := self._wall.jump_s():
-                self._held.append(Said(fact.t_s, CLOCK_SET.format(jump_s)))
-            self._held.append(fact)
+                self._held.append(Said(event.t_s, CLOCK_SET.format(jump_s)))
+            self._held.append(event)
             self._write(mend=len(self._held) > 1)
 
     def _try_again(self) -> None:
@@ -359,42 +363,30 @@ class RunRecorder:
             self._write(mend=True)
 
     def _write(self, *, mend: bool) -> None:
-        """Append what is held, the oldest first; what finds no room stays held."""
-        if self._journal is None:
+        """Append the events in memory, the oldest first; the rest stays in memory."""
+        if self._log is None:
             return
         try:
             if mend:
-                self._journal.mend()
+                self._log.mend()
             while self._held:
-                self._journal(self._held[0])
+                self._log(self._held[0])
                 del self._held[0]
         except OSError as error:
             if error.errno not in NO_ROOM or len(self._held) > MOST_HELD:
                 self._give_up(error.strerror or str(error))
 
     def _give_up(self, why: str) -> None:
-        assert self._journal is not None
-        journal, self._journal = self._journal, None
+        assert self._log is not None
+        log, self._log = self._log, None
         self._held.clear()
-        journal.abandon()
+        log.abandon()
         self._interlock.raise_fault(
             Fault(
                 "JOURNAL-FAILED",
-                f"The run journal cannot be written: {why}.",
-                "The run ends; every fact before is on disk, the gripper was not opened.",
-                f"Make room on the disk of {journal.folder}, then press Reset.",
+                f"The event log cannot be written: {why}.",
+                "The run ends; every event before is on disk, the gripper was not opened.",
+                f"Make room on the disk of {log.folder}, then press Reset.",
                 "store",
             )
         )
-
-
-def _new_journal(folder: Path) -> EventLog:
-    """Begin the journal of a run; raises ``InputError`` where the folder cannot be written."""
-    try:
-        return EventLog(folder)
-    except OSError as error:
-        raise InputError(
-            f"The run cannot be kept: {error.strerror or error}.",
-            str(folder.parent),
-            "Name a folder that can be written (--runs, or TOUCHDOWN_DATA).",
-        ) from error

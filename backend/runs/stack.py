@@ -1,4 +1,4 @@
-"""Stacking run: trials of one strategy, each on a scene of its own with one outcome.
+"""Stacking run: trials of one strategy, each on its own scene with one outcome.
 
 The autonomous loop probes, updates the belief, judges, and releases only where the piece will
 stand. Pick-and-place is the baseline without probing.
@@ -38,7 +38,7 @@ from touchdown.backend.runs import messages, outcome
 from touchdown.backend.runs.bench import Bench, JudgedProbe, PressedProbe, RunContext
 from touchdown.backend.runs.motions import (
     MOVE_S,
-    RunEnding,
+    ask_operator,
     lift,
     open_and_rise,
     release_piece,
@@ -56,7 +56,7 @@ from touchdown.backend.runs.requests import StackRequest, request_record
 
 
 def pick_and_place(bench: Bench) -> Plan[TrialResult]:
-    """Release at the first place; what the paper compares with. Simulated benches only."""
+    """Release at the first place without a test: the paper's baseline, simulated benches only."""
     yield from take_piece(bench)
     yield from zero_sensors(bench, 1)
     yield PhaseEntered(bench.now_s(), "approach", 1)
@@ -72,14 +72,8 @@ def pick_and_place(bench: Bench) -> Plan[TrialResult]:
     yield from wait(bench, settings.settle_s)
     yield PhaseEntered(bench.now_s(), "release", 1)
     width_mm = bench.gripper.status().width_mm
-    yield from open_and_rise(bench, 1, _evidence(bench, width_mm), width_mm)
-    return (yield from judge_release(bench, 1))
-
-
-def _evidence(bench: Bench, width_mm: float) -> ReleaseEvidence:
-    now_s = bench.now_s()
-    status = bench.gripper.status()
-    return ReleaseEvidence(
+    now_s, status = bench.now_s(), bench.gripper.status()
+    evidence = ReleaseEvidence(
         verdict_stable=False,
         verdict_of_last_probe=False,
         verdict_age_s=math.nan,
@@ -95,14 +89,15 @@ def _evidence(bench: Bench, width_mm: float) -> ReleaseEvidence:
         holding=status.holding,
         approved=True,
     )
+    yield from open_and_rise(bench, 1, evidence, width_mm)
+    return (yield from judge_release(bench, 1))
 
 
-OPERATOR_S = 24 * 3600.0
 DECLINED = "The operator declined the next move."
 
 
 def place_piece(bench: Bench) -> Plan[TrialResult]:
-    """Place the piece by the chosen strategy; ends placed, fell, knocked over or gave up."""
+    """Place the piece by the strategy; it is placed, fell, was knocked over or given up."""
     yield from take_piece(bench)
     here = bench.arm.pose(max_age_s=0.2)
     reasoner = make_strategy(grasped_piece(bench), bench.settings, (here.x_mm, here.y_mm))
@@ -147,7 +142,7 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
 
 
 def grasped_piece(bench: Bench) -> GraspedPiece:
-    """Return what a strategy may know of the piece in the hand."""
+    """Return the properties of the held piece that a strategy may use."""
     piece = bench.piece
     assert piece.grip_height_mm is not None
     return GraspedPiece(
@@ -160,14 +155,14 @@ def grasped_piece(bench: Bench) -> GraspedPiece:
 
 
 def _conclude(bench: Bench, felt: PressedProbe, reasoner: Strategy) -> Plan[JudgedProbe]:
-    """Estimate, then conclude; announced only when the action is chosen."""
+    """Estimate the contact patch and decide; events are published after the decision."""
     episode = felt.episode
     here = (float(episode.offset_mm[0]), float(episode.offset_mm[1]))
     patch = bench.estimator.estimate(episode)
     concluded = reasoner.conclude(ProbeObservation(episode.observation, patch, here))
     stability, action = concluded.stability, concluded.action
     latency_ms = 1e3 * (bench.wall_s() - felt.sampled_s)
-    bench.hush.end()
+    bench.repaint_hold.end()
     now_s = bench.now_s()
     yield PatchEstimated(now_s, patch, here, felt.probe)
     yield BeliefUpdated(now_s, concluded.map, felt.probe)
@@ -178,10 +173,10 @@ def _conclude(bench: Bench, felt: PressedProbe, reasoner: Strategy) -> Plan[Judg
 
 
 def _let_go(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[TrialResult]:
-    """Release here and see how the piece does."""
+    """Release here and judge the outcome."""
     probe = judged.felt.probe
     yield from release_piece(bench, judged, approved=approved)
-    # What became of the piece is told first: a disk that refuses the episode must not hide it.
+    # Publish the outcome first: a refused write of the episode must not hide it.
     ending = yield from judge_release(bench, probe)
     try:
         yield from _recorded(bench, judged.felt)
@@ -193,7 +188,7 @@ def _let_go(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[TrialR
 
 
 def _felt(bench: Bench, probe: int, reasoner: Strategy) -> Plan[PressedProbe | PlaceAction]:
-    """Probe; without a contact a strategy that asks for it says where to go instead."""
+    """Probe; without contact a searching strategy returns its next move instead."""
     try:
         return (yield from probe_until_accepted(bench, probe))
     except FaultError as cause:
@@ -204,65 +199,57 @@ def _felt(bench: Bench, probe: int, reasoner: Strategy) -> Plan[PressedProbe | P
 
 
 def _asked(bench: Bench, action: PlaceAction, probe: int) -> Plan[bool]:
-    """Wait for the operator in approve and step mode; the arm is lifted meanwhile."""
+    """Wait for the operator's approval in approve and step mode, with the arm lifted."""
     if bench.settings.mode == "auto":
         return True
-    bench.gate.ask()
-    yield ApprovalAwaited(bench.now_s(), action, probe)
-    yield Wait(lambda: bench.gate.answered, OPERATOR_S, "the operator")
-    return bench.gate.yes
+    question = ApprovalAwaited(bench.now_s(), action, probe)
+    return (yield from ask_operator(bench, question, "the operator"))
 
 
 def _recorded(bench: Bench, felt: PressedProbe) -> Plan[None]:
-    """Announce the episode without its native-rate signals: 25 MB that live in its file."""
+    """Publish the episode without its native-rate signals: 25 MB that stay in its file."""
     path = yield from wait_until_durable(bench)
     episode = replace(felt.episode, recording=None)
     yield EpisodeRecorded(bench.now_s(), episode, felt.probe, "" if path is None else path.name)
 
 
-def stack_run(host: RunContext, request: StackRequest) -> Plan[None]:
+def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
     """Run all trials; ends early when cancelled, stopped or on a fault."""
-    method = request.method(host.method)
-    settings = request_record(request, method, host.check_scene(request.scene()))
-    host.open_record()
+    method = request.method(session.method)
+    settings = request_record(request, method, session.check_scene(request.scene()))
+    session.open_record()
     yield RunStarted(
         0.0,
-        host.run_id,
+        session.run_id,
         request.piece,
         "+".join(request.bottoms),
         request.strategy,
         request.seed,
         request.trials,
-        host.simulated,
+        session.simulated,
         settings,
     )
     for trial in range(request.trials):
-        bench = host.set_scene(request.scene(trial), method)
+        bench = session.set_scene(request.scene(trial), method)
         seed = request.seed + trial
         start_mm = None if bench.scoring is None else bench.scoring.start_mm()
         yield TrialStarted(bench.now_s(), trial + 1, seed, start_mm)
-        at_mm = None if bench.scoring is not None else outcome.trial_start_mm(host, request, trial)
-        ending, run_ending = yield from _one_trial(bench, request, at_mm)
+        at_mm = (
+            None if bench.scoring is not None else outcome.trial_start_mm(session, request, trial)
+        )
+        ended = yield from run_to_end(bench, _placing(bench, request, at_mm))
+        ending, run_ending = ended.value, ended.run_ending
+        if ending is None:
+            ending = TrialResult(Outcome.ABORTED, ended.reason, bench.status().felt)
+        elif ending.fault is not None:
+            run_ending = "failed"
         yield trial_finished(bench, trial + 1, seed, ending)
         if run_ending is not None:
             reason = ending.reason if ending.fault is None else ending.fault.what
-            yield RunFinished(bench.now_s(), host.run_id, run_ending, reason)
+            yield RunFinished(bench.now_s(), session.run_id, run_ending, reason)
             return
     yield from wait_for_space(bench.store.obstacle)
-    yield RunFinished(bench.now_s(), host.run_id, "finished", "All trials are done.")
-
-
-def _one_trial(
-    bench: Bench, request: StackRequest, at_mm: tuple[float, float] | None
-) -> Plan[tuple[TrialResult, RunEnding | None]]:
-    """Return how the trial ended and, if the whole run ends with it, how the run ended.
-
-    ``at_mm``: start of a trial that an operator sets up.
-    """
-    ended = yield from run_to_end(bench, _placing(bench, request, at_mm))
-    if ended.value is not None:
-        return ended.value, None if ended.value.fault is None else "failed"
-    return TrialResult(Outcome.ABORTED, ended.reason, bench.status().felt), ended.run_ending
+    yield RunFinished(bench.now_s(), session.run_id, "finished", "All trials are done.")
 
 
 def _placing(

@@ -23,19 +23,17 @@ from touchdown.backend.runs.jig import approach_with_piece
 from touchdown.backend.runs.motions import MOVE_S, TOUCH_TRIES, move_to, retry_if_void, wait
 from touchdown.backend.runs.plan import Plan, Wait
 
-SEARCH_MM = 3.0
-"""An edge is looked for this far on both sides of where it should be."""
+SEARCH_MM = 3.0  # search range on both sides of the expected edge
 RESOLUTION_MM, FINE_MM = 0.1, 0.05
-BELOW_MM = 1.2
-"""No contact down to this far below the centre's height: the piece is beside the bottom."""
+BELOW_MM = 1.2  # Without contact this far below the centre's height, the piece is beside the bottom
 DEPTH_MM, TOUCH_S = 0.1, 0.1
 SETTLE_S = 0.3
 
 
 def find_height(bench: Bench, centre: FloatArray) -> Plan[float]:
-    """Carry the piece over ``centre`` (2,), touch it, and return the height of contact.
+    """Carry the piece over ``centre`` (2,), touch, and return the height of contact.
 
-    Raises ``RefusedError`` "ORIGIN-FAR" if nothing is there.
+    Raises ``RefusedError`` "ORIGIN-FAR" without contact.
     """
     x_mm, y_mm = centre.tolist()
     start_mm = (bench.piece.grip_height_mm or 0.0) + bench.settings.probe.start_height_mm
@@ -56,10 +54,11 @@ def edge_mm(
     start_mm: float,
     to_mm: float = RESOLUTION_MM,
 ) -> Plan[float]:
-    """Return how far from ``centre`` along ``axis`` contact ends, by halving down to ``to_mm``.
+    """Return the distance from ``centre`` along ``axis`` where contact ends, by bisection to
+    ``to_mm``.
 
-    ``expected_mm`` with its sign; descents begin at ``start_mm``. Raises ``RefusedError``
-    "ORIGIN-FAR" if the edge is more than ``SEARCH_MM`` off.
+    ``expected_mm`` has its sign; descents begin at ``start_mm``. Raises ``RefusedError`` "ORIGIN-
+    FAR" if the edge is more than ``SEARCH_MM`` off.
     """
     side = math.copysign(1.0, expected_mm)
     inside, outside = abs(expected_mm) - SEARCH_MM, abs(expected_mm) + SEARCH_MM
@@ -85,8 +84,8 @@ def touch_height_mm(
 ) -> Plan[float | None]:
     """Descend at ``place`` (2,) from ``start_mm``; return the height of contact, None without one.
 
-    Without contact it goes ``below_mm`` below the usual height of contact. The arm ends at
-    ``start_mm``. A touch that is void is made again.
+    The descent ends ``below_mm`` below the usual contact height. The arm ends at ``start_mm``. A
+    void touch is repeated.
     """
 
     def after_void(fault: Fault) -> Plan[None]:
@@ -98,10 +97,7 @@ def touch_height_mm(
 
 
 def rise_from_contact(bench: Bench, start_mm: float) -> Plan[None]:
-    """Rise to ``start_mm`` straight up from where the contact has pushed the arm.
-
-    Sideways it would drag.
-    """
+    """Rise straight up to ``start_mm`` from where the contact pushed the arm, without dragging."""
     yield PhaseEntered(bench.now_s(), "lift", 0)
     here = bench.arm.pose(max_age_s=0.2)
     up = Pose(here.x_mm, here.y_mm, start_mm)

@@ -59,7 +59,7 @@ class Attended:
                 self.session.answer(self.ready)
         elif isinstance(fact, OutcomeAwaited):
             self.asks.append((self.session.status().asks, self.session.hand.holding))
-            self.session.gate.see(*self.seen)
+            self.session.prompt.see(*self.seen)
 
     def run(self, **asked):
         self.session.run(StackRequest(piece="pot", bottoms=("short",), seed=7, **asked))

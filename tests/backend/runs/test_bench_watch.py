@@ -14,14 +14,14 @@ from touchdown.backend.core import scheduling as doings
 from touchdown.backend.core.events import FaultRaised
 from touchdown.backend.core.scheduling import SharedLock, blocking_section, blocking_section_of
 from touchdown.backend.core.watchdog import MAX_LOOK_STEP_S, ThreadStallDetector
-from touchdown.backend.runs.engine import LOOK_S, STILL_S, WORKS_S, ThreadWatchdog
+from touchdown.backend.runs.engine import STILL_S, WATCH_PERIOD_S, WORKS_S, ThreadWatchdog
 from touchdown.backend.runs.requests import SceneChoice
 
 pytestmark = pytest.mark.skipif(
     not Path("/proc/self/task").is_dir(), reason="threads are seen on Linux only"
 )
 STEP_S = 0.02
-LOOKS = round((STILL_S + STEP_S) / LOOK_S) + 2
+LOOKS = round((STILL_S + STEP_S) / WATCH_PERIOD_S) + 2
 """So many looks tell a standstill: within 500 ms at one each 50 ms."""
 
 
@@ -41,7 +41,7 @@ class Watched:
         """Whether it rests now."""
         return self.rest.look(time.monotonic()) > 0.0
 
-    def look(self, times, every_s=LOOK_S):
+    def look(self, times, every_s=WATCH_PERIOD_S):
         for _ in range(times):
             self.now_s += every_s
             self.watch.look(self.now_s)
@@ -84,9 +84,10 @@ def polls(over):
         pass
 
 
+@pytest.mark.promise("P7", "P10")
 def test_a_thread_that_waits_without_a_word_is_told_within_ten_looks(watched):
     one = watched(waits).settled()
-    assert LOOKS * LOOK_S < 0.5
+    assert LOOKS * WATCH_PERIOD_S < 0.5
     (what, *_) = one.look(LOOKS)
     assert what.endswith("It waits for what does not come.")
     assert one.told[0].code == "BENCH-STILL"
@@ -95,12 +96,14 @@ def test_a_thread_that_waits_without_a_word_is_told_within_ten_looks(watched):
     assert one.look(LOOKS // 2) == [], "it went on"
 
 
+@pytest.mark.promise("P7", "P10")
 def test_a_watch_that_comes_late_itself_knows_nothing_by_it(watched):
     one = watched(waits).settled()
     looks = int(STILL_S / MAX_LOOK_STEP_S)
     assert one.look(looks, every_s=1e4) == [], "as if the whole computer had slept in between"
 
 
+@pytest.mark.promise("P7", "P10")
 def test_one_that_polls_is_told_only_after_long(watched):
     one = watched(polls)
     for _ in range(2 * LOOKS):
@@ -111,6 +114,7 @@ def test_one_that_polls_is_told_only_after_long(watched):
     assert one.look(1)[0].endswith("It works without an end.")
 
 
+@pytest.mark.promise("P7", "P10")
 def test_one_that_says_what_it_does_has_as_long_as_it_said(watched):
     def sets(over):
         with (
@@ -147,6 +151,7 @@ def test_who_waits_for_a_lock_that_others_hold_over_a_disk_says_so():
     assert number[0] not in doings._SECTIONS
 
 
+@pytest.mark.promise("P7", "P10")
 def test_a_deadlock_of_the_thread_of_the_bench_is_a_fault_and_told_again_after_a_reset():
     session, facts, over = simulated_session(brisk_bench("quiet")), [], threading.Event()
     session.prepare(SceneChoice())

@@ -7,7 +7,7 @@ import pytest
 
 from touchdown.backend.config.method import CollectSettings
 from touchdown.backend.core.values import Episode, EpisodeQuality, Recording
-from touchdown.backend.runs.collector import BottomOrigin, last_signals, measure_offset
+from touchdown.backend.runs.collector import BottomOrigin, last_signal_excerpt, measure_offset
 
 
 def test_the_label_is_where_the_arm_was_at_contact_seen_from_the_origin() -> None:
@@ -31,4 +31,4 @@ def test_the_signals_of_a_probe_are_its_largest_shifts_and_tx_ty_fz() -> None:
     observation = np.zeros((20, 258), np.float32)
     observation[-1, [10, 70, 140, 200]] = 2.0, -3.0, -2.5, 1.5  # u, v of the left; of the right
     observation[-1, 252:] = 0.1, 0.2, 9.0, -0.04, 0.05, 0.06
-    assert last_signals(observation) == pytest.approx((-2.5, -3.0, -0.04, 0.05, 9.0))
+    assert last_signal_excerpt(observation) == pytest.approx((-2.5, -3.0, -0.04, 0.05, 9.0))

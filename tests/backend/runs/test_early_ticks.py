@@ -29,18 +29,18 @@ def test_nobody_draws_beside_a_decision(monkeypatch: pytest.MonkeyPatch) -> None
     method = brisk_method().model_copy(update={"policy": PolicySettings(max_probes=1)})
     bench = OracleSession(preset="quiet", method=method)
     session, after = bench.session, []
-    session.hush = RepaintHold(lambda: 0.0)
+    session.repaint_hold = RepaintHold(lambda: 0.0)
 
     def choose(fact: Event) -> None:
         if isinstance(fact, ActionChosen):
-            after.append(session.hush.on)
+            after.append(session.repaint_hold.on)
 
     session.events.subscribe(choose)
     asked: list[bool] = []
     answer = Oracle.estimate
 
     def estimate(self: Oracle, episode: Episode) -> ContactPatch:
-        asked.append(session.hush.on)
+        asked.append(session.repaint_hold.on)
         return answer(self, episode)
 
     monkeypatch.setattr(Oracle, "estimate", estimate)

@@ -148,15 +148,15 @@ def test_a_forged_array_is_refused(tmp_path: Path, change: dict[str, object]) ->
     line["patch"]["probability"].update(change)
     lines[6] = json.dumps(line).encode()
     (folder / EVENT_LOG_NAME).write_bytes(b"\n".join(lines) + b"\n")
-    with pytest.raises(InputError, match="Damaged fact PatchEstimated"):
+    with pytest.raises(InputError, match="Damaged event PatchEstimated"):
         list(read_events(folder))
 
 
 def test_foreign_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no run journal"):
+    with pytest.raises(InputError, match="no event log"):
         list(read_events(tmp_path))
     (tmp_path / EVENT_LOG_NAME).write_text('{"program": "other"}\n')
-    with pytest.raises(InputError, match="not a Touchdown journal"):
+    with pytest.raises(InputError, match="not a Touchdown event log"):
         list(read_events(tmp_path))
 
 

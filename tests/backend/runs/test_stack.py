@@ -38,7 +38,7 @@ from touchdown.backend.devices.melfa.faults import VOID
 from touchdown.backend.devices.protocols import CommandedMotion, PressCommand
 from touchdown.backend.episodes.episode_file import read_episode
 from touchdown.backend.runs.event_log import EventLog, read_events
-from touchdown.backend.runs.outcome import excusing_fault
+from touchdown.backend.runs.outcome import excluding_fault
 from touchdown.backend.simulation.devices.arm import SimArm, SimPressMotion
 
 PROBE = (PatchEstimated, BeliefUpdated, StabilityJudged, ActionChosen)
@@ -138,6 +138,7 @@ def height_mm(bench: OracleSession) -> float:
     return bench.benches[-1].arm.pose(1.0).z_mm
 
 
+@pytest.mark.promise("G4")
 def test_without_contact_only_a_strategy_that_asks_for_it_presses_elsewhere() -> None:
     above = brisk_method().probe.model_copy(update={"max_travel_mm": 0.01, "start_height_mm": 3.0})
     changes = {"probe": above, "policy": PolicySettings(max_probes=2)}
@@ -179,7 +180,7 @@ def test_stop_in_every_phase_ends_the_run_and_keeps_the_piece(phase: str) -> Non
     bench.session.run(request())
     assert last_trial(bench).outcome is Outcome.ABORTED
     assert last_trial(bench).probes == len(bench.of(PatchEstimated)), "only what was felt counts"
-    assert excusing_fault(last_trial(bench), phase) == ""
+    assert excluding_fault(last_trial(bench), phase) == ""
     end = bench.facts[-1]
     assert isinstance(end, RunFinished)
     assert end.ending == "stopped"
@@ -232,9 +233,9 @@ def test_a_failing_sensor_ends_in_one_clear_fault(
     assert isinstance(raised, FaultRaised)
     assert (raised.fault.code, raised.fault.device) == (code, device)
     phase = [f for f in bench.of(PhaseEntered) if isinstance(f, PhaseEntered)][-1].phase
-    assert excusing_fault(last_trial(bench), phase) == ("" if code == "FT-TRIP" else code)
+    assert excluding_fault(last_trial(bench), phase) == ("" if code == "FT-TRIP" else code)
     for letting_go in ("release", "rise"):
-        assert excusing_fault(last_trial(bench), letting_go) == ""
+        assert excluding_fault(last_trial(bench), letting_go) == ""
     assert bench.benches[-1].gripper.status().holding
     assert folder is not None
     assert isinstance(list(read_events(folder))[-1], RunFinished)
@@ -368,6 +369,7 @@ def test_a_disk_that_fails_stops_the_run_and_keeps_what_was_written(
     assert len(list(read_events(folder))) == after_facts
 
 
+@pytest.mark.promise("R5")
 @pytest.mark.parametrize(("voids", "outcome"), [(2, Outcome.PLACED), (3, Outcome.ABORTED)])
 def test_a_void_press_is_made_again_but_not_for_ever(
     voids: int, outcome: Outcome, monkeypatch: pytest.MonkeyPatch

@@ -54,7 +54,7 @@ def test_garbage_is_no_journal(tmp_path, capsys) -> None:
     (tmp_path / "journal.jsonl").write_text("garbage\n")
     assert main(["replay", str(tmp_path)]) == 2
     said = capsys.readouterr().err
-    assert "not a Touchdown journal" in said
+    assert "not a Touchdown event log" in said
     assert "before it" not in said
 
 

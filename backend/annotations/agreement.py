@@ -232,7 +232,10 @@ def _compared(
     b = np.array([y.label.offset_mm for _, y in pairs], dtype=np.float64).reshape(-1, 2)
     said = [(one[u].verdict, two[u].verdict) for u in both]
     named = [(x, y) for x, y in said if x is not None and y is not None]
-    overlaps = [_overlap(geometry, x, y) for x, y in pairs]
+    patches = [
+        [geometry.patch(y.geometry, answer.label).touching for answer in (x, y)] for x, y in pairs
+    ]
+    overlaps = [patch_iou(first, second) for first, second in patches]
     return AgreementReport(
         episodes=len(both),
         bias_x_mm=agreement_limits(a[:, 0], b[:, 0]),
@@ -246,11 +249,6 @@ def _compared(
         drift_mm=_drift(a - b),
         seconds=(_seconds(one), _seconds(two)),
     )
-
-
-def _overlap(geometry: GeometryStore, one: LabellerAnswer, two: LabellerAnswer) -> float:
-    first = geometry.patch(two.geometry, one.label).touching
-    return patch_iou(first, geometry.patch(two.geometry, two.label).touching)
 
 
 def _drift(difference: Floats) -> tuple[float, float]:

@@ -129,7 +129,11 @@ class BackupStore:
     def if_changed(self, reason: str) -> Path | None:
         """Make a backup unless the newest one contains all operations."""
         if self._saved is None:
-            self._saved = self._newest_heads()
+            newest = self.newest()
+            try:
+                self._saved = {} if newest is None else check_backup(newest)
+            except InputError:
+                self._saved = {}
         return self.make(reason) if self._heads() != self._saved else None
 
     def _copy(self, part: Path) -> None:
@@ -150,14 +154,6 @@ class BackupStore:
     def _heads(self) -> Heads:
         with self._database.reading() as connection:
             return newest_operations(connection)
-
-    def _newest_heads(self) -> Heads:
-        for backup in list_backups(self._folder)[:1]:
-            try:
-                return check_backup(backup.path)
-            except InputError:
-                return {}
-        return {}
 
 
 def restore_backup(dataset: Path, backup: Path) -> Path | None:

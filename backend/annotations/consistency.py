@@ -112,7 +112,7 @@ class DatasetParts:
         return path.relative_to(self.folder).as_posix()
 
 
-Repair = Callable[[sqlite3.Connection], None]
+Repair = Callable[[sqlite3.Connection], object]
 
 
 @dataclass(frozen=True, slots=True)

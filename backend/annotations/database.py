@@ -249,14 +249,11 @@ class Database:
                 yield self._connection
                 self._connection.execute("COMMIT")
             except BaseException as error:
-                self._roll_back()
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
                 if isinstance(error, sqlite3.OperationalError):
                     raise FaultError(_not_saved(error)) from error
                 raise
-
-    def _roll_back(self) -> None:
-        if self._connection.in_transaction:
-            self._connection.execute("ROLLBACK")
 
     @contextmanager
     def reading(self) -> Iterator[sqlite3.Connection]:

@@ -458,7 +458,10 @@ def check_dataset_quality(dataset: Dataset, progress: Progress) -> QualityReport
         if not progress(looked, len(entries)):
             break
     for names, rows in pairs.items():
-        found += [_named(finding, names, rows) for finding in check_quality(rows)]
+        uuids = tuple(row.uuid for row in rows)
+        for issue in check_quality(rows):
+            text = f"{names[0]} on {names[1]}: {issue.text}"
+            found.append(issue if issue.episodes else QualityIssue(issue.kind, uuids, text))
     return QualityReport(tuple(found), looked, len(entries))
 
 
@@ -470,25 +473,13 @@ def iter_observations(
     chunks = {uuid: (offset, length) for uuid, offset, length in dataset.database.rows(sql)}
     for entry in entries:
         try:
-            yield entry, _observation(dataset.folder / entry.path, chunks.get(entry.uuid))
+            path, chunk = dataset.folder / entry.path, chunks.get(entry.uuid)
+            group = read_first(path) if chunk is None else read_chunk(path, *chunk)
+            with input_errors(path):
+                observation = unpack_observation(group.messages[OBS.name])
+            yield entry, observation
         except InputError as error:
             yield entry, error
-
-
-def _observation(path: Path, chunk: tuple[int, int] | None) -> NDArray[np.float32]:
-    group = read_first(path) if chunk is None else read_chunk(path, *chunk)
-    with input_errors(path):
-        return unpack_observation(group.messages[OBS.name])
-
-
-def _named(
-    finding: QualityIssue, pair: tuple[str, str], rows: list[ExaminedEpisode]
-) -> QualityIssue:
-    """Add the name of the pair to a finding that concerns all its episodes."""
-    if finding.episodes:
-        return finding
-    uuids = tuple(row.uuid for row in rows)
-    return QualityIssue(finding.kind, uuids, f"{pair[0]} on {pair[1]}: {finding.text}")
 
 
 def _divided(dataset: Dataset, entries: list[EpisodeEntry]) -> Iterator[QualityIssue]:

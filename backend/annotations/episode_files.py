@@ -272,9 +272,7 @@ def _double(parts: DatasetParts, path: Path, row: EpisodeFileRow) -> Consistency
     kept = parts.folder / row.path
     if file_sha256(path) != row.sha256 or (kept.exists() and file_sha256(kept) == row.sha256):
         said = f"{parts.name(path)} is a second file of episode {row.uuid}: moved to quarantine."
-        return ConsistencyProblem(
-            "double", row.uuid, said, lambda _: _quarantine_double(parts, path)
-        )
+        return ConsistencyProblem("double", row.uuid, said, lambda _: quarantine_file(parts, path))
 
     def repair(connection: sqlite3.Connection) -> None:
         if kept.exists():
@@ -304,28 +302,25 @@ def _left_over(
     """Yield the repair of a leftover ``.<episode>.mcap.part``."""
     final = part.with_name(part.name.removeprefix(".").removesuffix(PART))
     row = by_path.get(parts.name(final))
+
+    def delete(_: sqlite3.Connection) -> None:
+        part.unlink(missing_ok=True)
+
     if part.stat().st_size == 0:
         said = f"{parts.name(part)} was empty: deleted."
-        yield ConsistencyProblem(
-            "left-over", parts.name(part), said, lambda _: part.unlink(missing_ok=True)
-        )
+        yield ConsistencyProblem("left-over", parts.name(part), said, delete)
         return
     if final.exists():
         if row is not None and file_sha256(final) == row.sha256:
             said = f"{parts.name(part)} was left beside its finished file: deleted."
-            repair = lambda _: part.unlink(missing_ok=True)  # noqa: E731
-            yield ConsistencyProblem("left-over", parts.name(part), said, repair)
+            yield ConsistencyProblem("left-over", parts.name(part), said, delete)
         return
     target = parts.quarantine / final.name
     if not _is_reported(target, part):
         said = f"{parts.name(part)} was never finished: its whole chunks are in quarantine."
         yield ConsistencyProblem(
-            "unfinished", parts.name(part), said, lambda _: _save(part, target)
+            "unfinished", parts.name(part), said, lambda _: salvage_file(part, target)
         )
-
-
-def _save(part: Path, target: Path) -> None:
-    salvage_file(part, target)
 
 
 def _is_reported(target: Path, part: Path) -> bool:
@@ -347,10 +342,6 @@ def quarantine_file(parts: DatasetParts, path: Path) -> Path:
     sync_folder(parts.quarantine)
     sync_folder(path.parent)
     return target
-
-
-def _quarantine_double(parts: DatasetParts, path: Path) -> None:
-    quarantine_file(parts, path)
 
 
 def _state(row: EpisodeFileRow, state: str, said: str) -> ConsistencyProblem:
@@ -397,7 +388,9 @@ class PackEntry:
 def check_packs(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
     """Yield the problems of the folder ``packs``; ``whole`` reads every chunk again."""
     folder = parts.folder / PACKS
-    known = _known_packs(parts)
+    rows = parts.database.rows("SELECT bench FROM series WHERE mode = ?", (MODE,))
+    facts = [json.loads(bench) for (bench,) in rows]
+    known = {fact["pack"]: fact["bytes"] for fact in facts if "pack" in fact}
     found: set[str] = set()
     for path in sorted(folder.glob("*.mcap")) if folder.is_dir() else ():
         if path.name.startswith("."):
@@ -446,12 +439,6 @@ def packed_uuid(chunk: StoredChunk) -> str:
     return uuid7_from_parts(0, int(chunk.sha256, 16) >> (256 - RANDOM_BITS))
 
 
-def _known_packs(parts: DatasetParts) -> dict[str, int]:
-    rows = parts.database.rows("SELECT bench FROM series WHERE mode = ?", (MODE,))
-    facts = [json.loads(bench) for (bench,) in rows]
-    return {fact["pack"]: fact["bytes"] for fact in facts if "pack" in fact}
-
-
 def _compare_pack(
     parts: DatasetParts, path: Path, listed: list[PackEntry], found: set[str]
 ) -> Iterator[ConsistencyProblem]:
@@ -469,7 +456,7 @@ def _compare_pack(
     elsewhere = {there[p.uuid][0] for p in listed if p.uuid in there} - {name}
     if any((parts.folder / other).exists() for other in elsewhere):
         said = f"{name} holds episodes of {min(elsewhere)} again: moved to quarantine."
-        yield ConsistencyProblem("double", name, said, lambda _: _quarantine_pack(parts, path))
+        yield ConsistencyProblem("double", name, said, lambda _: quarantine_file(parts, path))
         return
     found |= elsewhere
     changed = [p for p in listed if there.get(p.uuid) != (name, p.chunk.offset, "complete")]
@@ -504,7 +491,8 @@ def enter_pack(
         geometry = _pair(parts, catalogue, packed.label, path)
         row = _packed_row(packed, series, name, size.st_mtime_ns, geometry)
         episode_index.insert_episode(connection, row)
-        if not _has_label(connection, packed.uuid):
+        sql = "SELECT 1 FROM label_rev WHERE episode = ? LIMIT 1"
+        if connection.execute(sql, (packed.uuid,)).fetchone() is None:
             label, source = label_of(packed.label), str(packed.label.get("source", "commanded"))
             content = LabelContent(label, source, geometry)
             revisions.append(operation_log.new_revision(packed.uuid, None, content, "draft"))
@@ -558,11 +546,6 @@ def _pair(
     return parts.geometry.store_pair(piece, bottom)
 
 
-def _has_label(connection: sqlite3.Connection, uuid: str) -> bool:
-    sql = "SELECT 1 FROM label_rev WHERE episode = ? LIMIT 1"
-    return connection.execute(sql, (uuid,)).fetchone() is not None
-
-
 def _move(connection: sqlite3.Connection, name: str, packed: PackEntry) -> None:
     connection.execute(
         "UPDATE episode SET path = ?, chunk_off = ?, chunk_len = ?, bytes = ?, state = 'complete'"
@@ -612,7 +595,3 @@ def _torn_pack(parts: DatasetParts, path: Path, error: InputError) -> Consistenc
 
     said = f"The pack {name} is damaged: {error.what} Its whole episodes were saved."
     return ConsistencyProblem("torn", name, said, repair)
-
-
-def _quarantine_pack(parts: DatasetParts, path: Path) -> None:
-    quarantine_file(parts, path)

@@ -165,13 +165,12 @@ def store_operation(connection: sqlite3.Connection, operation: Operation) -> set
         ),
     )
     _store_body(connection, operation)
-    return _touched(connection, operation)
-
-
-def _touched(connection: sqlite3.Connection, operation: Operation) -> set[str]:
     body: Mapping[str, Any] = operation.body
     named = {part["episode"] for part in (*body["revs"], *body.get("marks", ()))}
-    return named.union(*(_episode_of(connection, closed) for closed in body["closes"]))
+    for closed in body["closes"]:
+        row = connection.execute("SELECT episode FROM label_rev WHERE rev_uuid = ?", (closed,))
+        named.update(episode for (episode,) in row)
+    return named
 
 
 def _store_body(connection: sqlite3.Connection, operation: Operation) -> None:
@@ -211,11 +210,6 @@ INSERT INTO apart VALUES (:op_uuid, :episode, :rev_uuid, :parent, :x_um, :y_um, 
     :sigma_um, :source, :state, :reason, :verdict, :geometry, :note, :copy_of, :deleted, :skipped,
     :shown_ns, :beside)
 """
-
-
-def _episode_of(connection: sqlite3.Connection, rev_uuid: str) -> set[str]:
-    row = connection.execute("SELECT episode FROM label_rev WHERE rev_uuid = ?", (rev_uuid,))
-    return {episode for (episode,) in row}
 
 
 def _store_mark(

@@ -53,7 +53,8 @@ def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
             broken.add(site)
             yield _broken(site, bad, "The chain of label operations is broken")
     missing: list[Operation] = []
-    for site in sorted({*catalogue, *_journalled(parts)} - broken):
+    journals = {path.stem for path in parts.journal.folder.glob("*.jsonl")}
+    for site in sorted({*catalogue, *journals} - broken):
         ahead, findings = _against_journal(parts, site, catalogue.get(site, (0, FIRST)))
         missing += ahead
         yield from findings
@@ -83,22 +84,16 @@ def wrong_heads(parts: DatasetParts, *, whole: bool) -> list[str]:
     )
     found = {episode for (episode,) in rows}
     if whole:
-        found |= set(_heads_against_rule(parts))
+        with parts.database.reading() as connection:
+            heads = connection.execute("SELECT episode, rev_uuid, conflict FROM label_head")
+            for episode, rev_uuid, conflict in heads.fetchall():
+                head = review.head_of(*review.read_nodes(connection, episode))
+                if (head and (head.node.rev_uuid, int(len(head.leaves) > 1))) != (
+                    rev_uuid,
+                    conflict,
+                ):
+                    found.add(episode)
     return sorted(found)
-
-
-def _heads_against_rule(parts: DatasetParts) -> Iterator[str]:
-    with parts.database.reading() as connection:
-        rows = connection.execute("SELECT episode, rev_uuid, conflict FROM label_head").fetchall()
-        for episode, rev_uuid, conflict in rows:
-            head = review.head_of(*review.read_nodes(connection, episode))
-            found = head and (head.node.rev_uuid, int(len(head.leaves) > 1))
-            if found != (rev_uuid, conflict):
-                yield episode
-
-
-def _journalled(parts: DatasetParts) -> set[str]:
-    return {path.stem for path in parts.journal.folder.glob("*.jsonl")}
 
 
 def _bad_link(parts: DatasetParts, site: str, after: int) -> int | None:

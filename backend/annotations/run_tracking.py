@@ -402,11 +402,6 @@ def check_runs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
             yield ConsistencyProblem(
                 "interrupted", about.uuid, said, partial(_interrupt, run, about)
             )
-    yield from _gone(parts)
-
-
-def _gone(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
-    """Yield the rows of unfinished runs whose folder is missing."""
     for (uuid,) in parts.database.rows("SELECT uuid FROM run WHERE state IN (?, ?)", OPEN):
         if not (parts.folder / RUNS / uuid).is_dir():
             said = f"The folder of run {uuid} is gone; its figures so far are kept."

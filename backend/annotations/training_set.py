@@ -123,7 +123,9 @@ def open_cache(
     if not _fits(path, len(ordered), width):
         folder.mkdir(parents=True, exist_ok=True)
         _write(path, _observations(dataset, ordered, advance), len(ordered), width)
-        write_atomically(path.with_suffix(".json"), _cache_header(spec, ordered))
+        columns = {name: [getattr(row, name) for row in ordered] for name in LISTED}
+        header = {"spec": {**spec, "episodes": len(ordered)}, **columns}
+        write_atomically(path.with_suffix(".json"), json.dumps(header).encode())
     _forget_old(folder, path)
     return TrainingCache(path, ordered)
 
@@ -136,11 +138,6 @@ def _fits(path: Path, count: int, width: Width) -> bool:
         return False
     whole = (array.shape, array.dtype.name) == ((count, *SHAPE), width)
     return whole and path.with_suffix(".json").exists()
-
-
-def _cache_header(spec: dict[str, object], rows: Sequence[CacheRow]) -> bytes:
-    columns = {name: [getattr(row, name) for row in rows] for name in LISTED}
-    return json.dumps({"spec": {**spec, "episodes": len(rows)}, **columns}).encode()
 
 
 def _write(

@@ -148,6 +148,9 @@ def find_asymmetry(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
 
     An asymmetric distribution indicates a wrong origin, a wrong range, or an incomplete campaign.
     """
+    # imported here: slow to import and rarely needed
+    from scipy.stats import wilcoxon
+
     offsets = np.array([row.offset_mm for row in rows]).reshape(-1, 2)
     offsets = offsets[np.isfinite(offsets).all(axis=1)]
     if len(offsets) < FEWEST:
@@ -157,7 +160,7 @@ def find_asymmetry(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
         values = offsets[:, axis]
         if not np.any(values):
             continue
-        p = _uneven_p(values)
+        p = float(wilcoxon(values).pvalue)
         if p < RARE:
             median = float(np.median(values))
             text = (
@@ -166,14 +169,6 @@ def find_asymmetry(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
             )
             found.append(QualityIssue("asymmetry", (), text))
     return found
-
-
-def _uneven_p(values: FloatArray) -> float:
-    """Return the p-value of the signed-rank test for symmetry about zero."""
-    # imported here: slow to import and rarely needed
-    from scipy.stats import wilcoxon
-
-    return float(wilcoxon(values).pvalue)
 
 
 def find_contradicting_repeats(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
@@ -199,7 +194,12 @@ def find_contradicting_repeats(rows: Sequence[ExaminedEpisode]) -> list[QualityI
         for i in np.flatnonzero(distance < TWIN_SHARE * usual).tolist()
     }
     order = sorted(pairs, key=lambda pair: float(distance[list(pair)].min()))
-    return [_twin(known[i], known[j]) for i, j in order]
+    found = []
+    for i, j in order:
+        apart_mm = float(np.hypot(*(offsets[i] - offsets[j])))
+        text = f"Nearly the same signals, but labels {apart_mm:.1f} mm apart."
+        found.append(QualityIssue("twins", (known[i].uuid, known[j].uuid), text))
+    return found
 
 
 def _strangers(features: FloatArray, offsets: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
@@ -215,12 +215,6 @@ def _strangers(features: FloatArray, offsets: FloatArray) -> tuple[FloatArray, N
         nearest[part] = apart.argmin(axis=1)
         distance[part] = np.sqrt(np.maximum(apart.min(axis=1), 0.0))
     return distance, nearest
-
-
-def _twin(one: ExaminedEpisode, other: ExaminedEpisode) -> QualityIssue:
-    apart_mm = float(np.hypot(*(one.offset_mm - other.offset_mm)))
-    text = f"Nearly the same signals, but labels {apart_mm:.1f} mm apart."
-    return QualityIssue("twins", (one.uuid, other.uuid), text)
 
 
 def _jerk(row: ExaminedEpisode) -> str:

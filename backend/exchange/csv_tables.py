@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,9 @@ def write_signals(dataset: Dataset, entry: EpisodeEntry, folder: Path) -> None:
     place.mkdir(parents=True)
     _table(place / FT_FILE, FT_COLUMNS, _timed(recording.wrench_t_s - onset_s, recording.wrench))
     _table(place / MARKERS_FILE, MARKER_COLUMNS, _markers(recording, onset_s))
-    _table(place / POSES_FILE, POSE_COLUMNS, _poses(recording, onset_s))
+    measured = _timed(recording.pose_t_s - onset_s, recording.pose_mm, "measured")
+    commanded = _timed(recording.command_t_s - onset_s, recording.command_mm, "commanded")
+    _table(place / POSES_FILE, POSE_COLUMNS, chain(measured, commanded))
 
 
 def _table(path: Path, columns: Sequence[str], rows: Iterable[Row]) -> None:
@@ -67,11 +70,6 @@ def _markers(recording: Recording, onset_s: float) -> Iterator[Row]:
         )  # fmt: skip
         for marker, position, displacement, state in places:
             yield (at_s, field.finger, marker, *position, *displacement, STATES[state])
-
-
-def _poses(recording: Recording, onset_s: float) -> Iterator[Row]:
-    yield from _timed(recording.pose_t_s - onset_s, recording.pose_mm, "measured")
-    yield from _timed(recording.command_t_s - onset_s, recording.command_mm, "commanded")
 
 
 FILE = "episodes.csv"

@@ -288,17 +288,13 @@ def _write(
         sampled = replace(
             job, chosen=sample, pictures=True, advance=lambda done: advance(before + done, total)
         )
-        codec[SAMPLE] = dict(chosen_format.write(sampled, _made(part / SAMPLE)))
+        (part / SAMPLE).mkdir()
+        codec[SAMPLE] = dict(chosen_format.write(sampled, part / SAMPLE))
     described["codec"] = codec
     if job.signals.native:
         described["feature_spec"]["action"] = COMMANDED if job.signals.commanded else MEASURED
     described["video"] = {"kind": video, "sampled": [one.entry.uuid for one in sample]}
     described["warnings"] += _warnings(job, chosen_format)
-
-
-def _made(folder: Path) -> Path:
-    folder.mkdir()
-    return folder
 
 
 def _sample(filmed: Sequence[SelectedEpisode]) -> tuple[SelectedEpisode, ...]:

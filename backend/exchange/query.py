@@ -78,7 +78,10 @@ def select_episodes(dataset: Dataset, query: ExportQuery) -> Selection:
         )
     found: list[tuple[EpisodeEntry, Revision]] = []
     left_out: Counter[str] = Counter()
-    for entry in dataset.episodes(_filter(query)):
+    wanted = EpisodeFilter(
+        piece=query.piece, bottom=query.bottom, series=query.series, campaign=query.campaign
+    )
+    for entry in dataset.episodes(wanted):
         revision = _counting(dataset, entry, query.states)
         reason = _unfit(entry) or ("its label is in another state" if revision is None else "")
         if reason or revision is None:
@@ -92,12 +95,6 @@ def select_episodes(dataset: Dataset, query: ExportQuery) -> Selection:
     chosen = tuple(SelectedEpisode(i, *found[k], sides[k]) for i, k in enumerate(order))
     said = [f"{count} episodes are left out: {why}." for why, count in sorted(left_out.items())]
     return Selection(chosen, tuple(sorted(left_out.items())), (*said, *warnings))
-
-
-def _filter(query: ExportQuery) -> EpisodeFilter:
-    return EpisodeFilter(
-        piece=query.piece, bottom=query.bottom, series=query.series, campaign=query.campaign
-    )
 
 
 def _unfit(entry: EpisodeEntry) -> str:

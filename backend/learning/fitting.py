@@ -189,7 +189,8 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
         )
     probability = trainer.predict_held_out()
     card = make_card(rows, trainer, data, read_benches(job.data, rows))
-    card = _with_bottoms(card, bottom_figures(rows, trainer.split.held_out, probability))
+    validation = card.metrics["validation"]
+    validation["bottoms"] = bottom_figures(rows, trainer.split.held_out, probability)
     if job.keep is not None:
         write_atomically(job.keep / MANIFEST, training_manifest(rows, trainer.split))
         save_samples(job.keep, choose_samples(rows, trainer.split.held_out, probability))
@@ -226,11 +227,6 @@ def _loaded(rows: TrainingRows, trainer: Trainer) -> TrainingLoaded:
         base_rate=trainer.base_rate,
         done=trainer.done,
     )
-
-
-def _with_bottoms(card: ModelCard, figures: dict[str, dict[str, float]]) -> ModelCard:
-    validation = {**card.metrics["validation"], "bottoms": figures}
-    return card.model_copy(update={"metrics": {**card.metrics, "validation": validation}})
 
 
 def make_card(

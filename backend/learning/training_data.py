@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -82,20 +82,16 @@ def only_simulated(rows: TrainingRows) -> bool:
 
 def read_benches(data: Path, rows: TrainingRows) -> tuple[BenchDescription, ...]:
     """Return the distinct benches of ``rows``, reading one file per mounting."""
-    files = _one_per_mounting(data, rows) if is_dataset(data) else _packs(data)
+    if is_dataset(data):
+        named = (label.get("file") for label in rows.labels)
+        per_mounting = dict(zip(rows.mounting_id, named, strict=True))
+        files = sorted({data / str(name) for name in per_mounting.values() if name})
+    else:
+        files = find_packs(data)
     found = {
         facts.model_dump_json(): facts for path in files if (facts := _facts(path)) is not None
     }
     return tuple(facts for _, facts in sorted(found.items()))
-
-
-def _one_per_mounting(data: Path, rows: TrainingRows) -> Iterable[Path]:
-    chosen = dict(zip(rows.mounting_id, (label.get("file") for label in rows.labels), strict=True))
-    return sorted({data / str(name) for name in chosen.values() if name})
-
-
-def _packs(data: Path) -> Iterable[Path]:
-    return find_packs(data)
 
 
 def _facts(path: Path) -> BenchDescription | None:

@@ -218,7 +218,8 @@ class Belief:
             return Belief(self.settings, self.map, self.evidence, visits, self.base_rate)
         grid = CellGrid.of(self.map)
         values = self.log_odds(patch.probability)
-        kept = tuple(e for e in self.evidence if not self._repeats(e.offset_mm, offset_mm))
+        least_mm = self.settings.min_shift_mm
+        kept = tuple(e for e in self.evidence if math.dist(e.offset_mm, offset_mm) >= least_mm)
         evidence = (*kept, cover_cells(grid, patch.points_mm, values, offset_mm))
         fused = _fused(grid, evidence, self.settings.log_odds_limit)
         return Belief(self.settings, fused, evidence, visits, self.base_rate)
@@ -231,9 +232,6 @@ class Belief:
         if self.settings.prior_correction:
             evidence = evidence - math.log(self.base_rate / (1.0 - self.base_rate))
         return np.asarray(evidence, dtype=np.float64)
-
-    def _repeats(self, former: tuple[float, float], new: tuple[float, float]) -> bool:
-        return math.dist(former, new) < self.settings.min_shift_mm
 
 
 def is_finite(patch: ContactPatch) -> bool:

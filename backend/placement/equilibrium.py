@@ -173,7 +173,7 @@ def centre_of_pressure_mm(
     """Return the centre of pressure in the face plane, (..., 2) mm from the axis through ``G``.
 
     ``wrench`` (..., 6) in N and N·m at the sensor, tared; ``lever_mm`` is the height of the sensor
-    above the face (grip height + sensor above ``G``). The lateral forces turn about that lever and
+    above the face (grip height + sensor above ``G``). The lateral forces act on that lever and
     must be taken out (method 14, item 3; bench-physics 4):
 
         x = -(Ty + h Fx) / Fz,   y = (Tx - h Fy) / Fz

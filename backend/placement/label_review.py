@@ -45,16 +45,13 @@ def neighbour_residual(signals: FloatArray, offsets_mm: FloatArray) -> FloatArra
     if count < ALIKE_FEWEST:
         return np.full(count, np.nan)
     near = cKDTree(signals).query(signals, k=min(ALIKE, count - 1) + 1)[1]
-    near = _without_own(np.asarray(near, dtype=np.intp))
+    near = np.asarray(near, dtype=np.intp)
+    # Equal signals may hide the episode itself among its neighbours: then drop the farthest one.
+    own = near == np.arange(count)[:, None]
+    own[~own.any(axis=1), -1] = True
+    near = near[~own].reshape(count, -1)
     parts = [slice(at, at + PART) for at in range(0, count, PART)]
     return np.concatenate([_off(signals, offsets_mm, near, part) for part in parts])
-
-
-def _without_own(near: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the neighbours (n, k) without the episode itself, also for equal signals."""
-    own = near == np.arange(len(near))[:, None]
-    own[~own.any(axis=1), -1] = True
-    return np.asarray(near[~own].reshape(len(near), -1), dtype=np.intp)
 
 
 def _off(

@@ -73,7 +73,9 @@ class SupportTower:
     def _least(self, centre_mm: FloatArray, draw: FloatArray) -> FloatArray:
         """Return the inset (...,) of one tower; ``draw`` (joints, 2) standard normal."""
         steps = np.array(self.offset_mm, dtype=np.float64).reshape(-1, 2) + self.sigma_mm * draw
-        at = _places(steps)
+        # positions of the bodies, the touched one at the origin
+        climbed = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+        at = climbed - climbed[-1]
         least = np.full(centre_mm.shape[:-1], np.inf)
         moment, mass = self.piece_g * centre_mm, self.piece_g
         for k in range(len(self.bodies) - 1, -1, -1):
@@ -88,12 +90,6 @@ class SupportTower:
             if upper is not None:
                 least = np.minimum(least, inset_mm(upper, load - at[k - 1]))
         return least
-
-
-def _places(steps: FloatArray) -> FloatArray:
-    """Return (n + 1, 2) where the bodies stand, the touched one at the origin."""
-    climbed = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    return np.asarray(climbed - climbed[-1], dtype=np.float64)
 
 
 @lru_cache(maxsize=4)

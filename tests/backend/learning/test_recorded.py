@@ -89,7 +89,7 @@ def test_cancelled_and_gone_on_with_equals_uninterrupted(tmp_path: Path, write_d
     assert two.curves == one.curves
     assert two.reliability == one.reliability
     assert two.model.read_bytes() == one.model.read_bytes()
-    with pytest.raises(InputError, match="nothing to go on with"):
+    with pytest.raises(InputError, match="cannot be continued"):
         resume_request(two, data)
 
 
@@ -158,7 +158,7 @@ def test_leakage_is_told() -> None:
     whole = training_set_overview(of(400, 40), "pot", 0.1, 0)
     assert (whole.kept_together, whole.warnings) == ("mounting", ())
     twins = training_set_overview(of(400, 40, "same"), "pot", 0.1, 0)
-    assert "training has a copy" in twins.warnings[0]
+    assert "a copy in training" in twins.warnings[0]
     single = training_set_overview([TrainingCandidate("pot", "short", "g", "m")] * 9, "pot", 0.1, 0)
     assert "one series only of pot on short" in single.error
     assert "Collect another campaign" in single.error

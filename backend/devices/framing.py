@@ -18,7 +18,7 @@ Message = TypeVar("Message")
 
 
 class ProtocolError(TouchdownError):
-    """Bytes, or a message, that the protocol does not allow.
+    """Bytes or a message that violate the protocol.
 
     ``what`` is one word such as "length" or "crc"; ``where`` names message and field; ``offset``
     counts bytes from the start of the message.
@@ -30,24 +30,23 @@ class ProtocolError(TouchdownError):
 
 
 class FrameStep(NamedTuple, Generic[Message]):
-    """What was found at one place: ``length`` bytes are a message, refused, or noise."""
+    """Result of decoding at one position: ``length`` bytes are a message, rejected, or noise."""
 
     length: int
     message: Message | None = None
     refused: bool = False
 
 
-# (bytes, place) -> what is found there, or None while the bytes do not suffice to tell.
+# (bytes, position) -> step, or None if more bytes are needed.
 TakeFrame = Callable[[bytes, int], FrameStep[Message] | None]
 
-# (take, bytes, place of an unfinished message) -> whether to go on without it.
+# (take, bytes, position of an incomplete message) -> True to skip it.
 SkipUnfinished = Callable[[TakeFrame[Message], bytes, int], bool]
 
 
 def two_in_a_row(take: TakeFrame[Message], data: bytes, at: int) -> bool:
-    """Return whether two whole messages lie end to end behind ``at``.
-
-    So a false header whose length field promises much does not hold up the stream.
+    """Return True if two complete messages follow each other behind ``at``. A false header with a
+    large length field then does not block the stream.
     """
     place = at + 1
     while place < len(data):
@@ -62,7 +61,7 @@ def two_in_a_row(take: TakeFrame[Message], data: bytes, at: int) -> bool:
 
 
 class FrameStream(Generic[Message]):
-    """The stream decoder of a protocol, given how to ``take`` one message from a place."""
+    """Stream decoder of a protocol; ``take`` decodes one message at a position."""
 
     def __init__(
         self, take: TakeFrame[Message], overtake: SkipUnfinished[Message] = two_in_a_row
@@ -73,7 +72,7 @@ class FrameStream(Generic[Message]):
 
     @property
     def pending(self) -> int:
-        """Bytes kept of an unfinished message."""
+        """Number of bytes of an incomplete message."""
         return len(self._rest)
 
     def feed(self, data: bytes) -> list[Message]:
@@ -85,7 +84,7 @@ class FrameStream(Generic[Message]):
             if step is None:
                 if not self._overtake(self._take, rest, at):
                     break
-                # As where all of it has come and is none: the same however the stream is cut.
+                # Same result as for complete bytes, so that cutting the stream has no effect.
                 step = FrameStep(1, refused=True)
             at += step.length
             self._count(step)
@@ -95,7 +94,7 @@ class FrameStream(Generic[Message]):
         return messages
 
     def reset(self) -> None:
-        """Forget the bytes of an unfinished message; the counts stay."""
+        """Discard an incomplete message; the counts stay."""
         self._rest = b""
 
     def _count(self, step: FrameStep[Message]) -> None:
@@ -109,13 +108,13 @@ class FrameStream(Generic[Message]):
 
 
 def require_length(data: bytes, length: int, where: str) -> None:
-    """Raise ``WireError`` unless ``data`` is exactly ``length`` bytes."""
+    """Raise ``ProtocolError`` unless ``data`` is exactly ``length`` bytes."""
     if len(data) != length:
         raise ProtocolError("length", where, min(len(data), length))
 
 
 def noise_until(data: bytes, at: int, starts: bytes) -> FrameStep[Message]:
-    """Return the step over all bytes up to the next that may start a message, at least one."""
+    """Return the step to the next byte that may start a message, at least one byte."""
     end = at + 1
     while end < len(data) and data[end] not in starts:
         end += 1
@@ -150,7 +149,7 @@ def _crc16(table: tuple[int, ...], data: bytes) -> int:
 def crc_wsg(data: bytes) -> int:
     """CRC of Weiss grippers, from the preamble on.
 
-    In no catalogue: the table is the one of the unreflected polynomial, the update the one of the
+    Not in the catalogue: it combines the table of the unreflected polynomial with the update of the
     reflected form. Source: command set reference manual, firmware 2.2.0.
     """
     return _crc16(WSG_TABLE, data)
@@ -180,9 +179,9 @@ ENDS = b"\r\n"
 
 
 class LineStream(Generic[Message]):
-    """Stream decoder of lines; ``parse`` gets one line without its end, ``longest`` bytes at most.
+    """Stream decoder of lines of at most ``longest`` bytes; ``parse`` gets a line without its end.
 
-    Where a device sends no line end, call ``flush`` once it has been silent long enough.
+    If a device sends no line end, call ``flush`` after a silence.
     """
 
     def __init__(self, parse: Callable[[bytes], Message], longest: int) -> None:
@@ -193,7 +192,7 @@ class LineStream(Generic[Message]):
 
     @property
     def pending(self) -> int:
-        """Bytes kept of an unfinished line."""
+        """Number of bytes of an incomplete line."""
         return len(self._rest)
 
     def feed(self, data: bytes) -> list[Message]:
@@ -209,14 +208,14 @@ class LineStream(Generic[Message]):
         return messages
 
     def flush(self) -> list[Message]:
-        """Take what has come so far as a whole line."""
+        """Process the bytes received so far as a line."""
         messages: list[Message] = []
         line, self._rest = self._rest, b""
         self._finish(line, messages)
         return messages
 
     def reset(self) -> None:
-        """Forget the unfinished line; the counts stay."""
+        """Discard the incomplete line; the counts stay."""
         self._rest, self._skipping = b"", False
 
     def _finish(self, line: bytes, messages: list[Message]) -> None:
@@ -245,12 +244,14 @@ class Wrench(NamedTuple):
     torque_nm: Vector3
 
 
-# What a sample holds that its sensor marks as invalid.
+# Wrench of a sample that is invalid.
 NO_WRENCH = Wrench((math.nan, math.nan, math.nan), (math.nan, math.nan, math.nan))
 
 
 def wrench_of(values: Sequence[float]) -> Wrench:
-    """Return the wrench of six values, forces first; raises ``WireError`` for another number."""
+    """Return the wrench of six values, forces first; raises ``ProtocolError`` for another
+    number.
+    """
     if len(values) != 6:
         raise ProtocolError("length", "wrench", len(values))
     fx, fy, fz, mx, my, mz = values

@@ -1,4 +1,4 @@
-"""Arm and gripper behind the interlock: the only ones that plans and windows hold."""
+"""Arm and gripper behind the interlock, the only ones that plans and windows use."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ PressForce = Callable[[], float]  # present press force in N (tared Fz), NaN if 
 
 
 class _Guarded:
-    """Connection and identity pass through unguarded: they move nothing."""
+    """Connection and identity, which need no guard: they move nothing."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -89,7 +89,7 @@ class _Guarded:
         self._device.connect(timeout_s, cancel)
 
     def close(self) -> None:
-        """Close the connection; nothing is let go."""
+        """Close the connection; the gripper keeps its grip."""
         self._device.close()
 
     def describe(self) -> Mapping[str, str | float]:
@@ -98,7 +98,7 @@ class _Guarded:
 
 
 class GuardedArm(_Guarded):
-    """An ``Arm`` that refuses what the limits forbid; a limit never changes a command silently."""
+    """An ``Arm`` that refuses commands beyond the limits; it never changes a command."""
 
     def __init__(
         self,
@@ -108,7 +108,9 @@ class GuardedArm(_Guarded):
         press_n: PressForce,
         surface_mm: Callable[[], float] = lambda: math.nan,
     ) -> None:
-        """``surface_mm``: height of ``G`` at which a held piece touches; NaN: no turning."""
+        """``surface_mm`` is the height of ``G`` at which a held piece touches; NaN forbids
+        turning.
+        """
         super().__init__(arm)
         self._arm, self._interlock = arm, interlock
         self._now_s, self._press_n, self._surface_mm = now_s, press_n, surface_mm
@@ -124,7 +126,7 @@ class GuardedArm(_Guarded):
         return self._arm.status()
 
     def servo(self, on: bool) -> None:
-        """Switch the motors; off is always allowed, on only without latch."""
+        """Switch the servo motors; off is always permitted, on only without a latch."""
         if on:
             self._interlock.refuse_latched()
         self._arm.servo(on)
@@ -139,9 +141,8 @@ class GuardedArm(_Guarded):
         return self._arm.pose(max_age_s)
 
     def move_to(self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S) -> Motion:
-        """Move straight to ``target``; refused outside the limits, and sideways while pressing.
-
-        A hand that is turned, or is to be, stays high above the surface on the way.
+        """Move on a straight line to ``target``; refused outside the limits, and sideways while
+        pressing. A turned hand must stay high above the surface on the way.
         """
         self._require_motion()
         limits = self._interlock.limits
@@ -161,7 +162,9 @@ class GuardedArm(_Guarded):
         return self._arm.move_to(target, speed_mm_s * override, turn_rad_s * override)
 
     def jog(self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL) -> Motion:
-        """Follow a velocity; refused when too fast, too long, outside, or against a force."""
+        """Move at a velocity; refused if too fast, too long, outside the limits, or against a
+        force.
+        """
         self._require_motion()
         self._refuse_too_long(for_s)
         limits, here = self._interlock.limits, self._arm.pose(max_age_s=0.2)
@@ -193,7 +196,7 @@ class GuardedArm(_Guarded):
 
     @property
     def rotates(self) -> bool:
-        """Whether the hand can turn and single joints can be driven."""
+        """True if the hand can turn and single joints can be driven."""
         return self._arm.rotates
 
     def joints_rad(self, max_age_s: float) -> Joints:
@@ -202,15 +205,15 @@ class GuardedArm(_Guarded):
 
     @property
     def joint_limits_rad(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest angle of each joint."""
+        """Lowest and highest angle of each joint, rad."""
         return self._arm.joint_limits_rad
 
     def place_of(self, joints_rad: Joints) -> Pose:
-        """Pose that these joints give the hand."""
+        """Pose of the hand at these joints."""
         return self._arm.place_of(joints_rad)
 
     def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> Motion:
-        """Turn joints; refused unless the hand is free, high, and stays inside the limits."""
+        """Turn joints; refused unless the hand is free, high, and inside the limits."""
         self._require_motion()
         self._refuse_too_long(for_s)
         here = self._arm.pose(max_age_s=0.2)
@@ -223,7 +226,7 @@ class GuardedArm(_Guarded):
         return self._arm.jog_joints(speeds_rad_s, for_s)
 
     def move_joints(self, target_rad: Joints, speed_rad_s: float) -> Motion:
-        """Turn joints to ``target_rad``; refused unless the way there stays inside the limits."""
+        """Turn joints to ``target_rad``; refused unless the path stays inside the limits."""
         self._require_motion()
         here, now = self._arm.pose(max_age_s=0.2), self._arm.joints_rad(max_age_s=0.2)
         self._refuse_turning_jog(here, speed_rad_s)
@@ -236,7 +239,7 @@ class GuardedArm(_Guarded):
         return self._arm.move_joints(target_rad, speed_rad_s * self._interlock.override)
 
     def halt(self) -> None:
-        """Stand still without a latch: a jog ended."""
+        """Stand still without a latch, at the end of a jog."""
         self._arm.halt()
 
     def press(self, command: PressCommand) -> PressMotion:
@@ -257,7 +260,7 @@ class GuardedArm(_Guarded):
         return self._arm.press(command)
 
     def unload(self, force_n: float, speed_mm_s: float) -> Motion:
-        """Rise to the press force ``force_n``."""
+        """Lift to the press force ``force_n``."""
         self._require_motion()
         return self._arm.unload(force_n, speed_mm_s)
 
@@ -270,7 +273,7 @@ class GuardedArm(_Guarded):
             raise RefusedError("JOG-TIME", f"{for_s:.2f} s is not within 0 to {LEASE_S:.2f} s.")
 
     def _refuse_turned_move(self, target: Pose, turn_rad_s: float) -> bool:
-        """Return whether the hand is turned on the way; refuse what may not be."""
+        """Return True if the hand turns on the way; raise ``RefusedError`` if it must not."""
         here = self._arm.pose(max_age_s=0.2)
         if max(rotation_angle_rad(here), rotation_angle_rad(target)) <= LEVEL_TOLERANCE_RAD:
             return False
@@ -340,7 +343,7 @@ class GuardedGripper(_Guarded):
         return self._gripper.open_to(width_mm, speed_mm_s)
 
     def open_by_hand(self, width_mm: float, speed_mm_s: float, *, confirmed: bool) -> Motion:
-        """Open on the operator's own order; a held piece needs their confirmation."""
+        """Open on the operator's command; a held piece needs a confirmation."""
         self._interlock.require_motion(self._now_s())
         if self._gripper.status().holding and not confirmed:
             raise RefusedError("HOLDING", "A piece is held: opening drops it. Confirm first.")
@@ -363,7 +366,7 @@ class GuardedGripper(_Guarded):
         return self._open(evidence, width_mm, speed_mm_s)
 
     def _open(self, right: ReleaseAuthorisation, width_mm: float, speed_mm_s: float) -> Motion:
-        """Open by ``right``; a gripper that looks for itself judges once more."""
+        """Open with the authorisation ``right``; the rig checks it once more."""
         if isinstance(self._gripper, AuthorisedGripper) and self._gripper.status().holding:
             opening = self._gripper.open_held(right, width_mm, speed_mm_s)
         else:

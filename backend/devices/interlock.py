@@ -1,8 +1,8 @@
 """Safety interlock of arm, gripper: stop latch, motion lease, limits, release conditions.
 
-Plans and windows hold the guarded devices only. ``stop`` works from any thread in every state,
-joins nothing and never opens the gripper. Motion needs a live lease: the owner of the motion renews
-it, and a lease that expires ends motion. Each refusal has a name (``RefusedError.reason``).
+Plans and windows use the guarded devices only. ``stop`` works from any thread in every state, never
+waits and never opens the gripper. Motion needs a lease: the owner of the motion renews it, and
+motion ends when it expires. Each refusal has a name (``RefusedError.reason``).
 
 Translation directions are unit vectors in the bench frame, z points up. Turns are (3, 3) in the
 bench frame; ``surface_mm`` is the height of ``G`` at which a held piece touches the support, NaN if
@@ -33,8 +33,8 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.devices.protocols import RETREAT_FAULTS, Motion
 
-LEAST_OVERRIDE = 0.1  # slower, a move of a run would outlast the time that it is given
-LEASE_S = 0.25  # a lease not renewed for this long ends motion (reliability: jog and run leases)
+LEAST_OVERRIDE = 0.1  # below this, a move of a run would exceed its time limit
+LEASE_S = 0.25  # motion ends this long after the last renewal
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,11 +72,9 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class ReleaseEvidence:
-    """Everything that must hold before the jaws may open on a run's request.
-
-    ``press_n`` and its age are read after unloading; ``moved_mm`` is the largest travel of the arm
-    as it stands (``travelled_mm``); ``width_change_mm`` against the grasp; ``approved`` is True
-    where no approval is asked for.
+    """Conditions for opening the jaws in a run. ``press_n`` and its age are read after unloading;
+    ``moved_mm`` is the largest travel of the standing arm (``travelled_mm``); ``width_change_mm``
+    is relative to the grasp; ``approved`` is True if no approval is required.
     """
 
     verdict_stable: bool
@@ -102,7 +100,7 @@ STATIONARY_MM = 0.05
 MAX_WIDTH_CHANGE_MM = 0.3
 
 
-# Rows that need an estimate; only these are waived for the untested-release baseline.
+# Conditions on the estimate; only these are waived for the untested-release baseline.
 VERDICT_ROWS = frozenset(
     {"VERDICT-NOT-STABLE", "VERDICT-NOT-LAST", "VERDICT-OLD", "MARGIN", "QUALITY"}
 )
@@ -111,8 +109,8 @@ VERDICT_ROWS = frozenset(
 def release_refusal(evidence: ReleaseEvidence, *, untested: bool = False) -> tuple[str, str] | None:
     """Return None if the piece may be released, else (name, sentence) of the first refusal.
 
-    Every row is a positive comparison, so that NaN refuses (rulings 5, reliability section 5).
-    ``untested`` waives the rows about the estimate: the pick-and-place baseline has none.
+    Every condition is a positive comparison, so that NaN refuses. ``untested`` waives the
+    conditions on the estimate: the pick-and-place baseline has none.
     """
     e = evidence
     rows = (
@@ -169,11 +167,11 @@ class Interlock:
         self._lease_until_s = -math.inf
         self._stoppers: list[tuple[Callable[[], None], Callable[[], None] | None]] = []
         self._override = 1.0
-        # True from the reset of a fault until the wrist is free of contact: then the arm moves by
-        # hand, slowly and away from contact only.
+        # True from the reset of a fault until the wrist is free of contact: meanwhile the arm moves
+        # by hand only, slowly and away from contact.
         self.recovering = False
-        # Which device is late or slow, in words: by hand the arm then only moves away from contact.
-        # Empty while all are well.
+        # Description of a late or slow device, empty if there is none. Meanwhile the arm moves by
+        # hand only away from contact.
         self.degraded = ""
         # True only on a simulated bench while the pick-and-place baseline runs.
         self.untested_release = False
@@ -185,7 +183,7 @@ class Interlock:
 
     @property
     def stopped_by(self) -> str:
-        """Who stopped ("" if not stopped)."""
+        """Source of the stop, empty if not stopped."""
         return self._stopped_by
 
     @property
@@ -195,17 +193,19 @@ class Interlock:
 
     @property
     def override(self) -> float:
-        """Share of every commanded speed in air, ``LEAST_OVERRIDE`` to 1; presses keep theirs."""
+        """Factor of every commanded speed in air, ``LEAST_OVERRIDE`` to 1; presses are
+        unaffected.
+        """
         return self._override
 
     def override_speed(self, share: float) -> None:
-        """Slow down what is commanded from now on; raises ``RefusedError`` outside the range."""
+        """Set the speed factor of later commands; raises ``RefusedError`` outside the range."""
         if not LEAST_OVERRIDE <= share <= 1.0:
             raise RefusedError("OVERRIDE", f"{100 * share:.0f} % is not within 10 to 100 %.")
         self._override = share
 
     def change_limits(self, limits: Limits, now_s: float) -> None:
-        """Take other limits from now on; ``RefusedError`` while motion is permitted."""
+        """Replace the limits; raises ``RefusedError`` while motion is permitted."""
         _require_finite(limits)
         with self._lock:
             if self.has_lease(now_s):
@@ -215,9 +215,8 @@ class Interlock:
     def on_stop(
         self, stopper: Callable[[], None], retreat: Callable[[], None] | None = None
     ) -> None:
-        """Call ``stopper`` at every stop, or ``retreat`` at a fault of ``RETREATS``.
-
-        Both must return at once; without ``retreat`` a stop is all there is.
+        """Call ``stopper`` at every stop, or ``retreat`` at a fault of ``RETREATS``. Both must
+        return at once; without ``retreat`` every fault stops.
         """
         with self._lock:
             self._stoppers.append((stopper, retreat))
@@ -228,7 +227,7 @@ class Interlock:
             self._stoppers.clear()
 
     def stop(self, who: str = "operator") -> None:
-        """Latch, and stop arm and gripper beside their queues."""
+        """Latch, and stop arm and gripper, bypassing their queues."""
         with self._lock:
             self._stopped_by = self._stopped_by or who
             stoppers = tuple(self._stoppers)
@@ -236,9 +235,8 @@ class Interlock:
             stopper()
 
     def raise_fault(self, fault: Fault) -> None:
-        """Latch ``fault`` (once per code and device); stop, or draw back if that is its reaction.
-
-        The strongest reaction wins: after a STOP, or beside a fault that stops, nothing draws back.
+        """Latch ``fault`` (once per code and device); stop, or retreat if that is its reaction. The
+        strongest reaction wins: no retreat after a STOP or with a fault that stops.
         """
         with self._lock:
             codes = {f.code for f in self._faults}
@@ -250,11 +248,11 @@ class Interlock:
             if stopped or retreat is None:
                 stopper()
             elif not codes:
-                # Once: what draws back already is not to begin anew.
+                # Only once: an active retreat must not restart.
                 retreat()
 
     def reset(self) -> None:
-        """Clear the latch and the faults; only the operator calls this. Moves nothing."""
+        """Clear the latch and the faults, on the operator's command only. Moves nothing."""
         with self._lock:
             self.recovering = bool(self._faults)
             self._stopped_by = ""
@@ -267,17 +265,17 @@ class Interlock:
         return self._lease_until_s
 
     def renew_lease(self, now_s: float) -> None:
-        """Keep the permission to move for ``LEASE_S`` from now."""
+        """Renew the permission to move for ``LEASE_S`` from now."""
         with self._lock:
             self._lease_until_s = now_s + LEASE_S
 
     def drop_lease(self) -> None:
-        """Give the permission to move back."""
+        """Return the permission to move."""
         with self._lock:
             self._lease_until_s = -math.inf
 
     def has_lease(self, now_s: float) -> bool:
-        """Whether motion is permitted now."""
+        """Return True while motion is permitted."""
         return now_s <= self._lease_until_s
 
     def refuse_latched(self) -> None:
@@ -296,18 +294,17 @@ class Interlock:
             raise RefusedError("NO-LEASE", "Nobody holds a live motion lease.")
 
 
-# The arm is back at the taught place of the jig within this distance on each axis.
+# Tolerance of the taught position of the jig on each axis.
 NEAR_JIG_MM = 0.5
 STILL_MM = 0.05
-JAMMED_N = 2.0  # more force than this along any axis: the piece does not sit freely in the jig
+JAMMED_N = 2.0  # limit of the force on any axis for a piece that sits freely in the jig
 
 
 @dataclass(frozen=True, slots=True)
 class JigEvidence:
-    """What was measured over the jig.
-
-    ``from_jig_mm``: largest distance on one axis from the taught place; ``moved_mm``: largest
-    travel as it stands (``travelled_mm``); ``force_n``: largest force beyond gripper and piece.
+    """Measurements over the jig. ``from_jig_mm``: largest distance on one axis from the taught
+    position; ``moved_mm``: largest travel of the standing arm (``travelled_mm``); ``force_n``:
+    largest force beyond the weight of gripper and piece.
     """
 
     from_jig_mm: float
@@ -317,7 +314,7 @@ class JigEvidence:
 
 
 def jig_refusal(evidence: JigEvidence) -> tuple[str, str] | None:
-    """Return None if the piece may be put back, else (name, sentence); NaN refuses."""
+    """Return None if the piece may be released in the jig, else (name, sentence); NaN refuses."""
     e = evidence
     rows = (
         (
@@ -334,7 +331,7 @@ def jig_refusal(evidence: JigEvidence) -> tuple[str, str] | None:
 
 @dataclass(frozen=True, slots=True)
 class ByHand:
-    """The operator's own order, confirmed by them."""
+    """Authorisation by the operator."""
 
     confirmed: bool
 
@@ -344,20 +341,22 @@ ReleaseAuthorisation = ReleaseEvidence | JigEvidence | ByHand
 
 @runtime_checkable
 class AuthorisedGripper(Protocol):
-    """A gripper that looks at its own sensors before it opens on a held piece."""
+    """A gripper that checks the measurements of the rig before it opens on a held piece."""
 
     def open_held(self, right: ReleaseAuthorisation, width_mm: float, speed_mm_s: float) -> Motion:
-        """Open to ``width_mm`` if ``right`` and what is measured now allow it; ``RefusedError``."""
+        """Open to ``width_mm`` if ``right`` and the measurements permit it, else raise
+        ``RefusedError``.
+        """
 
 
-STILL_S = 0.2  # so long an arm has stood before jaws may open
-# An arm whose controller holds it by a program of its own tells its place some ten times a second,
-# and later while variables are written: then the last two places of this time count.
+STILL_S = 0.2  # required standstill of the arm before the jaws open
+# While a controller program holds the arm, positions come about ten times per second, or less
+# often: then the last two positions within this time count.
 POSITION_WINDOW_S = 0.8
 
 
 def recent_positions_mm(poses: SampleStream, now_s: float) -> FloatArray:
-    """Return the places (n, 3) of the last ``STILL_S``, mm; the last two at least, or none."""
+    """Return the positions (n, 3) of the last ``STILL_S``, mm; at least the last two, or none."""
     told = poses.window(now_s - POSITION_WINDOW_S, now_s)
     recent = int((told.t_s >= now_s - STILL_S).sum())
     count = len(told.t_s)
@@ -365,7 +364,7 @@ def recent_positions_mm(poses: SampleStream, now_s: float) -> FloatArray:
 
 
 def travelled_mm(places_mm: FloatArray) -> float:
-    """Return the largest travel on one axis between ``places_mm`` (n, 3); NaN of fewer than two."""
+    """Return the largest travel on one axis of ``places_mm`` (n, 3), NaN for fewer than two."""
     return float(np.ptp(places_mm, axis=0).max()) if len(places_mm) > 1 else math.nan
 
 
@@ -373,7 +372,7 @@ Direction = tuple[float, float, float]
 
 
 def room_mm(pose: Pose, way: Direction, limits: Limits) -> float:
-    """Return how far ``G`` may go along ``way`` before the workspace ends; 0 outside of it."""
+    """Return the distance of ``G`` to the edge of the workspace along ``way``, mm; 0 outside."""
     across = way[0] ** 2 + way[1] ** 2
     inside = limits.reach_mm**2 - pose.x_mm**2 - pose.y_mm**2
     outwards = pose.x_mm * way[0] + pose.y_mm * way[1]
@@ -396,7 +395,7 @@ def room_mm(pose: Pose, way: Direction, limits: Limits) -> float:
 
 
 def outside_box_mm(pose: Pose, limits: Limits) -> float:
-    """Return how far ``pose`` is outside the sides of the workspace box; 0 inside."""
+    """Return the distance of ``pose`` outside the workspace box, mm; 0 inside."""
     return max(
         0.0,
         limits.least_x_mm - pose.x_mm,
@@ -423,7 +422,7 @@ def refuse_outside(target: Pose, limits: Limits) -> None:
 
 
 def refuse_unknown(press_n: float) -> None:
-    """Raise ``RefusedError`` where the wrist has no young number to tell."""
+    """Raise ``RefusedError`` if there is no recent sample of the wrist sensor."""
     if not math.isfinite(press_n):
         raise RefusedError("FT-UNKNOWN", "The force at the wrist is not known.")
 
@@ -431,12 +430,11 @@ def refuse_unknown(press_n: float) -> None:
 def refuse_forced(
     press_n: float, way: Direction, limits: Limits, *, recovering: bool, degraded: str = ""
 ) -> None:
-    """Raise ``RefusedError`` if the wrist feels a force that forbids ``way``; NaN refuses.
-
-    ``degraded``: which device is late or slow, in words; then only the way out of contact is free.
+    """Raise ``RefusedError`` if the contact force forbids ``way``; NaN refuses. ``degraded``
+    describes a late or slow device; then only the way out of contact is permitted.
     """
     refuse_unknown(press_n)
-    # Below the force of a contact the sign is noise, and up is away from whatever may be below.
+    # Below the contact threshold the sign is noise, and up is away from the support.
     up = press_n >= -limits.contact_n
     if (way[2] if up else -way[2]) > 0.99:
         return
@@ -460,9 +458,8 @@ def refuse_forced(
 def fastest_mm_s(
     pose: Pose, surface_mm: float, press_n: float, limits: Limits, *, recovering: bool
 ) -> tuple[float, str]:
-    """Return the highest speed here and why it is lower than usual ("" if it is not).
-
-    ``surface_mm``: height of ``G`` at which a held piece touches the support; NaN is near.
+    """Return the highest speed here, and the reason if it is reduced, else "". ``surface_mm`` is
+    the height of ``G`` at which a held piece touches the support; NaN counts as near.
     """
     if not abs(press_n) <= limits.contact_n:
         return limits.contact_speed_mm_s, f"|Fz| over {limits.contact_n:.0f} N"
@@ -473,11 +470,11 @@ def fastest_mm_s(
     return limits.jog_mm_s, ""
 
 
-SLACK_RAD = 1e-6  # a hand that was turned to its limit is at it, whatever the last digit says
+SLACK_RAD = 1e-6  # tolerance of a hand at its limit
 
 
 def refuse_turning(pose: Pose, surface_mm: float, press_n: float, limits: Limits) -> None:
-    """Raise ``RefusedError`` unless the hand may turn, or stay turned, at this place."""
+    """Raise ``RefusedError`` unless the hand may turn, or stay turned, at this position."""
     refuse_unknown(press_n)
     if not abs(press_n) <= limits.contact_n:
         raise RefusedError(
@@ -497,7 +494,7 @@ def refuse_turning(pose: Pose, surface_mm: float, press_n: float, limits: Limits
 
 
 def refuse_place(pose: Pose, surface_mm: float, limits: Limits) -> None:
-    """Raise ``RefusedError`` unless the hand may be at ``pose``, turned as that says."""
+    """Raise ``RefusedError`` unless the hand may be at ``pose``."""
     refuse_outside(pose, limits)
     lean_rad = tilt_rad(pose_rotation(pose))
     if not lean_rad <= limits.tilt_rad + SLACK_RAD:
@@ -511,16 +508,17 @@ def refuse_place(pose: Pose, surface_mm: float, limits: Limits) -> None:
 
 
 def room_rad(pose: Pose, axis: Direction, limits: Limits) -> float:
-    """Return how far the hand may turn about ``axis`` (unit, bench frame) until it leans too far.
-
-    Half a turn at most: the shorter way round is the other one.
+    """Return the turn of the hand about ``axis`` (unit, bench frame) to its limit, rad. At most
+    half a turn.
     """
     room = tilt_margin_rad(pose_rotation(pose), np.array(axis), limits.tilt_rad)
     return min(room, math.pi)
 
 
 def falls_mm(pose: Pose, surface_mm: float, limits: Limits) -> float:
-    """Return how far a turned hand may go down; the soft limit alone holds an unturned one."""
+    """Return the distance a turned hand may go down, mm; only the soft limit holds an unturned
+    one.
+    """
     if rotation_angle_rad(pose) <= LEVEL_TOLERANCE_RAD:
         return math.inf
     return max(pose.z_mm - surface_mm - limits.turn_clear_mm, 0.0)

@@ -1,10 +1,9 @@
-"""Jogging of the arm under a lease that the pressed button renews.
+"""Jogging of the arm while a button is held.
 
-A renewal is accepted only if its number is greater than the last and it is younger than the lease.
-There is no queue: a newer renewal replaces the older. ``tick`` runs on the bench clock and orders
-motion for ``REPEAT_S`` at a time, never for so long that the arm would still brake when the lease
-expires. Every limit gives its reason when it refuses. Speeds are in mm/s along axes, rad/s for
-turns.
+The pressed button renews a lease. A renewal is accepted if its number is greater than the last and
+it is younger than the lease. There is no queue: a newer renewal replaces the older. ``tick`` runs
+on the bench clock and commands motion for ``REPEAT_S`` at a time, so that braking ends before the
+lease expires. Every refusal has a reason. Speeds are in mm/s along axes, rad/s for turns.
 """
 
 from __future__ import annotations
@@ -51,25 +50,25 @@ AXES: tuple[Axis, ...] = ("x", "y", "z")
 TURNS: tuple[Axis, ...] = ("rx", "ry", "rz")
 JOINTS: tuple[Axis, ...] = ("j1", "j2", "j3", "j4", "j5", "j6")
 FRAMES: tuple[Frame, ...] = ("XYZ", "TOOL", "JOINT")
-# The tool's axes in the bench frame while the hand points down: z is the direction of approach.
+# Tool axes in the bench frame while the hand points down; z is the direction of approach.
 TOOL_SIGNS: Direction = (1.0, -1.0, -1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class JogRange:
-    """How far a jog may go: mm, or rad for what turns. ``why`` it may not go at all: a reason."""
+    """Range of a jog, mm or rad; ``why`` is the reason of an empty range."""
 
     left: float
     why: str = ""
 
 
 def axes_of(frame: Frame) -> tuple[Axis, ...]:
-    """Return what can be jogged in a frame."""
+    """Return the axes of a frame."""
     return JOINTS if frame == "JOINT" else (*AXES, *TURNS)
 
 
 def turns(axis: Axis) -> bool:
-    """Whether speeds and ways of this axis are angles."""
+    """Return True if speeds and distances of this axis are angles."""
     return axis not in AXES
 
 
@@ -96,30 +95,29 @@ def joint_speeds(axis: Axis, speed_rad_s: float) -> tuple[float, ...]:
 
 
 def signed_name(axis: Axis, signed: float) -> str:
-    """Return the name of a way such as "+X" or "-J4", with a true minus."""
+    """Return the name of a direction such as "+X" or "-J4", with a minus sign."""
     return f"{'+' if signed > 0 else chr(0x2212)}{axis.upper()}"
 
 
 def amount(axis: Axis, value: float) -> str:
-    """Return a way in words: mm along an axis, degrees of a turn."""
+    """Return a distance as text: mm along an axis, degrees of a turn."""
     return f"{math.degrees(value):.1f}\N{DEGREE SIGN}" if turns(axis) else f"{value:.1f} mm"
 
 
-# The arm is told to move this long at a time, as a controller's own jog time-out does.
+# Motion is commanded for this time, like the jog time-out of a controller.
 REPEAT_S = 0.14
-CREEP_MM_S, CREEP_RAD_S = 0.2, math.radians(0.2)  # slower than this at a limit is standing still
-# The way of a joint to the edge of the workspace is looked for this finely.
+CREEP_MM_S, CREEP_RAD_S = 0.2, math.radians(0.2)  # slower at a limit counts as standing
+# Resolution of the search for the edge of the workspace.
 FINE_RAD = math.radians(0.5)
 POSE_AGE_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class JogSurroundings:
-    """What a jog must know of the bench; NaN is unknown.
-
-    ``press_n``: press force. ``surface_mm``: height of ``G`` at which a held piece touches the
-    support. ``busy``: whether a run has the bench. ``wall_s``: a lease also ends by this clock, as
-    a simulated bench may fall behind real time.
+    """State of the bench for a jog; NaN is unknown. ``press_n``: press force. ``surface_mm``:
+    height of ``G`` at which a held piece touches the support. ``busy``: True while a run uses the
+    bench. ``wall_s``: a lease also ends by this clock, because a simulated bench may be slower than
+    real time.
     """
 
     now_s: Callable[[], float]
@@ -130,25 +128,25 @@ class JogSurroundings:
 
 
 class JogPermission:
-    """Asks the arm where it is and the interlock what it allows; moves nothing."""
+    """Checks of a jog against the pose of the arm and the interlock; moves nothing."""
 
     def __init__(self, arm: GuardedArm, interlock: Interlock, around: JogSurroundings) -> None:
         self._arm, self._interlock, self._around = arm, interlock, around
         self._joint_rooms: tuple[tuple[float, ...], dict[tuple[Axis, int], float]] = ((), {})
 
     def here(self) -> Pose:
-        """Return the pose of the hand; raises ``RefusedError`` if nobody knows it."""
+        """Return the pose of the hand; raises ``RefusedError`` if it is unknown."""
         try:
             return self._arm.pose(max_age_s=POSE_AGE_S)
         except StaleSampleError as error:
             raise RefusedError("NO-POSE", "The position of the arm is not known.") from error
 
     def way(self, axis: Axis, frame: Frame, signed: float) -> Direction:
-        """Return the unit vector of a way from here, in the bench frame."""
+        """Return the unit vector of a direction, in the bench frame."""
         return direction_of(axis, frame, signed, pose_rotation(self.here()))
 
     def refuse(self, axis: Axis, frame: Frame, signed: float) -> None:
-        """Raise ``RefusedError`` if force, recovery or height forbid this way."""
+        """Raise ``RefusedError`` if force, recovery or height forbid this direction."""
         press_n, interlock = self._around.press_n(), self._interlock
         if not turns(axis):
             way = self.way(axis, frame, signed)
@@ -169,7 +167,7 @@ class JogPermission:
         refuse_turning(self.here(), self._around.surface_mm(), press_n, interlock.limits)
 
     def left(self, axis: Axis, frame: Frame, signed: float) -> float:
-        """Return how far this way goes until a limit ends it, whatever the force."""
+        """Return the range in this direction up to a limit, regardless of the force."""
         limits, here = self._interlock.limits, self.here()
         if axis in JOINTS:
             return self._joint_left(axis, 1 if signed > 0 else -1)
@@ -182,7 +180,7 @@ class JogPermission:
         return room
 
     def rooms(self, frame: Frame) -> dict[str, JogRange]:
-        """Return what is left each way of a frame, by names such as "+x" and "-j4"."""
+        """Return the range in each direction of a frame, by names such as "+x" and "-j4"."""
         found = {}
         for axis in axes_of(frame):
             if turns(axis) and not self._arm.rotates:
@@ -197,7 +195,7 @@ class JogPermission:
         return found
 
     def speed(self, axis: Axis, frame: Frame, signed: float) -> tuple[float, str]:
-        """Return how fast a held jog may go now, and why slower than asked ("" if it is not)."""
+        """Return the permitted speed of a held jog, and the reason if it is reduced, else ""."""
         self.refuse(axis, frame, signed)
         if not turns(axis):
             return self._line_speed(axis, frame, signed)
@@ -217,16 +215,16 @@ class JogPermission:
         return speed, slow
 
     def joint_most(self, axis: Axis, signed: float) -> float:
-        """Return ``signed``, rad/s, unsigned, or less where the hand would go too fast."""
+        """Return the magnitude of ``signed``, rad/s, reduced if the hand would move too fast."""
         now = self._arm.joints_rad(max_age_s=POSE_AGE_S)
         ahead = self._arm.place_of(_added(now, joint_speeds(axis, signed * REPEAT_S)))
         mm_s = math.dist(astuple(self._arm.place_of(now))[:3], astuple(ahead)[:3]) / REPEAT_S
-        # A hair below it, as the way of the hand is an arc.
+        # Slightly below, because the hand moves on an arc.
         most = 0.99 * self._interlock.limits.jog_mm_s
         return abs(signed) if mm_s <= most else abs(signed) * most / mm_s
 
     def line_zone(self) -> tuple[float, str]:
-        """Return the highest speed along an axis here, mm/s, and why it is lower than usual."""
+        """Return the highest speed along an axis here, mm/s, and the reason if it is reduced."""
         interlock, around = self._interlock, self._around
         return fastest_mm_s(
             self.here(),
@@ -263,7 +261,7 @@ class JogPermission:
         return rooms[axis, sign]
 
     def _search(self, now: tuple[float, ...], axis: Axis, sign: int) -> float:
-        """Return how far one joint may turn until its own range or the workspace ends."""
+        """Return the range of one joint up to its own limit or the edge of the workspace."""
         low, high = self._arm.joint_limits_rad[JOINTS.index(axis)]
         at = now[JOINTS.index(axis)]
         end = max(high - at if sign > 0 else at - low, 0.0)
@@ -286,7 +284,7 @@ class JogPermission:
 
 
 def left_words(axis: Axis, frame: Frame, signed: float, left: float) -> str:
-    """Return the refusal of a way that is longer than what is left."""
+    """Return the refusal text of a step that exceeds the range."""
     name = signed_name(axis, signed)
     return f"{name} ({frame}): {amount(axis, left)} left to the soft limit."
 
@@ -297,17 +295,16 @@ def _added(first: tuple[float, ...], second: tuple[float, ...]) -> tuple[float, 
 
 STEPS_MM = (0.1, 0.5, 1.0, 5.0)
 STEPS_DEG = (0.5, 1.0, 5.0)
-# From a command to the arm that stands: wires that are late, and the lag of its servos.
+# Time from a command to standstill: delays of the wires and lag of the servos.
 SETTLE_S = 0.05
-LATE_S = 0.1  # a bench that is not served for so long has no computer to itself
+LATE_S = 0.1  # a longer gap between ticks is caused by a busy computer
 
 
 @dataclass(frozen=True, slots=True)
 class JogOrder:
-    """One renewal. ``hold``: number of the press; ``sequence`` counts up within it.
-
-    ``sent_s``: bench clock; ``speed`` is signed along or about ``axis`` of ``frame``: mm/s for
-    x, y, z and rad/s for everything that turns.
+    """One renewal. ``hold`` is the number of the button press; ``sequence`` increases within it.
+    ``sent_s`` is on the bench clock; ``speed`` is signed along or about ``axis`` of ``frame``, mm/s
+    for x, y, z, else rad/s.
     """
 
     hold: int
@@ -320,7 +317,7 @@ class JogOrder:
 
 @dataclass(frozen=True, slots=True)
 class JogState:
-    """What the jog does now. ``speed`` after limits; ``slow``: why it is lower than asked."""
+    """State of the jog: ``speed`` after limits, ``slow`` the reason for a reduced speed."""
 
     order: JogOrder | None = None
     speed: float = 0.0
@@ -328,7 +325,7 @@ class JogState:
 
 
 class Jog:
-    """One lease at a time. ``tell`` is called when the motion ended by itself, with the reason."""
+    """Jog with one lease at a time. ``tell`` gets the reason when the motion ends by itself."""
 
     def __init__(
         self,
@@ -350,17 +347,17 @@ class Jog:
 
     @property
     def active(self) -> bool:
-        """Whether the arm moves by hand."""
+        """True while the arm is jogged."""
         return self._order is not None or self._step is not None
 
     def rooms(self, frame: Frame) -> dict[str, JogRange]:
-        """Return how far each way of a frame goes from here, by names such as "+x" and "-j4"."""
+        """Return the range in each direction of a frame, by names such as "+x" and "-j4"."""
         return self._permit.rooms(frame)
 
     # -- from any thread --------------------------------------------------------------------------
 
     def renew(self, order: JogOrder) -> None:
-        """Take a renewal; raises ``RefusedError`` and ends the hold if it cannot go on."""
+        """Process a renewal; raises ``RefusedError`` and ends the hold if it is refused."""
         age_s = self._around.now_s() - order.sent_s
         with self._lock:
             last = self._order
@@ -385,7 +382,7 @@ class Jog:
                 self._ticked_s, self._late_s = wall_s, 0.0
 
     def end(self, hold: int) -> None:
-        """End a hold, from any cause and any number of times: the arm stands still."""
+        """End a hold and stand still; may be called repeatedly."""
         with self._lock:
             mine = self._order is not None and self._order.hold == hold
             self._ended = max(self._ended, hold)
@@ -395,9 +392,8 @@ class Jog:
             self._halt()
 
     def step(self, axis: Axis, frame: Frame, distance: float, speed: float) -> None:
-        """Move once by a signed distance; raises ``RefusedError`` with the way that is left.
-
-        mm and mm/s along an axis, rad and rad/s for what turns.
+        """Move once by a signed distance; raises ``RefusedError`` with the available range. Units:
+        mm and mm/s along an axis, rad and rad/s for turns.
         """
         self._refuse_taken_or_moving()
         permit = self._permit
@@ -410,7 +406,7 @@ class Jog:
         self._step = (self._stepped(going, abs(speed)), going)
 
     def level(self, speed_rad_s: float) -> None:
-        """Turn the hand back to straight down, where it stands; raises ``RefusedError``."""
+        """Turn the hand back to straight down, in place; raises ``RefusedError``."""
         self._refuse_taken_or_moving()
         here, going = self._permit.here(), _JogStep("rz", "XYZ", 1.0)
         self._permit.refuse(going.axis, going.frame, going.signed)
@@ -419,7 +415,7 @@ class Jog:
         motion = self._arm.move_to(target, self._interlock.limits.speed_mm_s, speed_rad_s)
         self._step = (motion, going)
 
-    # -- on the bench's own time ------------------------------------------------------------------
+    # -- on the bench clock -----------------------------------------------------------------------
 
     def tick(self) -> None:
         """Renew, slow down or end the motion; call once per advance of the bench."""
@@ -453,7 +449,7 @@ class Jog:
     # -- inside -----------------------------------------------------------------------------------
 
     def _stopped(self) -> None:
-        """STOP halts the arm itself; what was held needs a new press."""
+        """Handle a STOP: the arm halts by itself; the button must be pressed again."""
         with self._lock:
             if self._order is not None:
                 self._ended = max(self._ended, self._order.hold)
@@ -483,12 +479,12 @@ class Jog:
             target = replace(here, rx_rad=rx, ry_rad=ry, rz_rad=rz)
             return arm.move_to(target, self._interlock.limits.speed_mm_s, speed)
         target = replace(here, x_mm=here.x_mm + x, y_mm=here.y_mm + y, z_mm=here.z_mm + z)
-        # The arm applies the override itself; the zone near the surface holds whatever it is.
+        # The arm applies the override itself; the limit near the surface is independent of it.
         most = self._permit.line_zone()[0] / self._interlock.override
         return arm.move_to(target, min(speed, most))
 
     def _watch_step(self, motion: Motion, going: _JogStep) -> None:
-        """Keep the permission to move as long as a step lasts, and the limits let it go on."""
+        """Renew the lease during a step, while the limits permit it."""
         if motion.done:
             self._step = None
             self._tell_failure(motion)
@@ -502,7 +498,7 @@ class Jog:
             self._tell(error)
 
     def _refuse_failed(self) -> None:
-        """Raise the reason for which the arm ended the held motion by itself."""
+        """Raise the fault of a motion that the arm ended by itself."""
         motion, self._held = self._held, None
         if motion is not None and motion.done:
             fault = _failure(motion)
@@ -528,7 +524,7 @@ class Jog:
             raise RefusedError("SERVO-OFF", "The servo of the arm is off: switch it on first.")
 
     def _halt(self) -> None:
-        # A run that has the bench moves the arm itself: it is not to be halted from here.
+        # A run uses the bench and moves the arm: do not halt it here.
         if not self._around.busy():
             self._arm.halt()
             self._interlock.drop_lease()
@@ -537,7 +533,7 @@ class Jog:
 
 @dataclass(frozen=True, slots=True)
 class _JogStep:
-    """Which way a step goes, and how far: mm, or rad for what turns."""
+    """Direction and length of a step, mm or rad."""
 
     axis: Axis
     frame: Frame
@@ -545,13 +541,13 @@ class _JogStep:
 
 
 def _braking_s(axis: Axis, speed: float) -> float:
-    """Return how long an arm whose order has ended still moves."""
+    """Return the braking time after the end of a command, s."""
     acceleration = ACCELERATION_RAD_S2 if turns(axis) else ACCELERATION_MM_S2
     return speed / acceleration + SETTLE_S
 
 
 def _silence_words(silent_s: float, late_s: float) -> str:
-    """Say why a lease ran out: a window alone that is silent hangs, else the whole computer."""
+    """Return the reason of an expired lease: the window hangs, or the whole computer is busy."""
     said = f"The jog ended: nothing renewed it for {1e3 * silent_s:.0f} ms."
     if late_s > LATE_S:
         return (
@@ -562,7 +558,7 @@ def _silence_words(silent_s: float, late_s: float) -> str:
 
 
 def _failure(motion: Motion) -> Fault | None:
-    """Return why the arm ended a motion by itself; None if it ended well, or was told to end."""
+    """Return the fault of a motion, None after success or a command to end."""
     try:
         motion.result()
     except FaultError as error:

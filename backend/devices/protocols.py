@@ -1,8 +1,8 @@
 """Interfaces that simulated, emulated and real devices satisfy.
 
-Protocols, not base classes: one contract test suite holds all implementations. Plans and windows
-never hold an unguarded arm or gripper: see ``interlock``. ``CommandedMotion`` is the future that
-every driver returns for an order.
+They are protocols, not base classes; one contract test suite checks all implementations. Plans and
+windows only get guarded arms and grippers, see ``interlock``. Every driver returns a
+``CommandedMotion`` for a command, a future.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from touchdown.backend.core import (
 
 Vector = tuple[float, float, float]
 STILL: Vector = (0.0, 0.0, 0.0)
-Joints = tuple[float, ...]  # angles of the joints, rad, from the base on
-TURN_RAD_S = math.radians(5.0)  # the hand turns so fast where nobody says otherwise
+Joints = tuple[float, ...]  # joint angles from the base on, rad
+TURN_RAD_S = math.radians(5.0)  # default turn rate of the hand
 
 
 class DeviceState(Enum):
-    """The life of a connection (robot mode and safety mode are separate words)."""
+    """State of a connection; robot mode and safety mode are separate."""
 
     CLOSED = "closed"
     CONNECTING = "connecting"
@@ -42,7 +42,7 @@ class DeviceState(Enum):
 
 
 class RobotMode(Enum):
-    """What the arm is doing."""
+    """Activity of the arm."""
 
     DISCONNECTED = "Disconnected"
     CONNECTING = "Connecting"
@@ -53,7 +53,7 @@ class RobotMode(Enum):
 
 
 class SafetyMode(Enum):
-    """Whether and how the arm may move."""
+    """Safety state of the arm."""
 
     NORMAL = "Normal"
     REDUCED = "Reduced"
@@ -66,7 +66,7 @@ class SafetyMode(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who a device says it is."""
+    """Identity as reported by a device."""
 
     maker: str
     model: str
@@ -76,7 +76,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """Measured rate (distinct samples), age of the newest sample, and counts since connection."""
+    """Rate of distinct samples, age of the newest sample, and counts since the connection."""
 
     rate_hz: float
     age_s: float
@@ -93,11 +93,11 @@ class Device(Protocol):
 
     @property
     def state(self) -> DeviceState:
-        """Where the connection is in its life."""
+        """State of the connection."""
 
     @property
     def identity(self) -> Identity | None:
-        """Known once connected."""
+        """Identity, None before the first connection."""
 
     @property
     def health(self) -> Health:
@@ -118,14 +118,14 @@ class Motion(Protocol):
 
     @property
     def done(self) -> bool:
-        """Whether it ended, well or not."""
+        """True when the motion has ended, with success or not."""
 
     @property
     def sent(self) -> Mapping[str, float]:
-        """What really went out, after limits."""
+        """The command as sent, after limits."""
 
     def result(self) -> None:
-        """Return if it ended well; raises the cause if it failed; ValueError while not done."""
+        """Return after success; raise the fault after a failure, ``ValueError`` before the end."""
 
 
 class PressMotion(Motion, Protocol):
@@ -145,11 +145,11 @@ class TactileSensor(Device, Protocol):
 
     @property
     def finger(self) -> Finger:
-        """Which finger."""
+        """Finger of the camera."""
 
     @property
     def frames(self) -> Stream[TactileFrame]:
-        """Frames as they arrive."""
+        """Stream of pictures."""
 
 
 class ForceTorqueSensor(Device, Protocol):
@@ -166,7 +166,7 @@ class ForceTorqueSensor(Device, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ArmStatus:
-    """Both status words, the override and the controller's error number (0: none)."""
+    """Robot mode, safety mode, override and the controller's error number (0 for none)."""
 
     robot_mode: RobotMode
     safety_mode: SafetyMode
@@ -174,7 +174,7 @@ class ArmStatus:
     error: int
 
 
-SENSIBLE = 1e6  # no number of an order is larger, in its unit
+SENSIBLE = 1e6  # limit of any number of a command, in its unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,9 +184,9 @@ class PressCommand:
     The commanded position goes down at ``approach_mm_s`` until contact is declared, then follows
     the ramp ``depth_mm * min(1, t / ramp_s)`` counted from the back-dated onset (never moving up),
     and holds until ``hold_s`` after the onset. ``stiffness_n_mm``: gains (x, y, z).
-    ``max_travel_mm``: without contact on this way the press fails with a ``FaultError``.
+    ``max_travel_mm``: the press fails with a ``FaultError`` without contact on this distance.
 
-    Raises ``ValueError`` for a number that makes no sense: a press without an end has no limits.
+    Raises ``ValueError`` for a number that is not finite or out of range.
     """
 
     depth_mm: float
@@ -218,60 +218,60 @@ class Arm(Device, Protocol):
         """Return the status words."""
 
     def servo(self, on: bool) -> None:
-        """Switch the motors; off ends the motion under way. On may take seconds.
-
-        Raises ``FaultError``. Whatever moves the arm while they are off fails.
+        """Switch the servo motors; off ends the motion. On may take seconds. Raises ``FaultError``.
+        Motion commands fail while they are off.
         """
 
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if older."""
 
     def move_to(self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S) -> Motion:
-        """Move straight to ``target``, turning evenly on the way; neither speed is exceeded.
+        """Move on a straight line to ``target``, turning evenly; neither speed is exceeded.
 
         Raises ``ValueError`` for a turn where the arm does not rotate.
         """
 
     @property
     def rotates(self) -> bool:
-        """Whether the hand can turn and single joints can be driven."""
+        """True if the hand can turn and single joints can be driven."""
 
     def jog(self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL) -> Motion:
-        """Move ``G`` and turn about it, axes of the bench, for at most ``for_s``, then stand still.
-
-        A further call in time goes on with its own velocity; the motion is the same one. So the
-        arm stops even if whoever commands it has died.
+        """Move ``G`` and turn about it, in bench axes, for at most ``for_s``, then stand still. A
+        further call within this time continues the same motion with its own velocity. The arm stops
+        even if the caller has died.
         """
 
-    # The four below only where ``rotates``; elsewhere ``ValueError``.
+    # The next four require ``rotates``; otherwise they raise ``ValueError``.
 
     def joints_rad(self, max_age_s: float) -> Joints:
         """Return the measured joints; raises ``StaleSampleError`` if older."""
 
     @property
     def joint_limits_rad(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest angle of each joint."""
+        """Lowest and highest angle of each joint, rad."""
 
     def place_of(self, joints_rad: Joints) -> Pose:
-        """Return the pose that these joints give the hand. Moves nothing."""
+        """Return the pose of the hand at these joints."""
 
     def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> Motion:
-        """Turn the joints for at most ``for_s``, then stand still; renewed as ``jog`` is."""
+        """Turn the joints for at most ``for_s``, then stand still; renewed like ``jog``."""
 
     def move_joints(self, target_rad: Joints, speed_rad_s: float) -> Motion:
         """Turn all joints to ``target_rad``; none goes faster than ``speed_rad_s``."""
 
     def press(self, command: PressCommand) -> PressMotion:
-        """Press compliantly from here straight down."""
+        """Press compliantly, straight down."""
 
     def unload(self, force_n: float, speed_mm_s: float) -> Motion:
-        """Rise while in contact until the press force is ``force_n``, then stand still."""
+        """Lift in contact until the press force is ``force_n``, then stand still."""
 
     def halt(self) -> None:
-        """End the motion under way and stand still, ready for the next; returns immediately."""
+        """End the motion and stand still, ready for the next; returns immediately."""
 
     def stop(self) -> None:
-        """Stop at once, in every state; returns immediately. What the wires need is done anew."""
+        """Stop at once, in every state; returns immediately. The next motion sets up the wires
+        again.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,7 +287,7 @@ class Gripper(Device, Protocol):
     """Parallel gripper; ``force_n`` is per finger everywhere."""
 
     def status(self) -> GripStatus:
-        """Return the present state."""
+        """Return the present status."""
 
     def grip(self, force_n: float) -> Motion:
         """Close until a piece is held with ``force_n`` per finger."""
@@ -296,32 +296,32 @@ class Gripper(Device, Protocol):
         """Open (or close) to ``width_mm``."""
 
     def stop(self) -> None:
-        """Stop where it is; keeps the grip."""
+        """Stop and keep the grip."""
 
 
 ConnectionStep = Literal["reach", "identify", "configure", "first sample"]
-# The wire is open; the device is the one that was meant; it is set up; it delivers.
+# Open the wire; check the identity; set up; receive the first data.
 CONNECTION_STEPS: tuple[ConnectionStep, ...] = ("reach", "identify", "configure", "first sample")
 
 
 class ConnectionSteps:
-    """Written by whoever connects, read by anyone."""
+    """Progress of a connection; written by the driver, read by any thread."""
 
     def __init__(self) -> None:
-        self.done = 0  # so many of ``STEPS`` are done
+        self.done = 0  # number of completed ``STEPS``
 
     def begin(self) -> None:
-        """Start anew."""
+        """Reset the progress."""
         self.done = 0
 
     def reached(self, step: ConnectionStep) -> None:
-        """Count ``step`` as done, and all before it."""
+        """Mark ``step`` and all before it as completed."""
         self.done = max(self.done, CONNECTION_STEPS.index(step) + 1)
 
 
 @runtime_checkable
 class ReportsConnectionSteps(Protocol):
-    """A device that says how far its connection has come."""
+    """A device that reports the progress of its connection."""
 
     @property
     def steps(self) -> ConnectionSteps:
@@ -330,30 +330,30 @@ class ReportsConnectionSteps(Protocol):
 
 @runtime_checkable
 class HomingGripper(Gripper, Protocol):
-    """A gripper that finds its origin on the operator's word.
+    """A gripper that is homed on the operator's command.
 
-    ``lost_holding``: a piece was held when the connection was lost, so that a fast stop waits for
-    the operator, also in the next connection.
+    ``lost_holding`` is True if a piece was held when the connection was lost: the fast stop must be
+    acknowledged by the operator, also after the next connection.
     """
 
     lost_holding: bool
 
     @property
     def homed(self) -> bool:
-        """Whether it knows where its jaws are."""
+        """True if the origin of the jaws is known."""
 
     @property
     def fault(self) -> Fault | None:
-        """What has to be acknowledged, or why the connection was lost."""
+        """Fault to acknowledge, or cause of a lost connection."""
 
     def home(self) -> Motion:
         """Find the origin, with empty jaws only."""
 
     def acknowledge(self) -> None:
-        """Take a fast stop or fault as seen."""
+        """Acknowledge a fast stop or fault."""
 
 
-# Names of the values that ``trace`` returns; ``phase`` is the place in the life of the stream.
+# Names of the values of ``trace``; ``phase`` is the phase of the stream.
 TRACE_NAMES = (
     *(f"command_{axis}_mm" for axis in "xyz"),
     *(f"measured_{axis}_mm" for axis in "xyz"),
@@ -365,39 +365,38 @@ TRACE_NAMES = (
 
 @runtime_checkable
 class TracedArm(Protocol):
-    """An arm whose stream can be looked into while it runs."""
+    """An arm that reports internal values of its stream."""
 
     @property
     def press_n(self) -> float:
-        """Felt press force by the zero of the contact law; NaN without contact."""
+        """Measured press force relative to the zero of the contact law, N; NaN without contact."""
 
     def trace(self) -> tuple[float, ...]:
-        """Return the values of ``TRACE`` as they are now."""
+        """Return the present values, in the order of ``TRACE_NAMES``."""
 
 
 RETREAT_MM, RETREAT_MM_S = 2.0, 10.0
-# Codes of faults at which an arm that can draws back from the contact; at all others it stops.
+# Fault codes after which a ``RetreatingArm`` retreats from the contact; otherwise it stops.
 RETREAT_FAULTS = frozenset({"FT-TRIP", "FT-OVERLOAD", "CONTACT-STIFF", "CONTACT-SWINGS"})
 
 
 @runtime_checkable
 class RetreatingArm(Protocol):
-    """An arm that does so by itself, once it is told."""
+    """An arm that can retreat from a contact."""
 
     def retreat(self) -> None:
-        """Rise by ``RETREAT_MM`` from where the arm is, then stand; the motion under way ends.
-
-        From any thread, waits for nothing; where nothing can be driven it is a stop. A press that
-        draws back already goes on with that.
+        """End the motion, lift by ``RETREAT_MM``, then stand. May be called from any thread and
+        does not wait; it is a stop if the arm cannot be driven. A press that already retreats
+        continues.
         """
 
 
-# Code of a press during which the arm stood still for a moment: what was felt does not count.
+# Fault code of a press that the arm interrupted: its data are invalid.
 VOID_PRESS = "PRESS-VOID"
 
 
 class CommandedMotion:
-    """Ends once, well or with a fault; ``sent`` is what really went out."""
+    """A motion that ends once, with success or a fault; ``sent`` is the command as sent."""
 
     def __init__(self, sent: Mapping[str, float]) -> None:
         self._sent = dict(sent)
@@ -406,23 +405,23 @@ class CommandedMotion:
 
     @property
     def done(self) -> bool:
-        """Whether it ended."""
+        """True when the motion has ended."""
         return self._done
 
     @property
     def sent(self) -> Mapping[str, float]:
-        """What was sent, after limits."""
+        """The command as sent, after limits."""
         return self._sent
 
     def result(self) -> None:
-        """Return if it ended well; raise the fault if not; ValueError while under way."""
+        """Return after success; raise the fault after a failure, ``ValueError`` before the end."""
         if not self._done:
             raise ValueError("the motion is still under way")
         if self._fault is not None:
             raise FaultError(self._fault)
 
     def end(self, fault: Fault | None = None) -> None:
-        """End; only the first ending counts."""
+        """End the motion; only the first call has an effect."""
         if not self._done:
             self._fault = fault
             self._done = True
@@ -440,7 +439,7 @@ def stopped_fault(device: str) -> Fault:
 
 
 def replaced_fault(device: str) -> Fault:
-    """Return the fault of a motion that another command took the place of."""
+    """Return the fault of a motion that was replaced by another command."""
     return Fault(
         "REPLACED",
         "Another command took the place of this motion.",
@@ -451,7 +450,7 @@ def replaced_fault(device: str) -> Fault:
 
 
 def servo_off_fault(device: str) -> Fault:
-    """Return the fault of an order to an arm whose motors are off."""
+    """Return the fault of a command while the servo motors are off."""
     return Fault(
         "SERVO-OFF",
         "The servo of the arm is off.",
@@ -500,5 +499,5 @@ NO_WRENCH = Fault(
 
 
 def refused_fault(error: RefusedError) -> Fault:
-    """Return the fault of a motion whose next command may not go out."""
+    """Return the fault of a motion whose next command is not permitted."""
     return Fault(error.reason, error.detail, HELD, "Choose another way or place.", ARM)

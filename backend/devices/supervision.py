@@ -1,13 +1,12 @@
 """Supervision of device data while the bench moves: silence, slow delivery, loss of the grip.
 
-Called once per advance of the bench, with the bench clock; limits come from the interlock
-(reliability S6, G1, sections 3.3, 4.7, 6). A late or slow device is ``degraded`` first: no new
-motion starts, by hand the arm only moves away from contact. Continued silence becomes a fault.
-Slowness is measured from one arrival to the next, never up to now: a batch that a busy computer
-delayed does not count.
+Called once per advance of the bench, with the bench clock; limits come from the interlock. A late
+or slow device is degraded first: no new motion starts, and by hand the arm only moves away from
+contact. Continued silence becomes a fault. The rate is measured between arrivals, never up to now,
+so that a batch delayed by a busy computer does not count.
 
-Jaws that stop holding without an order have lost their piece; jaws that move while they hold, or
-whose force falls, are losing it. A width that is not finite or impossible is no reading.
+Jaws that stop holding without a command have lost their piece; jaws that move while they hold, or
+whose force falls, are losing it. A width that is not finite or impossible is ignored.
 """
 
 from __future__ import annotations
@@ -34,11 +33,11 @@ from touchdown.backend.core import (
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.protocols import Device, DeviceState, Gripper
 
-# Late at this share of the age that is a fault: 100 of 300 ms, pictures 120 of 500 ms.
+# A device is late at this share of the age that is a fault: 100 of 300 ms, pictures 120 of 500 ms.
 LATE_SHARE = {"force_torque": 1 / 3, "tactile_left": 0.24, "tactile_right": 0.24}
-# A gripper that holds a piece is late, and a fault, after this long without a reading.
+# Time without a reading after which a gripper with a piece is late, and after which it is a fault.
 GRIP_LATE_S, GRIP_LOST_S = 0.3, 1.0
-# Slow below this share of the usual rate, or of the best that the sensor had so far.
+# A sensor is slow below this share of the usual rate, or of its best rate so far.
 SLOW_RATE_SHARE = 0.5
 RATE_WINDOW_S = 1.0
 NAMES = {
@@ -51,14 +50,14 @@ NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class DegradedDevice:
-    """``device`` is silent or slow since ``since_s`` of the bench clock."""
+    """A device that is silent or slow since ``since_s`` of the bench clock."""
 
     device: str
     how: Literal["silent", "slow"]
     since_s: float
 
     def what(self, now_s: float) -> str:
-        """Say which device, how, and for how long at ``now_s`` of the bench clock."""
+        """Return the description: device, symptom, and duration at ``now_s`` of the bench clock."""
         name, for_s = NAMES[self.device], f"{now_s - self.since_s:.1f} s"
         if self.how == "silent":
             return f"The {name} has been silent for {for_s}."
@@ -66,24 +65,23 @@ class DegradedDevice:
 
 
 class RateMonitor:
-    """Samples per second of a sensor by their own stamps, beside the best it had."""
+    """Sample rate of a sensor by its own time stamps, and the best rate so far."""
 
     def __init__(self) -> None:
         self._best_hz = 0.0
         self._begun_s: float | None = None
         self._count = 0
-        self.slow_since_s: float | None = None  # when the sensor became slow; None while it is not
+        self.slow_since_s: float | None = None  # start of the low rate; None at the usual rate
 
     def begin(self) -> None:
-        """Count anew: what came before is of another scene. The best rate is kept."""
+        """Restart the count for a new scene; keeps the best rate."""
         self._begun_s, self._count, self.slow_since_s = None, 0, None
 
     def note(
         self, newest_s: float, count: int, usual_hz: Callable[[], float] = lambda: 0.0
     ) -> None:
-        """Take ``count`` samples, the newest stamped ``newest_s``; judged once a second.
-
-        ``usual_hz``: the rate that the sensor itself tells, 0 where it tells none.
+        """Add ``count`` samples, the newest stamped ``newest_s``; evaluated once per second.
+        ``usual_hz`` is the rate that the sensor reports, 0 if none.
         """
         if self._begun_s is None:
             self._begun_s = newest_s
@@ -102,13 +100,13 @@ class RateMonitor:
 
 
 def refuse_degraded(degraded: tuple[DegradedDevice, ...], now_s: float) -> None:
-    """Raise ``RefusedError`` while a device is degraded: nothing new begins on it."""
+    """Raise ``RefusedError`` while a device is degraded."""
     for one in degraded:
         raise RefusedError("DEGRADED", f"{one.what(now_s)} Start again once it delivers.")
 
 
 def pause_fault(degraded: DegradedDevice, now_s: float) -> Fault:
-    """Return what to say of a run that pauses because of ``degraded``."""
+    """Return the fault text of a run that pauses because of ``degraded``."""
     return Fault(
         "DEGRADED",
         degraded.what(now_s),
@@ -118,42 +116,42 @@ def pause_fault(degraded: DegradedDevice, now_s: float) -> Fault:
     )
 
 
-MOVED_MM = 0.3  # so much the width may change while a piece is held
-# A force below this share of the grip's, for so long, holds no more what was measured with it.
+MOVED_MM = 0.3  # permitted change of the width while a piece is held
+# The grip is weak if the force is below this share of the grip's force for this time.
 WEAK_SHARE, WEAK_S = 0.5, 0.1
-STANDS_S = 0.3  # after the jaws began to hold they still close on the gels for this long
-LEAST_MM, MOST_MM = -1.0, 1000.0  # no jaws have another width
+STANDS_S = 0.3  # settling time of the jaws on the gels after a grip
+LEAST_MM, MOST_MM = -1.0, 1000.0  # possible widths
 
 
 @runtime_checkable
 class ReportsGripOrders(Protocol):
-    """A gripper that knows what it was ordered: how often to grip, and whether to let go since."""
+    """A gripper that reports its commands: number of grips, and opening since the last one."""
 
     grips: int
     letting_go: bool
 
 
 class GripMonitor:
-    """Watches one gripper from the moment at which it holds something."""
+    """Monitor of a gripper while it holds a piece."""
 
     def __init__(self, gripper: Gripper | None = None) -> None:
         self._gripper = gripper
-        # Asked once: in every step it takes as long as the rest of the watch.
+        # Checked once: it takes as long as the rest of a step.
         asked: object = gripper
         self._ordered = asked if isinstance(asked, ReportsGripOrders) else None
         self._grips = 0
         self._since_s: float | None = None
         self._width_mm = self._force_n = 0.0
         self._weak_s: float | None = None
-        self.seen_s = float("-inf")  # when the gripper last told a width that is one
+        self.seen_s = float("-inf")  # time of the last valid width
 
     @property
     def holds(self) -> bool:
-        """Whether something was held when it was last seen."""
+        """True if a piece was held at the last reading."""
         return self._since_s is not None
 
     def check(self, now_s: float) -> Fault | None:
-        """Return the fault of a piece that is lost, once; None if all is well."""
+        """Return the fault of a lost piece, once; otherwise None."""
         gripper = self._gripper
         if gripper is None:
             return None
@@ -185,7 +183,7 @@ class GripMonitor:
         return None
 
     def _weak(self, force_n: float, now_s: float) -> bool:
-        """Whether the grip has been weak for too long; no number is no change."""
+        """Return True if the grip has been weak for too long; NaN is ignored."""
         if force_n < WEAK_SHARE * self._force_n:
             self._weak_s = now_s if self._weak_s is None else self._weak_s
         elif force_n >= WEAK_SHARE * self._force_n:
@@ -193,12 +191,12 @@ class GripMonitor:
         return self._weak_s is not None and now_s - self._weak_s >= WEAK_S - 1e-6
 
     def _lets_go(self) -> bool:
-        """Whether what is held may leave now. A newer grip is watched from its own beginning."""
+        """Return True if the piece may leave now. A newer grip restarts the monitoring."""
         ordered = self._ordered
         if ordered is None:
             return False
         if ordered.letting_go or ordered.grips != self._grips:
-            # A newer grip may close it further; what is let go may leave.
+            # A newer grip may close further; a released piece may leave.
             self._since_s = None
         self._grips = ordered.grips
         return ordered.letting_go
@@ -214,27 +212,27 @@ def _lost(what: str) -> Fault:
     )
 
 
-# Slow below this share of the usual rate, until it is above the other.
+# Slow below the first share of the usual rate, until it is above the second.
 SLOW_ARRIVAL_SHARE, WELL_SHARE = 0.5, 0.6
 WINDOW_S = 0.05
-# So many samples are due in the window at least: single losses do not make a sensor slow.
+# Minimum number of samples due in the window: single losses do not make a sensor slow.
 LEAST_PERIODS = 6
-APART = 1.5  # quiet for so many periods after an arrival: nothing more waited behind it
-# A longer wait than adapters make (16 ms), and than this many periods, says nothing of a rate.
+APART = 1.5  # periods of silence after an arrival that end a batch
+# A wait longer than adapters cause (16 ms) and than this many periods is not a rate.
 WAIT_S, WAIT_PERIODS = 0.021, 5.0
 
 
 @runtime_checkable
 class ReportsSlowness(Protocol):
-    """A sensor that knows by itself since when it has been slow."""
+    """A sensor that reports the start of a low rate."""
 
     @property
     def slow_since_s(self) -> float | None:
-        """Bench time; None while it is not slow."""
+        """Bench time, s; None at the usual rate."""
 
 
 class ArrivalMonitor:
-    """Of one connection, to a sensor with the usual period ``period_s``."""
+    """Monitor of the arrivals of one connection; ``period_s`` is the usual period."""
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
@@ -242,10 +240,10 @@ class ArrivalMonitor:
         self._came: deque[tuple[float, int]] = deque()
         self._total = 0
         self._judged = True
-        self.slow_since_s: float | None = None  # when it began to be slow; None while it is not
+        self.slow_since_s: float | None = None  # start of the low rate; None at the usual rate
 
     def note(self, now_s: float, count: int) -> None:
-        """Take ``count`` samples that came at ``now_s``."""
+        """Add ``count`` samples that arrived at ``now_s``."""
         self.look(now_s)
         self._total += count
         self._came.append((now_s, self._total))
@@ -254,7 +252,7 @@ class ArrivalMonitor:
             self.slow_since_s = None
 
     def look(self, now_s: float) -> None:
-        """Judge up to the newest arrival, once nothing more waited behind it at ``now_s``."""
+        """Evaluate up to the newest arrival, once its batch is complete at ``now_s``."""
         if self._judged or now_s - self._came[-1][0] <= APART * self._period_s:
             return
         self._judged = True
@@ -262,14 +260,13 @@ class ArrivalMonitor:
             self.slow_since_s = self._came[0][0]
 
     def _held_up(self) -> bool:
-        """Whether somebody waited long: what ends the wait may still be on its way."""
+        """Return True after a long wait: the batch that ends it may be incomplete."""
         longest_s = max(b[0] - a[0] for a, b in pairwise(self._came))
         return longest_s > max(WAIT_S, WAIT_PERIODS * self._period_s)
 
     def _share(self) -> float:
-        """Return the rate over the window up to the newest arrival, as a share of the usual one.
-
-        1.0 as long as there is no window.
+        """Return the rate over the window up to the newest arrival, as a share of the usual one;
+        1.0 without a window.
         """
         came, (last_s, last) = self._came, self._came[-1]
         while len(came) > 1 and came[1][0] <= last_s - self._window_s:
@@ -280,14 +277,14 @@ class ArrivalMonitor:
         return (last - first) * self._period_s / (last_s - first_s)
 
 
-GRACE_S = 1.0  # after a scene begins the sensors get this long to deliver their first samples
-EQUAL = 3  # so many equal pictures in a row are a camera that froze: a live one has noise (C3)
+GRACE_S = 1.0  # time for the first samples after the start of a scene
+EQUAL = 3  # equal pictures in a row of a frozen camera: a live one has noise
 _KEPT = "Motion stopped; the gripper was not opened."
 _LOOK = "Check the device and its cable, then press Reset."
 
 
 class Supervision:
-    """One watch over the tared wrench, both cameras, and the gripper that holds a piece."""
+    """Supervision of the tared wrench, both cameras, and the gripper while it holds a piece."""
 
     def __init__(
         self,
@@ -305,17 +302,15 @@ class Supervision:
         self._wrist: Device | None = None
         self._gripper: Gripper | None = None
         self._grip = GripMonitor()
-        # Devices that are late or slow now; for any thread.
+        # Devices that are late or slow; readable from any thread.
         self.degraded: tuple[DegradedDevice, ...] = ()
         self._now_s = 0.0
 
     def begin(
         self, now_s: float, gripper: Gripper | None = None, wrist: Device | None = None
     ) -> None:
-        """Count ages from here: a new scene began.
-
-        ``gripper`` is watched while it holds a piece; ``wrist`` tells its usual rate as the field
-        ``usual_hz``.
+        """Restart for a new scene. ``gripper`` is monitored while it holds a piece; ``wrist``
+        reports its usual rate as the field ``usual_hz``.
         """
         self._gripper, self._wrist = gripper, wrist
         self._grip = GripMonitor(gripper)
@@ -347,12 +342,12 @@ class Supervision:
         self._check_ages(now_s)
 
     def _usual_hz(self) -> float:
-        """Return the rate that the wrist sensor tells of itself; 0 where it tells none."""
+        """Return the rate that the wrist sensor reports, 0 if none."""
         told = 0.0 if self._wrist is None else self._wrist.describe().get("usual_hz", 0.0)
         return told if isinstance(told, float) and math.isfinite(told) else 0.0
 
     def unwell(self) -> Fault | None:
-        """Return what to say of a run that pauses for a degraded device; None if all are well."""
+        """Return the fault of a run that pauses for a degraded device, None without one."""
         return next((pause_fault(one, self._now_s) for one in self.degraded), None)
 
     def _check_trip(self, wrench: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> None:
@@ -387,7 +382,9 @@ class Supervision:
                 )
 
     def _is_explained(self, device: str) -> bool:
-        """Whether a camera has told why no picture of it is used: silence is no second cause."""
+        """Return True if a camera reports why its pictures are rejected: its silence has the
+        same cause.
+        """
         told = {fault.device for fault in self._interlock.faults}
         return device.startswith("tactile_") and device in told
 
@@ -415,9 +412,8 @@ class Supervision:
         self._show(tuple(late), now_s)
 
     def _check_grip(self, now_s: float) -> list[DegradedDevice]:
-        """Return the gripper if it holds a piece and is late; a fault if it stays silent.
-
-        One that tells no width is as good as silent.
+        """Return the gripper if it holds a piece and is late; raise a fault if it stays silent. A
+        gripper without a valid width counts as silent.
         """
         gripper = self._gripper
         if gripper is None or not (self._grip.holds or gripper.status().holding):
@@ -444,7 +440,7 @@ def _stale(device: str, age_s: float) -> Fault:
 
 
 class _RepeatedPictures:
-    """Counts equal pictures in a row of one camera."""
+    """Counter of equal pictures in a row of one camera."""
 
     def __init__(self, frames: Stream[TactileFrame]) -> None:
         self._frames, self._cursor = frames, frames.count
@@ -452,7 +448,7 @@ class _RepeatedPictures:
         self._equal = 1
 
     def longest(self) -> int:
-        """Return the longest row of equal pictures that ends in what came since the last call."""
+        """Return the longest run of equal pictures that ends since the last call."""
         frames, self._cursor, _ = self._frames.since(self._cursor)
         longest = 0
         for frame in frames:
@@ -464,5 +460,5 @@ class _RepeatedPictures:
 
 
 def _equal(one: ImageArray, other: ImageArray) -> bool:
-    # A few points first: pictures of a live camera differ nearly everywhere.
+    # Compare a few points first: pictures of a live camera differ nearly everywhere.
     return np.array_equal(one[::32, ::32], other[::32, ::32]) and np.array_equal(one, other)

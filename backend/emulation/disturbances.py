@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 from touchdown.backend.core import InputError
 
-# freeze: the same picture for ever; stop: nothing arrives; slow: so many samples a second at most;
-# dark: the light fails; flicker: the brightness swings by 25 %; nan: samples are not numbers;
-# drift: Fz moves by so many N a second, and stays where it came to; jump: +50 N on Fz; stall:
-# commanded but not moving; silent: no positions or widths arrive; turn: the held piece turns by so
-# many degrees in the grasp, seen where it touches something.
+# freeze: the picture does not change; stop: nothing arrives; slow: limited sample rate; dark: the
+# light fails; flicker: the brightness swings by 25 %; nan: samples are NaN; drift: Fz changes at a
+# constant rate and keeps its last value; jump: +50 N on Fz; stall: commanded but not moving;
+# silent: no positions or widths arrive; turn: the held piece turns in the grasp, visible in
+# contact.
 DISTURBANCE_KINDS: dict[str, tuple[str, ...]] = {
     "tactile_left": ("freeze", "stop", "slow", "dark", "flicker"),
     "tactile_right": ("freeze", "stop", "slow", "dark", "flicker"),
@@ -28,7 +28,7 @@ DISTURBANCE_KINDS: dict[str, tuple[str, ...]] = {
     "gripper": ("stall", "silent", "turn"),
 }
 
-# Of the faults that need to be told how much.
+# Unit of the amount of each kind that has one.
 AMOUNT_UNITS = {"slow": "samples a second", "drift": "N a second", "turn": "degrees"}
 
 _FORM = re.compile(
@@ -38,17 +38,17 @@ _FORM = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """One fault; ``length_s`` infinite if it does not end, ``much`` of one that has an amount."""
+    """One fault; ``length_s`` is infinite if it does not end, ``much`` is its amount."""
 
     device: str
     kind: str
     start_s: float
     length_s: float = float("inf")
-    # Samples a second of one that is slow, N a second of one that drifts, degrees of a turn.
+    # Amount: samples per second (slow), N per second (drift), degrees (turn).
     much: float | None = None
 
     def holds(self, device: str, kind: str, t_s: float) -> bool:
-        """Return whether this is the fault ``kind`` of ``device``, and on at ``t_s``."""
+        """Return True if the fault ``kind`` of ``device`` is active at ``t_s``."""
         meant = self.device == device and self.kind == kind
         return meant and self.start_s <= t_s < self.start_s + self.length_s
 
@@ -60,18 +60,18 @@ class DisturbanceScript:
     disturbances: tuple[Disturbance, ...] = ()
 
     def active(self, device: str, kind: str, t_s: float) -> bool:
-        """Return whether ``device`` suffers from ``kind`` at ``t_s``."""
-        # Asked eight times a cycle, and almost always there is none.
+        """Return True if a fault ``kind`` of ``device`` is active at ``t_s``."""
+        # Called eight times per cycle; usually there is none.
         return bool(self.disturbances) and any(
             d.holds(device, kind, t_s) for d in self.disturbances
         )
 
     def rate_hz(self, device: str, t_s: float) -> float | None:
-        """Return how fast ``device`` delivers at most at ``t_s``, None if it is not slowed."""
+        """Return the limit of the sample rate of ``device`` at ``t_s``, Hz, or None."""
         return next((d.much for d in self.disturbances if d.holds(device, "slow", t_s)), None)
 
     def turn_rad(self, start_s: float, end_s: float) -> float:
-        """Return by how much the held piece turns in the grasp in ``start_s <= t < end_s``."""
+        """Return the turn of the held piece in the grasp in ``start_s <= t < end_s``, rad."""
         return math.radians(
             sum(
                 d.much or 0.0
@@ -81,7 +81,7 @@ class DisturbanceScript:
         )
 
     def drift_n(self, t_s: float) -> float:
-        """Return by how much the wrist sensor has drifted until ``t_s``, N."""
+        """Return the drift of the wrist sensor at ``t_s``, N."""
         return sum(
             (d.much or 0.0) * min(max(t_s - d.start_s, 0.0), d.length_s)
             for d in self.disturbances

@@ -25,16 +25,16 @@ from pydantic import Field, model_validator
 from touchdown.backend.config import NonNegative, Positive, Settings, read_settings
 from touchdown.backend.core import Decimator
 
-# lost: a message is missing; flip: one bit of it is wrong; garbage: random bytes before it; cut:
-# its end is missing; duplicate: sent twice; late: sent ``by_s`` later; silent: nothing goes out,
-# the wire stays; unplug: the wire is gone and comes back at the end of the fault.
+# lost: a message is missing; flip: one bit is wrong; garbage: random bytes before a message; cut:
+# its end is missing; duplicate: sent twice; late: sent ``by_s`` later; silent: nothing is sent, the
+# wire stays open; unplug: the wire is gone until the end of the fault.
 WIRE_KINDS = ("lost", "flip", "garbage", "cut", "duplicate", "late", "silent", "unplug")
-DATAGRAM_KINDS = ("reorder",)  # two datagrams change places
-# fade: the lamps lose half of their light each second; other_gel, small_dots: another gel is
-# fitted, of the same kind or of the kind with 8 x 10 dots.
+DATAGRAM_KINDS = ("reorder",)  # two datagrams are swapped
+# fade: the brightness halves each second; other_gel, small_dots: another gel is fitted, of the same
+# kind or with 8 x 10 dots.
 CAMERA_KINDS = ("freeze", "dark", "slow", "fade", "other_gel", "small_dots")
-# What only one kind of device can suffer from. slow: takes ``hz`` samples a second at most; drift:
-# Fz moves by ``n_per_s`` and stays where it came to.
+# Kinds by device. slow: at most ``hz`` samples per second; drift: Fz changes by ``n_per_s`` and
+# keeps its last value.
 DEVICE_KINDS: dict[str, tuple[str, ...]] = {
     "force_torque": ("freeze", "saturate", "slow", "drift"),
     "gripper": ("part_lost", "fast_stop", "power"),
@@ -42,7 +42,7 @@ DEVICE_KINDS: dict[str, tuple[str, ...]] = {
     "tactile_right": CAMERA_KINDS,
     "arm": ("alarm", "estop", "servo_off"),
 }
-# What must be told of a fault, and of no other.
+# Fault kind -> required field, its meaning; not allowed for other kinds.
 AMOUNTS = {
     "slow": ("hz", "how many samples a second"),
     "drift": ("n_per_s", "by how many N a second"),
@@ -80,12 +80,12 @@ class PlannedFault(Settings):
         return self
 
     def holds(self, t_s: float) -> bool:
-        """Whether it is on, ``t_s`` after the start."""
+        """Return True if the fault is active ``t_s`` after the start."""
         return self.at_s <= t_s < self.at_s + (float("inf") if self.for_s is None else self.for_s)
 
 
 class FaultPlan(Settings):
-    """All of them; chance is drawn from ``seed``, so that a run can be repeated."""
+    """All planned faults; ``seed`` makes random faults reproducible."""
 
     seed: int = 0
     fault: tuple[PlannedFault, ...] = ()
@@ -97,7 +97,7 @@ def load_faults(path: Path) -> FaultPlan:
 
 
 class Faults:
-    """The faults of one device while it runs; ``inject`` may come from any thread."""
+    """Faults of one running device; ``inject`` may be called from any thread."""
 
     def __init__(self, device: str, plan: FaultPlan | None = None) -> None:
         plan = plan or FaultPlan()
@@ -109,11 +109,11 @@ class Faults:
         self._held: list[tuple[float, bytes]] = []
 
     def begin(self, now_s: float) -> None:
-        """Count the times of the plan from here."""
+        """Start the time of the plan."""
         self._begun_s = now_s
 
     def inject(self, now_s: float, kind: str, for_s: float | None = None, **more: float) -> None:
-        """Let a fault begin now; ``ValueError`` for a kind that this device has not."""
+        """Start a fault now; raises ``ValueError`` for a kind that this device does not have."""
         at_s = max(0.0, self._since(now_s))
         fault = PlannedFault.model_validate(
             {"at_s": at_s, "device": self.device, "kind": kind, "for_s": for_s, **more}
@@ -122,22 +122,22 @@ class Faults:
             self._planned.append(fault)
 
     def clear(self) -> None:
-        """End all faults, those to come as well."""
+        """Remove all faults, active and planned."""
         with self._lock:
             self._planned.clear()
 
     def find(self, kind: str, now_s: float) -> PlannedFault | None:
-        """Return the fault of this kind that is on."""
+        """Return the active fault of this kind."""
         t_s = self._since(now_s)
         with self._lock:
             return next((f for f in self._planned if f.kind == kind and f.holds(t_s)), None)
 
     def active(self, kind: str, now_s: float) -> bool:
-        """Return whether a fault of this kind is on."""
+        """Return True if a fault of this kind is active."""
         return bool(self._planned) and self.find(kind, now_s) is not None
 
     def drift_n(self, now_s: float) -> float:
-        """Return by how much the sensor has drifted by now, N."""
+        """Return the drift of the sensor, N."""
         if not self._planned:
             return 0.0
         t_s = self._since(now_s)
@@ -148,13 +148,13 @@ class Faults:
         )
 
     def names(self, now_s: float) -> tuple[str, ...]:
-        """Return the kinds that are on, for display."""
+        """Return the active kinds, for display."""
         t_s = self._since(now_s)
         with self._lock:
             return tuple(dict.fromkeys(f.kind for f in self._planned if f.holds(t_s)))
 
     def outgoing(self, now_s: float, messages: Sequence[bytes]) -> list[bytes]:
-        """Return what really goes out now in place of ``messages``."""
+        """Return the messages that are sent in place of ``messages``."""
         if not self._planned and not self._held:
             return list(messages)
         if self.active("silent", now_s) or self.active("unplug", now_s):
@@ -194,7 +194,7 @@ class Faults:
 
 NOISE = (0.1, 0.1, 0.1, 0.004, 0.004, 0.004)  # standard deviation of one sample, N and N·m
 GRIPPER_N = -14.7  # a gripper of 1.5 kg hangs below the sensor
-BEYOND = 1e5  # a load no sensor can tell, N and N·m
+BEYOND = 1e5  # a load beyond the range of every sensor, N and N·m
 
 
 def add_noise(
@@ -213,7 +213,7 @@ def add_noise(
 
 
 def hanging_gripper(now_s: float, swing_n: float = 0.3, period_s: float = 4.0) -> tuple[float, ...]:
-    """Return the wrench of a gripper that sways slowly: six values, N and N·m."""
+    """Return the wrench of a slowly swaying gripper, (6,) N and N·m."""
     sway_n = swing_n * math.sin(2 * math.pi * now_s / period_s)
     return sway_n, 0.5 * sway_n, GRIPPER_N, 0.0, 0.05 * sway_n, 0.0
 
@@ -221,7 +221,7 @@ def hanging_gripper(now_s: float, swing_n: float = 0.3, period_s: float = 4.0) -
 def apply_faults(
     wrench: Callable[[float], Sequence[float]], faults: Faults
 ) -> Callable[[float], tuple[float, ...]]:
-    """Return ``wrench`` as a sensor with these faults feels it: freeze, saturate, drift."""
+    """Return ``wrench`` as measured by a sensor with these faults: freeze, saturate, drift."""
     last: tuple[float, ...] | None = None
 
     def felt(now_s: float) -> tuple[float, ...]:
@@ -236,36 +236,36 @@ def apply_faults(
     return felt
 
 
-# Samples sent at once after a pause; older ones are lost, as in the buffer of an adapter.
+# Maximum number of samples sent after a pause; older ones are lost, as in an adapter's buffer.
 MOST_DUE = 200
 
 
 class SampleSchedule:
-    """Counts the samples of one stream; not begun, or ended, nothing is due."""
+    """Schedule of the samples of one stream; none are due before ``begin`` and after ``end``."""
 
     def __init__(self) -> None:
         self._start_s: float | None = None
         self._period_s = 1.0
         self._sent = 0
         self._thinned = Decimator()
-        # Of the sensor: the kind ``slow`` makes fewer samples due, which it numbers as usual.
+        # Faults of the sensor: ``slow`` reduces the number of samples due.
         self.faults: Faults | None = None
 
     @property
     def running(self) -> bool:
-        """Whether samples go out of themselves."""
+        """True while the stream runs."""
         return self._start_s is not None
 
     def begin(self, now_s: float, period_s: float) -> None:
-        """Start anew: the first sample is due now."""
+        """Start or restart the stream; the first sample is due now."""
         self._start_s, self._period_s, self._sent = now_s, period_s, 0
 
     def end(self) -> None:
-        """No more samples."""
+        """End the stream."""
         self._start_s = None
 
     def due(self, now_s: float) -> tuple[int, list[float]]:
-        """Return how many samples were lost, and the times of those due up to now."""
+        """Return the number of lost samples and the times of those due by now, s."""
         if self._start_s is None:
             return 0, []
         end = math.floor((now_s - self._start_s) / self._period_s + 1e-6) + 1

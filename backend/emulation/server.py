@@ -22,28 +22,28 @@ from typing import Protocol
 from touchdown.backend.core import Clock, MonotonicClock, set_realtime_priority
 from touchdown.backend.emulation.fault_plan import Faults
 
-TICK_S = 0.002  # longest sleep between two looks at the device: as finely as a stream is timed
+TICK_S = 0.002  # longest sleep between two polls of the device; limits the timing of a stream
 UNPLUGGED_S = 0.01
 CHUNK = 4096
 LOG_LENGTH = 20_000
 
 
 class EmulatedDevice(Protocol):
-    """A device as its wire sees it."""
+    """A device on a stream of bytes."""
 
     def receive(self, now_s: float, data: bytes) -> bytes:
-        """Take bytes; return what is answered at once."""
+        """Process received bytes; return the immediate answer."""
 
     def due(self, now_s: float) -> bytes:
-        """Return what the device sends of itself up to now."""
+        """Return the bytes that the device sends by itself up to now."""
 
     def closed(self, now_s: float) -> None:
-        """Take note that the client has gone."""
+        """Handle the end of a client's connection."""
 
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """Bytes that went one way: ``incoming`` is towards the device."""
+    """Logged bytes; ``incoming`` is towards the device."""
 
     t_s: float
     incoming: bool
@@ -51,10 +51,10 @@ class Exchange:
 
 
 class DeviceServer(ABC):
-    """Runs one device on a thread of its own until ``close``.
+    """Server of one device on its own thread.
 
-    ``faults`` are those of its wire; ``damage`` may be set at any time: it gets all outgoing bytes
-    and returns what really goes out.
+    ``faults`` act on the wire. ``damage`` may be set at any time: it receives all outgoing bytes
+    and returns the bytes to send.
     """
 
     def __init__(self, clock: Clock | None = None, faults: Faults | None = None) -> None:
@@ -64,7 +64,7 @@ class DeviceServer(ABC):
         self.log: deque[Exchange] = deque(maxlen=LOG_LENGTH)
         self.received = self.sent = self.clients = 0
         self.damage: Callable[[bytes], bytes] = bytes
-        # Real-time priority while it serves, where the user may have it; 0: as it is.
+        # Real-time priority of the thread, if permitted; 0 leaves it unchanged.
         self.priority = 0
         self._thread = threading.Thread(target=self._begin, name="emulator", daemon=True)
 
@@ -74,18 +74,18 @@ class DeviceServer(ABC):
         """Address for a driver."""
 
     def start(self) -> None:
-        """Begin to serve; the times of the faults count from here."""
+        """Start to serve; starts the time of the fault plan."""
         self.faults.begin(self._clock.now_s())
         self._thread.start()
 
     def close(self) -> None:
-        """Stop serving; returns when the thread has ended."""
+        """Stop serving and wait for the thread."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
 
     def inject(self, kind: str, for_s: float | None = None, **more: float) -> None:
-        """Let a fault begin now."""
+        """Start a fault now."""
         self.faults.inject(self._clock.now_s(), kind, for_s, **more)
 
     def _begin(self) -> None:
@@ -100,7 +100,7 @@ class DeviceServer(ABC):
         return self.faults.active("unplug", self._clock.now_s())
 
     def _took(self, data: bytes) -> float:
-        """Count and log what came; return the time."""
+        """Count and log received bytes; return the time."""
         now_s = self._clock.now_s()
         self.received += len(data)
         self.log.append(Exchange(now_s, True, data))
@@ -112,7 +112,7 @@ class DeviceServer(ABC):
 
 
 class StreamServer(DeviceServer):
-    """A front whose wire carries a stream of bytes; looks at its device every ``tick_s``."""
+    """Server of a byte stream; polls its device every ``tick_s``."""
 
     tick_s = TICK_S
 
@@ -125,7 +125,7 @@ class StreamServer(DeviceServer):
     def _serve(
         self, file: int, read: Callable[[], bytes], write: Callable[[bytes], object]
     ) -> None:
-        """Exchange bytes with one client until it goes, the plug is pulled or the front closes."""
+        """Exchange bytes with one client until it disconnects or the server closes."""
         with selectors.DefaultSelector() as selector:
             selector.register(file, selectors.EVENT_READ)
             while not self._stop.is_set() and not self._is_unplugged():
@@ -196,7 +196,7 @@ class TcpServer(StreamServer):
 class PtyServer(StreamServer):
     """A device behind a pseudo terminal (Linux, macOS); ``url`` is the path of its serial port.
 
-    ``link`` is a name that always points to the present terminal: after a replug it is another one.
+    ``link`` always points to the current terminal, which changes after a replug.
     """
 
     def __init__(
@@ -208,7 +208,7 @@ class PtyServer(StreamServer):
     ) -> None:
         super().__init__(device, clock, faults)
         self._link = link
-        self.plugs = 0  # how often it was plugged in
+        self.plugs = 0  # number of times it was plugged in
         self._plug()
 
     @property
@@ -233,7 +233,7 @@ class PtyServer(StreamServer):
         self.plugs += 1
 
     def _name(self, link: Path) -> None:
-        """Lead ``link`` to the terminal, at once; only when it begins must its folder be there."""
+        """Point ``link`` to the terminal; a missing folder is an error at the start only."""
         fresh = link.with_name(f"{link.name}.new")
         try:
             fresh.unlink(missing_ok=True)
@@ -263,22 +263,22 @@ class PtyServer(StreamServer):
             self._plug()
 
     def _write(self, out: bytes) -> None:
-        # Nobody reads: what does not fit is lost, as in the buffer of an adapter.
+        # Without a reader, bytes that do not fit are lost, as in an adapter's buffer.
         with contextlib.suppress(BlockingIOError):
             os.write(self._master, out)
 
 
-AT_ONCE = 64  # datagrams taken before the device is asked again what is due
+AT_ONCE = 64  # datagrams processed between two polls of the device
 
 
 class EmulatedDatagrams(Protocol):
-    """A device as its network socket sees it."""
+    """A device on a network socket."""
 
     def receive(self, now_s: float, data: bytes) -> Sequence[bytes]:
-        """Take one datagram; return those that answer at once."""
+        """Process one datagram; return the immediate answers."""
 
     def due(self, now_s: float) -> Sequence[bytes]:
-        """Return the datagrams that the device sends of itself up to now."""
+        """Return the datagrams that the device sends by itself up to now."""
 
 
 class UdpServer(DeviceServer):
@@ -341,7 +341,7 @@ class UdpServer(DeviceServer):
                     self._send(self.damage(out))
 
     def _take(self) -> list[bytes]:
-        """Take what waits; return the answers."""
+        """Process waiting datagrams; return the answers."""
         answers: list[bytes] = []
         for _ in range(AT_ONCE):
             try:
@@ -357,7 +357,7 @@ class UdpServer(DeviceServer):
     def _send(self, out: bytes) -> None:
         if self._client is None or not out:
             return
-        # A client that has gone answers with an error of its system; a full buffer loses it.
+        # A closed client causes an error here; a full buffer loses the datagram.
         with contextlib.suppress(ConnectionError, BlockingIOError):
             self._socket.sendto(out, self._client)
             self._gave(out)

@@ -1,7 +1,7 @@
-"""Connection of the devices of a bench, one by one in the safe order.
+"""Connection of the devices of a bench in a safe order.
 
-Nothing moves: the arm is switched on last and stands still. All orders return at once; one thread
-works. A reconnected device must have the same serial number.
+Nothing moves: the arm is switched on last and stands still. All methods return at once; one thread
+does the work. A reconnected device must have the same serial number.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from touchdown.backend.devices import (
 
 
 def reconnect(device: Device, timeout_s: float, cancel: threading.Event) -> None:
-    """Close and connect; raises ``FaultError`` if it fails or another serial number answers.
+    """Close and connect; raises ``FaultError`` on failure or if the serial number differs.
 
-    After a replug two cameras may have changed places: what was measured before belongs to the
-    serial number, so another one is closed again.
+    After a replug two cameras may be swapped. Calibrations belong to a serial number, so a device
+    with another one is closed again.
     """
     before = device.identity
     device.close()
@@ -36,9 +36,8 @@ def reconnect(device: Device, timeout_s: float, cancel: threading.Event) -> None
 
 
 def require_serial(device: Device, serial: str) -> None:
-    """Close ``device`` and raise ``FaultError`` if another number than ``serial`` answers.
-
-    "" is any; a device that tells none is taken as it is.
+    """Close ``device`` and raise ``FaultError`` if its serial number is not ``serial``. An empty
+    ``serial`` and a device without a number are accepted.
     """
     now = device.identity
     if not serial or now is None or now.serial == serial:
@@ -60,16 +59,14 @@ JOIN_S = 15.0
 HOME_S = 20.0
 LineState = Literal["closed", "waiting", "connecting", "ready", "failed"]
 ARM, ARM_NEEDS = "arm", "force_torque"
-# A gripper that is out of reach has nothing to acknowledge: it is connected again first.
+# An unreachable gripper has nothing to acknowledge: it must be connected first.
 LINK_LOST = ("WSG-LINK", "CONTROL-LOST")
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceStatus:
-    """How one device stands: ``steps`` of ``STEPS`` are done; ``fault`` says why it failed.
-
-    ``needs``: what the operator has to do at a device that is connected; ``notice``: what to know
-    of it ("" for nothing).
+    """State of one device: number of completed ``STEPS``, and the fault if it failed. ``needs`` is
+    the action required from the operator, ``notice`` a remark; both may be empty.
     """
 
     name: str
@@ -82,10 +79,10 @@ class DeviceStatus:
 
 
 class BenchConnection:
-    """``devices`` by name, in the order in which they are connected: the arm last.
+    """Connects ``devices`` (by name, in this order, the arm last).
 
-    ``serials``: numbers that must answer, from the start. Later the first one that answered must
-    answer again. ``when_ready`` is called on the working thread, each time the last one is ready.
+    ``serials`` are the required serial numbers; without one, the first number that answered is
+    required later. ``when_ready`` is called on the worker thread each time all are ready.
     """
 
     def __init__(
@@ -97,10 +94,10 @@ class BenchConnection:
     ) -> None:
         self.devices = dict(devices)
         self.when_ready = when_ready
-        # Called for each device but the arm, once all of them answer and before the arm is switched
-        # on; raises ``FaultError`` for one that must not be used: it is closed again.
+        # Called for each device but the arm, when all are connected and before the arm is switched
+        # on. A ``FaultError`` rejects the device, which is then closed.
         self.prove: Callable[[str, threading.Event], None] = lambda name, cancel: None
-        # What to know of a device that is ready, beside what it tells itself; no full stop.
+        # Remarks on ready devices, in addition to their own; without a full stop.
         self.notices: Mapping[str, str] = {}
         self._limit_s = limit_s
         self._known = {name: serial for name, serial in (serials or {}).items() if serial}
@@ -110,23 +107,23 @@ class BenchConnection:
         self._cancel = threading.Event()
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
-        # Why the bench cannot be used although all devices are ready.
+        # Reason why the bench cannot be used although all devices are ready.
         self.trouble: TouchdownError | None = None
 
-    # -- how it stands, for any thread ------------------------------------------------------------
+    # -- state, for any thread --------------------------------------------------------------------
 
     @property
     def busy(self) -> bool:
-        """Whether a connection is being made, ended, or the gripper homed."""
+        """True while devices are connected or disconnected, or the gripper is homed."""
         return self._thread is not None and self._thread.is_alive()
 
     @property
     def ready(self) -> bool:
-        """Whether every device is ready."""
+        """True if every device is ready."""
         return all(device.state is DeviceState.READY for device in self.devices.values())
 
     def lines(self) -> tuple[DeviceStatus, ...]:
-        """Return how each device stands, in the order of connecting."""
+        """Return the state of each device, in the order of connection."""
         return tuple(self._line(name, device) for name, device in self.devices.items())
 
     def missing(self) -> tuple[str, ...]:
@@ -136,7 +133,7 @@ class BenchConnection:
     # -- orders -----------------------------------------------------------------------------------
 
     def begin(self, names: Sequence[str] = ()) -> None:
-        """Connect ``names`` (empty: all that are not ready); ``RefusedError`` while it works."""
+        """Connect ``names`` (empty: all that are not ready); raises ``RefusedError`` while busy."""
         wanted = [n for n in self.devices if (n in names if names else n in self.missing())]
         self._start(lambda: self._connect(wanted), wanted)
 
@@ -146,23 +143,23 @@ class BenchConnection:
         self._start(lambda: self._close(wanted), ())
 
     def home(self) -> None:
-        """Home the gripper, with empty jaws and on the operator's word only: the jaws move."""
+        """Home the gripper. The jaws move: only with empty jaws, and on the operator's command."""
         gripper = self._gripper()
         if gripper.status().holding:
             raise RefusedError("HOLDING", HELD)
         self._start(lambda: self._home(gripper), ())
 
     def acknowledge(self) -> None:
-        """Take a fast stop of the gripper as seen, on the operator's word."""
+        """Acknowledge a fast stop of the gripper, on the operator's command."""
         gripper = self._gripper()
         self._start(lambda: self._told("gripper", gripper.acknowledge), ())
 
     def cancel(self) -> None:
-        """End connecting where it is; returns at once. What is connected stays so."""
+        """Cancel connecting; returns at once. Connected devices stay connected."""
         self._cancel.set()
 
     def wait(self, limit_s: float | None = None) -> bool:
-        """Wait until the present work is done, for scripts; False if it took longer."""
+        """Wait until the work is done, for scripts; return False after a timeout."""
         thread = self._thread
         if thread is not None:
             thread.join(limit_s)
@@ -174,7 +171,7 @@ class BenchConnection:
         self.wait(JOIN_S)
         self._close(list(reversed(self.devices)))
 
-    # -- on the working thread --------------------------------------------------------------------
+    # -- worker thread ----------------------------------------------------------------------------
 
     def _start(self, work: Callable[[], None], waiting: Sequence[str]) -> None:
         with self._lock:
@@ -217,7 +214,7 @@ class BenchConnection:
         except TouchdownError:
             raise
         except Exception as error:
-            # A driver of another package may fail on anything: the other devices go on.
+            # A driver of another package may raise anything; the other devices continue.
             device.close()
             raise FaultError(_driver_fault(name, error)) from error
         require_serial(device, self._known.get(name, ""))
@@ -249,7 +246,7 @@ class BenchConnection:
         self._told("gripper", home)
 
     def _told(self, name: str, work: Callable[[], None]) -> None:
-        """Do ``work``; keep the fault it ends with, or forget the former one."""
+        """Run ``work`` and store its fault; clear the former one."""
         try:
             work()
         except FaultError as error:
@@ -293,7 +290,7 @@ class BenchConnection:
 
 
 def fault_of(device: Device) -> Fault | None:
-    """Return why a device is in FAULT, None if it does not say."""
+    """Return the fault of a device, None if it reports none."""
     fault = getattr(device, "fault", None)
     return fault if isinstance(fault, Fault) else None
 

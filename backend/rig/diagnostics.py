@@ -1,8 +1,8 @@
 """Diagnostics of a bench at rest: identity of each device, timing of each sensor.
 
-Nothing moves, the arm stays off; no rig process is needed. All stamps are on the clock of this
-computer. A wrist sensor is stamped by its own count along the line of least delay, a picture or an
-arm position on arrival.
+Nothing moves and the arm stays off; no rig process is needed. All time stamps use the clock of this
+computer. Wrist samples are stamped by the sensor's own count, pictures and arm positions on
+arrival.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LISTEN_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class DeviceFinding:
-    """What a device answered; ``fix`` says what to do where it did not."""
+    """Answer of a device; ``fix`` is the remedy if there was none."""
 
     device: str
     ok: bool
@@ -36,7 +36,7 @@ class DeviceFinding:
 
 
 def examine_devices(settings: HardwareSettings) -> Iterator[DeviceFinding]:
-    """Yield a finding per device; each is closed again. Raises ``InputError`` for bad settings."""
+    """Yield a finding per device and close it again; raises ``InputError`` for bad settings."""
     made = make_devices(settings, time.monotonic)
     cameras = [
         make_tactile(finger, settings, time.monotonic, Stream(f"tactile_{finger}", 8))
@@ -67,7 +67,7 @@ def _device_detail(device: Device) -> str:
 
 
 LOOK_S = 0.002
-LEAST = 5  # with fewer stamps nothing is told of a sensor
+LEAST = 5  # minimum number of stamps for a result
 
 NewestStamp = Callable[[], float]  # stamp of the newest sample, s; NaN before the first
 StampsSince = Callable[[float], FloatArray]  # stamps (n,) of all samples after a time, s
@@ -75,8 +75,9 @@ StampsSince = Callable[[float], FloatArray]  # stamps (n,) of all samples after 
 
 @dataclass(frozen=True, slots=True)
 class SensorTiming:
-    """Of one sensor: ``rate_hz``; in ms the 99 % limit of an interval's distance from the usual
-    one, the longest interval, and how old a sample is when it comes (median, 99 %). NaN: too few.
+    """Timing of one sensor: rate; in ms, the 99th percentile of the deviation from the median
+    interval, the longest interval, and the age on arrival (median, 99th percentile). NaN for too
+    few samples.
     """
 
     name: str
@@ -89,7 +90,7 @@ class SensorTiming:
 
 
 def timing_of(name: str, stamps_s: FloatArray, ages_s: FloatArray) -> SensorTiming:
-    """Return the timing of ``stamps_s`` (n,) that were ``ages_s`` (m,) old when they came."""
+    """Return the timing of samples taken at ``stamps_s`` (n,), ``ages_s`` (m,) old on arrival."""
     if len(stamps_s) < LEAST or len(ages_s) < LEAST:
         return SensorTiming(name, len(stamps_s), *(5 * (math.nan,)))
     steps_ms = 1e3 * np.diff(stamps_s)
@@ -111,7 +112,7 @@ def measure_timing(
     wait: Callable[[float], object],
     for_s: float,
 ) -> list[SensorTiming]:
-    """Watch all sensors for a time; ``wait`` lets seconds pass."""
+    """Observe all sensors for a time; ``wait`` sleeps for seconds."""
     begun_s = now_s()
     seen_s = {name: newest() for name, (newest, _) in sensors.items()}
     ages_s: dict[str, list[float]] = {name: [] for name in sensors}

@@ -1,8 +1,8 @@
 """Flight recorder: the last 5 s of the real-time process, written after a fault.
 
-The rig keeps them in shared memory and writes no files; the backend does, also after the rig's
-death. Disk space for one file is reserved while a run lasts, as an unnamed file (Linux): the fault
-may be that the disk is full.
+The rig records in shared memory and writes no files; the backend writes them, also after the rig
+has died. During a run, disk space for one file is reserved as an unnamed file (Linux), because the
+fault may be a full disk.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from touchdown.backend.rig.memory import SharedMemory
 
 
 class ReservedFile:
-    """At most one room at a time; not thread-safe."""
+    """Reserves disk space for one file; not thread-safe."""
 
     def __init__(self) -> None:
         self._descriptor: int | None = None
         self._folder: Path | None = None
 
     def take(self, folder: Path, size: int) -> bool:
-        """Reserve ``size`` bytes in ``folder`` in place of what was reserved; whether it could."""
+        """Reserve ``size`` bytes in ``folder``, releasing the former; return True on success."""
         self.give_back()
         if not hasattr(os, "O_TMPFILE"):
             return False
@@ -53,15 +53,14 @@ class ReservedFile:
         return True
 
     def give_back(self) -> None:
-        """Let go of what was reserved."""
+        """Release the reservation."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:
             os.close(descriptor)
 
     def write(self, path: Path, content: bytes) -> None:
-        """Make ``content`` the new file ``path``, in the reserved room if it is in its folder.
-
-        Raises ``OSError``. What was reserved is used up.
+        """Write ``content`` to the new file ``path``, in the reserved space if it is in the same
+        folder. Uses up the reservation. Raises ``OSError``.
         """
         if self._descriptor is None or self._folder != path.parent:
             write_atomically(path, content)
@@ -87,23 +86,23 @@ def _fill(descriptor: int, content: bytes) -> None:
 
 
 def _name(descriptor: int, path: Path) -> None:
-    """Give the unnamed file its name; raises ``FileExistsError`` where that is taken."""
+    """Give the unnamed file its name; raises ``FileExistsError`` if it is taken."""
     folder = os.open(path.parent, os.O_RDONLY)
     try:
-        # With a folder given the system follows the link to the file itself.
+        # With a directory descriptor, linkat follows the link to the file itself.
         os.link(f"/proc/self/fd/{descriptor}", path.name, dst_dir_fd=folder, follow_symlinks=True)
     finally:
         os.close(folder)
 
 
 KEPT_S = 5.0
-RESERVED_BYTES = 4 << 20  # more than one recording takes
-MOST_FILES = 8  # a run that raises one fault after the other keeps its first ones
+RESERVED_BYTES = 4 << 20  # larger than any recording
+MOST_FILES = 8  # recordings per run; the first ones are kept
 NAMES = ("fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm")
 
 
 class FlightRecorder:
-    """Subscribe ``note`` to a hub. ``memory`` and ``folder`` are asked at each fault."""
+    """Subscribe ``note`` to an event bus. ``memory`` and ``folder`` are called at each fault."""
 
     def __init__(
         self, memory: Callable[[], SharedMemory | None], folder: Callable[[], Path | None]
@@ -112,7 +111,7 @@ class FlightRecorder:
         self._reserve = ReservedFile()
 
     def note(self, fact: Event) -> None:
-        """Write the last seconds if ``fact`` is a fault and a run is kept."""
+        """Write the last seconds if ``fact`` is a fault and a run is recorded."""
         memory, folder = self._memory(), self._folder()
         if isinstance(fact, RunFinished):
             self._reserve.give_back()
@@ -131,13 +130,14 @@ class FlightRecorder:
         try:
             self._reserve.write(folder / f"flight-{number}.jsonl", content)
         except OSError:
-            # The fault itself stands in the journal and on a card; a full disk says so elsewhere.
+            # The fault is reported in the event log and on a card; a full disk is reported
+            # elsewhere.
             return
         self._reserve.take(folder, RESERVED_BYTES)
 
 
 def lines(memory: SharedMemory, t_s: float, fault: Fault) -> Iterator[str]:
-    """Yield the lines of a recording: what it is of, then all that was kept in order of time."""
+    """Yield the lines of a recording: a header, then all records in order of time."""
     head = {"fault": asdict(fault), "t_s": t_s, "round": TRACE_NAMES, "wrench": NAMES}
     yield json.dumps(head, ensure_ascii=False) + "\n"
     found: list[tuple[float, str, object]] = []

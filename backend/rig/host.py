@@ -1,8 +1,8 @@
 """Host of arm, gripper and wrist sensor in the real-time process.
 
-``round`` is called every 4 ms by the owner of the time: the rig process, or a test with its own
-clock. ``take`` receives messages on another thread. Orders that may last wait on one thread per
-device; STOP never waits.
+The rig process, or a test with its own clock, calls ``round`` every 4 ms. ``take`` receives
+messages on another thread. Commands that may take long run on one thread per device; STOP never
+waits.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from touchdown.backend.rig.safety import (
 
 
 class DeviceWorkers:
-    """``carry_out`` is called for one order after the other, on the thread of its device."""
+    """Runs the commands of each device one after the other, on one thread per device."""
 
     def __init__(self, names: Iterable[str], carry_out: Callable[[Message], None]) -> None:
         self._carry_out, self._gone = carry_out, False
@@ -69,20 +69,20 @@ class DeviceWorkers:
             self._threads[name].start()
 
     def give(self, name: str, order: Message) -> bool:
-        """Let the thread of a device do this next; False if there is no such device."""
+        """Queue a command for a device; return False if there is no such device."""
         if name not in self._waiting:
             return False
         self._waiting[name].put(order)
         return True
 
     def leave(self) -> None:
-        """Begin nothing more: what is under way is the last."""
+        """Start no further command."""
         self._gone = True
         for waiting in self._waiting.values():
             waiting.put(None)
 
     def idle(self, name: str, limit_s: float) -> bool:
-        """After ``leave``: wait until nobody is at work with a device; False if it takes longer."""
+        """After ``leave``: wait until all threads are idle; return False after a timeout."""
         self._threads[name].join(limit_s)
         return not self._threads[name].is_alive()
 
@@ -91,17 +91,17 @@ class DeviceWorkers:
             self._carry_out(order)
 
 
-# The state is shown every 20 ms, what a person looks at every 200 ms.
+# The state is published every 20 ms, fields for the window every 200 ms.
 STATE_ROUNDS, SLOW_ROUNDS = 5, 50
 OrderResult = Motion | list[float] | None
-GRIP_STANDS_S = 0.3  # the jaws stand so long after the gripper told that it holds
-# Carried out where they are heard: they wait for nothing.
+GRIP_STANDS_S = 0.3  # the jaws settle within this time after the gripper reports a grip
+# Executed on the receiving thread, because they do not wait.
 AT_ONCE = frozenset({"arm.halt", "arm.place_of"})
 
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """The three with deadlines, and the streams that they fill."""
+    """The devices with deadlines, and the streams that they fill."""
 
     arm: Arm
     gripper: Gripper
@@ -110,7 +110,7 @@ class Devices:
     poses: SampleStream
 
     def named(self) -> dict[str, Device]:
-        """Return them by name."""
+        """Return the devices by name."""
         return {
             "force_torque": self.force_torque,
             "gripper": self.gripper,
@@ -120,7 +120,7 @@ class Devices:
 
 @dataclass
 class _Motions:
-    """Motions under way by the number of the order that began them."""
+    """Active motions by the number of the command that started them."""
 
     under_way: dict[int, Motion] = field(default_factory=dict)
     of_arm: set[int] = field(default_factory=set)
@@ -128,7 +128,7 @@ class _Motions:
 
 
 class RigHost:
-    """``say`` sends a message and never waits."""
+    """Control cycle of the devices; ``say`` sends a message and never waits."""
 
     def __init__(
         self,
@@ -139,7 +139,7 @@ class RigHost:
         say: Callable[[Message], bool],
     ) -> None:
         self.devices, self._now_s, self._memory, self._say = devices, now_s, memory, say
-        # Asked once: that takes longer than a round.
+        # Read once: it takes longer than a cycle.
         self._traced = devices.arm if isinstance(devices.arm, TracedArm) else None
         self._homing = devices.gripper if isinstance(devices.gripper, HomingGripper) else None
         self._core = Failsafe(now_s(), limits)
@@ -159,7 +159,7 @@ class RigHost:
     # -- time -------------------------------------------------------------------------------------
 
     def round(self) -> bool:
-        """Watch, act, tell how things are; return whether the process is to end."""
+        """Run one control cycle; return True if the process has to end."""
         now_s = self._now_s()
         self._hand_on(now_s)
         with self._lock:
@@ -217,14 +217,14 @@ class RigHost:
         self._say({"kind": "fault", "number": self._core.faults, "fault": fault_row(fault)})
 
     def _blame(self, why: Fault) -> None:
-        """Report the motions of the arm that this round ended with its reason."""
+        """Report the motions of the arm that this cycle ended, with the reason."""
         for number in [n for n in self._motions.of_arm if self._motions.under_way[n].done]:
             self._end(number, why)
 
-    # -- what the backend reads -------------------------------------------------------------------
+    # -- shared memory ----------------------------------------------------------------------------
 
     def _hand_on(self, now_s: float) -> None:
-        """Copy what the sensors delivered into the shared rings, and one line of the recorder."""
+        """Copy new samples into the shared rings, and one line into the flight recorder."""
         wrench = self._copied(0, self.devices.samples, self._memory.wrench)
         self._copied(1, self.devices.poses, self._memory.poses)
         if wrench is not None:
@@ -235,7 +235,7 @@ class RigHost:
             self._memory.rounds.put(np.array([now_s]), np.array([self._traced.trace()]))
 
     def _copied(self, which: int, stream: SampleStream, ring: Ring) -> Samples | None:
-        """Copy what is new in a stream into its ring and return it; None if nothing is."""
+        """Copy new samples of a stream into its ring and return them, None without any."""
         if stream.count == self._cursors[which]:
             return None
         came = stream.since(self._cursors[which])
@@ -257,9 +257,8 @@ class RigHost:
             self._memory.show({name: {**self._slow[name], **row} for name, row in rows.items()})
 
     def _remember_grip(self, now_s: float) -> None:
-        """Keep the width at which the piece was gripped, once the jaws stand.
-
-        A gripper tells that it holds before it tells its last width.
+        """Store the width of the gripped piece once the jaws have settled. A gripper reports a grip
+        before its final width.
         """
         status = self.devices.gripper.status()
         if not status.holding:
@@ -282,7 +281,7 @@ class RigHost:
                     self._motions.felt.add(number)
                     self._say({"kind": "felt", "motion": number, **_contact(motion)})
                 if motion.done:
-                    # Whoever hears of the end finds the state that goes with it.
+                    # Publish the state first: the reader of the message must find it.
                     self._show(self._now_s(), slow=False)
                     self._end(number, _fault_of(motion))
 
@@ -297,7 +296,7 @@ class RigHost:
     # -- messages ---------------------------------------------------------------------------------
 
     def take(self, message: Message) -> None:
-        """Hear a message of the backend."""
+        """Process a message of the backend."""
         kind = message["kind"]
         if kind == "order":
             self._take_order(message)
@@ -319,7 +318,7 @@ class RigHost:
                 self._core.limits = Limits(**message["limits"])
 
     def abandon(self) -> None:
-        """Stop here and now, on the thread that noticed that the backend is gone, and leave."""
+        """Stop immediately, on the thread that detected the loss of the backend, and leave."""
         try:
             self.devices.arm.stop()
             self.devices.gripper.stop()
@@ -327,7 +326,7 @@ class RigHost:
             self.leave()
 
     def leave(self) -> None:
-        """Take note that the backend is gone: the next round ends all motion and the process."""
+        """Handle the loss of the backend: the next cycle ends all motion and the process."""
         self._gone = True
         self._cancel.set()
         self.workers.leave()
@@ -374,7 +373,7 @@ class RigHost:
             return self._orders.give(name, given, self._core.limits)
         finally:
             with self._lock:
-                # What STOP met while it was being begun has not heard it.
+                # A STOP that came while the motion was starting has not reached it.
                 if self._core.stops > stops:
                     self._stop(self._now_s(), "stop")
 
@@ -383,7 +382,7 @@ class RigHost:
     ) -> None:
         number = message["id"]
         answer: Message = {"kind": "reply", "id": number, "motion": None}
-        # In one piece: the end of a motion is never told before its beginning.
+        # Under the lock: the end of a motion is never reported before its start.
         with self._lock:
             if error is not None:
                 answer["error"] = error_row(error)
@@ -393,12 +392,12 @@ class RigHost:
             else:
                 answer["motion"] = self._follow(number, found, message["order"])
                 answer["sent"] = dict(found.sent)
-            # Whoever reads the answer finds the state that goes with it.
+            # Publish the state first: the reader of the answer must find it.
             self._show(self._now_s(), slow=message["order"] not in AT_ONCE | MOVES)
             self._say(answer)
 
     def _follow(self, number: int, motion: Motion, order: str) -> int:
-        """Watch a motion; one that goes on keeps its number."""
+        """Track a motion; a continued motion keeps its number."""
         for known, present in self._motions.under_way.items():
             if present is motion:
                 return known
@@ -413,7 +412,7 @@ class RigHost:
         refuse_opening(right, self.measured())
 
     def measured(self) -> RigMeasurement:
-        """Return what the rig itself measures now."""
+        """Return the present measurements of the rig."""
         now_s, devices = self._now_s(), self.devices
         samples = devices.samples.window(now_s - 1.0, now_s)
         finite = np.isfinite(samples.values).all(axis=1)

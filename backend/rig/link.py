@@ -1,8 +1,8 @@
 """Backend end of the real-time process: start, orders, heartbeat, loss.
 
-One thread sends heartbeats, forwards the lease and copies the shared rings into the session's
-streams, every 5 ms. A process that is silent for 250 ms, or whose pipe has closed, is lost: every
-motion ends with CONTROL LOST, and it starts again only with a new connection.
+Every 5 ms one thread sends a heartbeat, forwards the lease and copies the shared rings into the
+session's streams. A process that is silent for 250 ms, or whose pipe has closed, is lost: every
+motion ends with CONTROL LOST. Only a new connection starts a new process.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from touchdown.backend.rig.memory import BACKEND_BEAT, STOPS, SharedMemory, drop
 from touchdown.backend.rig.messages import Channel, Message, read_error, read_fault
 
 BEAT_S = 0.005
-# Real-time priority of the beating thread, where the user may have it. Below that of the rig.
+# Real-time priority of the heartbeat thread, if permitted; below that of the rig.
 PRIORITY = 40
-LATE_S = 0.01  # so old a sample may be when it comes: a round of the rig, and one of this thread
+LATE_S = 0.01  # largest age of a sample on arrival: one cycle of the rig and one of this thread
 RIG_SILENT_S = 0.25
 START_S = 20.0
-ORDER_S = 60.0  # longer than any order takes; a rig that dies ends them all at once
+ORDER_S = 60.0  # longer than any command takes; the death of the rig ends them all at once
 END_S = 6.0
-# One that is lost already has nothing left to end in order: it may never answer again.
+# A lost process has nothing to end in order, and may never answer.
 LOST_END_S = 1.5
-SETTLE_S = 1.0  # an arm that has just been connected tells its place within a few cycles
+SETTLE_S = 1.0  # a newly connected arm reports its position within a few cycles
 
 
 class RigMotion(CommandedMotion):
-    """A motion in the rig; of a press also its contact, on the bench clock."""
+    """A motion in the rig; a press also has its time of contact, on the bench clock."""
 
     detected_s: float | None = None
     onset_s: float | None = None
 
 
 class _PendingAnswer:
-    """What somebody waits for."""
+    """Answer that a caller waits for."""
 
     def __init__(self) -> None:
         self.came = threading.Event()
@@ -59,7 +59,7 @@ class _PendingAnswer:
 
 
 class RigLink:
-    """``samples`` and ``poses`` take what the rig measures; orders raise what the rig answers."""
+    """Client of the rig process; ``samples`` and ``poses`` receive its measurements."""
 
     def __init__(
         self,
@@ -86,28 +86,28 @@ class RigLink:
         self._rows: Mapping[str, Any] = {}
         self._seen = 0
         self._greeting = _PendingAnswer()
-        # Why the rig is gone without having been asked to; None while it runs or is not needed.
+        # Fault that ended the rig; None while it runs or is not needed.
         self.lost: Fault | None = None
 
-    # -- life -------------------------------------------------------------------------------------
+    # -- start and end ----------------------------------------------------------------------------
 
     @property
     def running(self) -> bool:
-        """Whether there is a rig process that answers."""
+        """True while a rig process runs and answers."""
         return self._child is not None and self.lost is None
 
     @property
     def memory(self) -> SharedMemory | None:
-        """What the rig has shared; stays readable after its death until the next start."""
+        """Memory shared with the rig; readable after its death until the next start."""
         return self._memory
 
     @property
     def hello(self) -> Message:
-        """What the rig said of itself at its start; empty before."""
+        """Greeting of the rig; empty before the start."""
         return self._greeting.message
 
     def start(self) -> None:
-        """Start the process if there is none; raises ``FaultError``, or what the rig refuses."""
+        """Start the process if there is none; raises ``FaultError``, or the refusal of the rig."""
         with self._lock:
             if self.running:
                 return
@@ -135,7 +135,7 @@ class RigLink:
         )
         assert child.stdin is not None
         assert child.stdout is not None
-        # What an earlier rig still says on its way out is no word of this one.
+        # Ignore late messages of an earlier rig.
         ended = self._ending
         self._channel = Channel(
             child.stdout, child.stdin, self._take, lambda: self._lose(ended, GONE)
@@ -144,7 +144,7 @@ class RigLink:
         self._channel.say(
             {
                 "kind": "begin",
-                # A lab file says more than the rig takes: it refuses what it does not know.
+                # Send only the tables that the rig knows: it refuses unknown ones.
                 "settings": self._settings.model_dump(
                     mode="json", include=set(HardwareSettings.model_fields)
                 ),
@@ -165,7 +165,7 @@ class RigLink:
         self._thread.start()
 
     def close(self) -> None:
-        """End the process: it stops what moves, nothing is let go. Closing twice is allowed."""
+        """End the process: all motion stops, the gripper keeps its grip. May be called twice."""
         with self._lock:
             self._ending.set()
             if self._thread is not None:
@@ -188,20 +188,20 @@ class RigLink:
             self._give_up(GONE)
             self._rows, self.lost = {}, None
 
-    # -- orders -----------------------------------------------------------------------------------
+    # -- commands ---------------------------------------------------------------------------------
 
     def order(self, name: str, **arguments: Any) -> Message:
-        """Give an order and return the answer; raises what the rig refuses or fails with."""
+        """Send a command and return the answer; raises the error of the rig."""
         return self._ask(name, arguments).message
 
     def move(self, name: str, **arguments: Any) -> RigMotion:
-        """Give an order that begins a motion, or goes on with one, and return it."""
+        """Send a command that starts or continues a motion, and return the motion."""
         answer = self._ask(name, arguments)
         assert answer.motion is not None
         return answer.motion
 
     def stop(self) -> None:
-        """STOP: a word that the rig reads in every round, and a message; waits for nothing."""
+        """STOP, by shared memory and by message; does not wait."""
         memory, channel = self._memory, self._channel
         if memory is None or channel is None or self._child is None:
             return
@@ -211,22 +211,22 @@ class RigLink:
             channel.say({"kind": "stop", "stops": self._stops})
 
     def retreat(self) -> None:
-        """Let the arm draw back from what it touches; waits for nothing."""
+        """Retreat the arm from its contact; does not wait."""
         if self._channel is not None:
             self._channel.say({"kind": "retreat"})
 
     def stop_gripper(self) -> None:
-        """Stop the jaws where they are; waits for nothing."""
+        """Stop the jaws; does not wait."""
         if self._channel is not None:
             self._channel.say({"kind": "stop gripper"})
 
     def cancel(self) -> None:
-        """End the connecting that goes on."""
+        """Cancel a connection in progress."""
         if self._channel is not None:
             self._channel.say({"kind": "cancel"})
 
     def settle(self) -> None:
-        """Forget the positions so far, which belong to no connection, and wait for the next."""
+        """Discard the positions received so far and wait for the next one."""
         memory = self._memory
         if memory is None:
             return
@@ -239,7 +239,7 @@ class RigLink:
                 return
 
     def row(self, device: str) -> Mapping[str, Any]:
-        """Return how a device stands, empty while there is no rig."""
+        """Return the state of a device, empty while there is no rig."""
         memory = self._memory
         if memory is not None and self._child is not None and memory.states != self._seen:
             seen = memory.states
@@ -262,7 +262,7 @@ class RigLink:
         order = {"kind": "order", "id": number, "order": name, "args": arguments}
         taken = channel.say({**order, "lease_until_s": self._interlock.lease_until_s})
         if not taken or not self.running:
-            # Lost just now: nobody may be left to end this order.
+            # The rig may have been lost meanwhile; nothing else would end this command.
             self._answers.pop(number, None)
             raise FaultError(GONE)
         with blocking_section("waits for the devices", 2.0 * ORDER_S):
@@ -272,7 +272,7 @@ class RigLink:
             raise read_error(answer.message["error"])
         return answer
 
-    # -- what the rig says, on its listening thread -----------------------------------------------
+    # -- messages of the rig, on the listening thread ----------------------------------------------
 
     def _take(self, message: Message) -> None:
         match message["kind"]:
@@ -287,7 +287,7 @@ class RigLink:
                 fault = read_fault(message["fault"])
                 assert fault is not None
                 self._interlock.raise_fault(fault)
-                # Only now: a reset must not come before the operator could know of it.
+                # Not earlier: the operator cannot reset a fault before it is reported.
                 self._faults = message["number"]
 
     def _take_reply(self, message: Message) -> None:
@@ -308,7 +308,7 @@ class RigLink:
             del self._motions[message["motion"]]
             motion.end(read_fault(message["fault"]))
 
-    # -- the beating thread -----------------------------------------------------------------------
+    # -- heartbeat thread -------------------------------------------------------------------------
 
     def _keep_time(self, memory: SharedMemory, ended: threading.Event) -> None:
         set_realtime_priority(min(PRIORITY, self._settings.melfa.realtime_priority))
@@ -329,7 +329,7 @@ class RigLink:
                 return
 
     def _copy(self, memory: SharedMemory) -> None:
-        """Put what the rig has measured since into the session's streams."""
+        """Copy new measurements of the rig into the session's streams."""
         pairs = ((memory.wrench, self.samples), (memory.poses, self.poses))
         with self._copying:
             for k, (ring, stream) in enumerate(pairs):
@@ -338,7 +338,7 @@ class RigLink:
                     stream.put(t_s, values)
 
     def _tell_reset(self, channel: Channel) -> None:
-        """Clear the latch of the rig once the operator has cleared that of the bench."""
+        """Reset the latch of the rig after the operator has reset that of the bench."""
         with self._counting:
             behind = (self._stops_reset, self._faults_reset) != (self._stops, self._faults)
             if behind and not self._interlock.latched:
@@ -354,7 +354,7 @@ class RigLink:
     # -- loss -------------------------------------------------------------------------------------
 
     def _lose(self, ended: threading.Event, fault: Fault) -> None:
-        """Take note that the rig is gone, unless it was asked to go."""
+        """Handle the loss of the rig, unless it was closed."""
         if ended.is_set() or ended is not self._ending or self.lost is not None:
             return
         self.lost = fault
@@ -364,7 +364,7 @@ class RigLink:
         self._greeting.came.set()
 
     def _give_up(self, fault: Fault) -> None:
-        """End every motion and every order with ``fault``."""
+        """End every motion and every command with ``fault``."""
         for motion in list(self._motions.values()):
             motion.end(fault)
         self._motions.clear()

@@ -1,8 +1,7 @@
 """Memory shared by backend and real-time process, locked against paging.
 
-Decision words, sample rings, one state. Neither side ever waits for the other: a record carries its
-number in front and behind, and a reader takes it only if both are the expected one. One writer
-each.
+Holds control words, sample rings and one state. Neither side waits for the other: a record has its
+number in front and behind, and a reader accepts it only if both match. Each part has one writer.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from touchdown.backend.devices import TRACE_NAMES
 PREFIX = "touchdown-rig-"
 FILE = "memory"
 WORDS = 16
-# Words by their use; LEASE is seconds of the bench clock, all others are counts.
+# Index of each control word; LEASE is seconds of the bench clock, all others are counts.
 BACKEND_BEAT, RIG_BEAT, STOPS, LEASE, STATE, WRENCH, POSES, ROUNDS, NOTES = range(9)
 STATE_BYTES = 16_384
 NOTE_BYTES: Final = 480
@@ -38,7 +37,7 @@ CAPACITY = {WRENCH: 8192, POSES: 2048, ROUNDS: 2048}
 
 
 class Ring:
-    """Numeric records: number, time, values, number. ``count`` is the shared word of the writer."""
+    """Ring of records: number, time, values, number. ``count`` is the writer's control word."""
 
     def __init__(self, cells: FloatArray, words: NDArray[np.int64], word: int) -> None:
         self._cells, self._numbers = cells, cells.view(np.int64)
@@ -47,17 +46,17 @@ class Ring:
 
     @property
     def count(self) -> int:
-        """Number of records ever put."""
+        """Number of records written so far."""
         return int(self._words[self._word])
 
     def put(self, t_s: FloatArray, values: FloatArray) -> None:
-        """Append stamps (n,) and values (n, channels); of more than fits, the newest."""
+        """Append stamps (n,) and values (n, channels); keeps the newest if they do not fit."""
         t_s, values = t_s[-self.capacity :], values[-self.capacity :]
         first, done = self.count, 0
         for rows in self._rows(first, first + len(t_s)):
             part = slice(done, done + rows.stop - rows.start)
             numbers = np.arange(first + part.start, first + part.stop)
-            # Both numbers first: whoever is reading this record sees that it has changed.
+            # Both numbers first: a concurrent reader detects the change.
             self._numbers[rows, -1] = self._numbers[rows, 0] = -1
             self._cells[rows, 1], self._cells[rows, 2:-1] = t_s[part], values[part]
             self._numbers[rows, -1] = numbers
@@ -66,7 +65,7 @@ class Ring:
         self._words[self._word] = first + len(t_s)
 
     def since(self, cursor: int) -> tuple[FloatArray, FloatArray, int]:
-        """Return stamps (n,), values (n, channels) after ``cursor`` that are whole, new cursor."""
+        """Return complete stamps (n,), values (n, channels) after ``cursor``, the next cursor."""
         count = self.count
         first = min(max(cursor, count - self.capacity), count)
         before, cells, behind = [], [], []
@@ -81,9 +80,8 @@ class Ring:
         return kept[whole, 1], kept[whole, 2:-1], count
 
     def _rows(self, first: int, end: int) -> list[slice]:
-        """Return where the records from ``first`` up to ``end`` lie, at most one turn of them.
-
-        Slices: an index array takes several times as long.
+        """Return the slices of the records from ``first`` to ``end``, at most one turn of the ring.
+        Slices are several times faster than an index array.
         """
         begin = first % self.capacity
         fits = min(end - first, self.capacity - begin)
@@ -93,7 +91,7 @@ class Ring:
 
 
 class SharedMemory:
-    """Made by the backend with ``make``, attached by the rig with ``attach``."""
+    """Created by the backend with ``make``, opened by the rig with ``attach``."""
 
     def __init__(self, pages: mmap.mmap) -> None:
         self._pages = pages
@@ -113,39 +111,39 @@ class SharedMemory:
 
     @property
     def backend_beats(self) -> int:
-        """Grows as long as the backend lives."""
+        """Heartbeat of the backend, a count."""
         return int(self._words[BACKEND_BEAT])
 
     @property
     def rig_beats(self) -> int:
-        """Grows as long as the rig lives."""
+        """Heartbeat of the rig, a count."""
         return int(self._words[RIG_BEAT])
 
     @property
     def stops(self) -> int:
-        """How often STOP was asked for."""
+        """Number of STOP requests."""
         return int(self._words[STOPS])
 
     @property
     def lease_until_s(self) -> float:
-        """Bench time until which motion is permitted."""
+        """Bench time until which motion is permitted, s."""
         return float(self._lease[0])
 
     @property
     def states(self) -> int:
-        """How many states were shown."""
+        """Number of states written."""
         return int(self._words[STATE])
 
     def beat(self, word: int) -> None:
-        """Count up a word of which this side is the only writer."""
+        """Increment a control word of which this side is the only writer."""
         self._words[word] += 1
 
     def permit(self, until_s: float) -> None:
-        """Tell until when motion is permitted."""
+        """Set the bench time until which motion is permitted, s."""
         self._lease[0] = until_s
 
     def show(self, state: dict[str, Any]) -> None:
-        """Put the state of the rig in place of the last one; ValueError if it is too long."""
+        """Replace the state of the rig; raises ``ValueError`` if it is too long."""
         content = json.dumps(state, separators=(",", ":")).encode()
         if len(content) > STATE_BYTES - 24:
             raise ValueError(f"a state of {len(content)} bytes is too long")
@@ -159,7 +157,7 @@ class SharedMemory:
         self._words[STATE] = number
 
     def seen(self) -> dict[str, Any] | None:
-        """Return the newest state, None before the first, while it is being written, or if torn."""
+        """Return the newest state, None before the first or while it is being written."""
         ends = self._state.view(np.int64)
         number = int(ends[0])
         if number <= 0:
@@ -175,7 +173,7 @@ class SharedMemory:
         return found if isinstance(found, dict) else None
 
     def note(self, t_s: float, text: str) -> None:
-        """Append a line to what the flight recorder holds; its end is cut where it is too long."""
+        """Append a line to the flight recorder; a line that is too long is cut."""
         number = int(self._words[NOTES])
         content = text.encode()[:NOTE_BYTES].ljust(NOTE_BYTES)
         self._notes[number % NOTES_KEPT] = (number, t_s, content, number)
@@ -202,7 +200,7 @@ SIZE = (
 
 
 def make() -> tuple[SharedMemory, Path]:
-    """Return new memory and its file, for nobody but this user; drop the folder once attached."""
+    """Return new memory and its file for this user only; ``drop`` the file once attached."""
     _sweep(_folder())
     folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=_folder()))
     path = folder / FILE
@@ -220,19 +218,19 @@ def attach(path: Path) -> SharedMemory:
 
 
 def drop(path: Path) -> None:
-    """Take the file away: who has attached keeps the memory, and nothing is left behind."""
+    """Delete the file; attached processes keep the memory."""
     shutil.rmtree(path.parent, ignore_errors=True)
 
 
 def _folder() -> Path:
-    """Return where memory files are kept: in memory itself where there is such a place."""
+    """Return the folder of memory files, in memory if the system has such a folder."""
     shared = Path("/dev/shm")  # noqa: S108 - a folder of our own is made in it
     usable = shared.is_dir() and os.access(shared, os.W_OK)
     return shared if usable else Path(tempfile.gettempdir())
 
 
 def _sweep(folder: Path) -> None:
-    """Take away what a program that was killed while starting has left."""
+    """Delete files of programs that were killed while starting."""
     for found in folder.glob(f"{PREFIX}*-*"):
         number = found.name.removeprefix(PREFIX).split("-")[0]
         if number.isdecimal() and not _alive(int(number)):
@@ -251,13 +249,12 @@ def _alive(number: int) -> bool:
     return True
 
 
-# Of ``mlockall`` in Linux. Pages are kept from their first use on: stacks that are never filled
-# would take 200 MB.
+# Flags of ``mlockall`` in Linux. Pages are locked on first use: unused stacks would take 200 MB.
 CURRENT, FUTURE, ON_FAULT = 1, 2, 4
 
 
 def lock_memory() -> bool:
-    """Keep all memory of this process, also what it asks for later; return whether it is kept.
+    """Lock all present and future memory of this process; return True on success.
 
     Linux only. Ordinary users need ``memlock unlimited`` in limits.conf: under a limit, memory that
     is asked for later would be refused, which ends a process.
@@ -269,6 +266,6 @@ def lock_memory() -> bool:
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if limit != resource.RLIM_INFINITY and os.geteuid() != 0:
         return False
-    # For a superuser without that right the system refuses by itself what is over the limit.
+    # A superuser without that right gets an error from the system above the limit.
     refused: int = ctypes.CDLL(None).mlockall(CURRENT | FUTURE | ON_FAULT)
     return not refused

@@ -1,9 +1,8 @@
 """Messages between backend and real-time process, with the channel that carries them.
 
-JSON with its length before it. Known kinds only, at most 64 KiB, never pickle; numbers keep every
-digit, NaN included. Sending never waits: a bounded queue that is full counts as a closed channel. A
-killed parent is detected in ``/proc`` before its pipes close, which took more than 100 ms on a busy
-computer (Linux).
+A message is JSON after its length: known kinds only, at most 64 KiB; numbers keep every digit, NaN
+included. Sending never waits: a full queue counts as a closed channel. A killed parent is detected
+in ``/proc`` (Linux), because closing its pipes took more than 100 ms on a busy computer.
 """
 
 from __future__ import annotations
@@ -53,7 +52,9 @@ KINDS = frozenset(
 
 
 def pack(message: Message) -> bytes:
-    """Return the bytes of ``message``; ValueError for an unknown kind or too long a one."""
+    """Return the bytes of ``message``; raises ``ValueError`` if its kind is unknown or it is too
+    long.
+    """
     if message.get("kind") not in KINDS:
         raise ValueError(f"there is no message of kind {message.get('kind')!r}")
     content = json.dumps(message, separators=(",", ":")).encode()
@@ -63,7 +64,7 @@ def pack(message: Message) -> bytes:
 
 
 def receive(stream: IO[bytes]) -> Message | None:
-    """Return the next message, None at the end; ValueError for what is none."""
+    """Return the next message, None at the end; raises ``ValueError`` for invalid bytes."""
     head = stream.read(LENGTH.size)
     if len(head) < LENGTH.size:
         return None
@@ -80,27 +81,27 @@ def receive(stream: IO[bytes]) -> Message | None:
 
 
 def fault_row(fault: Fault | None) -> Mapping[str, str] | None:
-    """Return a fault ready for JSON."""
+    """Return a fault as JSON."""
     return None if fault is None else asdict(fault)
 
 
 def read_fault(row: Mapping[str, str] | None) -> Fault | None:
-    """Return the fault of a row."""
+    """Return the fault of a JSON row."""
     return None if row is None else Fault(**row)
 
 
 def identity_row(identity: Identity | None) -> Mapping[str, str] | None:
-    """Return who a device is, ready for JSON."""
+    """Return an identity as JSON."""
     return None if identity is None else asdict(identity)
 
 
 def read_identity(row: Mapping[str, str] | None) -> Identity | None:
-    """Return the identity of a row."""
+    """Return the identity of a JSON row."""
     return None if row is None else Identity(**row)
 
 
 def error_row(error: Exception) -> Message:
-    """Return an error ready for JSON; what nobody foresaw is told by its type."""
+    """Return an error as JSON; an unexpected one is named by its type."""
     if isinstance(error, FaultError):
         return {"type": "fault", "fault": fault_row(error.fault)}
     if isinstance(error, RefusedError):
@@ -115,7 +116,7 @@ def error_row(error: Exception) -> Message:
 
 
 def read_error(row: Message) -> Exception:
-    """Return the error of a row, to be raised again."""
+    """Return the error of a JSON row."""
     match row["type"]:
         case "fault":
             return FaultError(Fault(**row["fault"]))
@@ -146,7 +147,7 @@ POSE_AGE_S = 0.2
 
 
 def device_row(device: Device) -> Row:
-    """Return what changes quickly, of any device."""
+    """Return the quickly changing state of any device."""
     fault, steps = getattr(device, "fault", None), getattr(device, "steps", None)
     return {
         "state": device.state.value,
@@ -156,7 +157,7 @@ def device_row(device: Device) -> Row:
 
 
 def arm_row(arm: Arm) -> Row:
-    """Return the status words, the turn of the hand and the joints; None where not known."""
+    """Return the status, the turn of the hand and the joints; None where unknown."""
     status = arm.status()
     row = {
         **device_row(arm),
@@ -175,15 +176,14 @@ def arm_row(arm: Arm) -> Row:
             row["turn"] = [pose.rx_rad, pose.ry_rad, pose.rz_rad]
             row["joints"] = list(arm.joints_rad(POSE_AGE_S)) if arm.rotates else None
         except (StaleSampleError, TouchdownError):
-            # The place is not known at present: a reader's own age limit says so.
+            # The position is unknown at present; the reader's age limit reports it.
             return row
     return row
 
 
 def gripper_row(gripper: Gripper, homing: HomingGripper | None) -> Row:
-    """Return width, force, whether a piece is held, and what the operator has to do.
-
-    ``homing``: the gripper again if it is one that is homed.
+    """Return width, force, grip and the actions required from the operator. ``homing`` is the
+    gripper if it needs homing.
     """
     return {
         **device_row(gripper),
@@ -194,13 +194,15 @@ def gripper_row(gripper: Gripper, homing: HomingGripper | None) -> Row:
 
 
 def sensor_row(sensor: ForceTorqueSensor) -> Row:
-    """Return the rated range as well, and since when it has been slow."""
+    """Return the device row with the rated range and the start of a low rate."""
     slow_s = sensor.slow_since_s if isinstance(sensor, ReportsSlowness) else None
     return {**device_row(sensor), "rated": sensor.rated.tolist(), "slow_since_s": slow_s}
 
 
 def slow_row(device: Device, now_s: float) -> Row:
-    """Return what a person looks at: identity, health with its time, fields of the inspector."""
+    """Return the slowly changing fields: identity, health with its time, fields of the
+    inspector.
+    """
     health = device.health
     fields: Mapping[str, str | float] = device.describe()
     return {
@@ -214,7 +216,7 @@ WAITING = 512
 
 
 class Channel:
-    """``take`` hears each message, ``ended`` once that no more come, both on the same thread."""
+    """Two-way channel. ``take`` gets each message, then ``ended`` is called, both on one thread."""
 
     def __init__(
         self,
@@ -230,12 +232,12 @@ class Channel:
         self._listener = threading.Thread(target=self._listen, name="rig listener", daemon=True)
 
     def start(self) -> None:
-        """Begin to listen."""
+        """Start to listen."""
         self._speaker.start()
         self._listener.start()
 
     def say(self, message: Message) -> bool:
-        """Send a message in its turn; False if the other side does not take any more."""
+        """Queue a message; return False if the other side no longer reads."""
         try:
             self._waiting.put_nowait(pack(message))
         except queue.Full:
@@ -243,7 +245,7 @@ class Channel:
         return True
 
     def close(self) -> None:
-        """Say no more: the other side sees the end once all before has been sent."""
+        """Close for sending: the other side sees the end after all queued messages."""
         with suppress(queue.Full):
             self._waiting.put_nowait(None)
 
@@ -264,20 +266,20 @@ class Channel:
         try:
             while (message := receive(self._source)) is not None:
                 self._take(message)
-        except Exception:  # noqa: BLE001 - who tells nonsense, of whatever kind, is as good as gone
+        except Exception:  # noqa: BLE001 - invalid messages count as a closed channel
             return
         finally:
             self._ended()
 
 
-EXITING = 0x4  # of the flags of a process: it is dying (PF_EXITING)
-# Of its waiting signals. Threads of a process that dies of any other one get it too.
+EXITING = 0x4  # process flag PF_EXITING
+# Pending SIGKILL. Threads of a process that dies of another signal get it too.
 KILLED = 1 << (signal.SIGKILL - 1) if os.name == "posix" else 0
 STATE, FLAGS, SIGNALS = 0, 6, 28  # fields after the name
 
 
 class ParentProcess:
-    """Made while it lives; ``gone`` may be asked in every round."""
+    """Watches the parent process; ``gone`` is fast enough for every cycle."""
 
     def __init__(self) -> None:
         self._number = os.getppid()
@@ -286,7 +288,7 @@ class ParentProcess:
             self._descriptor = os.open(Path("/proc") / str(self._number) / "stat", os.O_RDONLY)
 
     def gone(self) -> bool:
-        """Return whether it is dead, or cannot live on."""
+        """Return True if the parent is dead or dying."""
         if os.getppid() != self._number:
             return True
         if self._descriptor is None:
@@ -297,14 +299,16 @@ class ParentProcess:
             return True
 
     def close(self) -> None:
-        """Ask no more."""
+        """Close the files."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
 
 
 def is_dying(line: bytes) -> bool:
-    """Read a line of ``/proc/<pid>/stat``; the name in it may hold anything, brackets included."""
+    """Parse a line of ``/proc/<pid>/stat``; the name in it may contain anything, brackets
+    included.
+    """
     fields = line.rpartition(b") ")[2].split()
     if len(fields) <= SIGNALS:
         return False

@@ -1,9 +1,9 @@
 """Real-time process: ``python -m touchdown.backend.rig.process``.
 
-The backend starts it with a pipe each way. The first message names settings, limits, clock and
-shared memory; the answer is an identity or a refusal. Then one round every 4 ms, at real-time
-priority if the user may have it. A closed pipe, a dying parent or SIGTERM end all motion, then the
-process. No Qt, no torch, no OpenCV.
+The backend starts it with one pipe in each direction. The first message has settings, limits, clock
+and shared memory; the answer is an identity or a refusal. Then one cycle runs every 4 ms, at
+real-time priority if permitted. A closed pipe, a dying parent or SIGTERM ends all motion, then the
+process. It loads no Qt, torch or OpenCV.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from touchdown.backend.rig.messages import Channel, Message, ParentProcess, erro
 
 ROUND_S = 0.004
 END_S = 0.03  # the end packets of the stream need three cycles
-FAREWELL_S = 3.0  # so long the devices may take to be closed once nobody is left to ask for it
+FAREWELL_S = 3.0  # limit for closing the devices after the backend is gone
 CAPACITY = 32_768
 
 
 def make_devices(settings: HardwareSettings, now_s: Callable[[], float]) -> Devices:
-    """Return the three drivers of a bench file, not yet connected; raises ``InputError``."""
+    """Return the three drivers of a lab file, not yet connected; raises ``InputError``."""
     samples = SampleStream("force_torque", 6, CAPACITY)
     poses = SampleStream("arm", 3, CAPACITY)
     sensor = make_force_torque(settings, now_s, samples)
@@ -42,7 +42,7 @@ def make_devices(settings: HardwareSettings, now_s: Callable[[], float]) -> Devi
 
 
 def main() -> int:
-    """Serve one backend until it is gone; return the exit code."""
+    """Serve one backend until it disconnects; return the exit code."""
     source, sink = _pipes()
     begin = receive(source)
     if begin is None:
@@ -64,10 +64,10 @@ def main() -> int:
 
 
 def _pipes() -> tuple[IO[bytes], IO[bytes]]:
-    """Keep both pipes for messages alone: whatever prints goes to standard error."""
+    """Reserve both pipes for messages; redirect printing to standard error."""
     source, sink = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    # Ctrl-C is for the backend, which ends this process in an orderly way.
+    # Ctrl-C is handled by the backend, which ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     return source, sink
 
@@ -83,13 +83,13 @@ def _serve(
     channel: Channel
 
     def say(message: Message) -> bool:
-        # A backend that takes nothing any more is as good as gone.
+        # A backend that no longer reads counts as lost.
         taken = channel.say(message)
         if not taken:
             host.leave()
         return taken
 
-    # Before there are threads: all of them inherit it, or one without it would hold up the others.
+    # Before any thread starts: all inherit the priority, or one without it would delay the others.
     realtime = set_realtime_priority(priority)
     parent = ParentProcess()
     host = RigHost(devices, Limits(**begin["limits"]), now_s, memory, say)
@@ -99,11 +99,11 @@ def _serve(
         host.leave()
 
     signal.signal(signal.SIGTERM, terminate)
-    # Last: what was made so far is what the loop needs.
+    # Last: everything that the loop needs exists now.
     locked = priority > 0 and lock_memory()
     channel.say(_hello(devices, realtime=realtime, locked=locked))
     channel.start()
-    # What was made so far stays: no look of the collector has to go through it.
+    # Permanent objects: exclude them from garbage collection.
     gc.collect()
     gc.freeze()
     try:
@@ -127,7 +127,7 @@ def _hello(devices: Devices, *, realtime: bool, locked: bool) -> Message:
 
 
 def _keep_time(host: RigHost, parent: ParentProcess) -> None:
-    """Make a round every ``ROUND_S`` until one says that it is over; missed ones are skipped."""
+    """Run a cycle every ``ROUND_S`` until one ends the process; missed cycles are skipped."""
     never = threading.Event()
     deadline_s = time.monotonic()
     while True:
@@ -140,9 +140,8 @@ def _keep_time(host: RigHost, parent: ParentProcess) -> None:
 
 
 def _end(host: RigHost) -> None:
-    """Stop, let the end of the stream out, then close the devices as far as they answer.
-
-    One that is being connected is closed once that has ended: two threads have no device.
+    """Stop, wait for the end packets of the stream, then close the devices that answer. A device
+    that is being connected is closed afterwards: no device is used by two threads.
     """
     host.leave()
     host.devices.arm.stop()
@@ -165,5 +164,5 @@ def _end(host: RigHost) -> None:
 if __name__ == "__main__":
     code = main()
     sys.stderr.flush()
-    # Threads that wait for a pipe or a wire must not keep the process.
+    # Threads that wait for a pipe or a wire must not keep the process alive.
     os._exit(code)

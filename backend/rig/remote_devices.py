@@ -1,9 +1,8 @@
-"""Devices of a bench file as the backend holds them.
+"""Backend side of the devices of a lab file.
 
 Arm, gripper and wrist sensor are proxies of those in the real-time process, which starts with the
-first connection; cameras, which have no deadlines, live in this process. Measured positions and
-wrenches lie in the session's streams; the rest is read from the state that the rig shows every 20
-ms.
+first connection. Cameras have no deadlines and run in this process. Measured positions and wrenches
+are in the session's streams; the rest is read from the state that the rig publishes every 20 ms.
 """
 
 from __future__ import annotations
@@ -53,9 +52,8 @@ from touchdown.backend.rig.process import make_devices
 
 
 class _Remote:
-    """Connection, identity and health of one device of the rig; the first that connects starts it.
-
-    ``open_ones``: which devices of this link are open; the process ends with the last.
+    """Connection, identity and health of one device of the rig. ``open_ones`` are the open devices
+    of this link: the first starts the process, the last ends it.
     """
 
     def __init__(
@@ -74,33 +72,33 @@ class _Remote:
 
     @property
     def state(self) -> DeviceState:
-        """Where the connection is in its life; FAULT when the rig is lost."""
+        """State of the connection; FAULT when the rig is lost."""
         if self._name in self._open and self._link.lost is not None:
             return DeviceState.FAULT
         return DeviceState(self._row.get("state", "closed"))
 
     @property
     def fault(self) -> Fault | None:
-        """Why the device is in FAULT."""
+        """Fault of the device, None without one."""
         if self._name in self._open and self._link.lost is not None:
             return self._link.lost
         return read_fault(self._row.get("fault"))
 
     @property
     def steps(self) -> ConnectionSteps:
-        """How far the connection has come."""
+        """Progress of the connection."""
         steps = ConnectionSteps()
         steps.done = self._row.get("steps", 0)
         return steps
 
     @property
     def identity(self) -> Identity | None:
-        """Known once connected."""
+        """Identity, None before the first connection."""
         return read_identity(self._row.get("identity"))
 
     @property
     def health(self) -> Health:
-        """Rate, age, counts; nothing before the connection."""
+        """Rate, age and counts; empty before the connection."""
         rate_hz, newest_s, received, lost = self._row.get("health", (0.0, -math.inf, 0, 0))
         return Health(rate_hz, self._now_s() - newest_s, received, lost)
 
@@ -115,7 +113,7 @@ class _Remote:
         }
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Connect in the rig; raises ``FaultError``. ``cancel`` is handed on while it lasts."""
+        """Connect in the rig; raises ``FaultError``. ``cancel`` is forwarded meanwhile."""
         if self.state is DeviceState.READY:
             return
         self._link.start()
@@ -133,7 +131,7 @@ class _Remote:
             watch.join()
 
     def close(self) -> None:
-        """Close in the rig; the process ends with the last device. Nothing is let go."""
+        """Close in the rig; the process ends with the last device. The gripper keeps its grip."""
         if self._name not in self._open:
             return
         if self._link.running:
@@ -141,7 +139,7 @@ class _Remote:
         self._leave()
 
     def _known(self) -> Mapping[str, Any]:
-        """Return what the rig should know of the time before."""
+        """Return the state from before, for the rig."""
         return {}
 
     def _leave(self) -> None:
@@ -171,7 +169,7 @@ class RigForceTorque(_Remote):
 
     @property
     def slow_since_s(self) -> float | None:
-        """When it began to deliver less than half of its samples; None while it does not."""
+        """Start of a rate below half of the usual one, s; None at the usual rate."""
         slow_s: float | None = self._row.get("slow_since_s")
         return slow_s
 
@@ -179,7 +177,7 @@ class RigForceTorque(_Remote):
 class RigArm(_Remote):
     """The arm of the rig."""
 
-    place_late_s = 0.0  # by how much later than a stream the arm may tell its place
+    place_late_s = 0.0  # additional delay of positions compared with a stream
 
     @property
     def poses(self) -> SampleStream:
@@ -187,14 +185,14 @@ class RigArm(_Remote):
         return self._link.poses
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Connect in the rig; what was measured on the way up belongs to no connection yet."""
+        """Connect in the rig; discard positions measured before."""
         known = self.state is DeviceState.READY
         super().connect(timeout_s, cancel)
         if not known:
             self._link.settle()
 
     def status(self) -> ArmStatus:
-        """Return the status words."""
+        """Return the status."""
         if self._link.lost is not None and self._name in self._open:
             return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.FAULT, 0.0, 0)
         row = self._row.get("status")
@@ -204,7 +202,7 @@ class RigArm(_Remote):
         return ArmStatus(RobotMode(mode), SafetyMode(safety), override, error)
 
     def servo(self, on: bool) -> None:
-        """Switch the motors; may take seconds."""
+        """Switch the servo motors on or off; may take seconds."""
         self._link.order("arm.servo", on=on)
 
     def pose(self, max_age_s: float) -> Pose:
@@ -216,43 +214,43 @@ class RigArm(_Remote):
     # -- motion -----------------------------------------------------------------------------------
 
     def move_to(self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S) -> RigMotion:
-        """Move straight to ``target``, turning on the way."""
+        """Move on a straight line to ``target`` and turn on the way."""
         return self._link.move(
             "arm.move_to", target=astuple(target), speed_mm_s=speed_mm_s, turn_rad_s=turn_rad_s
         )
 
     def jog(self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL) -> RigMotion:
-        """Follow a velocity and a turn for ``for_s``; a renewal goes on without a jerk."""
+        """Move at a velocity and turn rate for ``for_s``; a renewal continues smoothly."""
         return self._link.move(
             "arm.jog", velocity_mm_s=velocity_mm_s, for_s=for_s, turn_rad_s=turn_rad_s
         )
 
     def press(self, command: PressCommand) -> RigMotion:
-        """Press compliantly from here straight down."""
+        """Press compliantly, straight down."""
         return self._link.move("arm.press", **asdict(command))
 
     def unload(self, force_n: float, speed_mm_s: float) -> RigMotion:
-        """Rise until the press force is ``force_n``."""
+        """Lift until the press force is ``force_n``."""
         return self._link.move("arm.unload", force_n=force_n, speed_mm_s=speed_mm_s)
 
     def halt(self) -> None:
-        """Brake and stand still; the stream goes on."""
+        """Brake to standstill; the stream continues."""
         if self._link.running:
             self._link.order("arm.halt")
 
     def retreat(self) -> None:
-        """Draw back from what the arm touches, then stand; waits for nothing."""
+        """Retreat from the contact, then stand; does not wait."""
         self._link.retreat()
 
     def stop(self) -> None:
-        """End the stream and stop the controller; waits for nothing."""
+        """End the stream and stop the controller; does not wait."""
         self._link.stop()
 
     # -- joints -----------------------------------------------------------------------------------
 
     @property
     def rotates(self) -> bool:
-        """Whether the hand turns, and joints can be driven one by one."""
+        """True if the hand can turn and joints can be driven one by one."""
         return bool(self._link.hello.get("joint_ranges"))
 
     def joints_rad(self, max_age_s: float) -> Joints:
@@ -262,15 +260,15 @@ class RigArm(_Remote):
 
     @property
     def joint_limits_rad(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest angle of each joint."""
+        """Lowest and highest angle of each joint, rad."""
         return tuple((low, high) for low, high in self._link.hello.get("joint_ranges", ()))
 
     def place_of(self, joints_rad: Joints) -> Pose:
-        """Return the pose that these joints give the hand. Moves nothing."""
+        """Return the pose of the hand at these joints."""
         return Pose(*self._link.order("arm.place_of", joints_rad=joints_rad)["value"])
 
     def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> RigMotion:
-        """Turn the joints for ``for_s``; a renewal goes on without a jerk."""
+        """Turn the joints for ``for_s``; a renewal continues smoothly."""
         return self._link.move("arm.jog_joints", speeds_rad_s=speeds_rad_s, for_s=for_s)
 
     def move_joints(self, target_rad: Joints, speed_rad_s: float) -> RigMotion:
@@ -294,7 +292,7 @@ class RigGripper(_Remote):
         super()._leave()
 
     def status(self) -> GripStatus:
-        """Return what the gripper told last."""
+        """Return the last status of the gripper."""
         grip = self._row.get("grip")
         if grip is None:
             return GripStatus(math.nan, math.nan, holding=False)
@@ -303,15 +301,15 @@ class RigGripper(_Remote):
 
     @property
     def homed(self) -> bool:
-        """Whether it knows where its jaws are; True for one that need not be homed."""
+        """True if the gripper is homed or does not need homing."""
         return bool(self._row.get("homed", False))
 
     def home(self) -> RigMotion:
-        """Find the origin, with empty jaws only; ``RefusedError`` where it is not homed so."""
+        """Find the origin, with empty jaws only; raises ``RefusedError`` without homing."""
         return self._link.move("gripper.home")
 
     def acknowledge(self) -> None:
-        """Take a fast stop or fault as seen, on the operator's word."""
+        """Acknowledge a fast stop or fault, on the operator's command."""
         self._link.order("gripper.acknowledge")
 
     def grip(self, force_n: float) -> RigMotion:
@@ -325,7 +323,7 @@ class RigGripper(_Remote):
     def open_held(
         self, right: ReleaseAuthorisation, width_mm: float, speed_mm_s: float
     ) -> RigMotion:
-        """Open on a held piece if ``right`` and what the rig measures allow it."""
+        """Open on a held piece if ``right`` and the measurements of the rig permit it."""
         return self._link.move(
             "gripper.open_held",
             right=type(right).__name__,
@@ -335,7 +333,7 @@ class RigGripper(_Remote):
         )
 
     def stop(self) -> None:
-        """Stop where it is; keeps the grip. Waits for nothing."""
+        """Stop and keep the grip; does not wait."""
         self._link.stop_gripper()
 
 
@@ -344,10 +342,9 @@ WAIT_S = 0.01
 
 
 class BenchDevices:
-    """Drivers by a bench file; they put what they sense into the given streams.
-
-    ``now_s`` runs in step with the computer's own monotonic clock. ``interlock`` permits motion:
-    its lease, its latch and its limits reach the rig. Raises ``InputError`` for bad settings.
+    """The five devices of a lab file; measurements go into the given streams. ``now_s`` must follow
+    the computer's monotonic clock. ``interlock`` permits motion: the rig gets its lease, latch and
+    limits. Raises ``InputError`` for bad settings.
     """
 
     def __init__(
@@ -359,7 +356,7 @@ class BenchDevices:
         poses: SampleStream,
         interlock: Interlock,
     ) -> None:
-        make_devices(settings, now_s)  # what the settings lack is told now, not in the rig
+        make_devices(settings, now_s)  # reports missing settings now, not in the rig
         self.link = RigLink(settings, now_s, samples, poses, interlock)
         open_ones: set[str] = set()
         self.force_torque = RigForceTorque("force_torque", self.link, now_s, open_ones)
@@ -373,7 +370,7 @@ class BenchDevices:
 
     @property
     def devices(self) -> Mapping[str, Device]:
-        """All five by name, sensors first and the arm last: as they are connected."""
+        """All five by name, in the order of connection: sensors first, the arm last."""
         cameras = {camera.name: camera for camera in self.tactile.values()}
         ordered: dict[str, Device] = {"force_torque": self.force_torque, **cameras}
         return {**ordered, "gripper": self.gripper, "arm": self.arm}
@@ -384,20 +381,17 @@ class BenchDevices:
         tell: Callable[[str], None] = lambda name: None,
         limit_s: float = CONNECT_S,
     ) -> None:
-        """Connect all, each within ``limit_s``; ``tell`` hears the name of each before.
-
-        Raises the first ``FaultError``.
-
-        The arm moves on what the wrist feels, so it comes last; what is connected stays so.
+        """Connect all, each within ``limit_s``; ``tell`` is called with the name of each before.
+        Raises the first ``FaultError``; connected devices stay connected. The arm depends on the
+        wrist sensor, so it comes last.
         """
         for name, device in self.devices.items():
             tell(name)
             device.connect(limit_s, cancel)
 
     def home(self) -> None:
-        """Home the gripper if it needs it; raises ``FaultError``.
-
-        On the operator's word only: with a piece between the jaws the origin would be wrong.
+        """Home the gripper if it needs it; raises ``FaultError``. Only on the operator's command:
+        with a piece between the jaws the origin would be wrong.
         """
         if self.gripper.homed:
             return

@@ -1,6 +1,6 @@
 """Safety rules of the real-time process: silent links, limits of orders, release.
 
-Pure functions and state machines, no clock, thread or wire::
+Functions and state machines without clock, thread or wire::
 
     backend's heartbeat older than 250 ms    HOLD; a motion under way is a fault until reset
     motion lease not renewed for 2 s         HOLD; a new order is needed (jogs end before)
@@ -8,9 +8,8 @@ Pure functions and state machines, no clock, thread or wire::
     backend gone (pipe closed, no parent)    STOP, then the process ends
     error of this program                    STOP and a fault
 
-The backend's guards check orders as well: here no order reaches a wire beyond the limits. Every
-condition is a positive comparison, so that NaN and missing values are refused, each by its own
-name.
+The backend's guards check commands as well; these rules hold even if the backend fails. Every
+condition is a positive comparison, so that NaN and missing values are refused.
 """
 
 from __future__ import annotations
@@ -42,17 +41,16 @@ from touchdown.backend.devices import (
 )
 
 BACKEND_SILENT_S = 0.25  # the backend beats at least every 50 ms
-# A run whose thread is late by this much beyond its lease has lost its motion: disks take time.
+# A run whose thread is later than this beyond its lease loses its motion; disks take time.
 LAPSED_S = 2.0 - LEASE_S
-WRENCH_SILENT_S = 0.3  # a wrist sensor that is silent for longer forbids new motion
+WRENCH_SILENT_S = 0.3  # no new motion after a longer silence of the wrist sensor
 
 
 @dataclass(frozen=True, slots=True)
 class FailsafeInput:
-    """What the round found: words of the shared memory, and how the devices are.
-
-    ``moving``: whether a motion of the arm is under way; ``gone``: the backend is no more;
-    ``wrench_s``: time of the newest finite wrench (-inf before the first).
+    """Inputs of a cycle: control words of the shared memory and state of the devices. ``moving`` is
+    True during a motion of the arm, ``gone`` after the loss of the backend; ``wrench_s`` is the
+    time of the newest finite wrench (-inf before the first).
     """
 
     beats: int
@@ -65,9 +63,8 @@ class FailsafeInput:
 
 @dataclass(frozen=True, slots=True)
 class FailsafeOutput:
-    """What is to be done now, the strongest first; ``fault`` is told, ``leave`` ends the process.
-
-    ``why``: what a motion that ends by this is reported with, None for an ordinary stop.
+    """Actions of a cycle, the strongest first; ``fault`` is reported, ``leave`` ends the process.
+    ``why`` is the fault of motions that end by this, None for an ordinary stop.
     """
 
     stop: bool = False
@@ -78,7 +75,7 @@ class FailsafeOutput:
 
 
 class Failsafe:
-    """Latches and watchdogs of one rig; not thread-safe: its owner locks."""
+    """Latches and watchdogs of one rig; not thread-safe."""
 
     def __init__(self, now_s: float, limits: Limits) -> None:
         self.limits = limits
@@ -92,23 +89,23 @@ class Failsafe:
 
     @property
     def latched(self) -> bool:
-        """Whether a STOP or a fault waits for the operator's reset."""
+        """True while a STOP or a fault waits for the operator's reset."""
         return self._stops > self._stops_reset or len(self._faults) > self._faults_reset
 
     @property
     def stops(self) -> int:
-        """How many STOPs this rig has taken."""
+        """Number of STOPs."""
         return self._stops
 
     @property
     def faults(self) -> int:
-        """How many faults this rig has raised; the newest carries this number."""
+        """Number of faults, and number of the newest fault."""
         return len(self._faults)
 
-    # -- one round --------------------------------------------------------------------------------
+    # -- cycle ------------------------------------------------------------------------------------
 
     def step(self, now_s: float, inbox: FailsafeInput) -> FailsafeOutput:
-        """Take what came, return what is to be done."""
+        """Process the inputs of a cycle; return the actions."""
         if inbox.beats != self._beats:
             self._beats, self._beat_s, self._silent = inbox.beats, now_s, False
         self._lease_until_s = inbox.lease_until_s
@@ -131,26 +128,26 @@ class Failsafe:
         fault = silent_fault(silent_s)
         return FailsafeOutput(hold=True, fault=self.latch(fault), why=fault)
 
-    # -- what is told by message ------------------------------------------------------------------
+    # -- messages ---------------------------------------------------------------------------------
 
     def latch(self, fault: Fault) -> Fault:
-        """Keep a fault until it is reset."""
+        """Latch a fault until the reset."""
         self._faults.append(fault)
         return fault
 
     def stop(self, stops: int) -> bool:
-        """Latch STOP number ``stops``; return whether it is news."""
+        """Latch STOP number ``stops``; return True if it is new."""
         news = stops > self._stops
         self._stops = max(self._stops, stops)
         return news
 
     def reset(self, stops: int, faults: int) -> None:
-        """Clear what the operator has seen: STOPs and faults up to these numbers."""
+        """Reset the STOPs and faults up to these numbers, which the operator has seen."""
         self._stops_reset = max(self._stops_reset, min(stops, self._stops))
         self._faults_reset = max(self._faults_reset, min(faults, len(self._faults)))
 
     def refuse(self, now_s: float, lease_until_s: float) -> None:
-        """Raise ``RefusedError`` unless motion may start now; the order carries its lease."""
+        """Raise ``RefusedError`` unless motion is permitted now; a command includes its lease."""
         if self._stops > self._stops_reset:
             raise RefusedError("STOPPED", "The rig process was stopped: press Reset first.")
         if len(self._faults) > self._faults_reset:
@@ -161,7 +158,7 @@ class Failsafe:
             raise RefusedError("NO-LEASE", "Nobody holds a live motion lease.")
 
     def refuse_unfelt(self, now_s: float) -> None:
-        """Raise ``RefusedError`` while the wrist is silent: the arm moves on what it feels."""
+        """Raise ``RefusedError`` while the wrist sensor is silent."""
         age_s = now_s - self._wrench_s
         if not age_s <= WRENCH_SILENT_S:
             raise RefusedError("FT-STALE", "The wrist sensor is silent: nothing moves without it.")
@@ -191,24 +188,24 @@ Arguments = Mapping[str, Any]
 RIGHTS: dict[str, type[ReleaseEvidence] | type[JigEvidence] | type[ByHand]] = {
     right.__name__: right for right in (ReleaseEvidence, JigEvidence, ByHand)
 }
-# What moves the arm: only with a lease, without latch, beside a wrist sensor that is felt.
+# Arm motion requires a lease, no latch, and a working wrist sensor.
 MOVES = frozenset(
     {"arm.move_to", "arm.jog", "arm.jog_joints", "arm.move_joints", "arm.press", "arm.unload"}
 )
-# What moves the jaws in a run: only with a lease and without latch.
+# Jaw motion in a run requires a lease and no latch.
 JAWS = frozenset({"gripper.grip", "gripper.open_to", "gripper.open_held"})
 
 
 @dataclass(frozen=True, slots=True)
 class DriverOrders:
-    """What arm and gripper can be told; ``open_held`` asks the release table first."""
+    """Commands of arm and gripper; ``open_held`` checks the release conditions first."""
 
     arm: Arm
     gripper: Gripper
     may_open: Callable[[ReleaseAuthorisation], None]
 
     def give(self, name: str, arguments: Arguments, limits: Limits) -> Motion | list[float] | None:
-        """Carry order ``name`` out; return its motion, a value, or None."""
+        """Execute command ``name``; return its motion, a value, or None."""
         known = {
             "arm.servo": self._servo,
             "arm.move_to": self._move_to,
@@ -304,21 +301,18 @@ class DriverOrders:
 
 
 def _refuse_fast(name: str, speed: float, most: float) -> None:
-    """Raise ``RefusedError`` unless ``speed`` is within 0 to ``most``; NaN refuses."""
+    """Raise ``RefusedError`` unless ``0 <= speed <= most``; NaN is refused."""
     if not 0.0 <= speed <= most * (1.0 + 1e-9):
         raise RefusedError(name, f"A speed of {speed:.3g} is not within 0 to {most:.3g}.")
 
 
-OLD_S = 0.05  # a wrench older than this is no evidence
+OLD_S = 0.05  # maximum age of a wrench used as evidence
 
 
 @dataclass(frozen=True, slots=True)
 class RigMeasurement:
-    """What the rig itself measures: NaN where it does not know.
-
-    ``press_n``: by the contact law's own zero; ``moved_mm``: largest travel of the arm as it
-    stands (``travelled_mm``); ``width_change_mm`` since the piece was gripped; ``devices_ready``:
-    all of them.
+    """Measurements of the rig for a release, NaN if unknown: press force by the contact law's own
+    zero, largest travel of the standing arm (``travelled_mm``), change of the width since the grip.
     """
 
     press_n: float
@@ -330,7 +324,7 @@ class RigMeasurement:
 
 
 def refuse_opening(right: ReleaseAuthorisation, measured: RigMeasurement) -> None:
-    """Raise ``RefusedError`` with the name of the first condition that does not hold."""
+    """Raise ``RefusedError`` with the name of the first unmet condition."""
     refusal = next(_rows(right, measured), None)
     if refusal is not None:
         raise RefusedError(*refusal)

@@ -1,6 +1,6 @@
-"""Interface of a wrist-sensor driver, with the links it talks over.
+"""Interface of a wrist-sensor driver, and its links.
 
-A driver holds no thread and no port: ``ForceTorqueReader`` owns those. Addresses of links: the path
+A driver owns no thread and no port: ``ForceTorqueReader`` does. The address of a link is the path
 of a serial port, ``socket://host:port`` (TCP), or ``udp://host:port``. Links raise ``OSError``.
 """
 
@@ -28,35 +28,35 @@ WRITE_S = 1.0
 
 
 class SensorLink(Protocol):
-    """One open wire; only its owner reads and writes."""
+    """One open wire, used by one thread."""
 
     def read(self, limit_s: float) -> bytes:
-        """Return what has come, for UDP one datagram; nothing after ``limit_s``."""
+        """Return the received bytes, for UDP one datagram; empty after ``limit_s``."""
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``."""
 
     def drain(self) -> None:
-        """Throw away what has come so far."""
+        """Discard received bytes."""
 
     def close(self) -> None:
-        """Let go of the wire."""
+        """Close the wire."""
 
 
 class SerialLink:
-    """A serial port of 8 data bits, no parity, opened for this program alone."""
+    """A serial port with 8 data bits, no parity, opened exclusively."""
 
     def __init__(self, path: str, baud: int, chunk: int) -> None:
         self._port = serial.Serial(path, baud, timeout=0.0, write_timeout=WRITE_S, exclusive=True)
         self._chunk = chunk
-        # Read past pyserial where the system allows: at 1 kHz that costs half as much.
+        # Read without pyserial where possible: at 1 kHz that halves the processor load.
         self._file: int | None = self._port.fileno() if os.name == "posix" else None
-        # The adapter shall hand over what it has at once; the system may refuse, or not know how.
+        # Request low latency of the adapter; the system may not support it.
         with contextlib.suppress(OSError, ValueError, NotImplementedError, AttributeError):
             self._port.set_low_latency_mode(True)
 
     def read(self, limit_s: float) -> bytes:
-        """Return all that waits, once it is a few frames or the time is over."""
+        """Return the received bytes, once they are a few frames or the time is over."""
         if self._file is None:
             if self._port.timeout != limit_s:
                 self._port.timeout = limit_s
@@ -93,7 +93,7 @@ class TcpLink:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def read(self, limit_s: float) -> bytes:
-        """Return what has come; ``ConnectionError`` once the other side has closed."""
+        """Return the received bytes; raises ``ConnectionError`` when the other side has closed."""
         self._socket.settimeout(limit_s)
         try:
             data = self._socket.recv(CHUNK)
@@ -109,7 +109,7 @@ class TcpLink:
         self._socket.sendall(data)
 
     def drain(self) -> None:
-        """Throw away what has come."""
+        """Discard received bytes."""
         while self.read(1e-3):
             pass
 
@@ -143,7 +143,7 @@ class UdpLink:
         self._socket.send(data)
 
     def drain(self) -> None:
-        """Throw away the datagrams that wait."""
+        """Discard received datagrams."""
         while self.read(1e-3):
             pass
 
@@ -153,7 +153,7 @@ class UdpLink:
 
 
 def open_link(address: str, *, baud: int, chunk: int, limit_s: float = 2.0) -> SensorLink:
-    """Open what ``address`` names; ``chunk`` bytes are a few frames of a serial sensor."""
+    """Open the link to ``address``; ``chunk`` bytes are a few frames of a serial sensor."""
     parts = urlsplit(address)
     if parts.scheme in ("socket", "udp"):
         try:
@@ -171,15 +171,15 @@ AXES = 6  # Fx Fy Fz Tx Ty Tz
 
 
 class NotAnsweredError(TouchdownError):
-    """The sensor does not answer as it should; the text is a sentence for the operator."""
+    """The sensor does not answer as expected; the text is for the operator."""
 
 
 @dataclass(frozen=True, slots=True)
 class WrenchReading:
     """One sample in the axes of the sensor, N and N·m; NaN if the sensor marks it invalid.
 
-    ``missed``: samples that the sensor took in between and that did not arrive. ``overload``: at
-    the end of the range. ``trouble``: a failure that the sensor itself tells, in words.
+    ``missed``: number of samples lost before this one. ``overload``: True at the end of the range.
+    ``trouble``: text of a failure that the sensor reports.
     """
 
     wrench: Wrench
@@ -190,9 +190,8 @@ class WrenchReading:
 
 @dataclass(frozen=True, slots=True)
 class SensorDescription:
-    """What a sensor told at its start: who it is, (6,) rated N and N·m, and its period.
-
-    ``numbered``: it numbers its samples far enough that ``Reading.missed`` shows every loss.
+    """Description of a started sensor: identity, rated loads (6,) N and N·m, and sample period.
+    ``numbered`` is True if ``WrenchReading.missed`` shows every loss.
     """
 
     identity: Identity
@@ -201,13 +200,13 @@ class SensorDescription:
     numbered: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what no reader could use; ``ValueError``."""
+        """Raise ``ValueError`` for unusable values."""
         if len(self.rated) != AXES or not self.period_s > 0:
             raise ValueError(f"{AXES} rated loads and a period are needed, not {self}")
 
 
 class FrameErrors(NamedTuple):
-    """Frames refused in all and since the last good one; bytes that belonged to no frame."""
+    """Rejected frames in total and since the last valid one; bytes outside of frames."""
 
     frames: int
     in_a_row: int
@@ -219,11 +218,11 @@ class WrenchDriver(Protocol):
 
     @property
     def baud(self) -> int:
-        """Speed of its serial line."""
+        """Baud rate of a serial line."""
 
     @property
     def chunk(self) -> int:
-        """Bytes of about two frames: read together."""
+        """Bytes of about two frames, which are read together."""
 
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
         """Bring the sensor from any state to streaming; raises ``NotAnsweredError``, ``WireError``.

@@ -1,9 +1,9 @@
-"""Orders that every streamed arm carries out with a level hand: follow, press, unload.
+"""Commands of every streamed arm with a level hand: follow, press, unload.
 
-A press moves down at constant speed until contact is declared, then is compliant on a ramp that
-counts from the back-dated onset; the reference never rises. After the motion the arm stays
-compliant until the next command. The zero of the wrist sensor is taken in air just before contact:
-0.2 N of drift would give 0.013 mm at 15 N/mm. Callers hold the lock of the stream.
+A press moves down at constant speed until contact is declared, then follows a compliant ramp that
+starts at the back-dated onset; the reference never rises. After the motion the arm stays compliant
+until the next command. The wrist sensor is tared in air just before contact: 0.2 N of drift would
+give 0.013 mm at 15 N/mm. Callers hold the lock of the stream.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ from touchdown.backend.devices.streamed.motion_programs import (
 )
 
 AIR_WINDOW_S = 0.2  # length of the air that is averaged
-ONSET_GAP_S = 0.05  # it ends so long before the onset, which is known within 0.05 mm only
-KEPT_S = 1.0  # the onset lies by less than this before the newest sample
+ONSET_GAP_S = 0.05  # gap before the onset, which is known within 0.05 mm only
+KEPT_S = 1.0  # length of the kept samples; longer than the delay of the onset detection
 AIR_LEAST_SAMPLES = 10
 
 
 class AirTare:
-    """``t_s`` (n,), ``force_n`` (n, 3): untared samples in air, up to the start of a press."""
+    """Tare in air. ``t_s`` (n,), ``force_n`` (n, 3): untared samples before a press."""
 
     def __init__(self, t_s: FloatArray, force_n: FloatArray) -> None:
         # (3,) mean at the start of the press.
@@ -73,7 +73,7 @@ class AirTare:
         self._blocks = deque([(t_s, force_n)])
 
     def feed(self, t_s: FloatArray, force_n: FloatArray) -> None:
-        """Take finite samples (n,), (n, 3) on the way down."""
+        """Add finite samples (n,), (n, 3) during the descent."""
         if not len(t_s):
             return
         self._blocks.append((t_s, force_n))
@@ -81,9 +81,8 @@ class AirTare:
             self._blocks.popleft()
 
     def moved_n(self, onset_s: float) -> FloatArray:
-        """Return (3,) by how much the air before ``onset_s`` differs from that of the start.
-
-        Zero where there are too few samples to tell.
+        """Return the drift (3,) in air between the start and ``onset_s``, N. Zero for too few
+        samples.
         """
         t_s, force_n = (np.concatenate(part) for part in zip(*self._blocks, strict=True))
         air = (t_s >= onset_s - ONSET_GAP_S - AIR_WINDOW_S) & (t_s <= onset_s - ONSET_GAP_S)
@@ -97,22 +96,22 @@ STIFFNESS_LEAST_SAMPLES = 4
 
 
 class ContactStiffnessEstimate:
-    """Takes command and force once per cycle; the force answers a loop delay later."""
+    """Estimate of the contact stiffness; the force follows the command after a loop delay."""
 
     def __init__(self, delay_s: float) -> None:
         self._delay_s = delay_s
         self._commands: deque[tuple[float, float]] = deque(maxlen=64)
         self._seen: list[tuple[float, float]] = []
-        # Found once the force has risen from 1 to 5 N; a softer contact is never found.
+        # Set once the force has risen from 1 to 5 N; unset for a softer contact.
         self.found_n_mm: float | None = None
 
     def feed(self, t_s: float, command_z_mm: float, force_n: float) -> None:
-        """Take the height commanded at ``t_s`` and the press force felt then."""
+        """Add the commanded height and the measured press force at ``t_s``."""
         self._commands.append((t_s, command_z_mm))
         if self.found_n_mm is not None:
             return
         if not force_n >= LOW_N:
-            # One rise tells it: what bounces in between belongs to no slope.
+            # Only one monotonic rise counts: a bounce has no slope.
             self._seen.clear()
         elif force_n <= HIGH_N:
             times, heights = zip(*self._commands, strict=True)
@@ -126,11 +125,13 @@ class ContactStiffnessEstimate:
         return float(-(away @ forces) / max(float(away @ away), 1e-9))
 
 
-SILENT_S = 0.3  # in contact the arm draws back from what it has not felt for this long
+SILENT_S = 0.3  # in contact the arm retreats after this time without a wrench
 
 
 class PressProgram:
-    """Holds one press. ``before``: wrench samples (n,), (n, 3) in air up to now, for the zero."""
+    """Program of one press. ``before``: wrench samples (n,), (n, 3) in air up to now, for the
+    tare.
+    """
 
     fragile = True
     speed_mm_s = SPEED_MM_S
@@ -176,18 +177,18 @@ class PressProgram:
         return comply.command_mm(felt.now_s)
 
     def cut(self, command_mm: FloatArray) -> None:
-        """Go on from where the command really is."""
+        """Continue from the limited command."""
         if self.compliance is not None:
             self.compliance.cut(command_mm)
 
     def still(self) -> None:
-        """Begin the descent again from zero speed."""
+        """Restart the descent from zero speed."""
         self._speed_mm_s = 0.0
 
     # -- before contact ---------------------------------------------------------------------------
 
     def _touched(self, felt: CycleInput) -> bool:
-        """Whether contact is declared; then the arm is compliant from here on."""
+        """Return True if contact is declared; the arm is compliant from then on."""
         if self._start_z_mm is None:
             self._start_z_mm = float(felt.command_mm[2])
         self._way.append((felt.now_s, float(felt.command_mm[2])))
@@ -201,7 +202,7 @@ class PressProgram:
             return False
         self.motion.detected_s, self.motion.onset_s = self._detector.detected_s, onset_s
         t_s, z_mm = zip(*self._way, strict=True)
-        # The arm was where the command had been a loop delay before, less the sensor's own part.
+        # The arm was at the command of one loop delay earlier, less the sensor's delay.
         lag_s = self._loop.arm_lag_s + self._loop.cycle_s
         self._zero_mm = float(np.interp(onset_s - lag_s, t_s, z_mm))
         self.compliance = Compliance(
@@ -212,7 +213,7 @@ class PressProgram:
     def _descend(self, felt: CycleInput) -> FloatArray:
         after = felt.command_mm.copy()
         if not felt.now_s - self._felt_s <= OLD_S:
-            # No way is gone towards the support without feeling it.
+            # Never move towards the support without a measured force.
             self.motion.end(UNFELT)
         if self.motion.done:
             return after
@@ -242,7 +243,7 @@ class PressProgram:
             self.motion.end()
 
     def _weigh(self, comply: Compliance, felt: CycleInput) -> None:
-        """See how stiff the contact is, once: damp it accordingly, or draw back from it."""
+        """Evaluate the contact stiffness once: adapt the damping, or retreat."""
         if self.stiffness.found_n_mm is not None:
             return
         self.stiffness.feed(felt.now_s, float(felt.command_mm[2]), comply.press_n)
@@ -255,7 +256,9 @@ class PressProgram:
             comply.law = admittance_law(self._loop, self._command.stiffness_n_mm, STIFF_N_MM)
 
     def _judge(self, comply: Compliance, now_s: float) -> None:
-        """End the motion, and draw back if need be: too much force, none felt, or a swing."""
+        """End the motion, and retreat after too much force, no measured force, or an
+        oscillation.
+        """
         if comply.tripped and self._rise_to_mm is None:
             self._draw_back(comply, TRIPPED)
         elif not comply.silent_s(now_s) <= OLD_S:
@@ -268,7 +271,7 @@ class PressProgram:
                 self._draw_back(comply, SWINGING)
 
     def retreat(self) -> bool:
-        """Draw back if there is a contact, for a reason from outside; whether there is one."""
+        """Retreat if there is a contact, for an external reason; return True if there is one."""
         if self.compliance is None:
             return False
         if self._rise_to_mm is None:
@@ -286,7 +289,7 @@ class PressProgram:
 
 
 def no_contact(travel_mm: float) -> Fault:
-    """Return the fault of a descent that met nothing on its way."""
+    """Return the fault of a descent without contact."""
     return Fault(
         "NO-CONTACT",
         f"No contact on {travel_mm:.1f} mm of descent.",
@@ -334,40 +337,42 @@ VELOCITY_NAMES = ("x_mm_s", "y_mm_s", "z_mm_s", "rx_rad_s", "ry_rad_s", "rz_rad_
 
 
 class ProgramRunner(Protocol):
-    """What carries programs out, one command per cycle."""
+    """Executes programs, one command per cycle."""
 
     @property
     def program(self) -> object | None:
-        """What goes on, or went on last."""
+        """Active or last program."""
 
     @property
     def command_mm(self) -> FloatArray:
-        """(3,) commanded place of ``G``."""
+        """Commanded position of ``G``, (3,) mm."""
 
     def run(self, program: MotionProgram) -> None:
-        """Take ``program`` in place of any other."""
+        """Replace the active program by ``program``."""
 
 
 class StreamedOrders:
-    """Makes programs; keeps the contact of the last press until it is left."""
+    """Creates programs; keeps the contact of the last press until the arm leaves it."""
 
     def __init__(self, loop: LoopDelays) -> None:
         self.loop = loop
         self._press: PressProgram | None = None
 
     def leave(self) -> None:
-        """Forget the contact: the arm goes elsewhere."""
+        """Drop the contact: the arm moves away."""
         self._press = None
 
     def press_n(self) -> float:
-        """Return the felt press force by the zero of the contact law; NaN without contact."""
+        """Return the press force relative to the tare of the contact law, N; NaN without
+        contact.
+        """
         contact = self._contact()
         return math.nan if contact is None else float(contact.felt_n[2])
 
     def follow(
         self, core: ProgramRunner, velocity_mm_s: FloatArray, until_s: float
     ) -> CommandedMotion:
-        """Begin to follow a velocity (3,) until then, or go on with another."""
+        """Move at a velocity (3,) until the given time, or continue with a new one."""
         self.leave()
         program = core.program
         if not isinstance(program, JogProgram) or program.motion.done:
@@ -379,9 +384,8 @@ class StreamedOrders:
     def press(
         self, core: ProgramRunner, command: PressCommand, before: tuple[FloatArray, FloatArray]
     ) -> ArmPress:
-        """Begin a press; ``before``: samples in air up to now.
-
-        Raises ``RefusedError`` if the approach is too fast for the delay of this loop.
+        """Start a press; ``before``: samples in air up to now. Raises ``RefusedError`` if the
+        approach is too fast for the loop delay.
         """
         law = admittance_law(self.loop, command.stiffness_n_mm)
         fastest = fastest_approach_mm_s(law, self.loop, TRIP_N, command.depth_mm)
@@ -397,7 +401,7 @@ class StreamedOrders:
         return motion
 
     def unload(self, core: ProgramRunner, force_n: float, speed_mm_s: float) -> CommandedMotion:
-        """Begin to rise; raises ``FaultError`` unless the last press has touched."""
+        """Start to lift; raises ``FaultError`` unless the last press had contact."""
         compliance = self._contact()
         if compliance is None:
             raise FaultError(NOT_PRESSING)
@@ -406,7 +410,7 @@ class StreamedOrders:
         return motion
 
     def retreat(self, core: ProgramRunner) -> None:
-        """Draw back: a press along its own law, everything else straight up from its command."""
+        """Retreat: a press by its own law, other motions straight up."""
         if self._press is not None and core.program is self._press and self._press.retreat():
             return
         self.leave()
@@ -425,9 +429,8 @@ def jogging(velocity_mm_s: FloatArray, turn_rad_s: FloatArray | None = None) -> 
 
 
 def air_before(wrench: SampleStream, now_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return the times (n,) and forces (n, 3) of the last second; ``FaultError`` if there are none.
-
-    Only finite samples count.
+    """Return times (n,) and forces (n, 3) of the finite samples of the last second. Raises
+    ``FaultError`` if there are none.
     """
     air = wrench.window(now_s - RECENT_AIR_S, now_s)
     finite = np.isfinite(air.values).all(axis=1)
@@ -437,7 +440,7 @@ def air_before(wrench: SampleStream, now_s: float) -> tuple[FloatArray, FloatArr
 
 
 def told_of(command: PressCommand) -> dict[str, float]:
-    """Return what is sent of a press, by name."""
+    """Return the values of a press command by name."""
     return {
         "depth_mm": command.depth_mm,
         "ramp_s": command.ramp_s,
@@ -463,7 +466,7 @@ KEPT = 32_768
 
 
 class PositionRecord:
-    """``poses``: position of ``G``, mm in the bench. One thread puts, any reads."""
+    """Measured positions of ``G``, mm in the bench frame; written by one thread."""
 
     def __init__(self, now_s: Callable[[], float], poses: SampleStream | None = None) -> None:
         self._now_s = now_s
@@ -471,23 +474,25 @@ class PositionRecord:
         self.begin()
 
     def begin(self) -> None:
-        """Count anew: a connection begins."""
+        """Reset the counts for a new connection."""
         self.received = 0
         self._arrivals: deque[float] = deque(maxlen=512)
 
     def put(self, now_s: float, place_mm: FloatArray) -> None:
-        """Take where ``G`` (3,) was measured at ``now_s``."""
+        """Add the position of ``G`` (3,) measured at ``now_s``."""
         self.poses.put(np.array([now_s]), place_mm[None])
         self.received += 1
         self._arrivals.append(now_s)
 
     def latest_mm(self, max_age_s: float) -> tuple[float, float, float]:
-        """Return the newest place; raises ``StaleSampleError`` if it is older."""
+        """Return the newest position; raises ``StaleSampleError`` if it is older."""
         _, (x_mm, y_mm, z_mm) = self.poses.latest(self._now_s(), max_age_s)
         return float(x_mm), float(y_mm), float(z_mm)
 
     def health(self, lost: int) -> Health:
-        """Return rate over the last second, age of the newest, and counts with ``lost``."""
+        """Return rate over the last second, age of the newest sample, and counts including
+        ``lost``.
+        """
         now_s, arrivals = self._now_s(), self._arrivals.copy()
         rate_hz = sum(t_s > now_s - RATE_WINDOW_S for t_s in arrivals) / RATE_WINDOW_S
         age_s = now_s - arrivals[-1] if arrivals else math.inf

@@ -1,10 +1,9 @@
 """Software compliance of a streamed arm in contact.
 
 Per axis M a + D v + K d = f with implicit damping and explicit spring; ``d`` is added to the
-reference. Forces are those of the environment on the tool, tared in air, along the axes of the
-bench; all arrays (3,), N and mm. Stability depends on damping against loop delay, not on K: see
-``damping``. An unstable contact is detected as a swing of the force at a rate that the loop delay
-sets.
+reference. Forces are those of the environment on the tool, tared in air, in bench axes; all arrays
+are (3,), N and mm. Stability depends on the damping and the loop delay, not on K: see ``damping``.
+An unstable contact is detected as an oscillation of the force at a frequency set by the loop delay.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 
 from touchdown.backend.core import FloatArray
 
-DESIGN_N_MM = 30.0  # stiffness of the environment that the damping is made for
+DESIGN_N_MM = 30.0  # stiffness of the environment for which the damping is designed
 STIFF_N_MM = 100.0  # the same for a stiffer contact, at half the speed
 MASS_S = 0.020  # m / D
 FILTER_HZ = 50.0
@@ -28,7 +27,7 @@ GIVE_MM = 3.0
 
 @dataclass(frozen=True, slots=True)
 class LoopDelays:
-    """The delays around the loop: ``cycle_s``, whole dead cycles, lags of arm and sensor."""
+    """Delays of the control loop: ``cycle_s``, whole dead cycles, lags of arm and sensor."""
 
     cycle_s: float
     dead_cycles: int = 2
@@ -45,13 +44,13 @@ class LoopDelays:
 
 
 def damping(delay_s: float, stiffest_n_mm: float) -> float:
-    """Return D in N·s/mm: gain margin 3.1 at ``stiffest_n_mm``, whatever K."""
+    """Return D in N·s/mm for a gain margin of 3.1 at ``stiffest_n_mm``, for any K."""
     return 2.0 * stiffest_n_mm * delay_s
 
 
 @dataclass(frozen=True, slots=True)
 class AdmittanceLaw:
-    """Constants of one law. ``stiffness_n_mm`` (x, y, z); D in N·s/mm; M in N·s²/mm."""
+    """Constants of an admittance law. ``stiffness_n_mm`` (x, y, z); D in N·s/mm; M in N·s²/mm."""
 
     cycle_s: float
     stiffness_n_mm: tuple[float, float, float]
@@ -63,14 +62,14 @@ class AdmittanceLaw:
     give_mm: float = GIVE_MM
 
     def doubled(self) -> AdmittanceLaw:
-        """Return the law with twice the damping and mass: what calms a swing."""
+        """Return the law with twice the damping and mass, to end an oscillation."""
         return replace(self, damping=2.0 * self.damping, mass=2.0 * self.mass)
 
 
 def admittance_law(
     loop: LoopDelays, stiffness_n_mm: tuple[float, float, float], stiffest_n_mm: float = DESIGN_N_MM
 ) -> AdmittanceLaw:
-    """Return the law for a loop; raises ValueError if the spring would ring by itself."""
+    """Return the law for a loop; raises ``ValueError`` if the spring would oscillate by itself."""
     if not all(math.isfinite(k) and k > 0.0 for k in (*stiffness_n_mm, stiffest_n_mm)):
         raise ValueError("stiffness must be finite and positive")
     d = damping(loop.delay_s, stiffest_n_mm)
@@ -81,7 +80,7 @@ def admittance_law(
 
 @dataclass(frozen=True, slots=True)
 class Deflection:
-    """How far the arm has given way: ``d_mm``, its speed, and the filtered force ``g_n``."""
+    """Compliant deflection: ``d_mm``, its speed, and the filtered force ``g_n``."""
 
     d_mm: FloatArray
     v_mm_s: FloatArray
@@ -92,7 +91,7 @@ AT_REST = Deflection(np.zeros(3), np.zeros(3), np.zeros(3))
 
 
 def deflect(law: AdmittanceLaw, give: Deflection, force_n: FloatArray) -> Deflection:
-    """Return the next state for ``force_n`` (3,); without a finite force it stands still."""
+    """Return the next state for ``force_n`` (3,); unchanged without a finite force."""
     if not np.isfinite(force_n).all():
         return replace(give, v_mm_s=np.zeros(3))
     t = law.cycle_s
@@ -105,20 +104,20 @@ def deflect(law: AdmittanceLaw, give: Deflection, force_n: FloatArray) -> Deflec
     v = np.clip(v, -law.speed_mm_s, law.speed_mm_s)
     free = give.d_mm + t * v
     d = np.clip(free, -law.give_mm, law.give_mm)
-    # A clipped way is the way that was gone: the speed must not wind up behind the limit.
+    # Use the clipped displacement: the speed must not wind up behind the limit.
     v = np.where(d == free, v, (d - give.d_mm) / t)
     return Deflection(d, v, g)
 
 
 def cut_back(give: Deflection, reference_mm: FloatArray, command_mm: FloatArray) -> Deflection:
-    """Return the state after the command was cut to ``command_mm`` by the lead limit."""
+    """Return the state after the lead limit reduced the command to ``command_mm``."""
     return replace(give, d_mm=command_mm - reference_mm, v_mm_s=np.zeros(3))
 
 
 def fastest_approach_mm_s(
     law: AdmittanceLaw, loop: LoopDelays, peak_n: float, press_mm: float
 ) -> float:
-    """Return the highest approach speed whose peak stays under ``peak_n`` at design stiffness."""
+    """Return the highest approach speed with a force peak below ``peak_n`` at design stiffness."""
     k, contact = law.stiffness_n_mm[2], law.damping / (2.0 * loop.delay_s)
     steady_n = press_mm * k * contact / (k + contact)
     return (peak_n - steady_n) / (law.damping + contact * loop.delay_s)
@@ -130,7 +129,7 @@ WINDOW_DELAYS = 10.0
 
 
 class SwingDetector:
-    """Counts turning points of a force more than ``APART_N`` apart within ten loop delays."""
+    """Detects oscillation by turning points of the force, ``APART_N`` apart, in ten loop delays."""
 
     def __init__(self, delay_s: float) -> None:
         self._window_s = WINDOW_DELAYS * delay_s
@@ -144,7 +143,7 @@ class SwingDetector:
         self._low_n, self._high_n = math.inf, -math.inf
 
     def feed(self, t_s: float, force_n: float) -> bool:
-        """Take the force at ``t_s``; return whether it swings."""
+        """Add the force at ``t_s``; return True if it oscillates."""
         self._low_n, self._high_n = min(self._low_n, force_n), max(self._high_n, force_n)
         fallen = self._high_n - force_n > APART_N
         risen = force_n - self._low_n > APART_N
@@ -164,17 +163,16 @@ class SwingDetector:
         self._rising, self._low_n, self._high_n = rising, force_n, force_n
 
 
-# Over the first the reference slows down to half, over the second it stands.
+# Above the first the reference moves at half speed, above the second it stands.
 SOFT_N, PRESS_N = 15.0, 25.0
 TRIP_N, TRIP_AT_ONCE_N = 40.0, 60.0
-OLD_S = 0.1  # a wrench older than this is no observation: the arm stands still
+OLD_S = 0.1  # maximum age of a wrench; without one the arm stands still
 
 
 class Compliance:
-    """Turns a reference and the felt force into a command; forces in N with ``air_n`` as zero.
-
-    ``moved_n`` (3,): how far that zero has moved until the contact. The arm does not give way to
-    it; what is told of the force counts from ``air_n``, as the tare of the run does.
+    """Computes the command from reference and force; forces in N relative to ``air_n``. ``moved_n``
+    (3,) is the drift of this zero until contact; the arm does not comply with it. Reported forces
+    are relative to ``air_n``, like the tare of the run.
     """
 
     def __init__(
@@ -186,7 +184,7 @@ class Compliance:
         moved_n: FloatArray | None = None,
     ) -> None:
         self._loop = loop
-        self.law = law  # may be exchanged in contact: what has been given way stays
+        self.law = law  # may be replaced in contact: the deflection stays
         self._give = AT_REST
         self._swing = SwingDetector(loop.delay_s)
         self._air_n = air_n.copy()
@@ -199,12 +197,12 @@ class Compliance:
 
     @property
     def press_n(self) -> float:
-        """Felt press force, filtered as the law has it."""
+        """Press force, N, filtered by the law."""
         return float(self._give.g_n[2])
 
     @property
     def felt_n(self) -> FloatArray:
-        """(3,) newest force on the tool; NaN when too old."""
+        """Newest force on the tool, (3,) N; NaN when too old."""
         return self._felt_n
 
     def silent_s(self, now_s: float) -> float:
@@ -213,7 +211,7 @@ class Compliance:
 
     @property
     def speed_share(self) -> float:
-        """Which share of its speed the reference may have at this force."""
+        """Permitted share of the reference speed at this force."""
         force_n = float(np.linalg.norm(self._give.g_n))
         if not force_n <= PRESS_N:
             return 0.0
@@ -221,11 +219,11 @@ class Compliance:
 
     @property
     def swinging(self) -> bool:
-        """Whether the contact has been found unstable: the law is calmed since."""
+        """True after an oscillation was detected and the law was changed."""
         return math.isfinite(self._calmed_s)
 
     def feel(self, now_s: float, t_s: FloatArray, force_n: FloatArray) -> None:
-        """Take samples (n,), (n, 3); the mean of the finite ones is the force of this cycle."""
+        """Add samples (n,), (n, 3); the mean of the finite ones is the force of this cycle."""
         finite = np.isfinite(force_n).all(axis=1)
         if finite.any():
             values = force_n[finite] - self._air_n
@@ -242,15 +240,15 @@ class Compliance:
         return np.asarray(self.reference_mm + self._give.d_mm)
 
     def cut(self, command_mm: FloatArray) -> None:
-        """Take note that the command was cut by the lead limit."""
+        """Handle a command reduced by the lead limit."""
         self._give = cut_back(self._give, self.reference_mm, command_mm)
 
     def rebase(self, command_mm: FloatArray) -> None:
-        """Go on from a command that others have moved since."""
+        """Continue from a command that was changed elsewhere."""
         self.reference_mm = command_mm - self._give.d_mm
 
     def still_swinging(self, now_s: float) -> bool:
-        """Whether it still swings ten delays after it was calmed."""
+        """Return True if the force still oscillates ten delays after the change."""
         waited_s = now_s - self._calmed_s
         return waited_s >= 10.0 * self._loop.delay_s and self._swing.feed(now_s, self.press_n)
 

@@ -1,7 +1,7 @@
 """Motion programs of a streamed arm, one command per controller cycle.
 
-Each program gives the next command for ``G`` in the bench. It advances by one cycle per call,
-however late the call comes: missed cycles are skipped, never made up.
+Each program returns the next command for ``G`` in the bench frame. It advances by one cycle per
+call; missed cycles are skipped, never made up.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from touchdown.backend.devices.streamed.compliance import Compliance
 ACCELERATION_MM_S2 = 500.0
 AT_ZERO = np.zeros(6)
 UNLOAD_MM = 10.0
-# A move has ended when the arm is measured this near its end, or this long after its command.
+# A move ends when the measured position is this near to its end, or after this time.
 ARRIVED_MM, ARRIVED_S = 0.02, 0.3
 
 
@@ -49,32 +49,32 @@ class CycleInput:
 
 
 class MotionProgram(Protocol):
-    """One command in progress. It may go on (compliant) after its motion has ended."""
+    """Program of one motion. It may continue (compliant) after its motion has ended."""
 
     @property
     def motion(self) -> CommandedMotion:
-        """What whoever ordered it watches."""
+        """The motion that was returned to the caller."""
 
     @property
     def speed_mm_s(self) -> float:
-        """Highest speed it moves with: the lead limit follows from it."""
+        """Highest speed, from which the lead limit follows, mm/s."""
 
     @property
     def fragile(self) -> bool:
-        """Whether a hold in between makes it void."""
+        """True if a hold makes the motion invalid."""
 
     @property
     def turn(self) -> FloatArray | None:
-        """Turn (3, 3) of the hand after the next cycle; None: it stays as it is."""
+        """Turn (3, 3) of the hand after the next cycle; None leaves it unchanged."""
 
     def next_mm(self, felt: CycleInput) -> FloatArray:
         """Return the next command (3,)."""
 
     def cut(self, command_mm: FloatArray) -> None:
-        """Take note that the command was cut to (3,) by the lead limit."""
+        """Handle a command that the lead limit reduced to (3,)."""
 
     def still(self) -> None:
-        """Take note that the arm stands: begin again from zero speed."""
+        """Handle a standstill: restart from zero speed."""
 
 
 def eased_mm_s(speed_mm_s: float, most_mm_s: float, left_mm: float, cycle_s: float) -> float:
@@ -91,7 +91,7 @@ def braked(acceleration: float, left: float, cycle_s: float) -> float:
 
 
 class TravelProgram:
-    """Straight to a place."""
+    """Straight motion to a position."""
 
     fragile = False
     turn: FloatArray | None = None
@@ -129,20 +129,20 @@ class TravelProgram:
 
 
 class JogProgram:
-    """Follows a velocity until its time is up, then brakes. Renewed in place: it never jerks."""
+    """Motion at a velocity until its time is up, then braking. A renewal is smooth."""
 
     fragile = False
     turn: FloatArray | None = None
 
     def __init__(self, motion: CommandedMotion, velocity_mm_s: FloatArray | None = None) -> None:
-        """``velocity_mm_s``: what it begins with; it brakes unless renewed."""
+        """``velocity_mm_s`` is the initial velocity; the arm brakes unless renewed."""
         self.motion = motion
         self._asked_mm_s, self._until_s = np.zeros(3), -math.inf
         self._now_mm_s = np.zeros(3) if velocity_mm_s is None else velocity_mm_s.copy()
         self.speed_mm_s = float(np.linalg.norm(self._now_mm_s))
 
     def renew(self, velocity_mm_s: FloatArray, until_s: float) -> None:
-        """Take another velocity (3,), good until ``until_s``."""
+        """Set a new velocity (3,), valid until ``until_s``."""
         self._asked_mm_s, self._until_s = velocity_mm_s.copy(), until_s
         self.speed_mm_s = max(self.speed_mm_s, float(np.linalg.norm(velocity_mm_s)))
 
@@ -169,7 +169,7 @@ class JogProgram:
 
 
 class UnloadProgram:
-    """Rises in contact until the press force has fallen to ``force_n``, then stands stiffly."""
+    """Lift in contact until the press force has fallen to ``force_n``, then stand stiffly."""
 
     fragile = False
     turn: FloatArray | None = None
@@ -182,12 +182,12 @@ class UnloadProgram:
         self._start_mm: float | None = None
 
     def next_mm(self, felt: CycleInput) -> FloatArray:
-        """Return the next command; the reference stands while nothing is felt."""
+        """Return the next command; the reference stands without a measured force."""
         comply = self._compliance
         if self._start_mm is None:
             comply.rebase(felt.command_mm)
             self._start_mm = float(comply.reference_mm[2])
-        # Also once it has ended: whether the piece may be let go is asked of this force.
+        # Also after the end: the release conditions use this force.
         comply.feel(felt.now_s, felt.t_s, felt.force_n)
         if self.motion.done:
             return felt.command_mm
@@ -203,7 +203,7 @@ class UnloadProgram:
         return comply.command_mm(felt.now_s)
 
     def cut(self, command_mm: FloatArray) -> None:
-        """Give way from where the command really is."""
+        """Continue from the limited command."""
         self._compliance.cut(command_mm)
 
     def still(self) -> None:
@@ -211,7 +211,7 @@ class UnloadProgram:
 
 
 def not_unloaded(press_n: float) -> Fault:
-    """Return the fault of rising without being relieved."""
+    """Return the fault of a lift that did not reduce the force."""
     return Fault(
         "NOT-UNLOADED",
         f"{press_n:.1f} N press force after rising {UNLOAD_MM:.0f} mm.",
@@ -226,14 +226,14 @@ ARRIVED_RAD = 2e-5
 
 
 def eased(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
-    """Return the velocity of the next cycle: ``wanted``, changed by ``most`` at the most."""
+    """Return the next velocity towards ``wanted``, changed by at most ``most``."""
     change = wanted - now
     size = float(np.linalg.norm(change))
     return wanted.copy() if size <= most else np.asarray(now + change * (most / size))
 
 
 class RotationTravelProgram:
-    """Straight to a place while the hand turns evenly: neither goes faster than its speed."""
+    """Straight motion to a position while the hand turns evenly, within both speeds."""
 
     fragile = False
 
@@ -251,11 +251,11 @@ class RotationTravelProgram:
         self._told_s: float | None = None
 
     def next_mm(self, felt: CycleInput) -> FloatArray:
-        """Return the next point of the way; ``turn`` is the turn there."""
+        """Return the next point of the path; ``turn`` is the turn there."""
         way_mm = self._target_mm - felt.command_mm
         way_rad = rotation_vector(self._target_turn @ felt.turn.T)
         left_mm, left_rad = float(np.linalg.norm(way_mm)), float(np.linalg.norm(way_rad))
-        # All in seconds at full speed, so that both ways end together.
+        # In seconds at full speed, so that both motions end together.
         left_s = max(left_mm / self.speed_mm_s, left_rad / self.speed_rad_s)
         per_s = min(ACCELERATION_MM_S2 / self.speed_mm_s, ACCELERATION_RAD_S2 / self.speed_rad_s)
         pace = min(self._pace + per_s * felt.cycle_s, 1.0, braked(per_s, left_s, felt.cycle_s))
@@ -284,7 +284,7 @@ class RotationTravelProgram:
 
 
 class RotationJogProgram:
-    """Follows a velocity and a turn until its time is up, then brakes. Renewed in place."""
+    """Motion at a velocity and turn rate until its time is up, then braking."""
 
     fragile = False
 
@@ -293,7 +293,9 @@ class RotationJogProgram:
         motion: CommandedMotion,
         now: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
-        """``now``: velocity (3,) and turn (3,) that it begins with; it brakes unless renewed."""
+        """``now`` is the initial velocity (3,) and turn rate (3,); the arm brakes unless
+        renewed.
+        """
         self.motion = motion
         self._mm_s, self._rad_s = now or (np.zeros(3), np.zeros(3))
         self._asked = (np.zeros(3), np.zeros(3), -math.inf)
@@ -302,7 +304,7 @@ class RotationJogProgram:
         self.turn: FloatArray | None = None
 
     def renew(self, velocity_mm_s: FloatArray, turn_rad_s: FloatArray, until_s: float) -> None:
-        """Take another velocity (3,) and turn (3,), good until ``until_s``."""
+        """Set a new velocity (3,) and turn rate (3,), valid until ``until_s``."""
         self._asked = (velocity_mm_s.copy(), turn_rad_s.copy(), until_s)
         self.speed_mm_s = max(self.speed_mm_s, float(np.linalg.norm(velocity_mm_s)))
         self.speed_rad_s = max(self.speed_rad_s, float(np.linalg.norm(turn_rad_s)))
@@ -328,7 +330,7 @@ class RotationJogProgram:
 
 
 class JointTravelProgram:
-    """All joints to their ends at once; none goes faster than ``speed_rad_s``."""
+    """Motion of all joints to their ends, ending together, at most at ``speed_rad_s``."""
 
     fragile = False
 
@@ -362,19 +364,19 @@ class JointTravelProgram:
 
 
 class JointJogProgram:
-    """Turns joints until the time is up, then brakes. Renewed in place."""
+    """Motion at joint speeds until the time is up, then braking."""
 
     fragile = False
 
     def __init__(self, motion: CommandedMotion, now_rad_s: FloatArray | None = None) -> None:
-        """``now_rad_s``: joint speeds (6,) that it begins with; it brakes unless renewed."""
+        """``now_rad_s`` are the initial joint speeds (6,); the arm brakes unless renewed."""
         self.motion = motion
         self._now_rad_s = np.zeros(6) if now_rad_s is None else now_rad_s.copy()
         self._asked_rad_s, self._until_s = np.zeros(6), -math.inf
         self.speed_rad_s = float(np.abs(self._now_rad_s).max())
 
     def renew(self, speeds_rad_s: FloatArray, until_s: float) -> None:
-        """Take other joint speeds (6,), good until ``until_s``."""
+        """Set new joint speeds (6,), valid until ``until_s``."""
         self._asked_rad_s, self._until_s = speeds_rad_s.copy(), until_s
         self.speed_rad_s = max(self.speed_rad_s, float(np.abs(speeds_rad_s).max()))
 

@@ -9,7 +9,6 @@ import math
 import threading
 from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -68,12 +67,9 @@ class Stream(Generic[T]):
 
     def between(self, start_s: float, end_s: float) -> list[T]:
         """Return the kept items stamped ``start_s <= t <= end_s`` in order of time."""
-        return list(self._between(start_s, end_s))
-
-    def _between(self, start_s: float, end_s: float) -> Iterator[T]:
         with self._lock:
             items = list(self._items)
-        return (item for t_s, item in items if start_s <= t_s <= end_s)
+        return [item for t_s, item in items if start_s <= t_s <= end_s]
 
     def clear(self) -> None:
         """Remove the items; the count is kept, so that readers notice."""

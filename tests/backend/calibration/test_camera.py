@@ -48,7 +48,7 @@ def pushes(noise_px: float = 0.05, seed: int = 0) -> list[SidePress]:
 
 
 def mirrored(push: SidePress, camera: int, axis: int) -> SidePress:
-    """Return what a camera with a mirrored picture would have told; dots renumbered."""
+    """Return the fields of a camera with a mirrored picture; dots renumbered."""
     rest, moved = push.rest_px.copy(), push.moved_px.copy()
     order = np.arange(63).reshape(7, 9)
     order = (order[:, ::-1] if axis == 0 else order[::-1]).ravel()

@@ -21,7 +21,7 @@ TURNS = Rotation.from_rotvec(LEANS).as_matrix()
 
 
 def readings(turns: np.ndarray) -> np.ndarray:
-    """Return what a perfect sensor with a bias reads: one pose at a time, by cross products."""
+    """Return the readings of a perfect sensor with a bias, pose by pose."""
     rows = []
     for turn in turns:
         force = turn.T @ [0.0, 0.0, -MASS_KG * 9.80665]

@@ -24,7 +24,7 @@ BIAS = np.array([0.8, -1.2, 2.5, 0.03, -0.02, 0.01])
 
 
 def leaning(yaw: float) -> np.ndarray:
-    """Return what a biased sensor reads that is turned by ``yaw``, pose by pose."""
+    """Return the readings of a biased sensor rotated by ``yaw``, pose by pose."""
     rows = []
     for turn in TURNS:
         force = turn.T @ [0.0, 0.0, -1.5 * 9.80665]

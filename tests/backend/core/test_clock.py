@@ -1,4 +1,4 @@
-"""The hand-wound clock is exact: integers inside, no rounding that depends on the way."""
+"""The manual clock is exact: whole microseconds without accumulated rounding."""
 
 import pytest
 from hypothesis import given

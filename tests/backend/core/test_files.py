@@ -1,4 +1,4 @@
-"""A file is complete or not there, whenever the process is killed."""
+"""A file is complete or absent, whenever the process is killed."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""The shared values cannot be changed behind a reader's back."""
+"""Shared values are immutable."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Facts: none lost, in order; a slow reader loses the oldest and knows how many."""
+"""Events: none is lost and order is kept; a slow reader loses the oldest and counts them."""
 
 import threading
 

@@ -1,4 +1,4 @@
-"""A hush ends when it is told to, and else by itself."""
+"""A repaint hold ends when it is ended, or by itself."""
 
 from touchdown.backend.core.scheduling import RepaintHold
 

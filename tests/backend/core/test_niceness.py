@@ -1,4 +1,4 @@
-"""Work in bulk steps back to one place, from wherever it was started."""
+"""Niceness of worker processes and of threads that raise their priority."""
 
 from __future__ import annotations
 

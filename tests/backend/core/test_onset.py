@@ -1,4 +1,4 @@
-"""Contact detection and back-dating against forces whose true onset is known."""
+"""Contact detection and back-dating against forces with a known onset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Real-time priority is inherited by threads, and given back; where it is not given, nothing is."""
+"""Real-time priority is inherited by threads and restored; nothing changes without permission."""
 
 from __future__ import annotations
 

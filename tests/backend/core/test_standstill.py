@@ -1,4 +1,4 @@
-"""A process that does nothing is told from one that only waits for its turn."""
+"""A stalled process is distinguished from one that waits for the processor."""
 
 import os
 import signal

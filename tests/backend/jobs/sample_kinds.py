@@ -42,7 +42,7 @@ def refuse(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
 
 def threads(_: JobSpec, __: JobContext) -> Mapping[str, Any]:
-    """Say what the worker was told about threads and priority."""
+    """Return the thread variables and the niceness of the worker."""
     nice = os.nice(0) if os.name == "posix" else None
     return {"omp": os.environ.get("OMP_NUM_THREADS"), "nice": nice}
 

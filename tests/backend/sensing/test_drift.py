@@ -12,7 +12,7 @@ NOISE_N = 0.1
 
 
 class Hanging:
-    """A sensor of ``hz`` below which something hangs, read every ``read_s``."""
+    """A sensor of ``hz`` with a payload, read every ``read_s``."""
 
     def __init__(self, hz: float = 1000.0, seed: int = 1, read_s: float = 0.1) -> None:
         self.watch, self.now_s = WrenchDriftEstimator(), 0.0

@@ -19,7 +19,7 @@ def face():
 
 @pytest.fixture(scope="module")
 def board():
-    """As a campaign calibrates: with the piece in its jig, where it hides no dot."""
+    """Calibrate with the piece in its jig, where it hides no dot."""
     return calibrate_scene_camera(drawn("pot", "circle15", (-80.0, 0.0)))
 
 

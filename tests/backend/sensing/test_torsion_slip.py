@@ -15,7 +15,7 @@ PERIOD_S = 0.04
 
 
 class Gels:
-    """Two fingers whose markers turn about their middle by given angles, and shift meanwhile."""
+    """Two fingers whose markers rotate about their centre by given angles, and shift."""
 
     def __init__(self):
         self.fields = {finger: Stream[MarkerField](finger, 256) for finger in FINGERS}
@@ -23,7 +23,7 @@ class Gels:
         self._count = 0
 
     def show(self, left_rad, right_rad, lost=0):
-        """Show one picture of each finger; return whether a turn was seen."""
+        """Process one frame of each finger; return True if a rotation was detected."""
         for finger, angle in zip(FINGERS, (left_rad, right_rad), strict=True):
             t_s = PERIOD_S * self._count + (0.02 if finger == "right" else 0.0)
             turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -25,19 +25,19 @@ CLEAR_MM = 0.5
 
 @dataclass(frozen=True)
 class Opinions:
-    """Of one stack: the judge's verdict and whether the engine saw a fall."""
+    """Verdict of the exact analysis on one stack, and the fall in MuJoCo."""
 
     verdict: TowerVerdict
     fallen: bool
 
     @property
     def unlike(self) -> bool:
-        """Whether the two say different things."""
+        """True if the two disagree."""
         return self.fallen == self.verdict.stands
 
     @property
     def beyond(self) -> bool:
-        """Whether they do so farther from the edge than the engine's error."""
+        """True if they disagree beyond the error of MuJoCo."""
         return contradicts_analysis(self.verdict, self.fallen)
 
 

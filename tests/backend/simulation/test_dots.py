@@ -32,7 +32,7 @@ def test_a_shift_moves_the_mask_and_cuts_it_at_the_border(dots, du, dv):
 
 
 def test_where_two_dots_meet_the_larger_counts(dots):
-    """Two dots in one place, everything else out of sight: no darker than the darker of both."""
+    """Two dots at one position: no darker than the darker of both."""
     gone = STILL + 1e4
     rest = load_gel_appearance().rest_px
     single = []

@@ -15,7 +15,7 @@ MOST = 12
 
 @dataclass(frozen=True)
 class Place:
-    """A place on a line and how far it is from the nearest of two troughs."""
+    """A position on a line, and its distance from the nearer of two minima."""
 
     x: FloatArray
     size: FloatArray
@@ -32,7 +32,7 @@ class Place:
 
 
 def alone(x: float, step: float) -> float:
-    """Where one probe goes that is tried by itself."""
+    """Return the result of one probe on its own."""
     before = Place.at(np.array([x])).size[0]
     for k in range(MOST):
         tried = x + step * 0.5**k

@@ -200,7 +200,7 @@ def test_episodes_are_the_same_bytes_where_the_supports_hold_still() -> None:
 
 
 def test_no_press_on_free_bottoms_is_harder_than_a_spring_can_make_it() -> None:
-    """A search that finds no balance must not leave its last forces behind: they trip the arm."""
+    """A failed search must not leave its last forces, which would trip the arm."""
     catalogue, settings = load_pieces(), SimulationSettings.model_validate({"preset": "hard"})
     tower = Tower((catalogue.bottom("long").body(),))
     piece = catalogue.top("mushroom")

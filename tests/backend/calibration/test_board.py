@@ -1,4 +1,4 @@
-"""Plane and edges against numpy's own fit and against outlines that really are cut."""
+"""Plane and edges against the fit of numpy and against clipped outlines."""
 
 from __future__ import annotations
 

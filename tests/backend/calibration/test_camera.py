@@ -1,4 +1,4 @@
-"""Scale, finger and mirror against the simulated gel, exchanged and mirrored on purpose."""
+"""Scale, finger and mirroring with the simulated gel, exchanged and mirrored on purpose."""
 
 from __future__ import annotations
 

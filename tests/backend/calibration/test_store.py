@@ -1,4 +1,4 @@
-"""A calibration is a file that says what it is, whose, for how long, and by what hash."""
+"""Calibration files: kind, devices, validity and hash."""
 
 from __future__ import annotations
 

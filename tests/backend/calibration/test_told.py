@@ -1,4 +1,4 @@
-"""What a calibration found, as people read it."""
+"""Display of calibrated values."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Settings of real devices: the document lists each with its default, and bad ones are refused."""
+"""Settings of real devices: documented with their defaults, and bad ones are refused."""
 
 import json
 import re

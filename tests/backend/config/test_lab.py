@@ -1,4 +1,4 @@
-"""A lab file: every version is read, a bad one names its key, and none can call itself another."""
+"""Lab files: each version is read, a bad one names its key, and kind and addresses must agree."""
 
 import re
 from dataclasses import asdict

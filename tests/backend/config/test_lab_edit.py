@@ -1,4 +1,4 @@
-"""Where devices answer is changed in a lab file, and nothing else in it."""
+"""Editing of a lab file changes the given addresses and nothing else."""
 
 import tomllib
 from importlib.resources import files

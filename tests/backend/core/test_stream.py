@@ -1,4 +1,4 @@
-"""Bounded buffers against a plain list: newest wins, every loss is counted, old is no sample."""
+"""Bounded buffers against a plain list: the newest wins, losses are counted, old are refused."""
 
 import threading
 

@@ -1,4 +1,4 @@
-"""Turns of the hand against scipy, and how far it may lean."""
+"""Rotations of the hand against scipy, and the margin of its tilt."""
 
 import math
 

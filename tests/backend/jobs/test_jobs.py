@@ -1,4 +1,4 @@
-"""Jobs: one name for one piece of work, results complete or not there, nothing done twice."""
+"""Jobs: equal specifications have one id, results are complete or absent, nothing runs twice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The homography of the board: exact on exact points, right within a pixel from a picture."""
+"""The homography of the board: exact on exact points, within a pixel from a picture."""
 
 from __future__ import annotations
 

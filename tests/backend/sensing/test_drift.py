@@ -1,4 +1,4 @@
-"""Drift of the wrist sensor, by hand-wound clocks: named in time, never without cause."""
+"""Drift of the wrist sensor on a manual clock: reported in time, and never without cause."""
 
 from __future__ import annotations
 

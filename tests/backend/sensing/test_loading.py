@@ -1,4 +1,4 @@
-"""Slip from the loading line, on springs whose slip is known."""
+"""Slip from the loading line, on springs with known slip."""
 
 from __future__ import annotations
 

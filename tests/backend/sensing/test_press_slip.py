@@ -1,4 +1,4 @@
-"""Slip found by the gels, against the slip that the simulated grasp really made."""
+"""Slip from the gels against the slip of the simulated grasp."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a reference may be taken from: the gel at rest, never a gel that something presses on."""
+"""References are accepted from a gel at rest only, never from a gel in contact."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The place of the face in a picture, against pictures drawn for a known place."""
+"""Position of the face in a picture, against pictures rendered for a known position."""
 
 import cv2
 import numpy as np

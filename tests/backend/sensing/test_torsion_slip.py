@@ -1,4 +1,4 @@
-"""What turns both gels at once is a piece that turns; nothing else is (reliability G1)."""
+"""Torsion slip is a simultaneous rotation of both gels, and nothing else (reliability G1)."""
 
 from __future__ import annotations
 

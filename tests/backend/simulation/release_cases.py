@@ -1,4 +1,4 @@
-"""Random stacks, and what the exact judge and the physics engine say of each."""
+"""Random stacks, and the verdicts of the exact analysis and of MuJoCo."""
 
 from __future__ import annotations
 

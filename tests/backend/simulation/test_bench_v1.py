@@ -1,4 +1,4 @@
-"""bench-v1 never changes: its values, the pieces it is measured with, and how a press feels."""
+"""bench-v1 never changes: its values, its pieces, and the wrench of a press."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults on demand: the text form, and what bad texts say."""
+"""Scripted faults: the text form, and the messages for bad texts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Presses of the second world against statics in closed form, never against our own solver."""
+"""Presses of the second world against statics in closed form, independent of the solver."""
 
 from __future__ import annotations
 

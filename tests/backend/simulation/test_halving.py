@@ -1,4 +1,4 @@
-"""Halving a step: each probe goes where it would go if it were tried alone, one by one."""
+"""Step halving: each probe gets the result of a search on its own."""
 
 from __future__ import annotations
 

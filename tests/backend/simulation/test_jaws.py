@@ -1,4 +1,4 @@
-"""The jaws by themselves: closing times, squeezing, letting go, halting in between."""
+"""The jaws: closing times, squeezing, release, and halting."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Laws that the contact model must obey, whatever its parameters."""
+"""Laws that the contact model must obey for all parameters."""
 
 from __future__ import annotations
 

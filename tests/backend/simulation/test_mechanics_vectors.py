@@ -1,4 +1,4 @@
-"""The verification vectors of the bench reference 3.8: no noise, defaults, end of hold."""
+"""Verification vectors of the mechanics: no noise, defaults, end of hold."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rendered frames against their definition: colours, dots where they belong, noise, mirroring."""
+"""Rendered frames against their definition: colours, positions of dots, noise, mirroring."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The batched press against the stepped law: 10 ms cycles all the way."""
+"""The batched press against the stepped law in cycles of 10 ms."""
 
 from __future__ import annotations
 

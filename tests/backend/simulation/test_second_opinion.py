@@ -1,4 +1,4 @@
-"""The physics engine beside the exact judge: agrees when clear, is named when it does not."""
+"""MuJoCo beside the exact analysis: agreement in clear cases, report of contradictions."""
 
 from __future__ import annotations
 

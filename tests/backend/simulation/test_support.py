@@ -1,4 +1,4 @@
-"""Supports that rock and slide: thresholds in closed form, balance of the tilted supports."""
+"""Supports that rock and slide: thresholds in closed form, equilibrium of the tilted supports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The physics engine tips or slides a pressed body where the model says so."""
+"""MuJoCo tips or slides a pressed body where the model predicts it."""
 
 from __future__ import annotations
 

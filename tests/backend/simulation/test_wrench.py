@@ -1,4 +1,4 @@
-"""What the wrist feels, against statics done by hand."""
+"""Wrench at the wrist sensor against statics in closed form."""
 
 from __future__ import annotations
 

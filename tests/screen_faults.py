@@ -36,7 +36,7 @@ def _cards() -> Mapping[str, Sequence[Fault]]:
     return {
         "faults-of-the-grasp": (turned_fault(0.074), gel.fault),
         "faults-of-drivers": (driver_fault(KeyError("payload")), oversize_fault(11)),
-        "faults-of-the-bench": (bench_fault("It waits for what does not come"), NOT_SET),
+        "faults-of-the-bench": (bench_fault("It waits without end"), NOT_SET),
         "faults-of-a-process": (STILL,),
     }
 

@@ -22,7 +22,7 @@ from touchdown.app.shell import (
     portable_key,
     restore_form,
 )
-from touchdown.backend.annotations import DESCRIPTION, Dataset
+from touchdown.backend.annotations import DESCRIPTION_FILE, Dataset
 from touchdown.backend.bench import Session
 from touchdown.backend.core import EpisodeDecision, Event
 from touchdown.backend.geometry import load_pieces
@@ -221,7 +221,7 @@ class CollectWorkspace(Workspace):
         """Show the dataset read-only while no person is named."""
         folder = self.label.folder
         self.presenter.choose_pair()
-        if self.presenter.dataset is None and (folder / DESCRIPTION).is_file():
+        if self.presenter.dataset is None and (folder / DESCRIPTION_FILE).is_file():
             self.reader.submit(
                 lambda: Dataset.open(folder, create=False, write=False),
                 self._looking,

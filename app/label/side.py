@@ -23,7 +23,7 @@ from PySide6.QtWidgets import (
 )
 
 from touchdown.backend.annotations import (
-    PROGRAM,
+    PROGRAM_ACTOR,
     AgreementReport,
     Dataset,
     SuggestionBias,
@@ -38,7 +38,7 @@ LEAST = 2  # one common episode gives no agreement figures
 
 def agreement_text(dataset: Dataset) -> str:
     """Return the agreement figures of a dataset. Slow: do not call on the thread of the window."""
-    people = sorted(name for name in dataset.people() if name != PROGRAM)
+    people = sorted(name for name in dataset.people() if name != PROGRAM_ACTOR)
     parts = []
     for first, second in combinations(people, 2):
         found = dataset.compare(first, second)

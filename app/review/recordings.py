@@ -22,7 +22,7 @@ from touchdown.app.review.exports import probe_table
 from touchdown.app.review.page import ReviewPage
 from touchdown.app.review.timing import TrialTimeline, split_into_trials
 from touchdown.app.shell import ModelPrelabeller, RunStory, SaveWorker, model_path_in_use
-from touchdown.backend.annotations import DESCRIPTION, Dataset
+from touchdown.backend.annotations import DESCRIPTION_FILE, Dataset
 from touchdown.backend.core import (
     Event,
     InputError,
@@ -303,7 +303,7 @@ class ReviewDataset:
         Returns the same list object while nothing changed, so that callers need not compare
         episodes.
         """
-        if self._dataset is None and not (self.folder / DESCRIPTION).is_file():
+        if self._dataset is None and not (self.folder / DESCRIPTION_FILE).is_file():
             return self._series
         found = list_series(self._opened())
         if found != self._series:

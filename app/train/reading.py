@@ -11,7 +11,7 @@ from touchdown.backend.bench import model_in_use
 from touchdown.backend.core import FloatArray, InputError
 from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.learning import (
-    SHIPPED,
+    SHIPPED_MODEL,
     ModelRegistry,
     SamplePrediction,
     TrainingCandidate,
@@ -92,7 +92,7 @@ class TrainingReader:
         if not piece:
             return None
         path, history = self._registry.in_use(piece), self._registry.history(piece)
-        sha256 = SHIPPED if path is None else path.stem
+        sha256 = SHIPPED_MODEL if path is None else path.stem
         since_ns = history[-1].at_ns if history else 0
         return ModelInUse(
             piece, sha256, self._registry.before(piece), since_ns, self._probes(piece)

@@ -12,7 +12,7 @@ from touchdown.backend.core import FaultError, InputError
 from touchdown.backend.episodes import group_noun
 from touchdown.backend.learning import (
     HARDWARE_PROBES,
-    SHIPPED,
+    SHIPPED_MODEL,
     Curve,
     ModelCard,
     TrainingRun,
@@ -215,7 +215,7 @@ def _setting(value: object) -> str:
 
 
 def _model(sha256: str) -> str:
-    return "the one that ships" if sha256 == SHIPPED else f"model {sha256[:8]}"
+    return "the one that ships" if sha256 == SHIPPED_MODEL else f"model {sha256[:8]}"
 
 
 def _duration(seconds: float) -> str:

@@ -9,11 +9,11 @@ from .consistency import ConsistencyProblem as ConsistencyProblem
 from .control_items import ControlItemLabels as ControlItemLabels
 from .control_items import ControlItemView as ControlItemView
 from .control_items import with_control_items as with_control_items
-from .database import NAME as NAME
+from .database import CATALOGUE_FILE as CATALOGUE_FILE
 from .database import SCHEMA_VERSION as SCHEMA_VERSION
 from .database import Database as Database
 from .database import add_event as add_event
-from .dataset import DESCRIPTION as DESCRIPTION
+from .dataset import DESCRIPTION_FILE as DESCRIPTION_FILE
 from .dataset import Dataset as Dataset
 from .dataset import QualityReport as QualityReport
 from .dataset import check_dataset_quality as check_dataset_quality
@@ -36,7 +36,7 @@ from .operation_log import append_operation as append_operation
 from .operation_log import new_revision as new_revision
 from .operation_log import read_mark as read_mark
 from .operation_log import read_operations as read_operations
-from .queues import MODEL as MODEL
+from .queues import MODEL_PREFIX as MODEL_PREFIX
 from .queues import Suggestion as Suggestion
 from .queues import disagreement as disagreement
 from .rebuild import rebuild_dataset as rebuild_dataset
@@ -48,15 +48,15 @@ from .review import REJECT_REASONS as REJECT_REASONS
 from .review import check_person as check_person
 from .review import refresh_heads as refresh_heads
 from .review import state_after as state_after
-from .run_tracking import METRICS as METRICS
-from .run_tracking import RUNS as RUNS
+from .run_tracking import METRICS_FILE as METRICS_FILE
+from .run_tracking import RUNS_FOLDER as RUNS_FOLDER
 from .run_tracking import ActiveRun as ActiveRun
 from .run_tracking import RunInfo as RunInfo
 from .run_tracking import hardware_info as hardware_info
 from .run_tracking import is_run_alive as is_run_alive
 from .run_tracking import package_versions as package_versions
 from .run_tracking import read_run_info as read_run_info
-from .storage import NO_ROOM as NO_ROOM
+from .storage import DISK_FULL_ERRNOS as DISK_FULL_ERRNOS
 from .storage import NotWritableError as NotWritableError
 from .storage import WriterLock as WriterLock
 from .storage import free_bytes_if_low as free_bytes_if_low
@@ -69,7 +69,7 @@ from .training_set import labelled_episodes as labelled_episodes
 from .training_set import load_training_set as load_training_set
 from .training_set import read_observation as read_observation
 from .values import NO_LABEL as NO_LABEL
-from .values import PROGRAM as PROGRAM
+from .values import PROGRAM_ACTOR as PROGRAM_ACTOR
 from .values import AnswerContext as AnswerContext
 from .values import EpisodeContext as EpisodeContext
 from .values import EpisodeEntry as EpisodeEntry
@@ -89,16 +89,16 @@ from .values import uuid7 as uuid7
 from .values import uuid7_from_parts as uuid7_from_parts
 
 __all__ = [
-    "DESCRIPTION",
+    "CATALOGUE_FILE",
+    "DESCRIPTION_FILE",
+    "DISK_FULL_ERRNOS",
     "LABEL_CHOICES",
-    "METRICS",
-    "MODEL",
-    "NAME",
+    "METRICS_FILE",
+    "MODEL_PREFIX",
     "NO_LABEL",
-    "NO_ROOM",
-    "PROGRAM",
+    "PROGRAM_ACTOR",
     "REJECT_REASONS",
-    "RUNS",
+    "RUNS_FOLDER",
     "SCHEMA_VERSION",
     "SPLIT_TAG",
     "ActiveRun",

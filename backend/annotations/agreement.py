@@ -193,7 +193,7 @@ def compare_labellers(
     database: Database, geometry: GeometryStore, first: str, second: str
 ) -> AgreementReport:
     """Return the agreement of two persons."""
-    return _compared(geometry, read_answers(database, first), read_answers(database, second))
+    return _agreement(geometry, read_answers(database, first), read_answers(database, second))
 
 
 def compare_with_control_items(
@@ -220,10 +220,10 @@ def compare_with_control_items(
         gold[episode] = LabellerAnswer(
             episode, record, Label(x, y, theta, sigma), approved, None, False
         )
-    return _compared(geometry, said, gold)
+    return _agreement(geometry, said, gold)
 
 
-def _compared(
+def _agreement(
     geometry: GeometryStore, one: dict[str, LabellerAnswer], two: dict[str, LabellerAnswer]
 ) -> AgreementReport:
     both = [uuid for uuid in one if uuid in two]

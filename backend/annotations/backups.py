@@ -12,14 +12,19 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from touchdown.backend.annotations.consistency import QUARANTINE
-from touchdown.backend.annotations.database import APPLICATION_ID, NAME, Database, add_event
+from touchdown.backend.annotations.database import (
+    APPLICATION_ID,
+    CATALOGUE_FILE,
+    Database,
+    add_event,
+)
 from touchdown.backend.annotations.operation_log import newest_operations
 from touchdown.backend.core import Fault, FaultError, InputError, make_folder, sync_folder
 
 STAMP = "%Y%m%dT%H%M%S%fZ"
-EVERY = timedelta(hours=1)
+INTERVAL = timedelta(hours=1)
 # Retention: the newest copy of each of the last 24 hours, 14 days and 12 months.
-KEPT = (("%Y%m%d%H", 24), ("%Y%m%d", 14), ("%Y%m", 12))
+RETENTION = (("%Y%m%d%H", 24), ("%Y%m%d", 14), ("%Y%m", 12))
 
 Heads = dict[str, tuple[int, str]]  # per site: number and hash of its newest operation
 
@@ -48,7 +53,7 @@ def surplus_backups(backups: Iterable[Backup]) -> list[Backup]:
     """Return the backups that the retention rule no longer keeps."""
     ordered = sorted(backups, key=lambda backup: backup.made, reverse=True)
     wanted: set[Path] = set()
-    for form, count in KEPT:
+    for form, count in RETENTION:
         newest: dict[str, Path] = {}
         for backup in ordered:
             newest.setdefault(backup.made.strftime(form), backup.path)
@@ -102,7 +107,7 @@ class BackupStore:
         made = self._now()
         path = self._folder / f"catalog-{made.strftime(STAMP)}.db"
         part = self._folder / f".{path.name}.tmp"
-        with _explained(self._folder):
+        with _disk_errors(self._folder):
             make_folder(self._folder)
             try:
                 self._copy(part)
@@ -122,7 +127,7 @@ class BackupStore:
         """Make a backup if labels changed and the newest one is older than an hour."""
         age = self.age
         # A backup dated in the future was made before the clock was set back.
-        if age is not None and timedelta(0) <= age < EVERY:
+        if age is not None and timedelta(0) <= age < INTERVAL:
             return None
         return self.if_changed("hourly")
 
@@ -163,8 +168,8 @@ def restore_backup(dataset: Path, backup: Path) -> Path | None:
     ``InputError`` for a damaged backup.
     """
     check_backup(backup)
-    part = dataset / f".{NAME}.tmp"
-    with _explained(dataset):
+    part = dataset / f".{CATALOGUE_FILE}.tmp"
+    with _disk_errors(dataset):
         shutil.copyfile(backup, part)
     return put_in_place(dataset, part)
 
@@ -172,15 +177,15 @@ def restore_backup(dataset: Path, backup: Path) -> Path | None:
 def put_in_place(dataset: Path, part: Path) -> Path | None:
     """Make the complete file ``part`` the catalogue; return the new path of the old one, if any."""
     stamp = datetime.now(UTC).strftime(STAMP)
-    old, aside = dataset / NAME, dataset / QUARANTINE / f"catalog-{stamp}.db"
-    with _explained(dataset):
+    old, aside = dataset / CATALOGUE_FILE, dataset / QUARANTINE / f"catalog-{stamp}.db"
+    with _disk_errors(dataset):
         with part.open("rb+") as file:
             os.fsync(file.fileno())
         kept = old.exists()
         make_folder(aside.parent)
         for suffix in ("-shm", "-wal", ""):
             # The WAL belongs to the old file; SQLite would replay it into the new one.
-            place = dataset / f"{NAME}{suffix}"
+            place = dataset / f"{CATALOGUE_FILE}{suffix}"
             if place.exists():
                 place.replace(aside.with_name(f"{aside.name}{suffix}"))
         part.replace(old)
@@ -193,7 +198,7 @@ def _bad(path: Path, why: str) -> InputError:
 
 
 @contextmanager
-def _explained(folder: Path) -> Iterator[None]:
+def _disk_errors(folder: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, sqlite3.Error, InputError) as error:

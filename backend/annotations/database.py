@@ -186,7 +186,7 @@ def statements() -> str:
     return TABLES + guards + RUNS + CHECKED + APART
 
 
-NAME = "catalog.db"
+CATALOGUE_FILE = "catalog.db"
 BUSY_MS = 2000  # longest wait for a lock held by another program
 LEAST_ROOM = 1_000_000
 Row = tuple[Any, ...]
@@ -211,7 +211,7 @@ class Database:
         """
         if not write and not path.is_file():
             raise InputError("There is no catalogue.", str(path), "Name the folder of a dataset.")
-        mode = "rwc" if write else _looking(path)
+        mode = "rwc" if write else _read_mode(path)
         connection: sqlite3.Connection | None = None
         try:
             connection = _connect(path, mode)
@@ -223,7 +223,7 @@ class Database:
                 connection.close()
             if isinstance(error, InputError):
                 raise
-            raise _unopened(path, error) from error
+            raise _open_error(path, error) from error
         writable = write and found <= SCHEMA_VERSION
         if not writable:
             connection.execute("PRAGMA query_only = ON")
@@ -324,7 +324,7 @@ def _connect(path: Path, mode: str) -> sqlite3.Connection:
     return connection
 
 
-def _looking(path: Path) -> str:
+def _read_mode(path: Path) -> str:
     if os.access(path.parent, os.W_OK):
         return "ro"
     wal = path.with_name(f"{path.name}-wal")
@@ -367,7 +367,7 @@ def _create(connection: sqlite3.Connection) -> None:
     connection.executescript(script)
 
 
-def _unopened(path: Path, error: sqlite3.Error) -> InputError:
+def _open_error(path: Path, error: sqlite3.Error) -> InputError:
     if shutil.disk_usage(path.parent).free < LEAST_ROOM:
         return InputError(
             f"The catalogue cannot be opened, as its disk is full: {error}.",

@@ -20,7 +20,7 @@ from touchdown.backend.annotations import episode_index, operation_log, queues, 
 from touchdown.backend.annotations.agreement import AgreementReport, compare_labellers
 from touchdown.backend.annotations.backups import BackupStore
 from touchdown.backend.annotations.consistency import CheckedFolders, DatasetParts, problem_lines
-from touchdown.backend.annotations.database import NAME as CATALOGUE
+from touchdown.backend.annotations.database import CATALOGUE_FILE as CATALOGUE
 from touchdown.backend.annotations.database import SCHEMA_VERSION, Database
 from touchdown.backend.annotations.episode_files import read_packed
 from touchdown.backend.annotations.episode_index import tagged_sides
@@ -52,7 +52,7 @@ from touchdown.backend.core import (
     write_atomically,
 )
 from touchdown.backend.episodes import (
-    OBS,
+    OBSERVATION_TOPIC,
     CompressedEpisode,
     ExaminedEpisode,
     KeepFrames,
@@ -68,7 +68,7 @@ from touchdown.backend.episodes import (
     without_images,
 )
 
-DESCRIPTION = "dataset.json"
+DESCRIPTION_FILE = "dataset.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +175,7 @@ class Dataset:
         """
         folder = Path(folder)
         check_local_disk(folder)
-        is_there = (folder / DESCRIPTION).is_file()
+        is_there = (folder / DESCRIPTION_FILE).is_file()
         if not is_there and not (create and write):
             raise InputError(
                 "There is no dataset.",
@@ -400,7 +400,7 @@ class Dataset:
 def _describe(folder: Path) -> DatasetDescription:
     """Return the description; create it, or start a new site if the folder was moved."""
     home = f"{socket.gethostname()}:{folder.resolve()}"
-    path = folder / DESCRIPTION
+    path = folder / DESCRIPTION_FILE
     if not path.is_file():
         found = DatasetDescription(uuid7(), uuid7(), home, SCHEMA_VERSION, program_stamp())
     else:
@@ -417,7 +417,7 @@ def _describe(folder: Path) -> DatasetDescription:
 
 def read_description(folder: Path) -> DatasetDescription:
     """Read ``dataset.json``; raises ``InputError`` if it cannot be read."""
-    path = folder / DESCRIPTION
+    path = folder / DESCRIPTION_FILE
     try:
         content = json.loads(path.read_text("utf-8"))
         return DatasetDescription(**{name: content[name] for name in DatasetDescription.__slots__})
@@ -476,7 +476,7 @@ def iter_observations(
             path, chunk = dataset.folder / entry.path, chunks.get(entry.uuid)
             group = read_first(path) if chunk is None else read_chunk(path, *chunk)
             with input_errors(path):
-                observation = unpack_observation(group.messages[OBS.name])
+                observation = unpack_observation(group.messages[OBSERVATION_TOPIC.name])
             yield entry, observation
         except InputError as error:
             yield entry, error

@@ -18,12 +18,17 @@ from typing import Any, NamedTuple
 
 from touchdown.backend.annotations import episode_index, operation_log, review
 from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts, stamp_of
-from touchdown.backend.annotations.values import PROGRAM, Label, LabelContent, uuid7_from_parts
+from touchdown.backend.annotations.values import (
+    PROGRAM_ACTOR,
+    Label,
+    LabelContent,
+    uuid7_from_parts,
+)
 from touchdown.backend.core import Episode, EpisodeQuality, InputError, make_folder, sync_folder
 from touchdown.backend.episodes import (
-    FIX,
-    LABEL,
-    OBS,
+    DAMAGED_FILE_FIX,
+    LABEL_TOPIC,
+    OBSERVATION_TOPIC,
     StoredChunk,
     input_errors,
     read_chunk,
@@ -128,7 +133,7 @@ def _compare_files(
                     continue
                 findings = _check_known_file(parts, parts.folder / name, size, row, whole=whole)
             elif name.endswith(PART):
-                findings = _left_over(parts, parts.folder / name, by_path)
+                findings = _leftover(parts, parts.folder / name, by_path)
             else:
                 findings = _unknown(parts, parts.folder / name, index)
             for finding in findings:
@@ -221,15 +226,17 @@ def _unknown(parts: DatasetParts, path: Path, by_uuid: _RowIndex) -> Iterator[Co
             "adopt", complete.uuid, said, lambda c: adopt_file(c, parts, complete)
         )
     else:
-        yield _double(parts, path, row)
+        yield _second_file(parts, path, row)
 
 
 def read_complete(path: Path) -> CompleteFile:
     """Read an episode file with all checksums; raises ``InputError`` if it is incomplete."""
     contents = read_whole(path)
-    messages = contents.messages.get(LABEL.name, [])
+    messages = contents.messages.get(LABEL_TOPIC.name, [])
     if "episode" not in contents.metadata or not messages:
-        raise InputError("The file has no label message to adopt it by.", str(path), FIX)
+        raise InputError(
+            "The file has no label message to adopt it by.", str(path), DAMAGED_FILE_FIX
+        )
     with input_errors(path):
         facts, message = contents.metadata["episode"], unpack_json(messages[-1])
         quality = json.loads(facts["quality"])
@@ -267,7 +274,7 @@ def adopt_file(connection: sqlite3.Connection, parts: DatasetParts, complete: Co
     episode_index.enter_episode(connection, parts.site, row, content, "adopt")
 
 
-def _double(parts: DatasetParts, path: Path, row: EpisodeFileRow) -> ConsistencyProblem:
+def _second_file(parts: DatasetParts, path: Path, row: EpisodeFileRow) -> ConsistencyProblem:
     """Handle two files with one uuid: the file with the hash of the row stays."""
     kept = parts.folder / row.path
     if file_sha256(path) != row.sha256 or (kept.exists() and file_sha256(kept) == row.sha256):
@@ -296,7 +303,7 @@ def _torn_file(parts: DatasetParts, path: Path, row: EpisodeFileRow | None) -> C
     return ConsistencyProblem("torn", parts.name(path), said, repair)
 
 
-def _left_over(
+def _leftover(
     parts: DatasetParts, part: Path, by_path: dict[str, EpisodeFileRow]
 ) -> Iterator[ConsistencyProblem]:
     """Yield the repair of a leftover ``.<episode>.mcap.part``."""
@@ -415,9 +422,9 @@ def check_packs(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProb
 def read_pack_chunks(path: Path) -> Iterator[PackEntry]:
     """Yield the episodes of a complete pack; raises ``InputError`` if it is damaged or foreign."""
     for chunk in read_chunks(path):
-        messages = chunk.contents.messages.get(LABEL.name)
+        messages = chunk.contents.messages.get(LABEL_TOPIC.name)
         if not messages or "episode" in chunk.contents.metadata:
-            raise InputError("The file is not a pack of episodes.", str(path), FIX)
+            raise InputError("The file is not a pack of episodes.", str(path), DAMAGED_FILE_FIX)
         with input_errors(path):
             label = unpack_json(messages[0])
             label_of(label)
@@ -428,8 +435,8 @@ def read_packed(path: Path, chunk: tuple[int, int]) -> Episode:
     """Read one episode of a pack: observation and commanded offset, without recording."""
     group = read_chunk(path, *chunk)
     with input_errors(path):
-        label = unpack_json(group.messages[LABEL.name][0])
-        observation = unpack_observation(group.messages[OBS.name])
+        label = unpack_json(group.messages[LABEL_TOPIC.name][0])
+        observation = unpack_observation(group.messages[OBSERVATION_TOPIC.name])
         name, piece = str(label["episode"]), str(label["piece"])
         return Episode(name, piece, observation, label_of(label).offset_mm, 0.0, GOOD)
 
@@ -499,7 +506,7 @@ def enter_pack(
     touched = {packed.uuid for packed in listed}
     if revisions:
         draft = operation_log.OperationDraft(revs=revisions)
-        operation_log.append_operation(connection, parts.site, PROGRAM, "adopt", draft)
+        operation_log.append_operation(connection, parts.site, PROGRAM_ACTOR, "adopt", draft)
     review.refresh_heads(connection, touched)
 
 

@@ -17,11 +17,11 @@ from typing import Any
 
 from touchdown.backend.annotations import operation_log, review
 from touchdown.backend.annotations.database import Database
-from touchdown.backend.annotations.storage import NO_ROOM
+from touchdown.backend.annotations.storage import DISK_FULL_ERRNOS
 from touchdown.backend.annotations.values import (
     DELETED,
     FLAG,
-    PROGRAM,
+    PROGRAM_ACTOR,
     EpisodeContext,
     EpisodeEntry,
     EpisodeFilter,
@@ -203,7 +203,7 @@ def write_episode_file(
             write_episode(path, episode, message, {**bench, **context.bench}, keep_frames)
             row = episode_row(message, episode.quality, keep_frames, path, root)
         except OSError as error:
-            if error.errno in NO_ROOM or attempt == 2:
+            if error.errno in DISK_FULL_ERRNOS or attempt == 2:
                 raise FaultError(_not_recorded(error)) from error
         else:
             return WrittenEpisode(path, row)
@@ -224,14 +224,14 @@ def enter_episode(
     insert_episode(connection, row)
     state: LabelState = "draft" if content.label.is_set else "unlabelled"
     revision = operation_log.new_revision(row["uuid"], None, content, state)
-    draft, actor = operation_log.OperationDraft(revs=[revision]), row["person"] or PROGRAM
+    draft, actor = operation_log.OperationDraft(revs=[revision]), row["person"] or PROGRAM_ACTOR
     operation, touched = operation_log.append_operation(connection, site, actor, verb, draft)
     review.refresh_heads(connection, touched)
     return operation
 
 
 def _not_recorded(error: OSError) -> Fault:
-    full = error.errno in NO_ROOM
+    full = error.errno in DISK_FULL_ERRNOS
     return Fault(
         code="DISK-FULL" if full else "EPISODE-WRITE",
         what="The disk is full." if full else f"An episode could not be written: {error}.",

@@ -38,7 +38,7 @@ from touchdown.backend.annotations.values import (
 )
 from touchdown.backend.core import FloatArray, InputError, RefusedError
 
-TOGETHER = 500  # episodes per query
+EPISODES_PER_QUERY = 500  # episodes per query
 
 
 class LabelReader:
@@ -61,8 +61,8 @@ class LabelReader:
     def offsets_mm(self, uuids: Sequence[str]) -> FloatArray:
         """Return the offsets (n, 2) of the valid revisions; NaN without offset."""
         found: dict[str, tuple[float, float]] = {}
-        for start in range(0, len(uuids), TOGETHER):
-            some = uuids[start : start + TOGETHER]
+        for start in range(0, len(uuids), EPISODES_PER_QUERY):
+            some = uuids[start : start + EPISODES_PER_QUERY]
             marks = ", ".join("?" * len(some))
             sql = (
                 "SELECT h.episode, r.x_um, r.y_um FROM label_head h JOIN label_rev r"  # noqa: S608

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 from touchdown.backend.annotations.values import (
-    FIRST,
+    FIRST_HASH,
     NO_LABEL,
     ControlItemStep,
     Label,
@@ -123,7 +123,7 @@ def append_operation(
     last = connection.execute(
         "SELECT seq, hash FROM op WHERE site = ? ORDER BY seq DESC LIMIT 1", (site,)
     ).fetchone()
-    seq, previous = last if last else (0, FIRST)
+    seq, previous = last if last else (0, FIRST_HASH)
     (clock,) = connection.execute("SELECT max(lamport) FROM op").fetchone()
     content: dict[str, Any] = {
         "op_uuid": uuid7(),
@@ -338,7 +338,7 @@ class OperationJournal:
         path = self.path(site)
         last = self._written.get(site)
         if last is None:
-            last = _mend(path)
+            last = _cut_torn_line(path)
         missing = read_operations(connection, "site = ? AND seq > ?", (site, last))
         if missing:
             # Unknown until written, so that the next call looks again after a failure.
@@ -380,7 +380,7 @@ def _as_line(operation: Operation) -> dict[str, object]:
     return {name: getattr(operation, name) for name in FIELDS}
 
 
-def _mend(path: Path) -> int:
+def _cut_torn_line(path: Path) -> int:
     """Remove an incomplete last line; return the last sequence number (0 if none)."""
     if not path.exists():
         return 0
@@ -484,12 +484,12 @@ def take_back_step(
         step = replace(now, version=version, copy_of=old.rev_uuid)
     add_step(draft, step)
     if step.answer is not None:
-        draft.extra |= _looked(connection, before)
+        draft.extra |= _answer_context(connection, before)
     elif now.answer is not None:
         draft.opinions.append({"episode": uuid, "verdict": None} | asdict(NO_LABEL))
 
 
-def _looked(connection: sqlite3.Connection, step: ControlItemStep) -> dict[str, object]:
+def _answer_context(connection: sqlite3.Connection, step: ControlItemStep) -> dict[str, object]:
     """Return time and blindness of the answer of a step."""
     seen_ms, blind = connection.execute(
         "SELECT json_extract(body, '$.seen_ms'), json_extract(body, '$.blind') FROM op"

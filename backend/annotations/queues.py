@@ -21,7 +21,7 @@ from touchdown.backend.core import InputError
 # the label to those of the most similar signals, relative to the usual distance.
 SCORES = ("doubt", "disagreement", "uncertainty", "duplicates")
 
-MODEL = "model:"
+MODEL_PREFIX = "model:"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,9 @@ class ScoreStore:
             " WHERE episode = ?",
             (uuid,),
         )
-        return None if row is None else Suggestion(Label(*row[:4]), f"{MODEL}{row[4]}", row[5])
+        return (
+            None if row is None else Suggestion(Label(*row[:4]), f"{MODEL_PREFIX}{row[4]}", row[5])
+        )
 
 
 def disagreement(head: Revision, suggestion: Suggestion) -> float | None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from touchdown.backend.annotations.backups import put_in_place
 from touchdown.backend.annotations.consistency import DatasetParts, problem_lines
-from touchdown.backend.annotations.database import NAME, Database
+from touchdown.backend.annotations.database import CATALOGUE_FILE, Database
 from touchdown.backend.annotations.dataset import Dataset, read_description
 from touchdown.backend.annotations.geometry_records import GeometryStore
 from touchdown.backend.annotations.operation_log import OperationJournal
@@ -35,7 +35,7 @@ COMPARED = {
     " keep_frames, state",
 }
 CARRIED = ("event", "score", "suggestion", "run", "param", "metric", "artifact", "schema_migration")
-GONE = "state IN ('missing', 'quarantined', 'damaged')"
+UNUSABLE = "state IN ('missing', 'quarantined', 'damaged')"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ def rebuild_dataset(folder: Path, *, replace: bool, person: str = "") -> Rebuild
     if not readable and not replace:
         raise InputError(
             "The catalogue cannot be read, so there is nothing to compare with.",
-            str(folder / NAME),
+            str(folder / CATALOGUE_FILE),
             "Say --replace to put the new one in its place; the old one is kept in quarantine.",
         )
     lock = WriterLock.take(folder, person)
@@ -107,7 +107,7 @@ def _make(folder: Path, path: Path, *, carry: bool) -> tuple[str, ...]:
     try:
         journal, geometry = OperationJournal(folder / "labels"), GeometryStore(folder / "geometry")
         if carry:
-            _carry_over(database, folder / NAME)
+            _carry_over(database, folder / CATALOGUE_FILE)
         found = reconcile(DatasetParts(folder, database, journal, geometry, site))
     finally:
         database.close()
@@ -118,8 +118,8 @@ def _carry_over(database: Database, old: Path) -> None:
     with closing(sqlite3.connect(f"{old.resolve().as_uri()}?mode=ro", uri=True)) as source:
         for table in CARRIED:
             _copy(source, database, table, f"SELECT * FROM {table}")  # noqa: S608
-        _copy(source, database, "episode", f"SELECT * FROM episode WHERE {GONE}")  # noqa: S608
-        gone = f"SELECT series FROM episode WHERE {GONE}"  # noqa: S608
+        _copy(source, database, "episode", f"SELECT * FROM episode WHERE {UNUSABLE}")  # noqa: S608
+        gone = f"SELECT series FROM episode WHERE {UNUSABLE}"  # noqa: S608
         sql = f"SELECT * FROM series WHERE uuid IN ({gone})"  # noqa: S608
         _copy(source, database, "series", sql)
 
@@ -138,7 +138,7 @@ def _compare(
     rows, only_old, only_new = {}, {}, {}
     with closing(sqlite3.connect(path.resolve().as_uri(), uri=True)) as connection:
         if readable:
-            address = f"{(folder / NAME).resolve().as_uri()}?mode=ro"
+            address = f"{(folder / CATALOGUE_FILE).resolve().as_uri()}?mode=ro"
             connection.execute("ATTACH DATABASE ? AS old", (address,))
         for table, columns in COMPARED.items():
             (rows[table],) = connection.execute(f"SELECT count(*) FROM {table}").fetchone()  # noqa: S608

@@ -28,8 +28,8 @@ from touchdown.backend.annotations.operation_log import (
 )
 from touchdown.backend.annotations.run_tracking import check_runs, sync_run_tables
 from touchdown.backend.annotations.values import (
-    FIRST,
-    PROGRAM,
+    FIRST_HASH,
+    PROGRAM_ACTOR,
     Operation,
     canonical_json,
     first_broken_link,
@@ -37,7 +37,7 @@ from touchdown.backend.annotations.values import (
 )
 from touchdown.backend.core import Fault, InputError, write_atomically
 
-TAIL = 500  # number of newest operations checked on opening; ``verify`` checks all
+CHECKED_OPERATIONS = 500  # number of newest operations checked on opening; ``verify`` checks all
 
 ChainPosition = tuple[int, str]  # number and hash of an operation
 
@@ -48,14 +48,14 @@ def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
         catalogue = newest_operations(connection)
     broken: set[str] = set()
     for site, (seq, _) in catalogue.items():
-        bad = _bad_link(parts, site, 0 if whole else max(0, seq - TAIL))
+        bad = _bad_link(parts, site, 0 if whole else max(0, seq - CHECKED_OPERATIONS))
         if bad is not None:
             broken.add(site)
             yield _broken(site, bad, "The chain of label operations is broken")
     missing: list[Operation] = []
     journals = {path.stem for path in parts.journal.folder.glob("*.jsonl")}
     for site in sorted({*catalogue, *journals} - broken):
-        ahead, findings = _against_journal(parts, site, catalogue.get(site, (0, FIRST)))
+        ahead, findings = _compare_journal(parts, site, catalogue.get(site, (0, FIRST_HASH)))
         missing += ahead
         yield from findings
     if missing:
@@ -103,7 +103,7 @@ def _bad_link(parts: DatasetParts, site: str, after: int) -> int | None:
     if after:
         start = (operations[0].seq, operations[0].hash)
         return first_sequence_break(operations[1:], start)
-    return first_sequence_break(operations, (0, FIRST))
+    return first_sequence_break(operations, (0, FIRST_HASH))
 
 
 def first_sequence_break(operations: Iterable[Operation], start: ChainPosition) -> int | None:
@@ -124,7 +124,7 @@ def _link(operation: Operation) -> str:
         return ""
 
 
-def _against_journal(
+def _compare_journal(
     parts: DatasetParts, site: str, newest: ChainPosition
 ) -> tuple[list[Operation], list[ConsistencyProblem]]:
     """Return the operations of the journal that the catalogue lacks, and problems of the site."""
@@ -133,7 +133,7 @@ def _against_journal(
     if last == newest:
         return [], []
     if last is not None and last[0] < newest[0] and _is_known(parts, site, last):
-        return [], [_behind(parts, site, newest[0] - last[0])]
+        return [], [_journal_behind(parts, site, newest[0] - last[0])]
     try:
         operations = list(read_journal(path))
     except (ValueError, OSError) as error:
@@ -166,11 +166,11 @@ def _last_line(path: Path) -> ChainPosition | None:
     try:
         _, content = read_tail(path)
     except FileNotFoundError:
-        return 0, FIRST
+        return 0, FIRST_HASH
     end = content.rfind(b"\n") + 1
     line = content[content.rfind(b"\n", 0, max(end - 1, 0)) + 1 : end]
     if not line:
-        return 0, FIRST
+        return 0, FIRST_HASH
     try:
         facts = json.loads(line)
         return int(facts["seq"]), str(facts["hash"])
@@ -178,7 +178,7 @@ def _last_line(path: Path) -> ChainPosition | None:
         return None
 
 
-def _behind(parts: DatasetParts, site: str, count: int) -> ConsistencyProblem:
+def _journal_behind(parts: DatasetParts, site: str, count: int) -> ConsistencyProblem:
     def repair(connection: sqlite3.Connection) -> None:
         parts.journal.catch_up(connection, site)
 
@@ -202,7 +202,7 @@ def _broken(site: str, seq: int, what: str) -> ConsistencyProblem:
 
 
 # Leftovers of a crash, of files that are built again on demand.
-LEFT_OVERS = (
+LEFTOVERS = (
     ("cache", "*.tmp"),
     ("cache", ".*.part"),
     ("exports", "*.tmp"),
@@ -213,7 +213,7 @@ LEFT_OVERS = (
     ("runs/*", ".*.part"),
     (".", ".rebuilt.db*"),
 )
-TOGETHER = 500  # repairs in one transaction: an unmounted disk causes thousands
+REPAIRS_PER_TRANSACTION = 500  # repairs in one transaction: an unmounted disk causes thousands
 BUSY_S = 60.0  # a cache changed more recently than this is in use
 
 
@@ -242,8 +242,8 @@ def reconcile(parts: DatasetParts, *, whole: bool = False) -> list[ConsistencyPr
         _left_overs(parts),
     ):
         found = list(check)
-        for start in range(0, len(found), TOGETHER):
-            told += _mended(parts, found[start : start + TOGETHER])
+        for start in range(0, len(found), REPAIRS_PER_TRANSACTION):
+            told += _repaired(parts, found[start : start + REPAIRS_PER_TRANSACTION])
     sync_run_tables(parts.folder, parts.database)
     with parts.database.reading() as connection:
         sites = list(newest_operations(connection))
@@ -253,7 +253,7 @@ def reconcile(parts: DatasetParts, *, whole: bool = False) -> list[ConsistencyPr
     return told
 
 
-def _mended(
+def _repaired(
     parts: DatasetParts, findings: Sequence[ConsistencyProblem]
 ) -> list[ConsistencyProblem]:
     """Repair in one transaction; return the problems that were not reported before."""
@@ -267,17 +267,17 @@ def _mended(
             try:
                 finding.repair(connection)
                 body = {"said": finding.message}
-                add_event(connection, PROGRAM, finding.kind, finding.target, body)
+                add_event(connection, PROGRAM_ACTOR, finding.kind, finding.target, body)
                 told.append(finding)
             except (InputError, OSError, sqlite3.IntegrityError) as error:
                 connection.execute("ROLLBACK TO one")
                 said = f"{finding.message} That failed: {error}"
                 untold.append(ConsistencyProblem("not-mended", finding.target, said))
             connection.execute("RELEASE one")
-    return told + [f for f in untold if _tell_once(parts, f) or f.locks]
+    return told + [f for f in untold if _is_new(parts, f) or f.locks]
 
 
-def _tell_once(parts: DatasetParts, finding: ConsistencyProblem) -> bool:
+def _is_new(parts: DatasetParts, finding: ConsistencyProblem) -> bool:
     """Store a problem as an event; return False if it was stored before."""
     body = {"said": finding.message}
     kept = canonical_json(body).decode("utf-8")
@@ -285,12 +285,12 @@ def _tell_once(parts: DatasetParts, finding: ConsistencyProblem) -> bool:
     if parts.database.first(sql, (finding.kind, finding.target, kept)):
         return False
     with parts.database.transaction() as connection:
-        add_event(connection, PROGRAM, finding.kind, finding.target, body)
+        add_event(connection, PROGRAM_ACTOR, finding.kind, finding.target, body)
     return True
 
 
 def _left_overs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
-    for folder, pattern in LEFT_OVERS:
+    for folder, pattern in LEFTOVERS:
         for path in sorted((parts.folder / folder).glob(pattern)):
             if not _in_use(parts, path):
                 said = f"{parts.name(path)} was left half-made: deleted."

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from touchdown.backend.annotations.operation_log import REVERSING
-from touchdown.backend.annotations.values import DELETED, FLAG, PROGRAM, SKIPPED, LabelState
+from touchdown.backend.annotations.values import DELETED, FLAG, PROGRAM_ACTOR, SKIPPED, LabelState
 from touchdown.backend.core import InputError, RefusedError
 
 # Stage of an episode in the workflow; each has exactly one.
@@ -236,11 +236,11 @@ class ReviewStatus:
 def check_person(person: str) -> str:
     """Return the name without surrounding spaces; raises ``InputError`` for an invalid name."""
     name = person.strip()
-    if not name or len(name) > MAX_NAME or not name.isprintable() or name == PROGRAM:
+    if not name or len(name) > MAX_NAME or not name.isprintable() or name == PROGRAM_ACTOR:
         raise InputError(
             "This is not the name of a person.",
             repr(person),
-            f"Give a name of 1 to {MAX_NAME} printable characters other than '{PROGRAM}'.",
+            f"Give a name of 1 to {MAX_NAME} printable characters other than '{PROGRAM_ACTOR}'.",
         )
     return name
 

@@ -49,8 +49,8 @@ def package_versions() -> dict[str, object]:
     }
 
 
-RUNS = "runs"
-ABOUT, METRICS, ALIVE = "run.json", "metrics.jsonl", "alive.lock"
+RUNS_FOLDER = "runs"
+ABOUT, METRICS_FILE, ALIVE = "run.json", "metrics.jsonl", "alive.lock"
 FORMAT = 1
 
 RunState = Literal["queued", "running", "finished", "failed", "cancelled", "interrupted"]
@@ -134,12 +134,12 @@ class ActiveRun:
 
     def __init__(self, dataset: Path, about: RunInfo) -> None:
         self._dataset, self.about = dataset, about
-        self.folder = dataset / RUNS / about.uuid
+        self.folder = dataset / RUNS_FOLDER / about.uuid
         make_folder(self.folder.parent)
         self.folder.mkdir()
         # Locked before the files exist, so that a parallel check does not take it for a crash.
         self._alive: int | None = lock_file(self.folder / ALIVE)
-        self._metrics = (self.folder / METRICS).open("w", encoding="utf-8")
+        self._metrics = (self.folder / METRICS_FILE).open("w", encoding="utf-8")
         write_run_info(self.folder, about)
         sync_folder(self.folder.parent)
 
@@ -235,7 +235,7 @@ def sync_run_tables(folder: Path, database: Database) -> None:
 
 def run_folders(folder: Path) -> list[Path]:
     """Return the run folders in the order of their start."""
-    runs = folder / RUNS
+    runs = folder / RUNS_FOLDER
     return sorted(path for path in runs.iterdir() if path.is_dir()) if runs.is_dir() else []
 
 
@@ -247,7 +247,7 @@ def run_file_stamp(run: Path) -> tuple[str, int]:
     except FileNotFoundError:
         mark = ""
     try:
-        return mark, (run / METRICS).stat().st_size
+        return mark, (run / METRICS_FILE).stat().st_size
     except FileNotFoundError:
         return mark, 0
 
@@ -273,7 +273,7 @@ def _enter(connection: sqlite3.Connection, about: RunInfo, mark: str) -> None:
 
 def _take_metrics(connection: sqlite3.Connection, run: Path, start: int) -> None:
     """Copy the complete lines after byte ``start``; all lines if the file became shorter."""
-    path = run / METRICS
+    path = run / METRICS_FILE
     if not path.exists():
         return
     if path.stat().st_size < start:
@@ -403,7 +403,7 @@ def check_runs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
                 "interrupted", about.uuid, said, partial(_interrupt, run, about)
             )
     for (uuid,) in parts.database.rows("SELECT uuid FROM run WHERE state IN (?, ?)", OPEN):
-        if not (parts.folder / RUNS / uuid).is_dir():
+        if not (parts.folder / RUNS_FOLDER / uuid).is_dir():
             said = f"The folder of run {uuid} is gone; its figures so far are kept."
             yield ConsistencyProblem("interrupted", uuid, said, partial(_close, uuid))
 
@@ -413,7 +413,7 @@ def _close(uuid: str, connection: sqlite3.Connection) -> None:
 
 
 def _interrupt(run: Path, about: RunInfo, _: sqlite3.Connection) -> None:
-    lines = run / METRICS
+    lines = run / METRICS_FILE
     last_ns = lines.stat().st_mtime_ns if lines.exists() else about.started_ns
     write_run_info(run, replace(about, state="interrupted", ended_ns=last_ns))
 

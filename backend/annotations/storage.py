@@ -23,11 +23,11 @@ import psutil
 from touchdown.backend.core import InputError, lock_file
 
 # error numbers of a full disk or an exhausted quota
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+DISK_FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 LEAST_BYTES = 1_000_000_000
 LEAST_EPISODES = 100
 # A run in progress pauses below this, since catalogue and journals still need space.
-GO_ON_BYTES = 500_000_000
+LEAST_BYTES_RUNNING = 500_000_000
 # Size of an episode with JPEG images of real gels; simulated ones are smaller.
 EPISODE_BYTES = 3_700_000
 
@@ -62,7 +62,7 @@ def free_space_for(folder: Path, episodes: int, bytes_each: int = EPISODE_BYTES)
 def free_bytes_if_low(folder: Path) -> int | None:
     """Return the free bytes if they are too few for another episode, else None."""
     _, free = _free(folder)
-    return free if free < GO_ON_BYTES else None
+    return free if free < LEAST_BYTES_RUNNING else None
 
 
 def _free(folder: Path) -> tuple[Path, int]:

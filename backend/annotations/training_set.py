@@ -19,14 +19,14 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.annotations.database import NAME, Database
+from touchdown.backend.annotations.database import CATALOGUE_FILE, Database
 from touchdown.backend.annotations.geometry_records import GeometryStore, Pair, face_record
 from touchdown.backend.annotations.values import Label, canonical_json
 from touchdown.backend.config import SAMPLES_PER_PROBE
 from touchdown.backend.core import CHANNELS, FloatArray, InputError, sync_folder, write_atomically
 from touchdown.backend.episodes import (
-    FIX,
-    OBS,
+    DAMAGED_FILE_FIX,
+    OBSERVATION_TOPIC,
     TrainingRows,
     input_errors,
     read_chunk,
@@ -35,8 +35,8 @@ from touchdown.backend.episodes import (
 )
 from touchdown.backend.geometry import Piece, face_points, load_pieces, true_patch
 
-FEATURES = 1  # increment when the same file gives different numbers
-KEPT = 3  # newest caches to keep
+CACHE_VERSION = 1  # increment when the same file gives different numbers
+KEPT_CACHES = 3  # newest caches to keep
 LISTED = ("episode", "sha256", "revision", "x_um", "y_um", "pair")
 SHAPE = (SAMPLES_PER_PROBE, CHANNELS)
 Width = Literal["float16", "float32"]
@@ -96,7 +96,7 @@ def cache_spec(rows: Sequence[CacheRow], width: Width = "float16") -> dict[str, 
     """Return everything a cache depends on; equal specs have equal numbers."""
     return {
         "episodes": [[row.episode, row.sha256, row.revision] for row in rows],
-        "features": FEATURES,
+        "features": CACHE_VERSION,
         "ticks": SAMPLES_PER_PROBE,
         "channels": CHANNELS,
         "rate_hz": 10,
@@ -126,7 +126,7 @@ def open_cache(
         columns = {name: [getattr(row, name) for row in ordered] for name in LISTED}
         header = {"spec": {**spec, "episodes": len(ordered)}, **columns}
         write_atomically(path.with_suffix(".json"), json.dumps(header).encode())
-    _forget_old(folder, path)
+    _delete_old(folder, path)
     return TrainingCache(path, ordered)
 
 
@@ -174,17 +174,17 @@ def read_observation(dataset: Path, row: CacheRow) -> NDArray[np.float32]:
     path = dataset / row.path
     group = read_first(path) if row.chunk is None else read_chunk(path, *row.chunk)
     with input_errors(path):
-        observation = unpack_observation(group.messages[OBS.name])
+        observation = unpack_observation(group.messages[OBSERVATION_TOPIC.name])
     if observation.shape != SHAPE or not (np.abs(observation) < np.finfo(np.float16).max).all():
-        raise InputError("The observation is no probe of 20 ticks.", str(path), FIX)
+        raise InputError("The observation is no probe of 20 ticks.", str(path), DAMAGED_FILE_FIX)
     return observation
 
 
-def _forget_old(folder: Path, used: Path) -> None:
+def _delete_old(folder: Path, used: Path) -> None:
     with contextlib.suppress(OSError):
         os.utime(used)
         by_age = sorted(folder.glob("*.npy"), key=lambda path: -path.stat().st_mtime_ns)
-        for path in by_age[KEPT:]:
+        for path in by_age[KEPT_CACHES:]:
             path.unlink(missing_ok=True)
             path.with_suffix(".json").unlink(missing_ok=True)
 
@@ -204,7 +204,7 @@ WHERE e.state = 'complete' AND e.accepted AND NOT h.conflict AND NOT h.deleted
 ORDER BY e.uuid
 """
 _WAITING = "h.state = 'submitted'"
-_NOTED = (
+_SIMULATED = (
     "h.state = 'draft' AND e.mode IN ('live simulation', 'stepped', 'mass')"
     " AND r.source IN ('commanded', 'measured')"
 )
@@ -226,7 +226,7 @@ class LabelledEpisode:
 
 def is_dataset(folder: Path) -> bool:
     """Return True if ``folder`` is a dataset (and not a folder of packs)."""
-    return (folder / NAME).is_file()
+    return (folder / CATALOGUE_FILE).is_file()
 
 
 def load_training_set(
@@ -241,7 +241,7 @@ def load_training_set(
     copied into the cache, if it has to be built. Raises ``InputError`` if there are no episodes, or
     episodes of several pieces.
     """
-    database = Database.open(folder / NAME, write=False)
+    database = Database.open(folder / CATALOGUE_FILE, write=False)
     try:
         listed = labelled_episodes(database, labels)
     finally:
@@ -271,7 +271,7 @@ def labelled_episodes(database: Database, labels: LabelChoice) -> list[LabelledE
     """Return the usable episodes with their labels for training, by uuid."""
     revision, allowed = "h.counting", "1"
     if labels != "approved":
-        also = _WAITING if labels == "submitted" else f"{_WAITING} OR ({_NOTED})"
+        also = _WAITING if labels == "submitted" else f"{_WAITING} OR ({_SIMULATED})"
         # An approved revision counts until a newer one is approved.
         revision = "coalesce(h.counting, h.rev_uuid)"
         allowed = f"h.counting IS NOT NULL OR {also}"

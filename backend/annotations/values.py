@@ -77,7 +77,7 @@ Verdict = Literal["stable", "unstable", "unsure"]
 FileState = Literal["complete", "missing", "damaged", "quarantined"]
 
 # Actor of operations by the program. It may store drafts, never submit or review them.
-PROGRAM = "program"
+PROGRAM_ACTOR = "program"
 
 FLAG, SKIPPED, DELETED = "flag", "skipped", "deleted"
 GEOMETRY_CHANGED = "geometry-changed"
@@ -290,7 +290,7 @@ class EpisodeFilter:
     limit: int | None = None
 
 
-FIRST = "0" * 64  # previous hash of the first operation of a site
+FIRST_HASH = "0" * 64  # previous hash of the first operation of a site
 
 HASHED = ("actor", "at_ns", "body", "lamport", "op_uuid", "seq", "site", "target_op", "verb")
 
@@ -318,7 +318,7 @@ def operation_hash(operation: Operation) -> str:
 
 def first_broken_link(operations: Iterable[Operation]) -> int | None:
     """Return the sequence number of the first broken link of one site, or None."""
-    previous, expected = FIRST, 1
+    previous, expected = FIRST_HASH, 1
     for operation in operations:
         whole = operation.seq == expected and operation.prev_hash == previous
         if not whole or operation_hash(operation) != operation.hash:

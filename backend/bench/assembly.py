@@ -245,7 +245,7 @@ def make_tower(
         if len(bottoms) == 1 or can_be_placed(piece, tower):
             return tower
     raise InputError(
-        f"'{piece.name}' stands nowhere on it.", "+".join(names), "Choose another tower."
+        f"'{piece.name}' cannot stand on it.", "+".join(names), "Choose another tower."
     )
 
 

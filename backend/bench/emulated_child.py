@@ -147,17 +147,17 @@ GONE = Fault(
     "BENCH-GONE",
     "The process of the emulated bench has ended.",
     "All emulated devices are gone.",
-    "Start anew; its last words are on standard error.",
+    "Start Touchdown again; the last output is on standard error.",
 )
 STILL = Fault(
     "BENCH-STILL",
-    "The process of the emulated bench stands still: nothing in it wants to run.",
+    "The process of the emulated bench is stalled.",
     "All emulated devices are silent.",
-    "Let it go on, or start anew.",
+    "Wait, or start Touchdown again.",
 )
 NOT_SET = Fault(
     "SCENE-NOT-SET",
-    "The process of the emulated bench does not come to setting the scene.",
+    "The process of the emulated bench does not set the scene.",
     "It was ended, and all emulated devices with it.",
     "Press Reset and start again: the next scene gets a process of its own.",
 )

@@ -451,9 +451,9 @@ class Session:
 
     def _refuse_busy(self) -> None:
         if self.engine.busy:
-            raise RefusedError("BUSY", "A run is going on: cancel it first.")
+            raise RefusedError("BUSY", "A run is in progress: cancel it first.")
         if self.hand is not None and self.hand.active:
-            raise RefusedError("BY-HAND", "The bench is being moved by hand: let go first.")
+            raise RefusedError("BY-HAND", "The bench is under manual control: let go first.")
 
     def _plan(self, request: Request) -> Plan[None]:
         check_devices(self.connection, request)
@@ -486,7 +486,7 @@ class Session:
     def present_scene(self, method: StackSettings) -> Bench:
         """Return the bench of the present scene; raises ``RefusedError`` if there is none."""
         if self._scene is None:
-            raise RefusedError("NO-SCENE", "Nothing is set up on the bench yet.")
+            raise RefusedError("NO-SCENE", "No scene is set on the bench yet.")
         return self._for_run(self._scene, method)
 
     def _for_run(self, scene: Bench, method: StackSettings) -> Bench:

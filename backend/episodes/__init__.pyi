@@ -8,7 +8,7 @@ from .episode_file import salvage_file as salvage_file
 from .episode_file import to_ns as to_ns
 from .episode_file import without_images as without_images
 from .episode_file import write_episode as write_episode
-from .mcap import FIX as FIX
+from .mcap import DAMAGED_FILE_FIX as DAMAGED_FILE_FIX
 from .mcap import StoredChunk as StoredChunk
 from .mcap import input_errors as input_errors
 from .mcap import read_chunk as read_chunk
@@ -16,9 +16,9 @@ from .mcap import read_chunks as read_chunks
 from .mcap import read_first as read_first
 from .mcap import read_groups as read_groups
 from .mcap import read_whole as read_whole
-from .messages import COMMAND as COMMAND
-from .messages import LABEL as LABEL
-from .messages import OBS as OBS
+from .messages import COMMAND_TOPIC as COMMAND_TOPIC
+from .messages import LABEL_TOPIC as LABEL_TOPIC
+from .messages import OBSERVATION_TOPIC as OBSERVATION_TOPIC
 from .messages import unpack_json as unpack_json
 from .messages import unpack_observation as unpack_observation
 from .packs import PackedEpisode as PackedEpisode
@@ -43,11 +43,11 @@ from .training_rows import split_rows as split_rows
 from .training_rows import split_series as split_series
 
 __all__ = [
-    "COMMAND",
-    "FIX",
-    "LABEL",
+    "COMMAND_TOPIC",
+    "DAMAGED_FILE_FIX",
+    "LABEL_TOPIC",
     "MIN_MOUNTINGS",
-    "OBS",
+    "OBSERVATION_TOPIC",
     "CompressedEpisode",
     "CompressedImages",
     "Coverage",

@@ -38,7 +38,7 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.episodes.mcap import (
     DAMAGE,
-    FIX,
+    DAMAGED_FILE_FIX,
     MAGIC,
     ChunkContents,
     McapWriter,
@@ -56,15 +56,15 @@ from touchdown.backend.episodes.mcap import (
     read_whole,
 )
 from touchdown.backend.episodes.messages import (
-    COMMAND,
-    EVENT,
-    IMAGE,
-    LABEL,
-    MARKER,
-    OBS,
-    POSE,
-    SCENE,
-    WRENCH,
+    COMMAND_TOPIC,
+    EVENT_TOPIC,
+    IMAGE_TOPICS,
+    LABEL_TOPIC,
+    MARKER_TOPICS,
+    OBSERVATION_TOPIC,
+    POSE_TOPIC,
+    SCENE_TOPIC,
+    WRENCH_TOPIC,
     MarkerRows,
     Times,
     Topic,
@@ -117,7 +117,16 @@ def decode_image(data: bytes) -> ImageArray:
 
 
 SCHEMA_VERSION = "1"
-TOPICS = (OBS, LABEL, EVENT, WRENCH, POSE, COMMAND, *MARKER.values(), *IMAGE.values())
+TOPICS = (
+    OBSERVATION_TOPIC,
+    LABEL_TOPIC,
+    EVENT_TOPIC,
+    WRENCH_TOPIC,
+    POSE_TOPIC,
+    COMMAND_TOPIC,
+    *MARKER_TOPICS.values(),
+    *IMAGE_TOPICS.values(),
+)
 
 
 def to_ns(t_s: ArrayLike) -> Times:
@@ -140,7 +149,7 @@ def write_episode(
     ``OSError`` if the disk fails; the episode can then be written again.
     """
     scene = () if episode.recording is None else episode.recording.scene
-    with McapWriter(path, (*TOPICS, SCENE) if scene else TOPICS) as writer:
+    with McapWriter(path, (*TOPICS, SCENE_TOPIC) if scene else TOPICS) as writer:
         for name, values in _metadata(episode, metadata, keep_frames).items():
             writer.add_metadata(name, values)
         blocks = [_observation(writer, episode), *_notes(writer, episode, label)]
@@ -183,7 +192,7 @@ def _observation(writer: McapWriter, episode: Episode) -> MessageBlock:
     count = len(episode.observation)
     stamps = to_ns(episode.onset_s + TICK_S * np.arange(1, count + 1))
     rows = pack_observation(stamps, episode.observation)
-    return message_rows(writer.channel[OBS.name], stamps, np.arange(count), rows)
+    return message_rows(writer.channel[OBSERVATION_TOPIC.name], stamps, np.arange(count), rows)
 
 
 def _notes(
@@ -191,9 +200,9 @@ def _notes(
 ) -> list[MessageBlock]:
     onset = int(to_ns([episode.onset_s])[0])
     event = pack_json({"event": "contact", "t_s": episode.onset_s})
-    blocks = [message_list(writer.channel[EVENT.name], [onset], [0], [event])]
+    blocks = [message_list(writer.channel[EVENT_TOPIC.name], [onset], [0], [event])]
     if label is not None:
-        channel = writer.channel[LABEL.name]
+        channel = writer.channel[LABEL_TOPIC.name]
         blocks.append(message_list(channel, [onset], [0], [pack_json(label)]))
     return blocks
 
@@ -203,11 +212,11 @@ def _signals(writer: McapWriter, recording: Recording) -> list[MessageBlock]:
     if len(recording.wrench_t_s):
         stamps = to_ns(recording.wrench_t_s)
         rows = pack_wrench(stamps, recording.wrench)
-        channel = writer.channel[WRENCH.name]
+        channel = writer.channel[WRENCH_TOPIC.name]
         blocks.append(message_rows(channel, stamps, np.arange(len(stamps)), rows))
     for topic, t_s, position_mm in (
-        (POSE, recording.pose_t_s, recording.pose_mm),
-        (COMMAND, recording.command_t_s, recording.command_mm),
+        (POSE_TOPIC, recording.pose_t_s, recording.pose_mm),
+        (COMMAND_TOPIC, recording.command_t_s, recording.command_mm),
     ):
         if len(t_s):
             stamps = to_ns(t_s)
@@ -230,7 +239,7 @@ def _markers(writer: McapWriter, finger: Finger, fields: Sequence[MarkerField]) 
         np.array([field.quality for field in fields], dtype=np.float64),
         np.array([field.residual_px for field in fields], dtype=np.float64),
     )
-    topic = MARKER[finger]
+    topic = MARKER_TOPICS[finger]
     rows = pack_markers(stamps, markers, topic.frame_id)
     sequence = np.array([field.sequence for field in fields], dtype=np.int64)
     return message_rows(writer.channel[topic.name], stamps, sequence, rows)
@@ -243,10 +252,10 @@ def _scene_blocks(
         return []
     stamps = to_ns([picture.t_s for picture in pictures]).tolist()
     messages = (
-        pack_image(stamp, SCENE.frame_id, ENCODING[keep], encode_image(picture.image, keep))
+        pack_image(stamp, SCENE_TOPIC.frame_id, ENCODING[keep], encode_image(picture.image, keep))
         for stamp, picture in zip(stamps, pictures, strict=True)
     )
-    channel = writer.channel[SCENE.name]
+    channel = writer.channel[SCENE_TOPIC.name]
     return [message_list(channel, stamps, range(len(stamps)), messages)]
 
 
@@ -256,7 +265,7 @@ def _images(
     blocks = []
     for finger in FINGERS:
         mine = [frame for frame in frames if frame.finger == finger]
-        topic, stamps = IMAGE[finger], to_ns([frame.t_s for frame in mine]).tolist()
+        topic, stamps = IMAGE_TOPICS[finger], to_ns([frame.t_s for frame in mine]).tolist()
         messages = (
             pack_image(stamp, topic.frame_id, ENCODING[keep], encode_image(frame.image, keep))
             for stamp, frame in zip(stamps, mine, strict=True)
@@ -288,21 +297,21 @@ def episode_of(contents: ChunkContents, path: Path) -> Episode:
             "Open them by the dataset that holds the pack.",
         )
     if "episode" not in contents.metadata:
-        raise InputError("The file holds no single episode.", str(path), FIX)
+        raise InputError("The file holds no single episode.", str(path), DAMAGED_FILE_FIX)
     with input_errors(path):
         return _episode(contents)
 
 
 def read_label(path: Path) -> dict[str, object] | None:
     """Return the label stored with an episode, or None."""
-    messages = read_whole(path).messages.get(LABEL.name, [])
+    messages = read_whole(path).messages.get(LABEL_TOPIC.name, [])
     with input_errors(path):
         return unpack_json(messages[-1]) if messages else None
 
 
 def _episode(contents: ChunkContents) -> Episode:
     facts = contents.metadata["episode"]
-    observation = unpack_observation(contents.messages[OBS.name])
+    observation = unpack_observation(contents.messages[OBSERVATION_TOPIC.name])
     if observation.shape != (SAMPLES_PER_PROBE, CHANNELS):
         raise ValueError(f"the observation has shape {observation.shape}, not (20, 258)")
     quality = json.loads(facts["quality"])
@@ -321,9 +330,9 @@ def _episode(contents: ChunkContents) -> Episode:
 
 
 def _recording(contents: ChunkContents) -> Recording:
-    wrench = contents.messages.get(WRENCH.name, [])
-    pose = contents.messages.get(POSE.name, [])
-    command = contents.messages.get(COMMAND.name, [])
+    wrench = contents.messages.get(WRENCH_TOPIC.name, [])
+    pose = contents.messages.get(POSE_TOPIC.name, [])
+    command = contents.messages.get(COMMAND_TOPIC.name, [])
     fields = [field for finger in FINGERS for field in _fields(contents, finger)]
     frames = [frame for finger in FINGERS for frame in _frames(contents, finger)]
     tare = json.loads(contents.metadata["calibration"]["tare"])
@@ -342,7 +351,7 @@ def _recording(contents: ChunkContents) -> Recording:
 
 
 def _fields(contents: ChunkContents, finger: Finger) -> list[MarkerField]:
-    topic = MARKER[finger].name
+    topic = MARKER_TOPICS[finger].name
     messages = contents.messages.get(topic, [])
     rows, t_s = unpack_markers(messages), to_s(stamps_ns(messages))
     return [
@@ -361,7 +370,7 @@ def _fields(contents: ChunkContents, finger: Finger) -> list[MarkerField]:
 
 
 def _scene_images(contents: ChunkContents) -> list[ScenePicture]:
-    messages = contents.messages.get(SCENE.name, [])
+    messages = contents.messages.get(SCENE_TOPIC.name, [])
     t_s = to_s(stamps_ns(messages))
     return [
         ScenePicture(float(t_s[i]), decode_image(unpack_image(message)[1]))
@@ -370,7 +379,7 @@ def _scene_images(contents: ChunkContents) -> list[ScenePicture]:
 
 
 def _frames(contents: ChunkContents, finger: Finger) -> list[TactileFrame]:
-    topic = IMAGE[finger].name
+    topic = IMAGE_TOPICS[finger].name
     messages = contents.messages.get(topic, [])
     t_s = to_s(stamps_ns(messages))
     return [
@@ -421,7 +430,7 @@ def read_compressed_episode(path: Path) -> CompressedEpisode:
     with input_errors(path):
         pictures = {}
         for finger in FINGERS:
-            messages = contents.messages.pop(IMAGE[finger].name, [])
+            messages = contents.messages.pop(IMAGE_TOPICS[finger].name, [])
             packed = tuple(bytes(unpack_image(message)[1]) for message in messages)
             pictures[finger] = CompressedImages(to_s(stamps_ns(messages)), packed)
     return CompressedEpisode(episode_of(contents, path), pictures)

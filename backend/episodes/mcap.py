@@ -133,7 +133,7 @@ MAX_FILE_BYTES = 1_000_000_000
 DATA_END_BYTES = 13
 DAMAGE = (ValueError, LookupError, TypeError, ArithmeticError, RecursionError, struct.error,
           zstandard.ZstdError)  # fmt: skip
-FIX = "Use another copy of the file, or record or simulate it again."
+DAMAGED_FILE_FIX = "Use another copy of the file, or record or simulate it again."
 
 
 @dataclass(slots=True)
@@ -166,7 +166,9 @@ def input_errors(path: Path) -> Iterator[None]:
             f"Cannot read the file: {reason}.", str(path), "Check the path."
         ) from error
     except DAMAGE as error:
-        raise InputError(f"The file is damaged or foreign: {error}.", str(path), FIX) from error
+        raise InputError(
+            f"The file is damaged or foreign: {error}.", str(path), DAMAGED_FILE_FIX
+        ) from error
 
 
 def read_groups(path: Path) -> Iterator[ChunkContents]:

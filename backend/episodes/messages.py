@@ -134,18 +134,18 @@ class Topic:
     frame_id: str = ""
 
 
-OBS = Topic("/obs", "lab_msgs/msg/Observation", "obs")
-LABEL = Topic("/episode/label", "std_msgs/msg/String")
-EVENT = Topic("/episode/event", "std_msgs/msg/String")
-WRENCH = Topic("/ft/tared", "geometry_msgs/msg/WrenchStamped", "ft")
-POSE = Topic("/robot/pose", "geometry_msgs/msg/PoseStamped", "base")
-COMMAND = Topic("/robot/command", "geometry_msgs/msg/PoseStamped", "base")
-IMAGE = {
+OBSERVATION_TOPIC = Topic("/obs", "lab_msgs/msg/Observation", "obs")
+LABEL_TOPIC = Topic("/episode/label", "std_msgs/msg/String")
+EVENT_TOPIC = Topic("/episode/event", "std_msgs/msg/String")
+WRENCH_TOPIC = Topic("/ft/tared", "geometry_msgs/msg/WrenchStamped", "ft")
+POSE_TOPIC = Topic("/robot/pose", "geometry_msgs/msg/PoseStamped", "base")
+COMMAND_TOPIC = Topic("/robot/command", "geometry_msgs/msg/PoseStamped", "base")
+IMAGE_TOPICS = {
     "left": Topic("/tac/left/image", "sensor_msgs/msg/CompressedImage", "tac_left"),
     "right": Topic("/tac/right/image", "sensor_msgs/msg/CompressedImage", "tac_right"),
 }
-SCENE = Topic("/scene/image", "sensor_msgs/msg/CompressedImage", "scene")
-MARKER = {
+SCENE_TOPIC = Topic("/scene/image", "sensor_msgs/msg/CompressedImage", "scene")
+MARKER_TOPICS = {
     "left": Topic("/tac/left/markers", "lab_msgs/msg/MarkerField", "tac_left"),
     "right": Topic("/tac/right/markers", "lab_msgs/msg/MarkerField", "tac_right"),
 }
@@ -198,7 +198,7 @@ def pack_pose(stamps_ns: Times, position_mm: FloatArray, frame_id: str = "base")
 def pack_observation(stamps_ns: Times, values: NDArray[np.float32]) -> ByteRows:
     """Pack ``Observation``: ``values`` (n, channels) for the steps 0, 1, ... n - 1."""
     writer = CdrWriter()
-    writer.header(0, OBS.frame_id)
+    writer.header(0, OBSERVATION_TOPIC.frame_id)
     writer.align(4)
     step = writer.size
     writer.number("I", 0)

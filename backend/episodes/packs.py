@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from touchdown.backend.config import SAMPLES_PER_PROBE
 from touchdown.backend.core import CHANNELS, InputError
 from touchdown.backend.episodes.mcap import (
-    FIX,
+    DAMAGED_FILE_FIX,
     ChunkContents,
     McapWriter,
     input_errors,
@@ -23,8 +23,8 @@ from touchdown.backend.episodes.mcap import (
     read_groups,
 )
 from touchdown.backend.episodes.messages import (
-    LABEL,
-    OBS,
+    LABEL_TOPIC,
+    OBSERVATION_TOPIC,
     pack_json,
     pack_observation,
     unpack_json,
@@ -58,7 +58,7 @@ class PackWriter:
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
-        self._writer = McapWriter(path, (OBS, LABEL))
+        self._writer = McapWriter(path, (OBSERVATION_TOPIC, LABEL_TOPIC))
         self._writer.add_metadata("pack", {"schema_version": SCHEMA_VERSION, **metadata})
         self.episodes = 0
 
@@ -84,8 +84,10 @@ class PackWriter:
         base = self.episodes * _SPACING_NS
         stamps = base + _TICKS_NS
         observation = pack_observation(stamps, row.observation)
-        obs = message_rows(self._writer.channel[OBS.name], stamps, _STEPS, observation)
-        channel = self._writer.channel[LABEL.name]
+        obs = message_rows(
+            self._writer.channel[OBSERVATION_TOPIC.name], stamps, _STEPS, observation
+        )
+        channel = self._writer.channel[LABEL_TOPIC.name]
         label = message_list(channel, [base], [self.episodes], [pack_json(row.label)])
         self._writer.add_chunk([obs, label], compress=True)
         self.episodes += 1
@@ -125,15 +127,15 @@ def read_pack_metadata(path: Path) -> dict[str, str]:
     for group in read_groups(path):
         if "pack" in group.metadata:
             return group.metadata["pack"]
-    raise InputError("The file is not a pack of episodes.", str(path), FIX)
+    raise InputError("The file is not a pack of episodes.", str(path), DAMAGED_FILE_FIX)
 
 
 def _row(group: ChunkContents) -> PackedEpisode:
-    if OBS.name not in group.messages or LABEL.name not in group.messages:
+    if OBSERVATION_TOPIC.name not in group.messages or LABEL_TOPIC.name not in group.messages:
         raise ValueError("an episode lacks its observation or its label")
-    observation = unpack_observation(group.messages[OBS.name])
+    observation = unpack_observation(group.messages[OBSERVATION_TOPIC.name])
     if observation.shape != (SAMPLES_PER_PROBE, CHANNELS):
         raise ValueError(f"an observation has shape {observation.shape}, not (20, 258)")
     if not np.isfinite(observation).all():
         raise ValueError("an observation holds a value that is not finite")
-    return PackedEpisode(observation, unpack_json(group.messages[LABEL.name][0]))
+    return PackedEpisode(observation, unpack_json(group.messages[LABEL_TOPIC.name][0]))

@@ -137,7 +137,7 @@ def check_quality(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
     singles = [
         QualityIssue(kind, (row.uuid,), text)
         for row in rows
-        for kind, look in _LOOKS
+        for kind, look in _CHECKS
         if (text := look(row))
     ]
     return [*find_asymmetry(rows), *find_contradicting_repeats(rows), *singles]
@@ -185,7 +185,7 @@ def find_contradicting_repeats(rows: Sequence[ExaminedEpisode]) -> list[QualityI
     spread = features.std(axis=0)
     features = (features - features.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
     offsets = np.stack([row.offset_mm for row in known])
-    distance, nearest = _strangers(features, offsets)
+    distance, nearest = _nearest_other_label(features, offsets)
     usual = (
         float(np.median(distance[np.isfinite(distance)])) if np.isfinite(distance).any() else 0.0
     )
@@ -202,7 +202,9 @@ def find_contradicting_repeats(rows: Sequence[ExaminedEpisode]) -> list[QualityI
     return found
 
 
-def _strangers(features: FloatArray, offsets: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+def _nearest_other_label(
+    features: FloatArray, offsets: FloatArray
+) -> tuple[FloatArray, NDArray[np.intp]]:
     """Return distance to and index of the nearest episode with another label, (n,) each."""
     count = len(features)
     distance, nearest = np.full(count, np.inf), np.zeros(count, dtype=np.intp)
@@ -263,7 +265,7 @@ def _slip(row: ExaminedEpisode) -> str:
     return f"The piece slipped by {slip_mm:.2f} mm." if slip_mm > SLIP_MM else ""
 
 
-_LOOKS: tuple[tuple[Kind, Callable[[ExaminedEpisode], str]], ...] = (
+_CHECKS: tuple[tuple[Kind, Callable[[ExaminedEpisode], str]], ...] = (
     ("no contact", _no_contact),
     ("jerk", _jerk),
     ("saturated markers", _saturated),

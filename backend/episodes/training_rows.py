@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray, InputError
-from touchdown.backend.episodes.mcap import FIX
+from touchdown.backend.episodes.mcap import DAMAGED_FILE_FIX
 from touchdown.backend.episodes.packs import PackedEpisode, read_pack
 
 
@@ -171,7 +171,7 @@ def _number(value: object) -> float:
 def _text(label: Mapping[str, object], key: str, path: Path) -> str:
     value = label.get(key)
     if not isinstance(value, str) or not value:
-        raise InputError(f"A label has no '{key}'.", str(path), FIX)
+        raise InputError(f"A label has no '{key}'.", str(path), DAMAGED_FILE_FIX)
     return value
 
 
@@ -180,11 +180,11 @@ def _patch(label: Mapping[str, object], path: Path) -> NDArray[np.bool_]:
     points = label.get("points")
     if missing or not isinstance(points, int) or not 0 < points < 1_000_000:
         lacking = ", ".join(sorted(missing)) or "points"
-        raise InputError(f"A label lacks: {lacking}.", str(path), FIX)
+        raise InputError(f"A label lacks: {lacking}.", str(path), DAMAGED_FILE_FIX)
     try:
         return patch_bits(_text(label, "patch", path), points)
     except ValueError as error:
-        raise InputError(f"A label is damaged: {error}.", str(path), FIX) from error
+        raise InputError(f"A label is damaged: {error}.", str(path), DAMAGED_FILE_FIX) from error
 
 
 def _mixed(where: Path, what: str) -> InputError:
@@ -197,7 +197,7 @@ def _mixed(where: Path, what: str) -> InputError:
 
 MIN_MOUNTINGS = 30
 # ends the advice of errors about too little data
-SIMULATED = "of simulated probes make more ('touchdown simulate --episodes 2000')"
+SIMULATE_ADVICE = "of simulated probes make more ('touchdown simulate --episodes 2000')"
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +239,7 @@ def split_grips(
             "All episodes come from one grip, so validation would see what training saw.",
             "grip_id",
             "Collect another campaign of this piece, or one with fewer probes per grip; "
-            f"{SIMULATED}.",
+            f"{SIMULATE_ADVICE}.",
         )
     return _hold_out(keys, "grip", share, seed)
 
@@ -263,7 +263,7 @@ def split_series(mounting_id: Sequence[str], pair: Sequence[str], share: float, 
             else "There is one series only of each pair, so validation would know its errors.",
             "mounting_id",
             "Collect another campaign of the same pair (each is a series of its own); "
-            f"{SIMULATED}. Or choose to divide series by grips (--divide-series).",
+            f"{SIMULATE_ADVICE}. Or choose to divide series by grips (--divide-series).",
         )
     chosen = _chosen_series(sizes, of_pair, share * len(keys), seed)
     held_out = np.array([key in chosen for key in keys])

@@ -22,7 +22,7 @@ from touchdown.backend.geometry import overlap_polygon, rotated
 FILE = "annotations.json"
 PX_PER_MM = 20.0
 MARGIN_MM = 12.0
-SEEN = 2
+VISIBLE = 2
 DECIMALS = 4
 MIN_IOU = 0.99
 EDGE_MM = 0.05  # one px: rounding of a polygon moves its edge by up to this
@@ -105,7 +105,9 @@ def _annotation(one: SelectedEpisode, canvas: Canvas) -> dict[str, object]:
     patch_mm = overlap_polygon(pair.face, (x_mm, y_mm), pair.bottom, yaw_rad)
     centre_mm = offset + rotated(np.array(pair.centre_mm), yaw_rad)
     points = [
-        value for xy in canvas.px(np.stack([offset, centre_mm])).tolist() for value in (*xy, SEEN)
+        value
+        for xy in canvas.px(np.stack([offset, centre_mm])).tolist()
+        for value in (*xy, VISIBLE)
     ]
     return {
         "id": one.index + 1,

@@ -20,7 +20,7 @@ from touchdown.backend.core import (
     Recording,
 )
 from touchdown.backend.episodes import (
-    COMMAND,
+    COMMAND_TOPIC,
     CompressedEpisode,
     CompressedImages,
     episode_of,
@@ -95,7 +95,7 @@ def common_signals(dataset: Dataset, chosen: Iterable[SelectedEpisode]) -> Expor
         first = read_first(dataset.folder / one.entry.path)
         if first.metadata["episode"]["recording"] != "native":
             return ExportSignals(native=False, commanded=False)
-        commanded = commanded and COMMAND.name in first.messages
+        commanded = commanded and COMMAND_TOPIC.name in first.messages
     return ExportSignals(native=True, commanded=commanded)
 
 

@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Literal, cast
 
-from touchdown.backend.annotations import NO_ROOM, Dataset
+from touchdown.backend.annotations import DISK_FULL_ERRNOS, Dataset
 from touchdown.backend.core import Fault, FaultError, InputError, sync_folder, write_atomically
 from touchdown.backend.exchange import export_episode, manifest
 from touchdown.backend.exchange.export_episode import ExportEpisode, ExportSignals
@@ -30,7 +30,7 @@ from touchdown.backend.exchange.query import (
 PARTIAL = ".partial"
 MARK = ".touchdown-export"
 SAMPLE = "sample"
-SAMPLED = 20  # number of episodes with images for ``video="sample"``, evenly spread
+SAMPLE_SIZE = 20  # number of episodes with images for ``video="sample"``, evenly spread
 Video = Literal["sample", "all", "none"]
 ProgressCallback = Callable[[int], None]
 
@@ -299,7 +299,7 @@ def _write(
 
 def _sample(filmed: Sequence[SelectedEpisode]) -> tuple[SelectedEpisode, ...]:
     """Return up to 20 episodes, evenly spread and renumbered."""
-    count = min(SAMPLED, len(filmed))
+    count = min(SAMPLE_SIZE, len(filmed))
     picked = [filmed[k * len(filmed) // count] for k in range(count)]
     return tuple(replace(one, index=index) for index, one in enumerate(picked))
 
@@ -320,7 +320,7 @@ def _warnings(job: ExportJob, chosen_format: ExportFormat) -> list[str]:
 
 
 def _disk_fault(error: OSError, part: Path) -> Fault:
-    full = error.errno in NO_ROOM
+    full = error.errno in DISK_FULL_ERRNOS
     return Fault(
         code="DISK-FULL" if full else "EXPORT-WRITE",
         what="The disk is full." if full else f"The export cannot be written: {error}.",

@@ -52,7 +52,7 @@ from touchdown.backend.experiments.trials import (
 from touchdown.backend.geometry import Tower, face_points, load_pieces
 from touchdown.backend.jobs import JobContext, JobFunctions, JobSpec
 from touchdown.backend.learning import (
-    LEVEL,
+    CONTACT_LEVEL,
     Checkpoint,
     Trainer,
     device_name,
@@ -176,7 +176,7 @@ def _scores(checkpoint: Checkpoint, case: SceneSetup, groups: ProbeGroups) -> di
     probability = model.predict(flat).reshape(g, p, -1)
     about = {"weights_sha256": checkpoint.card.weights_sha256}
     if checkpoint.card.answers == "stability":
-        return {**about, "says": {"1": [bool(v) for v in probability[:, 0, 0] > LEVEL]}}
+        return {**about, "says": {"1": [bool(v) for v in probability[:, 0, 0] > CONTACT_LEVEL]}}
     return {
         **about,
         "patch": score_patches(probability, groups),

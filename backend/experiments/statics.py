@@ -25,7 +25,7 @@ from touchdown.backend.experiments.trials import (
     uniform_offset,
 )
 from touchdown.backend.geometry import face_points, judge_tower
-from touchdown.backend.learning import LEVEL
+from touchdown.backend.learning import CONTACT_LEVEL
 from touchdown.backend.placement import Belief, judge_stability
 from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import BatchedTrials, tower_with_piece
@@ -138,7 +138,7 @@ def score_patches(probability: FloatArray, groups: ProbeGroups) -> dict[str, lis
     ``probability`` (g, p, N). The first probe is that of a balanced sample and does not count.
     ``..._true``: against the real patch in place of the label.
     """
-    said = probability[:, 1:] > LEVEL
+    said = probability[:, 1:] > CONTACT_LEVEL
     scores = {}
     for name, patch in (("", groups.label[:, 1:]), ("_true", groups.truth[:, 1:])):
         both, either = (said & patch).sum(-1), (said | patch).sum(-1)
@@ -172,7 +172,7 @@ def score_fused_verdicts(
                 cells, support = _support(belief, groups, g, case)
                 promised.append(cells)
                 real.append(support)
-                iou.append(_iou(cells > LEVEL, support))
+                iou.append(_iou(cells > CONTACT_LEVEL, support))
     chart = reliability_curve(np.concatenate(promised), np.concatenate(real))
     return {
         "says": says,

@@ -62,7 +62,7 @@ from touchdown.backend.experiments.trials import (
 )
 from touchdown.backend.geometry import Tower, face_points, inset_mm, judge_tower, load_pieces
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
-from touchdown.backend.learning import LEVEL, use_one_thread
+from touchdown.backend.learning import CONTACT_LEVEL, use_one_thread
 from touchdown.backend.placement import (
     XY,
     GraspedPiece,
@@ -563,7 +563,7 @@ class VerdictCollector:
         for row, weight in enumerate((np.ones(len(step)), real, promised)):
             self._counts[str(probes)][row] += np.bincount(step, weight, PROBABILITY_STEPS)
         if probes == IOU_AFTER:
-            said = promised > LEVEL
+            said = promised > CONTACT_LEVEL
             either = int((said | real).sum())
             self._iou.append(round(int((said & real).sum()) / either, 4) if either else 1.0)
 

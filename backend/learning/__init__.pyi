@@ -21,7 +21,7 @@ from .job import TrainingCancelled as TrainingCancelled
 from .job import TrainingEpoch as TrainingEpoch
 from .job import TrainingFinished as TrainingFinished
 from .job import TrainingLoaded as TrainingLoaded
-from .metrics import LEVEL as LEVEL
+from .metrics import CONTACT_LEVEL as CONTACT_LEVEL
 from .metrics import Z_95 as Z_95
 from .metrics import EvaluationScores as EvaluationScores
 from .metrics import SamplePrediction as SamplePrediction
@@ -29,7 +29,7 @@ from .metrics import load_samples as load_samples
 from .metrics import stable_flags as stable_flags
 from .metrics import wilson_interval as wilson_interval
 from .registry import HARDWARE_PROBES as HARDWARE_PROBES
-from .registry import SHIPPED as SHIPPED
+from .registry import SHIPPED_MODEL as SHIPPED_MODEL
 from .registry import ModelRegistry as ModelRegistry
 from .registry import card_mismatches as card_mismatches
 from .registry import check_autonomous as check_autonomous
@@ -57,9 +57,9 @@ from .training_runs import run_training as run_training
 from .training_runs import train_model as train_model
 
 __all__ = [
+    "CONTACT_LEVEL",
     "HARDWARE_PROBES",
-    "LEVEL",
-    "SHIPPED",
+    "SHIPPED_MODEL",
     "Z_95",
     "Checkpoint",
     "Curve",

@@ -31,7 +31,7 @@ MAX_WEIGHT_BYTES = 100_000_000
 MAX_CARD_BYTES = 1_000_000
 FIX = "Use the model that came with Touchdown, or train again with 'touchdown train'."
 STORED = (np.float32, np.float16)  # types of weights on disk; in memory they are float32
-WHOLE = ("mean", "scale")  # in units of the signals, with a large range: always 32 bits
+FULL_PRECISION = ("mean", "scale")  # in units of the signals, with a large range: always 32 bits
 _PICKLES = (b"PK\x03\x04", b"\x80")
 Size = Annotated[int, Field(ge=1, le=100_000)]
 
@@ -127,7 +127,7 @@ def save_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], card: ModelC
 def save_half_precision(path: Path, model: Checkpoint) -> ModelCard:
     """Write a model with 16-bit weights; ``mean`` and ``scale`` keep 32 bits."""
     arrays = {
-        name: array if name in WHOLE else array.astype(np.float16)
+        name: array if name in FULL_PRECISION else array.astype(np.float16)
         for name, array in model.arrays.items()
     }
     return save_checkpoint(path, arrays, model.card)

@@ -21,7 +21,7 @@ from touchdown.backend.episodes import TrainingRows, patch_bits, patch_hex
 
 Bits = NDArray[np.bool_]
 Z_95 = 1.959964
-LEVEL = 0.5  # probability above which a point is predicted as contact [U]
+CONTACT_LEVEL = 0.5  # probability above which a point is predicted as contact [U]
 
 
 def iou(predicted: Bits, truth: Bits) -> float:
@@ -143,7 +143,7 @@ def score(
     probability: NDArray[np.floating], truth: Bits, points_mm: FloatArray, delta: float
 ) -> EvaluationScores:
     """Score ``probability`` (n, N) against ``truth`` (n, N); support means p > ``delta``."""
-    predicted = probability > LEVEL
+    predicted = probability > CONTACT_LEVEL
     says = stable_flags(probability > delta, points_mm)
     stands = stable_flags(truth, points_mm)
     right = int(np.sum(says == stands))
@@ -181,7 +181,7 @@ def choose_samples(
     rows: TrainingRows, held_out: NDArray[np.int64], probability: NDArray[np.floating]
 ) -> list[SamplePrediction]:
     """Return up to 12 held-out episodes, evenly spread from the best to the worst IoU."""
-    each = [iou(probability[k : k + 1] > LEVEL, rows.patch[i : i + 1])
+    each = [iou(probability[k : k + 1] > CONTACT_LEVEL, rows.patch[i : i + 1])
             for k, i in enumerate(held_out.tolist())]  # fmt: skip
     order = np.argsort([-v for v in each], kind="stable")
     places = np.unique(np.linspace(0, len(order) - 1, min(MOST, len(order))).round().astype(int))
@@ -203,7 +203,7 @@ def bottom_figures(
 ) -> dict[str, dict[str, float]]:
     """Return episodes, IoU and point accuracy of the validation side, per bottom."""
     bottoms = np.array([rows.bottom[i] for i in held_out.tolist()])
-    predicted, truth = probability > LEVEL, rows.patch[held_out]
+    predicted, truth = probability > CONTACT_LEVEL, rows.patch[held_out]
     found = {}
     for name in sorted(set(bottoms.tolist())):
         at = bottoms == name

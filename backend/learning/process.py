@@ -18,7 +18,7 @@ from touchdown.backend.learning.fitting import fit_model
 from touchdown.backend.learning.job import TrainingJob, TrainingRefused
 
 
-def _tell(message: BaseModel) -> None:
+def _send(message: BaseModel) -> None:
     sys.stdout.write(message.model_dump_json() + "\n")
     sys.stdout.flush()
 
@@ -29,7 +29,7 @@ def main() -> int:
     try:
         job = TrainingJob.model_validate_json(sys.stdin.readline())
     except ValidationError as error:
-        _tell(TrainingRefused(what=f"Bad job: {error}", where="job", fix="Correct the job."))
+        _send(TrainingRefused(what=f"Bad job: {error}", where="job", fix="Correct the job."))
         return 2
 
     def listen() -> None:
@@ -39,9 +39,9 @@ def main() -> int:
     threading.Thread(target=listen, name="listen", daemon=True).start()
     lower_priority()
     try:
-        fit_model(job, _tell, cancelled.is_set)
+        fit_model(job, _send, cancelled.is_set)
     except InputError as error:
-        _tell(TrainingRefused(what=error.what, where=error.where, fix=error.fix))
+        _send(TrainingRefused(what=error.what, where=error.where, fix=error.fix))
         return 2
     return 0
 

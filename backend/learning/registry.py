@@ -94,7 +94,7 @@ def _short(value: object) -> str:
 
 
 HISTORY, EVALUATIONS, ENSEMBLES = "in-use.jsonl", "hardware.jsonl", "pre-label.jsonl"
-SHIPPED = ""  # the shipped model, in use until another one is promoted
+SHIPPED_MODEL = ""  # the shipped model, in use until another one is promoted
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
@@ -120,7 +120,7 @@ class ModelRegistry:
     def in_use(self, piece: str) -> Path | None:
         """Return the hash of the weights in use for ``piece``; None for the shipped model."""
         sha256 = self._stack(piece)[-1]
-        return None if sha256 == SHIPPED else self._weights(piece, sha256)
+        return None if sha256 == SHIPPED_MODEL else self._weights(piece, sha256)
 
     def before(self, piece: str) -> str | None:
         """Return the hash that a roll back restores ("": shipped model); None if there is none."""
@@ -207,7 +207,7 @@ class ModelRegistry:
 
     def _stack(self, piece: str) -> list[str]:
         """Return the models to roll back to, the present one last."""
-        stack = [SHIPPED]
+        stack = [SHIPPED_MODEL]
         for use in self.history(piece):
             if use.action == "promote":
                 stack.append(use.weights_sha256)
@@ -272,7 +272,7 @@ def _use(line: dict[str, Any], path: Path) -> ModelUse:
         use = ModelUse(**line)
     except TypeError as error:
         raise _damaged(path) from error
-    known = use.weights_sha256 == SHIPPED or _SHA256.fullmatch(use.weights_sha256)
+    known = use.weights_sha256 == SHIPPED_MODEL or _SHA256.fullmatch(use.weights_sha256)
     plain = re.fullmatch(r"[\w.-]+", use.piece) and not use.piece.startswith(".")
     if not known or not plain or use.action not in ("promote", "roll back"):
         raise _damaged(path)

@@ -37,7 +37,7 @@ from touchdown.backend.learning.inference import (
 )
 from touchdown.backend.learning.job import DeviceName
 from touchdown.backend.learning.metrics import (
-    LEVEL,
+    CONTACT_LEVEL,
     ReliabilityBin,
     iou,
     point_accuracy,
@@ -181,7 +181,7 @@ class Adam:
 
 
 CPU = torch.device("cpu")
-PART = 4096  # episodes in memory at once during a pass over all
+EPISODES_PER_PASS = 4096  # episodes in memory at once during a pass over all
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,8 +204,10 @@ class EpochReport:
 def fingerprint(rows: TrainingRows) -> str:
     """Return the SHA-256 of all inputs and targets, which identifies a training set."""
     digest = hashlib.sha256()
-    for start in range(0, len(rows), PART):
-        digest.update(np.ascontiguousarray(rows.observation[start : start + PART]).tobytes())
+    for start in range(0, len(rows), EPISODES_PER_PASS):
+        digest.update(
+            np.ascontiguousarray(rows.observation[start : start + EPISODES_PER_PASS]).tobytes()
+        )
     digest.update(np.packbits(rows.patch).tobytes())
     digest.update("\n".join(str(label.get("episode")) for label in rows.labels).encode())
     return digest.hexdigest()
@@ -310,8 +312,8 @@ class Trainer:
         logits, targets = torch.cat(parts), self._targets[held_out]
         loss = float(binary_cross_entropy(logits, targets))
         probability = torch.sigmoid(logits).numpy()
-        predicted = probability > LEVEL
-        truth = targets.numpy() > LEVEL
+        predicted = probability > CONTACT_LEVEL
+        truth = targets.numpy() > CONTACT_LEVEL
         figures = (iou(predicted, truth), point_accuracy(predicted, truth))
         if loss < self.best_loss or self.settings.keep == "last":
             self.best_epoch, self.best_loss, self.best_state = self.done, loss, self._weights()
@@ -336,7 +338,7 @@ class Trainer:
         return {name: tensor.to("cpu", copy=True) for name, tensor in state.items()}
 
 
-def in_batches(index: NDArray[np.int64], size: int = PART) -> list[NDArray[np.int64]]:
+def in_batches(index: NDArray[np.int64], size: int = EPISODES_PER_PASS) -> list[NDArray[np.int64]]:
     """Divide ``index`` into parts of at most ``size``."""
     return [index[start : start + size] for start in range(0, len(index), size)]
 

@@ -15,11 +15,17 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from touchdown.backend.annotations import NAME, Database, LabelChoice, is_dataset, labelled_episodes
+from touchdown.backend.annotations import (
+    CATALOGUE_FILE,
+    Database,
+    LabelChoice,
+    is_dataset,
+    labelled_episodes,
+)
 from touchdown.backend.config import BenchDescription, SimulationSettings, describe_simulation
 from touchdown.backend.core import InputError
 from touchdown.backend.episodes import (
-    LABEL,
+    LABEL_TOPIC,
     MIN_MOUNTINGS,
     Split,
     TrainingRows,
@@ -164,7 +170,7 @@ def training_candidates(data: Path, labels: LabelChoice) -> list[TrainingCandida
     """Return all usable episodes of a dataset or folder of packs; raises ``InputError``."""
     if not is_dataset(data):
         return list(_in_packs(data))
-    database = Database.open(data / NAME, write=False)
+    database = Database.open(data / CATALOGUE_FILE, write=False)
     try:
         listed = labelled_episodes(database, labels)
     finally:
@@ -248,7 +254,7 @@ def _in_packs(folder: Path) -> Iterator[TrainingCandidate]:
     for path in find_packs(folder):
         with input_errors(path):
             for group in read_groups(path):
-                for message in group.messages.get(LABEL.name, ()):
+                for message in group.messages.get(LABEL_TOPIC.name, ()):
                     label = unpack_json(message)
                     names = ("piece", "bottom", "grip_id", "mounting_id")
                     yield TrainingCandidate(*(str(label.get(name, "")) for name in names))

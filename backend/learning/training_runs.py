@@ -23,8 +23,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from touchdown.backend.annotations import (
-    METRICS,
-    RUNS,
+    METRICS_FILE,
+    RUNS_FOLDER,
     ActiveRun,
     Dataset,
     LabelChoice,
@@ -197,7 +197,7 @@ class TrainingRun:
 
 def list_training_runs(data: Path) -> list[TrainingRun]:
     """Return the trainings on ``data``, newest first; other folders are skipped."""
-    runs = data / RUNS
+    runs = data / RUNS_FOLDER
     folders = (
         sorted((p for p in runs.iterdir() if p.is_dir()), reverse=True) if runs.is_dir() else []
     )
@@ -218,7 +218,9 @@ def read_training_run(folder: Path) -> TrainingRun:
     state: str = about.state
     if state == "running" and not is_run_alive(folder):
         state = "interrupted"
-    made = TrainingRun(folder, about, state, _curves(folder / METRICS), _bins(folder / RELIABILITY))
+    made = TrainingRun(
+        folder, about, state, _curves(folder / METRICS_FILE), _bins(folder / RELIABILITY)
+    )
     if state == "finished":
         return replace(made, card=_card(folder / MODEL))
     return replace(made, can_resume=state in UNFINISHED and (folder / RESUME).is_file())
@@ -597,7 +599,7 @@ class RecordedTraining:
         request, out = self._request, self._run.folder / MODEL
         if request.goes_on is not None:
             shutil.copyfile(request.goes_on.folder / RESUME, self._run.folder / RESUME)
-            _repeat(self._run, request.goes_on)
+            _copy_curves(self._run, request.goes_on)
         return TrainingJob(
             data=request.data,
             piece=request.piece,
@@ -628,7 +630,7 @@ def _begin(request: TrainingRequest) -> ActiveRun:
         ) from error
 
 
-def _repeat(run: ActiveRun, former: TrainingRun) -> None:
+def _copy_curves(run: ActiveRun, former: TrainingRun) -> None:
     """Copy the curves of the run that is continued."""
     for name, values in former.curves.items():
         for step, value in values:

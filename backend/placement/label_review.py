@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from touchdown.backend.annotations import (
-    MODEL,
+    MODEL_PREFIX,
     Dataset,
     EpisodeEntry,
     EpisodeFilter,
@@ -30,7 +30,7 @@ ALIKE_FEWEST = 30  # fewest episodes of a pair for a comparison of similar signa
 ALIKE = 40  # number of most similar signals used for the fit
 ALIKE_RIDGE = 3.0  # ridge penalty of the fit of the scaled signals
 ROUNDS = 3
-HELD = 2.0  # residuals beyond this many deviations are down-weighted
+HUBER_K = 2.0  # residuals beyond this many deviations are down-weighted
 FLOOR_MM = 0.5  # distances below this are never unusual
 PART = 500
 
@@ -51,10 +51,10 @@ def neighbour_residual(signals: FloatArray, offsets_mm: FloatArray) -> FloatArra
     own[~own.any(axis=1), -1] = True
     near = near[~own].reshape(count, -1)
     parts = [slice(at, at + PART) for at in range(0, count, PART)]
-    return np.concatenate([_off(signals, offsets_mm, near, part) for part in parts])
+    return np.concatenate([_residual(signals, offsets_mm, near, part) for part in parts])
 
 
-def _off(
+def _residual(
     signals: FloatArray, offsets_mm: FloatArray, near: NDArray[np.intp], part: slice
 ) -> FloatArray:
     """Fit the labels of the neighbours linearly to their signals and return the residual."""
@@ -72,7 +72,7 @@ def _off(
         )
         left = np.linalg.norm(others - terms @ fit, axis=2)
         usual = np.median(left, axis=1)
-        weight = 1.0 / np.maximum(1.0, left / (HELD * usual[:, None] + 1e-6))
+        weight = 1.0 / np.maximum(1.0, left / (HUBER_K * usual[:, None] + 1e-6))
     own = np.linalg.norm(offsets_mm[part] - fit[:, 0], axis=1)
     return np.asarray(own / (usual + FLOOR_MM))
 
@@ -83,7 +83,7 @@ SMOOTH_MM = 3.0
 DOUBT_RIDGE = 0.5
 FOLDS = 8
 NEAR = 80  # number of nearby labels for the scatter
-MOST = 1500  # most episodes for the fit; more only take time
+MAX_FIT_EPISODES = 1500  # most episodes for the fit; more only take time
 CLIP = 0.01
 SHRINK = 0.1
 SHIFTS_MM = (1.0, 2.0, 3.0, 5.0)
@@ -96,7 +96,7 @@ def summarise_signals(probability: FloatArray, wrench: FloatArray) -> FloatArray
     ``probability`` (n, N) of the estimated patches, ``wrench`` (n, 6) of the settled press; all of
     one pair.
     """
-    return np.hstack([_parts(probability), _standard(wrench)])
+    return np.hstack([_principal_components(probability), _standard(wrench)])
 
 
 def displacement_doubt(felt: FloatArray, offsets_mm: FloatArray) -> FloatArray:
@@ -128,7 +128,7 @@ def _nearest(at_mm: FloatArray, count: int) -> NDArray[np.intp]:
     return found[:, 1:]
 
 
-def _parts(probability: FloatArray) -> FloatArray:
+def _principal_components(probability: FloatArray) -> FloatArray:
     """Return the first principal components of the log odds, (n, PARTS), with a common scale."""
     p = np.clip(probability, CLIP, 1 - CLIP)
     odds = np.log(p / (1 - p))
@@ -153,8 +153,8 @@ class _KernelRidge:
 
 
 def _smooth(at_mm: FloatArray, felt: FloatArray, rng: np.random.Generator) -> _KernelRidge:
-    if len(at_mm) > MOST:
-        chosen = np.sort(rng.choice(len(at_mm), MOST, replace=False))
+    if len(at_mm) > MAX_FIT_EPISODES:
+        chosen = np.sort(rng.choice(len(at_mm), MAX_FIT_EPISODES, replace=False))
         at_mm, felt = at_mm[chosen], felt[chosen]
     return _KernelRidge(at_mm, felt)
 
@@ -260,7 +260,7 @@ def _score(
     head = dataset.labels.head(entry.uuid)
     found.suggestion[entry.uuid] = suggested
     found.entropy[entry.uuid] = says.entropy
-    source: Source = f"{MODEL}{models.weights}"
+    source: Source = f"{MODEL_PREFIX}{models.weights}"
     apart = disagreement(head, Suggestion(suggested, source, 0))
     # Labels from these models agree with them and are not compared.
     if apart is not None and head.source != source:

@@ -53,7 +53,7 @@ from touchdown.backend.placement.policy import (
 from touchdown.backend.placement.support_tower import SupportTower, normal_draws
 
 XY = tuple[float, float]
-AROUND_MM = 10.0  # search radius of the face centre around the deepest point
+SEARCH_RADIUS_MM = 10.0  # search radius of the face centre around the deepest point
 # Points this near the edge determine the uncertainty of the centre.
 EDGE_MM = 4.0
 NUDGE_MM = 0.05
@@ -120,23 +120,23 @@ def fit_face_centre(over: InsetDistribution, points_mm: FloatArray, face: Outlin
     expected, variance = over.expected_mm(), over.variance_mm2()
     weight = 1.0 / np.maximum(variance, LEAST_SD_MM**2)
     start = points_mm[int(expected.argmax())]
-    steps = np.arange(-AROUND_MM, AROUND_MM + 1.0)
+    steps = np.arange(-SEARCH_RADIUS_MM, SEARCH_RADIUS_MM + 1.0)
     around = start + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     misfit = (inset_mm(face, points_mm - around[:, None]) - expected) ** 2 @ weight
     at = around[int(np.argmin(misfit))]
     for _ in range(REFINED):
-        slope = _slope(face, points_mm - at)
+        slope = _inset_gradient(face, points_mm - at)
         off = expected - inset_mm(face, points_mm - at)
         normal = (slope * weight[:, None]).T @ slope + LEAST_SD_MM**2 * np.eye(2)
         at = at + np.linalg.solve(normal, (slope * weight[:, None]).T @ off)
     inset = inset_mm(face, points_mm - at)
     near = np.abs(inset) <= EDGE_MM
     varies = (variance + (expected - inset) ** 2)[near]
-    sigma_mm = sqrt(float(varies.mean())) if near.any() else AROUND_MM
+    sigma_mm = sqrt(float(varies.mean())) if near.any() else SEARCH_RADIUS_MM
     return FaceCentre((float(at[0]), float(at[1])), max(sigma_mm, LEAST_SD_MM))
 
 
-def _slope(face: Outline, relative: FloatArray) -> FloatArray:
+def _inset_gradient(face: Outline, relative: FloatArray) -> FloatArray:
     """Return the gradient (n, 2) of the inset with respect to the position of the centre."""
     moved = [NUDGE_MM * np.eye(2)[axis] for axis in range(2)]
     ways = [inset_mm(face, relative - m) - inset_mm(face, relative + m) for m in moved]
@@ -248,7 +248,9 @@ class PaperStrategy:
         return self.stable_at(offset_mm)
 
 
-NOTHING = "The signals are not finite or outside the training data: giving up without a release."
+NO_ESTIMATE = (
+    "The signals are not finite or outside the training data: giving up without a release."
+)
 NO_CONTACT = "No contact was found"
 EVEN = 0.5
 FARTHEST_MM = 14.0  # positions farther from the last probe are outside of the training data
@@ -283,7 +285,7 @@ class FusedStrategy:
             nothing = Stability(
                 False, np.nan, SupportKind.NO_ESTIMATE, np.zeros((0, 2)), centre, "belief"
             )
-            return PlaceDecision(self._belief.map, nothing, give_up(NOTHING))
+            return PlaceDecision(self._belief.map, nothing, give_up(NO_ESTIMATE))
         cells = (self._belief.map.cell_centres_mm() - np.asarray(here)).reshape(-1, 2)
         over = self._inset(known, cells, here)
         near = np.hypot(*(cells - com).T) <= FARTHEST_MM

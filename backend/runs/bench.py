@@ -121,7 +121,7 @@ class PressedProbe:
 class JudgedProbe:
     """Pressed probe with the decision on it, made at bench time ``at_s`` while still pressed."""
 
-    felt: PressedProbe
+    pressed: PressedProbe
     stability: Stability
     action: PlaceAction
     at_s: float

@@ -182,7 +182,9 @@ def _touches(bench: Bench, centre: FloatArray, start_mm: float, before: int) -> 
         off = out_mm * corner
         height_mm = yield from touch_height_mm(bench, centre + off, start_mm, BELOW_MM)
         if height_mm is None:
-            raise RefusedError("NO-TOUCH", "A touch on the bottom met nothing: check the origin.")
+            raise RefusedError(
+                "NO-TOUCH", "A touch on the bottom found no contact: check the origin."
+            )
         middle = middle_of_overlap(bench.piece.face, bench.outline, off)
         found.append([*(centre + middle), height_mm])
     return np.array(found)
@@ -201,20 +203,20 @@ TOOL_STEPS = TOOL_GRIPS * len(TOOL_SIDES)
 def measure_tool(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
     """Measure the centre of the face relative to the tool axis."""
     bottom = np.array(request.origin_mm)
-    felt = []
+    centres = []
     for grip in range(TOOL_GRIPS):
         yield from pick_piece(bench)
         contact_mm = yield from find_height(bench, bottom)
         start_mm = contact_mm + bench.settings.probe.start_height_mm
-        centre = yield from _felt_centre(bench, bottom, start_mm, grip)
-        felt.append(centre)
+        centre = yield from _face_centre(bench, bottom, start_mm, grip)
+        centres.append(centre)
         yield from return_piece(bench)
     yield Progress(bench.now_s(), TOOL_STEPS, TOOL_STEPS, "done")
     sigma_mm = bench.settings.collect.origin_sigma_mm
-    return estimate_tool(bottom, sigma_mm, np.stack(felt))
+    return estimate_tool(bottom, sigma_mm, np.stack(centres))
 
 
-def _felt_centre(bench: Bench, bottom: FloatArray, start_mm: float, grip: int) -> Plan[FloatArray]:
+def _face_centre(bench: Bench, bottom: FloatArray, start_mm: float, grip: int) -> Plan[FloatArray]:
     """Return the hand position (2,) with the face centred over the bottom."""
     between = np.zeros(2)
     for at, (axis, side) in enumerate(TOOL_SIDES):
@@ -301,8 +303,8 @@ DEPTH_MM, RAMP_S, HOLD_S, MEAN_S = 1.2, 0.8, 1.4, 0.4
 def measure_cameras(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
     """Measure the scale of both cameras and check their assignment and mirroring."""
     gels_px, why = yield from _gels_at_rest(bench)
-    pushed = yield from _pushes(bench, request)
-    found = estimate_cameras(pushed, request.pitch_mm)
+    presses = yield from _side_presses(bench, request)
+    found = estimate_cameras(presses, request.pitch_mm)
     known = "The gels are known again by their dots." if gels_px else f"No fingerprint: {why}"
     return replace(found, gels_px=gels_px, note=f"{found.note} {known}")
 
@@ -333,7 +335,7 @@ def _dots_at_rest(bench: Bench) -> tuple[tuple[float, ...], str]:
     return tuple(numbers), ""
 
 
-def _pushes(bench: Bench, request: CalibrateRequest) -> Plan[list[SidePress]]:
+def _side_presses(bench: Bench, request: CalibrateRequest) -> Plan[list[SidePress]]:
     yield from pick_piece(bench)
     sigma_mm = bench.settings.collect.origin_sigma_mm
     centre = bench.placed.origin(request.origin_mm, sigma_mm, request.bottom)
@@ -343,35 +345,35 @@ def _pushes(bench: Bench, request: CalibrateRequest) -> Plan[list[SidePress]]:
     out_mm = np.array(bench.outline.half_extents_mm) + PUSH_REACH * np.array(
         bench.piece.face.half_extents_mm
     )
-    pushed: list[SidePress] = []
-    while (side := next_side(pushed)) is not None:
+    presses: list[SidePress] = []
+    while (side := next_side(presses)) is not None:
         yield PausePoint()
-        yield Progress(bench.now_s(), len(pushed), MOST_PUSHES, f"press at the rim, {side}")
+        yield Progress(bench.now_s(), len(presses), MOST_PUSHES, f"press at the rim, {side}")
         way = np.zeros(2)
         way["xy".index(side[1])] = 1.0 if side[0] == "+" else -1.0
         x_mm, y_mm = (origin + out_mm * way).tolist()
         yield from move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
-        push, after_void = partial(_push, bench, side), partial(_after_void, bench, start_mm)
+        push, after_void = partial(_side_press, bench, side), partial(_after_void, bench, start_mm)
         each = yield from retry_if_void(bench, push, after_void)
-        pushed.append(each)
+        presses.append(each)
         yield from rise_from_contact(bench, start_mm)
     yield Progress(bench.now_s(), MOST_PUSHES, MOST_PUSHES, "back to the jig")
     yield from return_piece(bench)
-    return pushed
+    return presses
 
 
-def next_side(pushed: Sequence[SidePress]) -> Side | None:
+def next_side(presses: Sequence[SidePress]) -> Side | None:
     """Return the next side to press on, None when there are enough presses.
 
     Each side is pressed once. Then both y sides alternate for ``PUSH_ROUNDS`` or more rounds, until
     the difference between the fingers exceeds the creep of the gels.
     """
-    if len(pushed) < len(SIDES):
-        return SIDES[len(pushed)]
-    if pushed[-1].side == ACROSS[0]:
+    if len(presses) < len(SIDES):
+        return SIDES[len(presses)]
+    if presses[-1].side == ACROSS[0]:
         return ACROSS[1]
-    rounds = sum(push.side == ACROSS[1] for push in pushed)
-    if rounds >= PUSH_ROUNDS and (fingers_distinguishable(pushed) or rounds >= MOST_PUSH_ROUNDS):
+    rounds = sum(push.side == ACROSS[1] for push in presses)
+    if rounds >= PUSH_ROUNDS and (fingers_distinguishable(presses) or rounds >= MOST_PUSH_ROUNDS):
         return None
     return ACROSS[0]
 
@@ -381,7 +383,7 @@ def _after_void(bench: Bench, start_mm: float, fault: Fault) -> Plan[None]:
     yield from rise_from_contact(bench, start_mm)
 
 
-def _push(bench: Bench, side: Side) -> Plan[SidePress]:
+def _side_press(bench: Bench, side: Side) -> Plan[SidePress]:
     yield from zero_sensors(bench, 0)
     yield PhaseEntered(bench.now_s(), "press", 0)
     probe = bench.settings.probe
@@ -403,7 +405,7 @@ def _push(bench: Bench, side: Side) -> Plan[SidePress]:
     for finger in FINGERS:
         fields = bench.sensing.fields[finger].between(now_s - MEAN_S, now_s)
         if not fields:
-            raise RefusedError("NO-SAMPLES", f"The {finger} camera was silent.")
+            raise RefusedError("NO-SAMPLES", f"The {finger} camera sent no images.")
         at_rest.append(bench.sensing.references[finger].position_px)
         moved.append(np.mean([field.displacement_px for field in fields], axis=0))
     return SidePress(side, np.stack(at_rest), np.stack(moved))

@@ -153,16 +153,16 @@ def accept_calibration(
     sources: dict[Finger, Finger] = {finger: finger for finger in FINGERS}
     if values["exchanged"]:
         sources = {"left": "right", "right": "left"}
-    sits: dict[str, float] = {"exchanged": 0.0}
+    mirrors: dict[str, float] = {"exchanged": 0.0}
     gels: dict[str, tuple[float, ...]] = {}
     seen_px = dict(zip(FINGERS, _places(measured.gels_px), strict=False))
     for finger, source in sources.items():
         now = str(devices[f"tactile_{source}"].describe().get("mirror", "none"))
         code = round(values[f"{finger}_mirror"]) ^ MIRROR_CODES.index(now)
-        sits[f"{finger}_mirror"] = float(code)
+        mirrors[f"{finger}_mirror"] = float(code)
         if source in seen_px:
             gels[f"tactile_{finger}"] = dots_to_numbers(mirrored_dots(seen_px[source], now))
-    kept = tuple(sits.get(name, value) for name, value in values.items())
+    kept = tuple(mirrors.get(name, value) for name, value in values.items())
     cameras = {f"tactile_{f}": names[f"tactile_{s}"] for f, s in sources.items()}
     return store.accept(replace(measured, values=kept), {**names, **cameras}, person, gels=gels)
 
@@ -216,10 +216,10 @@ class GelCheck:
         if cancel.is_set():
             return
         if len(frames) < FEWEST:
-            told = fault_of(self._devices[name])
-            if told is not None:
-                raise FaultError(told)
-            raise _fault("GEL-UNSEEN", name, "Its pictures come too seldom.", "Look at its cable.")
+            fault = fault_of(self._devices[name])
+            if fault is not None:
+                raise FaultError(fault)
+            raise _fault("GEL-UNSEEN", name, "Its images arrive too slowly.", "Look at its cable.")
         seen = measure_rest(frames)
         if not seen.grid.usable:
             what = f"{seen.grid.message[:1].upper()}{seen.grid.message[1:]}."
@@ -245,7 +245,7 @@ class GelCheck:
         if away_px < limit_px:
             return
         if seen.motion_px > MOTION_FACTOR * NOISE_FLOOR_PX:
-            what = f"The gel moves by {seen.motion_px:.2f} px: it cannot be told which one it is."
+            what = f"The gel moves by {seen.motion_px:.2f} px: it cannot be identified."
             raise _fault("GEL-MOVES", name, what, "Let go of the gel and connect again.")
         owner, mirror = identify_gel(seen.position_px, known, name, limit_px)
         again = "" if self._store is None else self._store.command("camera")
@@ -295,8 +295,8 @@ def _next_step(name: str, owner: str, mirror: str) -> str:
         other = owner.removeprefix("tactile_")
         return f"It is the gel of the {other} finger: put the two back."
     if owner:
-        return f"The picture is mirrored in {AXES[mirror]}: look at the settings."
-    return "Have gels or sensors been exchanged? Put the right one back."
+        return f"The picture is mirrored in {AXES[mirror]}: check the settings."
+    return "Check if gels or sensors were exchanged, and put the right one back."
 
 
 def _fault(code: str, name: str, what: str, next_step: str) -> FaultError:
@@ -329,7 +329,7 @@ class DriftMonitor:
         self._place, self._sensing, self._publish = place, sensing, publish
         self._cursor = sensing.raw.samples.count
         self._watch = WrenchDriftEstimator()
-        self._stands: Pose | None = None
+        self._at_rest: Pose | None = None
         self._since_s = math.inf
         self._load: tuple[bool, float] | None = None
 
@@ -337,7 +337,7 @@ class DriftMonitor:
         """Process new samples; publish ``Noticed`` when the drift exceeds its limit."""
         samples = self._sensing.raw.samples.since(self._cursor)
         self._cursor = samples.cursor
-        if not self._stands_in_air():
+        if not self._at_rest_in_air():
             self._watch.leave()
             return
         settled = samples.t_s >= self._since_s + SETTLE_S
@@ -347,25 +347,25 @@ class DriftMonitor:
         if found is not None and found.named and not (was is not None and was.named):
             self._publish(Noticed(self._place.now_s(), drift_notice(found)))
 
-    def _stands_in_air(self) -> bool:
+    def _at_rest_in_air(self) -> bool:
         place = self._place
         status = place.gripper.status()
         load = status.holding, status.width_mm
         if self._load is None or not _same_load(load, self._load):
             self._load = load
             self._watch.reload()
-            self._stands = None
+            self._at_rest = None
         try:
             pose = place.arm.pose(POSE_AGE_S)
         except StaleSampleError:
             pose = None
         if pose is None or math.hypot(pose.rx_rad, pose.ry_rad, pose.rz_rad) > LEVEL_TOLERANCE_RAD:
-            self._stands = None
+            self._at_rest = None
             if pose is not None:
                 self._watch.reload()
             return False
-        if self._stands is None or not _stands(pose, self._stands):
-            self._stands, self._since_s = pose, place.now_s()
+        if self._at_rest is None or not _at_rest(pose, self._at_rest):
+            self._at_rest, self._since_s = pose, place.now_s()
             return False
         return pose.z_mm >= place.surface_mm() + CLEAR_MM
 
@@ -378,8 +378,8 @@ def drift_notice(drift: WrenchDrift) -> Fault:
         f"The wrist sensor has drifted by {drift.moved_n:.2f} N in {drift.over_s:.0f} s, "
         f"in still air ({per_min:.1f} N a minute).",
         "Each probe takes its own tare; what drifts after that is read as force.",
-        "Zero it in air (Z) before you go by its figures; let a cold sensor warm up. "
-        "If it goes on, check its mounting and cable.",
+        "Zero it in air (Z) before you use its values; let a cold sensor warm up. "
+        "If it continues, check its mounting and cable.",
         "force_torque",
     )
 
@@ -389,7 +389,7 @@ def _same_load(one: tuple[bool, float], other: tuple[bool, float]) -> bool:
     return one[0] == other[0] and not moved > SAME_MM
 
 
-def _stands(one: Pose, other: Pose) -> bool:
+def _at_rest(one: Pose, other: Pose) -> bool:
     # Scalars instead of arrays: ten times faster for six numbers in every step.
     moved = (one.x_mm - other.x_mm, one.y_mm - other.y_mm, one.z_mm - other.z_mm)
     turned = (one.rx_rad - other.rx_rad, one.ry_rad - other.ry_rad, one.rz_rad - other.rz_rad)

@@ -17,7 +17,7 @@ import numpy as np
 from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, items_deleted, uuid7
 from touchdown.backend.core import FloatArray, InputError, read_only, write_atomically
 from touchdown.backend.episodes import (
-    OBS,
+    OBSERVATION_TOPIC,
     Coverage,
     ExaminedEpisode,
     count_coverage,
@@ -279,7 +279,7 @@ def read_probe_summary(dataset: Dataset, entry: EpisodeEntry) -> ProbeSummary:
         path = dataset.folder / entry.path
         contents = read_first(path)
         with input_errors(path):
-            observation = unpack_observation(contents.messages[OBS.name])
+            observation = unpack_observation(contents.messages[OBSERVATION_TOPIC.name])
             commanded_mm = json.loads(contents.metadata["episode"]["offset_mm"])
     x_mm, y_mm = commanded_mm
     return ProbeSummary(

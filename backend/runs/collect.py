@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass, replace
 
 from touchdown.backend.annotations import (
-    NO_ROOM,
+    DISK_FULL_ERRNOS,
     Dataset,
     EpisodeContext,
     EpisodeEntry,
@@ -209,7 +209,7 @@ def _saved_after(collector: Collector, dataset: Dataset, *, waits: bool) -> Plan
     try:
         collector.campaign.save(dataset.folder)
     except OSError as error:
-        if error.errno not in NO_ROOM:
+        if error.errno not in DISK_FULL_ERRNOS:
             raise
         raise FaultError(plan_not_saved_fault(dataset.folder)) from error
     return True
@@ -230,7 +230,7 @@ def _dataset(session: RunContext, request: CollectRequest) -> Dataset:
                 f"A {name} makes at least one {what}.", f"{what}s per {name}", "Give 1 or more."
             )
     if not request.person.strip():
-        raise InputError("Nobody is named.", "--person", "Say who collects.")
+        raise InputError("No operator is named.", "--person", "Give the name of the operator.")
     return session.dataset
 
 

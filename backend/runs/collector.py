@@ -221,7 +221,7 @@ SLIP_MM = EpisodeLimits().slip_mm
 
 @dataclass(frozen=True, slots=True)
 class _PendingEpisode:
-    felt: PressedProbe
+    pressed: PressedProbe
     item: int
     where: MeasuredOffset
     drift_mm: float
@@ -245,11 +245,11 @@ class Collector:
         self.ask = self.check_origin = self.hand_over = False
         self._rejected: Counter[int] = Counter()
         self._probes = 0
-        self._taken: _PendingEpisode | None = None
+        self._pending: _PendingEpisode | None = None
         self._last: tuple[EpisodeEntry, int] | None = None
         # Decision on the last episode until it is carried out
-        self._said: EpisodeDecision | None = None
-        self._untold: deque[Event] = deque()  # events of durable probes, in order
+        self._decision: EpisodeDecision | None = None
+        self._unpublished: deque[Event] = deque()  # events of durable probes, in order
 
     def mounting(
         self,
@@ -287,7 +287,7 @@ class Collector:
 
         Announces everything that is in the dataset and carries out the pending decision.
         """
-        yield from self._tell()
+        yield from self._publish()
         for rest_of in (self._carry_out, self._settled):
             try:
                 yield from rest_of(bench, waits=False)
@@ -297,23 +297,23 @@ class Collector:
 
     def _settled(self, bench: Bench, *, waits: bool = True) -> Plan[None]:
         """Announce the previous probe once it is durable; ``waits`` for space on a full disk."""
-        taken = self._taken
-        if taken is None:
+        pending = self._pending
+        if pending is None:
             return
         entry = yield from self._durable(bench, waits=waits)
-        self._taken = None
-        episode, where = taken.felt.episode, taken.where
+        self._pending = None
+        episode, where = pending.pressed.episode, pending.where
         if entry.quality.accepted:
             self.done += 1
-        self._last = (entry, taken.item)
+        self._last = (entry, pending.item)
         now_s = bench.now_s()
         shown = replace(episode, episode_id=entry.uuid, recording=None)
-        self._untold.append(EpisodeRecorded(now_s, shown, taken.felt.probe, entry.path))
-        self._untold.append(ProbeCollected(
+        self._unpublished.append(EpisodeRecorded(now_s, shown, pending.pressed.probe, entry.path))
+        self._unpublished.append(ProbeCollected(
             now_s,
             uuid=entry.uuid,
-            item=taken.item,
-            probe=taken.felt.probe,
+            item=pending.item,
+            probe=pending.pressed.probe,
             done=self.done,
             total=self.campaign.count,
             commanded_mm=xy_mm(episode.offset_mm),
@@ -321,15 +321,15 @@ class Collector:
             sigma_mm=where.sigma_mm,
             signals=last_signal_excerpt(episode.observation),
             slip_mm=episode.quality.slip_mm,
-            drift_mm=taken.drift_mm,
+            drift_mm=pending.drift_mm,
             reasons="; ".join(episode.quality.reasons),
         ))  # fmt: skip
-        yield from self._tell()
+        yield from self._publish()
 
-    def _tell(self) -> Plan[None]:
+    def _publish(self) -> Plan[None]:
         """Publish the queued events; a stop between two events leaves the rest queued."""
-        while self._untold:
-            yield self._untold.popleft()
+        while self._unpublished:
+            yield self._unpublished.popleft()
 
     def _checked(
         self, bench: Bench, origin: BottomOrigin, context: EpisodeContext
@@ -352,7 +352,7 @@ class Collector:
                 return self.recorder.settle()
             except FaultError as error:
                 if error.fault.code != DISK_FULL or not waits:
-                    self._taken = None
+                    self._pending = None
                     raise
                 obstacle = refused_episode_fault(error.fault)
             yield PausePoint(obstacle)
@@ -376,19 +376,19 @@ class Collector:
                 self.campaign.pattern, target, self.campaign.seed, item,
                 self.campaign.count, self.seen,
             )  # fmt: skip
-            taken = yield from self._probe(bench, item, wanted, origin, first_mm)
-            first_mm = taken.where.contact_mm if first_mm is None else first_mm
-            self._enter(taken, replace(context, plan_item=item))
+            pending = yield from self._probe(bench, item, wanted, origin, first_mm)
+            first_mm = pending.where.contact_mm if first_mm is None else first_mm
+            self._record(pending, replace(context, plan_item=item))
             if self.ask:
                 yield from self._settled(bench)
-                yield from self._asked(bench)
-            slip_mm = taken.felt.episode.quality.slip_mm
+                yield from self._wait_for_decision(bench)
+            slip_mm = pending.pressed.episode.quality.slip_mm
             if not slip_mm <= SLIP_MM:
                 yield Said(
                     bench.now_s(), messages.regrip_message(f"it slipped by {slip_mm:.2f} mm")
                 )
                 return
-            if not taken.drift_mm <= settings.drift_mm:
+            if not pending.drift_mm <= settings.drift_mm:
                 drifted = f"contact came {taken.drift_mm:.2f} mm off its first height"
                 yield Said(bench.now_s(), messages.regrip_message(drifted))
                 return
@@ -413,20 +413,20 @@ class Collector:
         else:
             yield from move_to(bench, place, "the arm to shift")
         yield from self._settled(bench)
-        felt = yield from press_once(bench, self._probes, np.array(wanted_mm))
-        where = measure_offset(felt.episode, origin, bench.settings.collect)
+        pressed = yield from press_once(bench, self._probes, np.array(wanted_mm))
+        where = measure_offset(pressed.episode, origin, bench.settings.collect)
         yield from lift(bench, self._probes)
-        felt = replace(felt, episode=_with_outcome(felt.episode, bench))
+        pressed = replace(pressed, episode=_with_outcome(pressed.episode, bench))
         drift_mm = 0.0 if first_mm is None else abs(where.contact_mm - first_mm)
-        return _PendingEpisode(felt, item, where, drift_mm)
+        return _PendingEpisode(pressed, item, where, drift_mm)
 
-    def _enter(self, taken: _PendingEpisode, context: EpisodeContext) -> None:
+    def _record(self, pending: _PendingEpisode, context: EpisodeContext) -> None:
         """Pass the probe to the recorder; a rejected probe puts its item back into the plan."""
-        self.recorder.record(taken.felt.episode, taken.where.label(), context)
-        self._taken = taken
+        self.recorder.record(pending.pressed.episode, pending.where.label(), context)
+        self._pending = pending
         item = self.todo.popleft()
-        if taken.felt.episode.quality.accepted:
-            self.seen = self.seen.with_offset(xy_mm(taken.where.offset_mm))
+        if pending.pressed.episode.quality.accepted:
+            self.seen = self.seen.with_offset(xy_mm(pending.where.offset_mm))
             return
         self._rejected[item] += 1
         # Retry at once, then after all others, then drop the item.
@@ -437,7 +437,7 @@ class Collector:
         else:
             self.campaign = self.campaign.without(item)
 
-    def _asked(self, bench: Bench) -> Plan[None]:
+    def _wait_for_decision(self, bench: Bench) -> Plan[None]:
         assert self._last is not None
         entry, item = self._last
         yield DecisionAwaited(bench.now_s(), entry.uuid, item)
@@ -448,9 +448,9 @@ class Collector:
 
         ``waits`` for space on a full disk; at the end of a run it does not.
         """
-        self._said = decision = self._decisions.take() or self._said
+        self._decision = decision = self._decisions.take() or self._decision
         if decision is None or self._last is None:
-            self._said = None
+            self._decision = None
             return
         entry, item = self._last
         try:
@@ -459,7 +459,7 @@ class Collector:
             else:
                 self._decide(decision, entry, item)
         except RefusedError as cause:
-            self._said = None
+            self._decision = None
             yield Said(bench.now_s(), f"Refused: {cause.detail}")
         except FaultError as cause:
             if waits or cause.fault.code != DISK_FULL:
@@ -467,7 +467,7 @@ class Collector:
             folder = self.recorder.dataset.folder
             raise FaultError(decision_not_saved_fault(folder, decision, item)) from cause
         else:
-            self._said = None
+            self._decision = None
             yield EpisodeDecided(bench.now_s(), entry.uuid, item, decision, entry.person)
 
     def _decide(self, decision: EpisodeDecision, entry: EpisodeEntry, item: int) -> None:

@@ -56,7 +56,7 @@ from touchdown.backend.runs.requests import RunState, RunStatus
 _ASKS: dict[type[Event], str] = {
     SetUpAwaited: "set the scene",
     HandOverAwaited: "a hand at the jaws",
-    MountingAwaited: "say whether it was fitted anew",
+    MountingAwaited: "confirm the mounting",
     OutcomeAwaited: "say the outcome",
 }
 DEGRADED_WAIT_S = 1.0  # A run waits this long at a checkpoint for a degraded sensor, then it pauses
@@ -105,7 +105,7 @@ class Engine:
         """Take ``plan``; it starts with the next tick. ``RefusedError`` if one is running."""
         with self._lock:
             if self._plan is not None:
-                raise RefusedError("BUSY", "A run is going on: cancel it first.")
+                raise RefusedError("BUSY", "A run is in progress: cancel it first.")
             if self._interlock.latched:
                 raise RefusedError("LATCHED", "The bench is stopped: press Reset first.")
             self._plan, self._waiting, self._throw = plan, None, None
@@ -137,7 +137,7 @@ class Engine:
         fault = Fault(
             "BENCH-DIED",
             f"The bench thread ended: {type(error).__name__}: {error}.",
-            "Nothing moves any more; the gripper was not opened.",
+            "All motion has stopped; the gripper was not opened.",
             "Copy the details for the maintainers, then start Touchdown again.",
         )
         self._fail(FaultError(fault))
@@ -175,7 +175,7 @@ class Engine:
             self.tick()
             with self._lock:
                 if self._status.state is RunState.PAUSED and self._obstacle is not None:
-                    self._throw = CancelledError(f"nobody resumed it: {self._obstacle.what}")
+                    self._throw = CancelledError(f"not resumed: {self._obstacle.what}")
                     self._status = replace(self._status, state=RunState.CANCELLING)
             if self.busy:
                 advance()
@@ -233,8 +233,8 @@ class Engine:
     def _checkpoint(self, place: PausePoint) -> bool:
         obstacle = place.obstacle
         with self._lock:
-            asked = self._status.state is RunState.PAUSING
-            if not asked and (obstacle is None or self._status.state is not RunState.RUNNING):
+            pausing = self._status.state is RunState.PAUSING
+            if not pausing and (obstacle is None or self._status.state is not RunState.RUNNING):
                 # ``tick`` checks the sensors before the plan continues.
                 self._stand_until_s = self._now_s() + DEGRADED_WAIT_S
                 return True
@@ -255,8 +255,8 @@ class Engine:
         if unwell is None:
             return True
         with self._lock:
-            asked = self._status.state is RunState.PAUSING
-        if asked:
+            pausing = self._status.state is RunState.PAUSING
+        if pausing:
             self._pause(None)
         elif self._now_s() > until_s and self._status.state is RunState.RUNNING:
             self._pause(unwell)
@@ -264,7 +264,7 @@ class Engine:
 
     def _publish(self, event: Event) -> None:
         with self._lock:
-            self._status = _followed(self._status, event)
+            self._status = _next_status(self._status, event)
         self._hub.publish(event)
 
     def _change(self, allowed: set[RunState], state: RunState) -> None:
@@ -304,19 +304,21 @@ class Engine:
             self._hub.publish(RunFinished(now_s, run_id, ending, str(error)))
 
 
-def _followed(status: RunStatus, event: Event) -> RunStatus:
+def _next_status(status: RunStatus, event: Event) -> RunStatus:
     if isinstance(event, RunStarted):
         return replace(
             status, state=RunState.RUNNING, run_id=event.run_id, trials=event.trials, text="Running"
         )
     if isinstance(event, TrialStarted):
-        return replace(status, trial=event.trial, probe=0, felt=0, phase="", awaiting=None, asks="")
+        return replace(
+            status, trial=event.trial, probe=0, estimated=0, phase="", awaiting=None, asks=""
+        )
     if isinstance(event, PhaseEntered):
         return replace(status, phase=event.phase, probe=event.probe, awaiting=None, asks="")
     if type(event) in _ASKS or isinstance(event, Released):
         return replace(status, asks=_ASKS.get(type(event), ""))
     if isinstance(event, PatchEstimated):
-        return replace(status, felt=event.probe)
+        return replace(status, estimated=event.probe)
     if isinstance(event, ActionChosen):
         return replace(status, text=event.action.reason)
     if isinstance(event, ApprovalAwaited):
@@ -371,17 +373,17 @@ class ThreadWatchdog:
             return
         self._stepless_s += self._rest.passed_s
         if rested_s >= self._still_s:
-            self._tell(bench_fault("It waits for what does not come"))
+            self._tell(bench_fault("It waits without end"))
         elif self._stepless_s >= WORKS_S:
-            self._tell(bench_fault("It works without an end"))
+            self._tell(bench_fault("It is busy without end"))
 
 
 def bench_fault(why: str) -> Fault:
     """Return the fault of a stalled bench thread; ``why`` is a sentence without its full stop."""
     return Fault(
         "BENCH-STILL",
-        f"The thread of the bench stands still. {why}.",
-        "Nothing is measured, and no run goes on; the gripper was not opened.",
+        f"The bench thread is stalled. {why}.",
+        "Nothing is measured and no run continues; the gripper was not opened.",
         "Copy the details for the maintainers, then start Touchdown again.",
     )
 

@@ -101,7 +101,7 @@ def wait_for_refit(bench: Bench) -> Plan[bool]:
     """Wait until the operator has refitted bottom and gels; raises ``CancelledError`` on a no."""
     question = HandOverAwaited(bench.now_s(), bench.bottom, gives=False, anew=True)
     if not (yield from ask_operator(bench, question, "a new mounting")):
-        raise CancelledError("bottom and gels were not fitted anew")
+        raise CancelledError("bottom and gels were not refitted")
     return True
 
 
@@ -118,7 +118,7 @@ def _weighed(bench: Bench, weight_n: float) -> Plan[None]:
     if abs(weight_n - expected_n) <= bench.settings.collect.weight_tolerance_n:
         return
     grams = 1e3 * weight_n / STANDARD_GRAVITY_M_S2
-    what = f"What is held weighs {grams:.0f} g; {piece.name} has {piece.mass_g:.0f} g"
+    what = f"The held piece weighs {grams:.0f} g; {piece.name} has {piece.mass_g:.0f} g"
     if piece.nominal and weight_n > 0:
         yield Said(bench.now_s(), f"{what} by its file, which is nominal.")
         return

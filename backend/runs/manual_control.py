@@ -130,7 +130,7 @@ class ManualControl:
     def servo(self, on: bool) -> None:
         """Switch the motors on a separate thread; raises ``RefusedError``."""
         if self._around.busy():
-            raise RefusedError("BUSY", "A run is going on: cancel it first.")
+            raise RefusedError("BUSY", "A run is in progress: cancel it first.")
         if self.switching:
             raise RefusedError("MOVING", "The servo is being switched.")
         if on:
@@ -184,7 +184,7 @@ class ManualControl:
     def _take(self) -> None:
         """Raise ``RefusedError`` while something else moves, else renew the lease."""
         if self._around.busy():
-            raise RefusedError("BUSY", "A run is going on: cancel it first.")
+            raise RefusedError("BUSY", "A run is in progress: cancel it first.")
         if self.active:
             raise RefusedError("MOVING", "Wait until the last motion has ended.")
         self._interlock.renew_lease(self._around.now_s())
@@ -193,7 +193,7 @@ class ManualControl:
         if self._around.busy():
             raise RefusedError("BUSY", "A run takes its own tare and references.")
         if len(self._orders) == WAITING:
-            raise RefusedError("WAITING", "Earlier orders are still waiting.")
+            raise RefusedError("WAITING", "Earlier commands are still waiting.")
         self._orders.append((order, self._around.now_s() + for_s))
 
     def _zero(self) -> str:
@@ -202,7 +202,7 @@ class ManualControl:
 
     def _reference(self) -> str:
         self._reach.sensing.take_references(REFERENCE_FRAMES)
-        return "The tactile reference is taken anew."
+        return "New tactile references are taken."
 
     def _recover(self) -> None:
         """End the recovery once the wrist is free of contact."""
@@ -233,7 +233,7 @@ def check_devices(connection: BenchConnection | None, request: Request) -> None:
     if connection is None:
         return
     if isinstance(request, StackRequest) and request.strategy == "pick-and-place":
-        raise RefusedError("SIMULATED-ONLY", "Letting go untested is for simulations only.")
+        raise RefusedError("SIMULATED-ONLY", "A release without a test is for simulations only.")
     if missing := connection.missing():
         names = ", ".join(missing)
         raise RefusedError("NOT-CONNECTED", f"Not connected: {names}. Connect first (Ctrl+L).")

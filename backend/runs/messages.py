@@ -60,7 +60,7 @@ DECISION_WORDS = {
 
 def origin_message(x_mm: float, y_mm: float, sigma_mm: float, agrees: bool) -> str:
     """Return the measured deviation of the bottom from its origin."""
-    felt = f"The bottom was felt {x_mm:+.2f}, {y_mm:+.2f} mm off its origin (s.d. {sigma_mm:.2f})"
+    felt = f"The bottom was found {x_mm:+.2f}, {y_mm:+.2f} mm off its origin (s.d. {sigma_mm:.2f})"
     return f"{felt}." if agrees else f"{felt}: set the origin again, the labels are off by this."
 
 
@@ -68,19 +68,19 @@ def repeated_board_message(residual_mm: float, limit_mm: float) -> str:
     """Return the reason for a second round on the board."""
     return (
         f"The residual is {residual_mm:.2f} mm, beyond its limit of {limit_mm:.1f} mm: the board "
-        "is felt once more, and both rounds count."
+        "is probed once more, and both rounds count."
     )
 
 
 def regrip_message(why: str) -> str:
     """Return the reason for an early return of the piece to its jig."""
-    return f"The piece is gripped anew: {why}."
+    return f"The piece is gripped again: {why}."
 
 
 def hand_over_message(awaited: HandOverAwaited) -> str:
     """Return the next manual step of the operator."""
     if awaited.anew:
-        return f"Take the {awaited.piece} and the gels off and fit them anew: a new series begins."
+        return f"Take the {awaited.piece} and the gels off and refit them: a new series begins."
     if awaited.gives:
         return f"Hold the {awaited.piece} between the jaws: they close on it."
     return f"Take hold of the {awaited.piece}: the jaws open."
@@ -150,4 +150,4 @@ def outcome_question(awaited: OutcomeAwaited) -> str:
         Outcome.FELL: "it fell",
         Outcome.KNOCKED_OVER: "the bottom was disturbed",
     }.get(awaited.proposed, "the trial is void")
-    return f"What became of it? {awaited.why} Proposed: {said}."
+    return f"What is the outcome? {awaited.why} Proposed: {said}."

@@ -89,7 +89,7 @@ FRESH_S = 0.5  # time limit for a fresh wrench sample
 REST_S = 1.0  # time limit for the arm to come to rest
 NO_PIECE = (
     "The gripper closed on nothing: no piece is between the jaws. Open them and hold one between "
-    "them, or set the simulated bench anew (Ctrl+N in Operate)."
+    "them, or set a new simulated scene (Ctrl+N in Operate)."
 )
 
 
@@ -209,7 +209,7 @@ def release_piece(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[
     Raises ``RefusedError`` if a release condition of the interlock does not hold.
     """
     settings = bench.settings.release
-    probe = judged.felt.probe
+    probe = judged.pressed.probe
     yield PhaseEntered(bench.now_s(), "unload", probe)
     width_mm = bench.gripper.status().width_mm
     unload = bench.arm.unload(settings.unload_n, bench.settings.probe.approach_mm_s)
@@ -275,7 +275,7 @@ def release_evidence(
     sampled = len(window.t_s) > 0
     press_n = float(np.mean(window.values[:, 2])) if sampled else math.nan
     places_mm = recent_positions_mm(bench.arm.poses, now_s)
-    recording, onset_s = judged.felt.episode.recording, judged.felt.episode.onset_s
+    recording, onset_s = judged.pressed.episode.recording, judged.pressed.episode.onset_s
     slip_mm = math.nan
     if recording is not None and len(places_mm):
         slip_mm = slip_since_loading(recording, onset_s, float(places_mm[-1, 2]), press_n)
@@ -285,7 +285,7 @@ def release_evidence(
         verdict_age_s=now_s - judged.at_s,
         margin_mm=judged.stability.margin_mm,
         required_margin_mm=bench.settings.stability.margin_mm,
-        quality_accepted=judged.felt.episode.quality.accepted,
+        quality_accepted=judged.pressed.episode.quality.accepted,
         slip_mm=slip_mm,
         press_n=press_n,
         wrench_age_s=now_s - float(window.t_s[-1]) if sampled else math.nan,

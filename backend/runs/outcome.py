@@ -144,15 +144,15 @@ def outcome_from_signals(
     if weight_n > WEIGHED_N and left_n < 0.5 * weight_n:
         return (
             Outcome.ABORTED,
-            f"The hand lost only {left_n:.1f} N of the {weight_n:.1f} N that the piece weighs.",
+            f"The load decreased by only {left_n:.1f} N of the {weight_n:.1f} N weight of the piece.",
         )
     if side_n > SIDE_N:
-        return Outcome.FELL, f"Something pushed the opening fingers with {side_n:.1f} N."
+        return Outcome.FELL, f"The opening fingers met a lateral force of {side_n:.1f} N."
     if not side_n <= SIDE_N:
-        return Outcome.FELL, "The wrist was silent while the fingers opened."
+        return Outcome.FELL, "No wrench samples while the fingers opened."
     return (
         Outcome.PLACED,
-        f"Nothing pushed the fingers while they opened and rose ({side_n:.1f} N).",
+        f"No lateral force on the fingers while they opened and rose ({side_n:.1f} N).",
     )
 
 

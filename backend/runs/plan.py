@@ -14,7 +14,7 @@ from touchdown.backend.core import Event, Fault, FaultError, StaleSampleError, T
 from touchdown.backend.devices import Motion
 
 CODES = {"arm": "ARM-STALE", "force_torque": "FT-STALE"}
-SAYS = {"arm": "The arm does not tell where it is"}
+SAYS = {"arm": "The arm reports no position"}
 
 
 def stale_fault(error: StaleSampleError) -> Fault:
@@ -78,7 +78,7 @@ def timeout_fault(waiting: Wait) -> FaultError:
     return FaultError(
         Fault(
             code="TIMEOUT",
-            what=f"Waited {waiting.timeout_s:.1f} s in vain for {waiting.what}.",
+            what=f"Waited {waiting.timeout_s:.1f} s for {waiting.what} without success.",
             consequence="The run ended; the gripper was not opened.",
             next_step="Look at the device chips, then press Reset.",
         )

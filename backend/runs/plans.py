@@ -56,8 +56,8 @@ def probe_run(session: RunContext, request: ProbeRequest) -> Plan[None]:
 def _probe(bench: Bench) -> Plan[bool]:
     if not bench.gripper.status().holding:
         yield from take_piece(bench)
-    felt = yield from press_once(bench, 1)
-    episode = felt.episode
+    pressed = yield from press_once(bench, 1)
+    episode = pressed.episode
     bench.store.keep(episode)
     if not episode.quality.accepted:
         yield Said(bench.now_s(), messages.rejected_message(1, episode.quality.reasons))

@@ -161,13 +161,13 @@ def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Press
     Rejected episodes are kept in the store with their reasons.
     """
     for attempt in range(tries):
-        felt = yield from press_once(bench, probe, decides=True)
-        if felt.episode.quality.accepted:
-            return felt
+        pressed = yield from press_once(bench, probe, decides=True)
+        if pressed.episode.quality.accepted:
+            return pressed
         bench.repaint_hold.end()
-        reasons = "; ".join(felt.episode.quality.reasons)
-        yield Said(bench.now_s(), messages.rejected_message(probe, felt.episode.quality.reasons))
-        bench.store.keep(felt.episode)
+        reasons = "; ".join(pressed.episode.quality.reasons)
+        yield Said(bench.now_s(), messages.rejected_message(probe, pressed.episode.quality.reasons))
+        bench.store.keep(pressed.episode)
         yield from lift(bench, probe)
         yield from wait_until_durable(bench)
         if attempt + 1 == tries:

@@ -12,7 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from touchdown.backend.annotations import NO_ROOM, free_bytes_if_low, free_space_for
+from touchdown.backend.annotations import DISK_FULL_ERRNOS, free_bytes_if_low, free_space_for
 from touchdown.backend.core import (
     DISK_TIMEOUT_S,
     ClockJumpDetector,
@@ -76,7 +76,7 @@ def save_or_wait(save: Callable[[], None]) -> Plan[bool]:
                 raise
             fault = error.fault
         except OSError as error:
-            if error.errno not in NO_ROOM:
+            if error.errno not in DISK_FULL_ERRNOS:
                 raise
             fault = Fault(DISK_FULL, "The disk is full.", "", "")
         else:
@@ -206,7 +206,7 @@ class RunStore:
         except OSError as error:
             raise FaultError(
                 Fault(
-                    DISK_FULL if error.errno in NO_ROOM else "EPISODE-FAILED",
+                    DISK_FULL if error.errno in DISK_FULL_ERRNOS else "EPISODE-FAILED",
                     f"The episode cannot be written: {error.strerror or error}.",
                     "The run ends; its event log and all earlier episodes are on disk.",
                     f"Make room on the disk of {self._folder}, then press Reset.",
@@ -373,7 +373,7 @@ class RunRecorder:
                 self._log(self._held[0])
                 del self._held[0]
         except OSError as error:
-            if error.errno not in NO_ROOM or len(self._held) > MOST_HELD:
+            if error.errno not in DISK_FULL_ERRNOS or len(self._held) > MOST_HELD:
                 self._give_up(error.strerror or str(error))
 
     def _give_up(self, why: str) -> None:

@@ -230,7 +230,7 @@ class RunState(Enum):
 class RunStatus:
     """Snapshot of the engine, taken under its lock.
 
-    ``probe`` is the newest probe, ``felt`` the newest one with an estimate. ``asks`` is the manual
+    ``probe`` is the newest probe, ``estimated`` the newest one with an estimate. ``asks`` is the manual
     step or observation that the run waits for, ``awaiting`` the action that waits for approval.
     """
 
@@ -239,7 +239,7 @@ class RunStatus:
     trial: int = 0
     trials: int = 0
     probe: int = 0
-    felt: int = 0
+    estimated: int = 0
     phase: str = ""
     awaiting: PlaceAction | None = None
     text: str = ""

@@ -64,7 +64,7 @@ def pick_and_place(bench: Bench) -> Plan[TrialResult]:
     yield Wait(lambda: motion.done or motion.onset_s is not None, 60.0, "contact")
     if motion.onset_s is None:
         motion.result()
-    yield Said(bench.now_s(), "Pick and place: touched, now letting go without a test.")
+    yield Said(bench.now_s(), "Pick and place: contact found, release without a test.")
     settings = bench.settings.release
     yield PhaseEntered(bench.now_s(), "unload", 1)
     unload = bench.arm.unload(settings.unload_n, bench.settings.probe.approach_mm_s)
@@ -100,37 +100,37 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
     """Place the piece by the strategy; it is placed, fell, was knocked over or given up."""
     yield from take_piece(bench)
     here = bench.arm.pose(max_age_s=0.2)
-    reasoner = make_strategy(grasped_piece(bench), bench.settings, (here.x_mm, here.y_mm))
+    strategy = make_strategy(grasped_piece(bench), bench.settings, (here.x_mm, here.y_mm))
     approved = bench.settings.mode == "auto"
     probe = 0
     while True:
         yield PausePoint()
         yield from wait_for_space(bench.store.obstacle)
         probe += 1
-        felt = yield from _felt(bench, probe, reasoner)
-        if isinstance(felt, PlaceAction):
+        pressed = yield from _probe_or_search(bench, probe, strategy)
+        if isinstance(pressed, PlaceAction):
             yield Said(bench.now_s(), f"Probe {probe}: {felt.reason}")
             yield from lift(bench, probe)
-            if felt.kind == "give_up":
-                return TrialResult(Outcome.GAVE_UP, felt.reason, probe)
-            if not (yield from _asked(bench, felt, probe)):
+            if pressed.kind == "give_up":
+                return TrialResult(Outcome.GAVE_UP, pressed.reason, probe)
+            if not (yield from _approved(bench, pressed, probe)):
                 return TrialResult(Outcome.ABORTED, DECLINED, probe)
-            yield from shift_piece(bench, felt.step_mm, probe)
+            yield from shift_piece(bench, pressed.step_mm, probe)
             continue
-        judged = yield from _conclude(bench, felt, reasoner)
-        bench.store.keep(felt.episode)
-        held_s = judged.at_s - felt.ended_s
+        judged = yield from _judge(bench, pressed, strategy)
+        bench.store.keep(pressed.episode)
+        held_s = judged.at_s - pressed.ended_s
         late = held_s > bench.settings.probe.verdict_wait_s
         if judged.action.kind == "release" and approved and not late:
             return (yield from _let_go(bench, judged, approved=approved))
         yield from lift(bench, probe)
-        yield from _recorded(bench, felt)
+        yield from _recorded(bench, pressed)
         if late:
             yield Said(bench.now_s(), messages.late_verdict_message(held_s))
             continue
         if judged.action.kind == "give_up":
             return TrialResult(Outcome.GAVE_UP, judged.action.reason, probe)
-        if not (yield from _asked(bench, judged.action, probe)):
+        if not (yield from _approved(bench, judged.action, probe)):
             return TrialResult(Outcome.ABORTED, DECLINED, probe)
         if judged.action.kind == "release":
             # An approval covers piece, pose and run: press and judge again, then release.
@@ -154,32 +154,32 @@ def grasped_piece(bench: Bench) -> GraspedPiece:
     )
 
 
-def _conclude(bench: Bench, felt: PressedProbe, reasoner: Strategy) -> Plan[JudgedProbe]:
+def _judge(bench: Bench, pressed: PressedProbe, strategy: Strategy) -> Plan[JudgedProbe]:
     """Estimate the contact patch and decide; events are published after the decision."""
-    episode = felt.episode
+    episode = pressed.episode
     here = (float(episode.offset_mm[0]), float(episode.offset_mm[1]))
     patch = bench.estimator.estimate(episode)
-    concluded = reasoner.conclude(ProbeObservation(episode.observation, patch, here))
+    concluded = strategy.conclude(ProbeObservation(episode.observation, patch, here))
     stability, action = concluded.stability, concluded.action
-    latency_ms = 1e3 * (bench.wall_s() - felt.sampled_s)
+    latency_ms = 1e3 * (bench.wall_s() - pressed.sampled_s)
     bench.repaint_hold.end()
     now_s = bench.now_s()
-    yield PatchEstimated(now_s, patch, here, felt.probe)
-    yield BeliefUpdated(now_s, concluded.map, felt.probe)
-    yield StabilityJudged(now_s, stability, felt.probe)
-    yield ActionChosen(now_s, action, felt.probe, latency_ms)
-    yield Said(now_s, messages.decision_message(felt.probe, patch, stability, action))
-    return JudgedProbe(felt, stability, action, now_s)
+    yield PatchEstimated(now_s, patch, here, pressed.probe)
+    yield BeliefUpdated(now_s, concluded.map, pressed.probe)
+    yield StabilityJudged(now_s, stability, pressed.probe)
+    yield ActionChosen(now_s, action, pressed.probe, latency_ms)
+    yield Said(now_s, messages.decision_message(pressed.probe, patch, stability, action))
+    return JudgedProbe(pressed, stability, action, now_s)
 
 
 def _let_go(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[TrialResult]:
     """Release here and judge the outcome."""
-    probe = judged.felt.probe
+    probe = judged.pressed.probe
     yield from release_piece(bench, judged, approved=approved)
     # Publish the outcome first: a refused write of the episode must not hide it.
     ending = yield from judge_release(bench, probe)
     try:
-        yield from _recorded(bench, judged.felt)
+        yield from _recorded(bench, judged.pressed)
     except FaultError as cause:
         bench.interlock.raise_fault(cause.fault)
         yield FaultRaised(bench.now_s(), cause.fault)
@@ -187,18 +187,20 @@ def _let_go(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[TrialR
     return ending
 
 
-def _felt(bench: Bench, probe: int, reasoner: Strategy) -> Plan[PressedProbe | PlaceAction]:
+def _probe_or_search(
+    bench: Bench, probe: int, strategy: Strategy
+) -> Plan[PressedProbe | PlaceAction]:
     """Probe; without contact a searching strategy returns its next move instead."""
     try:
         return (yield from probe_until_accepted(bench, probe))
     except FaultError as cause:
-        if cause.fault.code != "NO-CONTACT" or not isinstance(reasoner, SearchingStrategy):
+        if cause.fault.code != "NO-CONTACT" or not isinstance(strategy, SearchingStrategy):
             raise
     here = bench.arm.pose(max_age_s=0.2)
-    return reasoner.missed((here.x_mm, here.y_mm))
+    return strategy.missed((here.x_mm, here.y_mm))
 
 
-def _asked(bench: Bench, action: PlaceAction, probe: int) -> Plan[bool]:
+def _approved(bench: Bench, action: PlaceAction, probe: int) -> Plan[bool]:
     """Wait for the operator's approval in approve and step mode, with the arm lifted."""
     if bench.settings.mode == "auto":
         return True
@@ -206,11 +208,11 @@ def _asked(bench: Bench, action: PlaceAction, probe: int) -> Plan[bool]:
     return (yield from ask_operator(bench, question, "the operator"))
 
 
-def _recorded(bench: Bench, felt: PressedProbe) -> Plan[None]:
+def _recorded(bench: Bench, pressed: PressedProbe) -> Plan[None]:
     """Publish the episode without its native-rate signals: 25 MB that stay in its file."""
     path = yield from wait_until_durable(bench)
-    episode = replace(felt.episode, recording=None)
-    yield EpisodeRecorded(bench.now_s(), episode, felt.probe, "" if path is None else path.name)
+    episode = replace(pressed.episode, recording=None)
+    yield EpisodeRecorded(bench.now_s(), episode, pressed.probe, "" if path is None else path.name)
 
 
 def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
@@ -240,7 +242,7 @@ def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
         ended = yield from run_to_end(bench, _placing(bench, request, at_mm))
         ending, run_ending = ended.value, ended.run_ending
         if ending is None:
-            ending = TrialResult(Outcome.ABORTED, ended.reason, bench.status().felt)
+            ending = TrialResult(Outcome.ABORTED, ended.reason, bench.status().estimated)
         elif ending.fault is not None:
             run_ending = "failed"
         yield trial_finished(bench, trial + 1, seed, ending)

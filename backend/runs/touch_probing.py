@@ -40,9 +40,7 @@ def find_height(bench: Bench, centre: FloatArray) -> Plan[float]:
     yield from approach_with_piece(bench, Pose(x_mm, y_mm, start_mm))
     contact_mm = yield from touch_height_mm(bench, centre, start_mm, 2.0 * BELOW_MM)
     if contact_mm is None:
-        raise RefusedError(
-            "ORIGIN-FAR", "Nothing is felt where the centre of the bottom should be."
-        )
+        raise RefusedError("ORIGIN-FAR", "No contact at the expected centre of the bottom.")
     return contact_mm
 
 

@@ -17,7 +17,7 @@ from touchdown.backend.core.values import Outcome
 from touchdown.backend.runs.requests import RunState
 
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(40)
-ASKED = OutcomeAwaited(3.0, Outcome.FELL, "Something pushed the opening fingers with 2.4 N.")
+ASKED = OutcomeAwaited(3.0, Outcome.FELL, "The opening fingers met a lateral force of 2.4 N.")
 
 
 @pytest.fixture

@@ -241,7 +241,7 @@ def test_a_question_never_stands_beside_the_decision_before(live, bench):
     decision = live.workspaces["stack"].page.decision
     told(live, bench)
     assert "2.2 mm" not in decision.accessibleDescription()
-    bench.set_state(RunState.RUNNING, awaiting=action((2.0, 1.0), 2.2), felt=3)
+    bench.set_state(RunState.RUNNING, awaiting=action((2.0, 1.0), 2.2), estimated=3)
     settle(live)
     assert not decision.approve.isVisible(), "what is asked about has not been told yet"
     bench.tell_probe(3, (2.0, 1.0), 2.2)

@@ -7,7 +7,7 @@ from touchdown.app.train.reading import TrainingReader
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import Label
 from touchdown.backend.bench.assembly import model_in_use
-from touchdown.backend.learning.registry import SHIPPED, ModelRegistry
+from touchdown.backend.learning.registry import SHIPPED_MODEL, ModelRegistry
 from touchdown.widgets.forms.training_form import TrainingForm
 
 
@@ -48,4 +48,4 @@ def test_a_promoted_model_can_be_rolled_back_without_data(tmp_path):
     looked = reading.look(form, anew=True)
     assert looked.trouble
     assert looked.in_use is not None
-    assert (looked.in_use.piece, looked.in_use.before) == ("pot", SHIPPED)
+    assert (looked.in_use.piece, looked.in_use.before) == ("pot", SHIPPED_MODEL)

@@ -140,6 +140,7 @@ QListWidget, QPlainTextEdit, QTableWidget {{ background: {bg}; color: {text};
     selection-color: {selection_text}; }}
 QHeaderView::section {{ background: {panel}; color: {muted}; border: none;
     border-bottom: 1px solid {hairline}; padding: 2px 6px; font-size: {small}pt; }}
+QTableCornerButton::section {{ background: {panel}; border: none; }}
 QTableWidget::item {{ padding: 0 6px; }}
 QListWidget:focus, QPlainTextEdit:focus, QTableWidget:focus {{ border: 2px solid {focus}; }}
 QListWidget::item {{ padding: 6px 8px; }}

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from PySide6.QtCore import QEvent, QRect, QSize, Qt, Signal
 from PySide6.QtGui import QFont, QFontMetrics, QImage, QPainter, QPixmap, QResizeEvent
 from PySide6.QtWidgets import (
-    QAbstractButton,
     QAbstractItemView,
     QDialog,
     QFrame,
@@ -225,10 +224,7 @@ class ReportGrid(QTableWidget):
             header.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
             header.setHighlightSections(False)
             header.setSectionsClickable(False)
-        corner = self.findChild(QAbstractButton)
-        if corner is not None:
-            # A select-all button, unstyled and of no use here.
-            corner.hide()
+        self.setCornerButtonEnabled(False)
         self.fit_to_theme()
         self.currentCellChanged.connect(lambda row, column, *_: chosen(row, column))
 

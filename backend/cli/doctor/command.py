@@ -373,10 +373,10 @@ def _check_placeholders(path: Path) -> DoctorCheck:
 
 
 def _check_fingers(path: Path) -> DoctorCheck:
-    from touchdown.backend.bench import otherwise_named
+    from touchdown.backend.bench import find_camera_conflicts
     from touchdown.backend.config import load_lab
 
-    told = otherwise_named(load_lab(path))
+    told = find_camera_conflicts(load_lab(path))
     if not told:
         return DoctorCheck(
             "cameras", True, "at the fingers that the lab file names, as far as is known"

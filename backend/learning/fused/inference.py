@@ -51,7 +51,7 @@ class InsetDistribution:
     def exceeds(self, least_mm: float | FloatArray) -> FloatArray:
         """Return the probability of an inset above ``least_mm``, one number or (n,)."""
         z = (self.mean_mm - np.asarray(least_mm)[..., None]) / self.sd_mm
-        return np.asarray((self.weight * _normal(z)).sum(axis=-1))
+        return np.asarray((self.weight * _normal_cdf(z)).sum(axis=-1))
 
 
 class FusedForward:
@@ -77,9 +77,9 @@ class FusedForward:
         x = np.where(np.abs(x) <= FARTHEST_SD, x, np.nan)
         x = self._linear("probe2", _relu(self._linear("probe", x)))
         for layer in range(self._shape.layers):
-            x = x + self._attended(layer, _even(x))
-            x = x + self._linear(f"{layer}.down", _relu(self._linear(f"{layer}.up", _even(x))))
-        return _even(x)
+            x = x + self._attended(layer, _rms_norm(x))
+            x = x + self._linear(f"{layer}.down", _relu(self._linear(f"{layer}.up", _rms_norm(x))))
+        return _rms_norm(x)
 
     def inset(
         self, known: FloatArray, points_mm: FloatArray, from_first_mm: FloatArray
@@ -125,13 +125,13 @@ def _relu(x: FloatArray) -> FloatArray:
     return np.maximum(x, 0.0)
 
 
-def _even(x: FloatArray) -> FloatArray:
+def _rms_norm(x: FloatArray) -> FloatArray:
     """Normalise rows to a root mean square of 1, as ``torch.nn.functional.rms_norm``."""
     tiny = float(np.finfo(np.float32).eps)
     return np.asarray(x / np.sqrt((x**2).mean(axis=-1, keepdims=True) + tiny))
 
 
-def _normal(z: FloatArray) -> FloatArray:
+def _normal_cdf(z: FloatArray) -> FloatArray:
     """Return the cumulative distribution function of the standard normal distribution."""
     steps = np.linspace(-8.0, 8.0, 3201)
     return np.asarray(np.interp(z, steps, _NORMAL), dtype=np.float64)

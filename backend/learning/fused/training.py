@@ -36,7 +36,7 @@ from touchdown.backend.learning.training import Adam
 
 SQUARE_ROOT_OF_TWO_PI = math.sqrt(2.0 * math.pi)
 LEAST_LOG_SD, MOST_LOG_SD = -4.0, 2.0
-WB = ("weight", "bias")
+WEIGHT_AND_BIAS = ("weight", "bias")
 
 
 class FusedNet(nn.Module):
@@ -54,7 +54,9 @@ class FusedNet(nn.Module):
             drawn = torch.randn(size, generator=generator) / math.sqrt(size[-1])
             self.weights[_key(name)] = drawn if len(size) > 1 else torch.zeros(size)
         if alone:
-            for name in (f"{layer}.joins.{what}" for layer in range(shape.layers) for what in WB):
+            for name in (
+                f"{layer}.joins.{what}" for layer in range(shape.layers) for what in WEIGHT_AND_BIAS
+            ):
                 self.weights[_key(name)].data.zero_()
                 self.weights[_key(name)].requires_grad_(False)
 

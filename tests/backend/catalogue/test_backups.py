@@ -20,7 +20,7 @@ from touchdown.backend.annotations.backups import (
     restore_backup,
     surplus_backups,
 )
-from touchdown.backend.annotations.database import NAME
+from touchdown.backend.annotations.database import CATALOGUE_FILE
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.rebuild import rebuild_dataset
 from touchdown.backend.annotations.values import Label
@@ -47,7 +47,7 @@ def test_a_copy_has_what_is_still_in_the_wal(dataset: Dataset, record: Record) -
     path = dataset.backups.make("test")
     assert {p.suffix for p in path.parent.iterdir()} == {".db"}
     plain = dataset.folder / "plain.db"
-    shutil.copy(dataset.folder / NAME, plain)
+    shutil.copy(dataset.folder / CATALOGUE_FILE, plain)
     assert check_backup(path) == dataset_heads(dataset)
     with sqlite3.connect(path) as connection:
         found = connection.execute("SELECT x_um FROM label_rev WHERE x_um = 77").fetchall()
@@ -153,11 +153,11 @@ def test_a_bad_copy_is_refused(dataset: Dataset, record: Record, damage: str) ->
         connection.close()
     else:
         path.write_bytes(b"")
-    before = (dataset.folder / NAME).read_bytes()
+    before = (dataset.folder / CATALOGUE_FILE).read_bytes()
     dataset.close()
     with pytest.raises(InputError, match="not usable"):
         restore_backup(dataset.folder, path)
-    assert len((dataset.folder / NAME).read_bytes()) >= len(before)
+    assert len((dataset.folder / CATALOGUE_FILE).read_bytes()) >= len(before)
 
 
 def test_a_copy_that_is_not_good_does_not_stay(
@@ -230,13 +230,13 @@ def busy(tmp_path: Path) -> Path:
 
 
 def test_a_catalogue_made_anew_equals_the_old_one(busy: Path) -> None:
-    before = (busy / NAME).read_bytes()
+    before = (busy / CATALOGUE_FILE).read_bytes()
     result = rebuild_dataset(busy, replace=False)
     assert result.equal, (result.only_old, result.only_new)
     assert result.rows["episode"] == 10
     assert result.rows["review"] >= 1
     assert not result.replaced
-    assert (busy / NAME).read_bytes() == before
+    assert (busy / CATALOGUE_FILE).read_bytes() == before
     assert list(busy.glob(".rebuilt*")) == []
 
 
@@ -269,9 +269,9 @@ def test_a_lost_catalogue_comes_back_from_files_and_journal(busy: Path, loss: st
                 connection.execute("DROP TRIGGER op_no_update")
                 connection.execute("UPDATE op SET actor = 'eve' WHERE seq = 2")
     if loss == "deleted":
-        (busy / NAME).unlink()
+        (busy / CATALOGUE_FILE).unlink()
     elif loss == "damaged":
-        (busy / NAME).write_bytes(b"SQLite format 3\x00" + b"\xff" * 9000)
+        (busy / CATALOGUE_FILE).write_bytes(b"SQLite format 3\x00" + b"\xff" * 9000)
     if loss != "deleted":
         with pytest.raises(InputError, match="--replace"):
             rebuild_dataset(busy, replace=False)

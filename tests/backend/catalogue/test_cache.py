@@ -146,7 +146,7 @@ def test_only_the_newest_caches_stay(tmp_path: Path, rows: list[CacheRow]) -> No
     for count in range(6, 11):
         open_cache(tmp_path, rows[:count]).close()
     left = sorted(path.suffix for path in (tmp_path / "cache").iterdir())
-    assert left == [".json"] * training_set.KEPT + [".npy"] * training_set.KEPT
+    assert left == [".json"] * training_set.KEPT_CACHES + [".npy"] * training_set.KEPT_CACHES
     newest = open_cache(tmp_path, rows[:10])
     assert newest.path.exists()
     newest.close()

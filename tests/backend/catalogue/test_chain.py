@@ -6,8 +6,8 @@ import json
 
 import pytest
 
+from touchdown.backend.annotations.values import FIRST_HASH as VALUES_FIRST_HASH
 from touchdown.backend.annotations.values import (
-    FIRST,
     Operation,
     canonical_json,
     content_hash,
@@ -40,7 +40,7 @@ def operation(text: str, prev_hash: str, digest: str) -> Operation:
 
 
 def test_both_links_of_the_published_chain() -> None:
-    first = operation(FIRST_OP, FIRST, FIRST_HASH)
+    first = operation(FIRST_OP, VALUES_FIRST_HASH, FIRST_HASH)
     second = operation(SECOND_OP, FIRST_HASH, SECOND_HASH)
     assert canonical_json(json.loads(FIRST_OP)) == FIRST_OP.encode()
     assert len(FIRST_OP.encode()) == 354
@@ -50,7 +50,7 @@ def test_both_links_of_the_published_chain() -> None:
 
 
 def test_one_changed_character_is_found_and_located() -> None:
-    first = operation(FIRST_OP, FIRST, FIRST_HASH)
+    first = operation(FIRST_OP, VALUES_FIRST_HASH, FIRST_HASH)
     changed = operation(SECOND_OP.replace('"undo"', '"Undo"'), FIRST_HASH, SECOND_HASH)
     assert first_broken_link([first, changed]) == 2
     assert first_broken_link([changed]) == 1

@@ -17,7 +17,7 @@ from touchdown.backend.annotations.backups import list_backups, restore_backup
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.rebuild import rebuild_dataset
 from touchdown.backend.annotations.reconciliation import check_dataset
-from touchdown.backend.annotations.run_tracking import METRICS, RUNS, ActiveRun
+from touchdown.backend.annotations.run_tracking import METRICS_FILE, RUNS_FOLDER, ActiveRun
 from touchdown.backend.core.faults import InputError
 
 SETTINGS = {"modality": "FT+Tac", "epochs": 2, "out": "pot.safetensors"}
@@ -138,19 +138,19 @@ def test_a_folder_without_a_run_is_deleted_and_a_row_without_folder_is_kept(
     live = begin(dataset)
     dataset.runs.entries()
     live.finish()
-    shutil.rmtree(dataset.folder / RUNS / live.uuid)
-    (dataset.folder / RUNS / "begun").mkdir()
+    shutil.rmtree(dataset.folder / RUNS_FOLDER / live.uuid)
+    (dataset.folder / RUNS_FOLDER / "begun").mkdir()
     dataset.close()
     with Dataset.open(dataset.folder) as again:
         assert len(again.notices) == 2
         assert again.runs.entry(live.uuid).state == "interrupted"
-        assert not (again.folder / RUNS / "begun").exists()
+        assert not (again.folder / RUNS_FOLDER / "begun").exists()
 
 
 def test_an_unreadable_run_is_told_once_and_harms_nothing(dataset: Dataset) -> None:
     live = begin(dataset)
     live.finish()
-    (dataset.folder / RUNS / live.uuid / "run.json").write_text("{")
+    (dataset.folder / RUNS_FOLDER / live.uuid / "run.json").write_text("{")
     dataset.close()
     with Dataset.open(dataset.folder) as again:
         assert "cannot be read" in again.notices[0]
@@ -164,7 +164,7 @@ def test_metrics_that_were_cut_are_read_anew(dataset: Dataset) -> None:
         live.metric("loss", step, 1.0)
     assert len(dataset.runs.metrics(live.uuid)) == 5
     live.finish()
-    path = dataset.folder / RUNS / live.uuid / METRICS
+    path = dataset.folder / RUNS_FOLDER / live.uuid / METRICS_FILE
     path.write_bytes(path.read_bytes().splitlines(keepends=True)[0])
     assert len(dataset.runs.metrics(live.uuid)) == 1
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-import touchdown.backend.devices as devices
 from tests.backend.devices import test_force_torque_contract as contract
+from touchdown.backend import devices
 from touchdown.backend.__main__ import main
 from touchdown.backend.bench.emulator_registry import bench_toml, emulate
 from touchdown.backend.config.hardware import HardwareSettings

@@ -17,7 +17,7 @@ from touchdown.backend.learning.inference import ARCH, NetworkShape, expected_ar
 from touchdown.backend.learning.registry import (
     ENSEMBLES,
     HISTORY,
-    SHIPPED,
+    SHIPPED_MODEL,
     ModelRegistry,
     models_below,
 )
@@ -61,7 +61,7 @@ def test_the_shipped_model_is_in_use_until_another_is(tmp_path: Path, make: Make
     assert registry.before("pot") == sha(one)
     assert registry.in_use("barrel") is None
     assert registry.roll_back("pot", "Ann").weights_sha256 == sha(one)
-    assert registry.roll_back("pot").weights_sha256 == SHIPPED
+    assert registry.roll_back("pot").weights_sha256 == SHIPPED_MODEL
     assert registry.in_use("pot") is None
     with pytest.raises(InputError, match="never changed"):
         registry.roll_back("pot")

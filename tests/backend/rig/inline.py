@@ -138,12 +138,12 @@ class InlineBench:
     def __init__(self, method=None, mode="software"):
         self._mode = mode
         self._settings, self._method = SimulatedBenchChoice().settings(), method or StackSettings()
-        self._catalogue, facts = load_pieces(None), describe_simulation(self._settings)
-        self._models = BenchModels(None, facts, self._method.belief.pitch_mm)
+        self._catalogue, description = load_pieces(None), describe_simulation(self._settings)
+        self._models = BenchModels(None, description, self._method.belief.pitch_mm)
         self.links, self._ends = [], ExitStack()
         self.session = Session(
             self._make_stage, lambda choice: {}, self._catalogue,
-            settings=self._method, keep=RecordingOptions(None), facts=facts,
+            settings=self._method, keep=RecordingOptions(None), description=description,
         )  # fmt: skip
 
     def close(self):

@@ -89,7 +89,7 @@ def test_a_thread_that_waits_without_a_word_is_told_within_ten_looks(watched):
     one = watched(waits).settled()
     assert LOOKS * WATCH_PERIOD_S < 0.5
     (what, *_) = one.look(LOOKS)
-    assert what.endswith("It waits for what does not come.")
+    assert what.endswith("It waits without end.")
     assert one.told[0].code == "BENCH-STILL"
     one.told.clear()
     one.steps += 1
@@ -111,7 +111,7 @@ def test_one_that_polls_is_told_only_after_long(watched):
         assert one.look(1) == []
     one.watch._stepless_s = WORKS_S
     one.ran()
-    assert one.look(1)[0].endswith("It works without an end.")
+    assert one.look(1)[0].endswith("It is busy without end.")
 
 
 @pytest.mark.promise("P7", "P10")

@@ -348,7 +348,7 @@ def test_a_grip_that_drifted_is_ended(tmp_path) -> None:
 
 def test_what_cannot_be_collected_is_refused(tmp_path) -> None:
     with collecting(tmp_path / "ds") as collected:
-        with pytest.raises(InputError, match="Nobody is named"):
+        with pytest.raises(InputError, match="No operator is named"):
             collected.run(person=" ")
         with pytest.raises(InputError, match="no piece 'cup'"):
             collected.run(piece="cup")

@@ -315,7 +315,7 @@ def test_zero_and_reference_by_hand(session):
     session.hand.take_references()
     turn(session, 2.5)
     said = [f.text for f in facts if isinstance(f, Said)]
-    assert said == ["Force and moment are zeroed.", "The tactile reference is taken anew."]
+    assert said == ["Force and moment are zeroed.", "New tactile references are taken."]
     turn(session, 0.3)
     window = session.wrench.window(session.clock_s() - 0.2, session.clock_s())
     assert abs(float(window.values[:, 2].mean())) < 0.1

@@ -35,7 +35,7 @@ def evidence(tare_s: float = 4.0, width_mm: float = 20.0, accepted: bool = True)
         wrench_late_s=0.005,
     )
     judged: Any = SimpleNamespace(
-        felt=SimpleNamespace(episode=episode),
+        pressed=SimpleNamespace(episode=episode),
         stability=SimpleNamespace(stable=True, margin_mm=1.25),
         at_s=JUDGED_S,
     )

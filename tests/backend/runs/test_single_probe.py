@@ -27,6 +27,6 @@ def test_after_the_piece_was_let_go_a_probe_says_that_and_what_to_do() -> None:
     (ended,) = [f for f in facts if isinstance(f, RunFinished)]
     assert ended.ending == "failed"
     assert ended.reason.startswith("The gripper closed on nothing: no piece is between the jaws.")
-    assert "set the simulated bench anew (Ctrl+N in Operate)" in ended.reason
+    assert "set a new simulated scene (Ctrl+N in Operate)" in ended.reason
     assert not session.interlock.latched
     session.close()

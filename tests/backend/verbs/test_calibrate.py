@@ -158,7 +158,7 @@ def test_a_board_that_is_not_there_is_said_with_exit_code_1(tmp_path, capsys) ->
     assert main(["calibrate", *words]) == 1
     told = json.loads(capsys.readouterr().out)
     assert told["ending"] == "failed"
-    assert "Nothing is felt" in told["reason"]
+    assert "No contact at the expected centre" in told["reason"]
     assert told["measured"] is None
 
 

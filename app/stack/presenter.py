@@ -184,7 +184,9 @@ class StackPresenter:
         trial = self.story.trial
         newest = trial.probes[-1] if trial is not None and trial.probes else None
         decided = newest is not None and newest.action is not None
-        return not status.estimated or (decided and newest is not None and newest.probe >= status.estimated)
+        return not status.estimated or (
+            decided and newest is not None and newest.probe >= status.estimated
+        )
 
     def _shown_trial(self) -> TrialStory | None:
         """Return the newest trial; until it has a map, the previous one stays."""

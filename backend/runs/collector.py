@@ -389,7 +389,7 @@ class Collector:
                 )
                 return
             if not pending.drift_mm <= settings.drift_mm:
-                drifted = f"contact came {taken.drift_mm:.2f} mm off its first height"
+                drifted = f"contact came {pending.drift_mm:.2f} mm off its first height"
                 yield Said(bench.now_s(), messages.regrip_message(drifted))
                 return
 

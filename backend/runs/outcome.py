@@ -144,7 +144,7 @@ def outcome_from_signals(
     if weight_n > WEIGHED_N and left_n < 0.5 * weight_n:
         return (
             Outcome.ABORTED,
-            f"The load decreased by only {left_n:.1f} N of the {weight_n:.1f} N weight of the piece.",
+            f"The load decreased by only {left_n:.1f} N of the piece's {weight_n:.1f} N.",
         )
     if side_n > SIDE_N:
         return Outcome.FELL, f"The opening fingers met a lateral force of {side_n:.1f} N."

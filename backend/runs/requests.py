@@ -230,8 +230,9 @@ class RunState(Enum):
 class RunStatus:
     """Snapshot of the engine, taken under its lock.
 
-    ``probe`` is the newest probe, ``estimated`` the newest one with an estimate. ``asks`` is the manual
-    step or observation that the run waits for, ``awaiting`` the action that waits for approval.
+    ``probe`` is the newest probe, ``estimated`` the newest one with an estimate. ``asks`` is the
+    manual step or observation that the run waits for, ``awaiting`` the action that waits for
+    approval.
     """
 
     state: RunState

@@ -109,7 +109,7 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
         probe += 1
         pressed = yield from _probe_or_search(bench, probe, strategy)
         if isinstance(pressed, PlaceAction):
-            yield Said(bench.now_s(), f"Probe {probe}: {felt.reason}")
+            yield Said(bench.now_s(), f"Probe {probe}: {pressed.reason}")
             yield from lift(bench, probe)
             if pressed.kind == "give_up":
                 return TrialResult(Outcome.GAVE_UP, pressed.reason, probe)

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
         discovery,
         factories,
         guarded_devices,
+        identification,
         interlock,
         jog,
         protocols,

@@ -15,6 +15,7 @@ from .scene_camera import observe_offset as observe_offset
 from .slip import TorsionSlipDetector as TorsionSlipDetector
 from .slip import slip_since_loading as slip_since_loading
 from .tracker import GelRest as GelRest
+from .tracker import MarkerTracker as MarkerTracker
 from .tracker import measure_rest as measure_rest
 from .tracking import TrackedImage as TrackedImage
 from .tracking import complete_fields as complete_fields
@@ -46,6 +47,7 @@ __all__ = [
     "GelRest",
     "Homography",
     "LiveSensing",
+    "MarkerTracker",
     "OverlayVideo",
     "RawStreams",
     "TactileReference",

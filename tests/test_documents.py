@@ -10,7 +10,7 @@ import pytest
 
 from tests.bench import measured
 from tests.fusion_tables import PAGE, loops, named, written
-from touchdown.backend.__main__ import VERBS
+from touchdown.backend.cli.command_line import VERBS
 from touchdown.backend.cli.doctor.command import DoctorCheck
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -22,12 +22,12 @@ from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.app.shell.layouts import load_layouts
 from touchdown.app.shell.settings import load_settings
-from touchdown.backend.__main__ import main
 from touchdown.backend.annotations.backups import check_backup, list_backups, restore_backup
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.reconciliation import check_dataset
 from touchdown.backend.annotations.values import EpisodeFilter, Label
 from touchdown.backend.calibration.records import CalibrationStore
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.settings import load_method
 from touchdown.backend.config.lab import load_lab
 from touchdown.backend.core import events, values

@@ -2,7 +2,7 @@
 
 import sys
 
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,3 +1,3 @@
-from .output import VerbOutput as VerbOutput
+from .command_line import main as main
 
-__all__ = ["VerbOutput"]
+__all__ = ["main"]

@@ -218,7 +218,7 @@ def _serve(
             world.close()
         emulation.close()
     front = emulation.fronts[0]
-    seen = None if world is None else world.witnessed()
+    seen = None if world is None else world.driver_observations()
     if seen is not None:
         screen.say(f"What the devices saw of their driver: {seen}.")
     screen.result(

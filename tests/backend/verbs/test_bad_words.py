@@ -2,7 +2,7 @@
 
 import pytest
 
-from touchdown.backend.__main__ import VERBS, main
+from touchdown.backend.cli.command_line import VERBS, main
 from touchdown.backend.cli.doctor.command import check_catalogue
 
 

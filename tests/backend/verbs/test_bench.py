@@ -8,9 +8,9 @@ from argparse import ArgumentParser
 import pytest
 from rich.console import Console
 
-from touchdown.backend.__main__ import main
 from touchdown.backend.cli import collect, stack
 from touchdown.backend.cli.bench import _timing_table
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.connection import fill_in_scene
 from touchdown.backend.rig.diagnostics import SensorTiming
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchdown.backend.__main__ import main
 from touchdown.backend.calibration.records import CalibrationStore, read_record
 from touchdown.backend.calibration.result import CALIBRATION_NAMES, CalibrationEstimate, Quantity
 from touchdown.backend.cli import calibrate
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core.events import RunFinished
 from touchdown.backend.runs.recorder import calibrations_folder

@@ -7,9 +7,9 @@ import json
 import pytest
 
 from tests.backend.brisk import RATE_HZ
-from touchdown.backend.__main__ import main
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.cli.collect import coverage_text
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry.outlines import circle
 

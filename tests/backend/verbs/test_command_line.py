@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from touchdown.backend import __main__ as command_line
-from touchdown.backend.__main__ import VERBS, main, module_of
+from touchdown.backend.cli import command_line
+from touchdown.backend.cli.command_line import VERBS, main, module_of
 from touchdown.backend.core.faults import (
     Fault,
     FaultError,
@@ -149,7 +149,7 @@ def test_a_verb_may_hand_unknown_words_on(verb):
 
 def test_doctor_does_not_load_torch_or_qt():
     code = (
-        "import sys; import touchdown.backend.__main__, touchdown.backend.cli.doctor.command; "
+        "import sys; import touchdown.backend.cli.command_line, touchdown.backend.cli.doctor.command; "
         "sys.exit(any(name in sys.modules for name in ('torch', 'PySide6', 'cv2')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.backend.catalogue.conftest import context_for, small_episode
-from touchdown.backend.__main__ import main
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import Label
+from touchdown.backend.cli.command_line import main
 
 
 @pytest.fixture

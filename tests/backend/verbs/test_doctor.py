@@ -7,7 +7,7 @@ from argparse import Namespace
 
 import pytest
 
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.doctor import command
 from touchdown.backend.cli.doctor.command import DoctorCheck
 from touchdown.backend.cli.doctor.qt_libraries import PACKAGES, missing_in, packages_for

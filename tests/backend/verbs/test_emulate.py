@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from touchdown.backend.__main__ import main
 from touchdown.backend.cli import emulate
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.config.lab import load_lab
 from touchdown.backend.config.toml_file import read_settings

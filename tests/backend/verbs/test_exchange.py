@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from tests.backend.exchange.conftest import fill
-from touchdown.backend.__main__ import main
 from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.cli.command_line import main
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.experiments import tables
 
 

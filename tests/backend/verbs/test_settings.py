@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.settings import as_toml, load_method
 from touchdown.backend.config.method import StackSettings
 from touchdown.backend.runs.event_log import EVENT_LOG_NAME

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.episodes.packs import read_pack_metadata
 from touchdown.backend.episodes.training_rows import find_packs, load_rows
 from touchdown.backend.experiments import collection

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.backend.brisk import RATE_HZ
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.core.events import RunStarted
 from touchdown.backend.episodes.episode_file import read_episode
 from touchdown.backend.runs.event_log import EVENT_LOG_NAME, EventLog

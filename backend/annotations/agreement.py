@@ -181,7 +181,7 @@ def read_answers(
         episode, geometry, *label, verdict, seen_ms, hidden = row
         if blind is not None and (hidden is None or bool(hidden) is not blind):
             continue
-        # The last one counts, and stands where it was given.
+        # The latest answer counts and determines the order.
         found.pop(episode, None)
         found[episode] = LabellerAnswer(
             episode, geometry, Label(*label), verdict, seen_ms, bool(hidden)
@@ -211,16 +211,18 @@ def compare_with_control_items(
     JOIN label_rev r ON r.rev_uuid = h.counting
     WHERE o.actor = ? AND instr(h.authors, ?) = 0 ORDER BY o.lamport, o.seq
     """
-    said, gold = dict[str, LabellerAnswer](), dict[str, LabellerAnswer]()
+    given, approved_labels = dict[str, LabellerAnswer](), dict[str, LabellerAnswer]()
     for row in database.rows(sql, (person, f"\n{person}\n")):
         episode, record, *label, verdict, seen_ms, x, y, theta, sigma, approved = row
-        # The last one counts, and stands where it was given.
-        said.pop(episode, None)
-        said[episode] = LabellerAnswer(episode, record, Label(*label), verdict, seen_ms, blind=True)
-        gold[episode] = LabellerAnswer(
+        # The latest answer counts and determines the order.
+        given.pop(episode, None)
+        given[episode] = LabellerAnswer(
+            episode, record, Label(*label), verdict, seen_ms, blind=True
+        )
+        approved_labels[episode] = LabellerAnswer(
             episode, record, Label(x, y, theta, sigma), approved, None, False
         )
-    return _agreement(geometry, said, gold)
+    return _agreement(geometry, given, approved_labels)
 
 
 def _agreement(
@@ -230,8 +232,8 @@ def _agreement(
     pairs = [(one[u], two[u]) for u in both if one[u].label.is_set and two[u].label.is_set]
     a = np.array([x.label.offset_mm for x, _ in pairs], dtype=np.float64).reshape(-1, 2)
     b = np.array([y.label.offset_mm for _, y in pairs], dtype=np.float64).reshape(-1, 2)
-    said = [(one[u].verdict, two[u].verdict) for u in both]
-    named = [(x, y) for x, y in said if x is not None and y is not None]
+    verdicts = [(one[u].verdict, two[u].verdict) for u in both]
+    named = [(x, y) for x, y in verdicts if x is not None and y is not None]
     patches = [
         [geometry.patch(y.geometry, answer.label).touching for answer in (x, y)] for x, y in pairs
     ]

@@ -65,9 +65,9 @@ def with_control_items(
 
 
 def mix_control_items(
-    order: Sequence[str], gold: Sequence[str], begun: Mapping[str, ControlItemStep] | None = None
+    order: Sequence[str], items: Sequence[str], begun: Mapping[str, ControlItemStep] | None = None
 ) -> list[str]:
-    """Return ``order`` with one of ``gold`` inserted per block of 19 episodes.
+    """Return ``order`` with one of ``items`` inserted per block of 19 episodes.
 
     Positions derive from the ids, so the same queue gives the same mix. Control items in ``begun``
     keep their former position, or move to the end if they were skipped. The skipped part of
@@ -81,7 +81,7 @@ def mix_control_items(
         step = known[uuid]
         low, high = (skipped, len(order)) if step.skipped else (0, skipped)
         places[bisect_right(order, step.beside, low, high)].append(uuid)
-    fresh = [uuid for uuid in gold if uuid not in there and uuid not in known]
+    fresh = [uuid for uuid in items if uuid not in there and uuid not in known]
     for uuid, block in zip(fresh, range(len(known), len(order) // BLOCK), strict=False):
         die = blake2b(uuid.encode(), digest_size=2).digest()[0] % CONTROL_ITEM_EVERY
         places[block * BLOCK + die].append(uuid)
@@ -109,15 +109,15 @@ class ControlItemLabels:
     """
 
     def __init__(self, book: LabelStore) -> None:
-        self._book, self._gold = book, _ControlItems(book)
+        self._book, self._items = book, _ControlItems(book)
 
-    def begin(self, person: str, gold: Mapping[str, ControlItemView]) -> None:
+    def begin(self, person: str, views: Mapping[str, ControlItemView]) -> None:
         """Set the control items in the queue of ``person``."""
-        self._gold.begin(person, gold)
+        self._items.begin(person, views)
 
     def hides(self, uuid: str) -> bool:
         """Return True if an episode is a control item of the session."""
-        return uuid in self._gold.shown
+        return uuid in self._items.shown
 
     def of(self, uuid: str) -> LabelStore | _ControlItems:
         """Return the object that reads and changes the label of an episode.
@@ -126,13 +126,13 @@ class ControlItemLabels:
         a rejected or deleted control item gives one without offset. Undo and redo are those of
         ``LabelStore`` for both.
         """
-        return self._gold if self.hides(uuid) else self._book
+        return self._items if self.hides(uuid) else self._book
 
     def entry(self, entry: EpisodeEntry) -> EpisodeEntry:
         """Return the entry as the page shows it."""
         if not self.hides(entry.uuid):
             return entry
-        now = self._gold.now(entry.uuid)
+        now = self._items.now(entry.uuid)
         return replace(entry, state=now.version.state, conflict=False, deleted=bool(now.deleted))
 
     def log(self, *, text: str = "", limit: int = 500) -> list[Operation]:
@@ -140,7 +140,7 @@ class ControlItemLabels:
         return [op for op in self._book.log(text=text, limit=limit) if not self._tells(op)]
 
     def _tells(self, operation: Operation) -> bool:
-        if operation.verb in BY_PROGRAM or operation.actor == self._gold.person:
+        if operation.verb in BY_PROGRAM or operation.actor == self._items.person:
             return False
         episodes = operation.episodes
         return bool(episodes) and all(self.hides(uuid) for uuid in episodes)
@@ -154,8 +154,8 @@ class _ControlItems:
         self.person = ""
         self.shown: Mapping[str, ControlItemView] = {}
 
-    def begin(self, person: str, gold: Mapping[str, ControlItemView]) -> None:
-        self.person, self.shown = person, dict(gold)
+    def begin(self, person: str, views: Mapping[str, ControlItemView]) -> None:
+        self.person, self.shown = person, dict(views)
 
     def now(self, uuid: str) -> ControlItemStep:
         """Return the entry as the person sees it."""

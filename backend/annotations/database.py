@@ -339,7 +339,6 @@ def _read_mode(path: Path) -> str:
 
 
 def _examine(connection: sqlite3.Connection, path: Path) -> int:
-    """Return the schema number (0: an empty file)."""
     version = int(connection.execute("PRAGMA user_version").fetchone()[0])
     ours = connection.execute("PRAGMA application_id").fetchone()[0] == APPLICATION_ID
     empty = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] == 0

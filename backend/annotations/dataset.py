@@ -20,8 +20,7 @@ from touchdown.backend.annotations import episode_index, operation_log, queues, 
 from touchdown.backend.annotations.agreement import AgreementReport, compare_labellers
 from touchdown.backend.annotations.backups import BackupStore
 from touchdown.backend.annotations.consistency import CheckedFolders, DatasetParts, problem_lines
-from touchdown.backend.annotations.database import CATALOGUE_FILE as CATALOGUE
-from touchdown.backend.annotations.database import SCHEMA_VERSION, Database
+from touchdown.backend.annotations.database import CATALOGUE_FILE, SCHEMA_VERSION, Database
 from touchdown.backend.annotations.episode_files import read_packed
 from touchdown.backend.annotations.episode_index import tagged_sides
 from touchdown.backend.annotations.geometry_records import GeometryStore, TruePatch
@@ -187,7 +186,7 @@ class Dataset:
         lock = WriterLock.take(folder, person) if write else None
         try:
             description = _describe(folder) if write else read_description(folder)
-            database = Database.open(folder / CATALOGUE, write=write)
+            database = Database.open(folder / CATALOGUE_FILE, write=write)
         except BaseException:
             if lock is not None:
                 lock.release()

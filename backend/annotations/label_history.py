@@ -294,7 +294,6 @@ def _following(parent: Revision, said: Revision) -> dict[str, Any]:
 
 
 def _renumber(connection: sqlite3.Connection, draft: OperationDraft) -> None:
-    """Give the copies of ``draft`` new ids in the order of their sources."""
     revs, copies = draft.revs, draft.copies
     revs.sort(key=lambda rev: _order(connection, copies[rev["rev_uuid"]]))
     draft.revs, draft.copies = [], {}

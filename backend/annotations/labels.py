@@ -547,6 +547,5 @@ def _edited(head: Revision, label: Label, source: Source | None, verdict: Verdic
 
 
 def _following(head: Revision, said: Revision, state: LabelState) -> dict[str, Any]:
-    """Return the revision after ``head`` with the content ``said``."""
     reason = said.reason if state == "rejected" else None
     return new_revision(head.episode, head.rev_uuid, LabelContent.of(said), state, reason)

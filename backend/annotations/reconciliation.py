@@ -232,7 +232,7 @@ def check_dataset(parts: DatasetParts, *, whole: bool = False) -> Iterator[Consi
 
 def reconcile(parts: DatasetParts, *, whole: bool = False) -> list[ConsistencyProblem]:
     """Repair the problems of a dataset; return those to report. Each is stored as an event."""
-    told: list[ConsistencyProblem] = []
+    reported: list[ConsistencyProblem] = []
     # Labels come first, so that an episode with a label in the journal does not get a second one.
     for check in (
         check_labels(parts, whole=whole),
@@ -243,22 +243,22 @@ def reconcile(parts: DatasetParts, *, whole: bool = False) -> list[ConsistencyPr
     ):
         found = list(check)
         for start in range(0, len(found), REPAIRS_PER_TRANSACTION):
-            told += _repaired(parts, found[start : start + REPAIRS_PER_TRANSACTION])
+            reported += _repaired(parts, found[start : start + REPAIRS_PER_TRANSACTION])
     sync_run_tables(parts.folder, parts.database)
     with parts.database.reading() as connection:
         sites = list(newest_operations(connection))
     for site in sites:
         with parts.database.transaction() as connection:
             parts.journal.catch_up(connection, site)
-    return told
+    return reported
 
 
 def _repaired(
     parts: DatasetParts, findings: Sequence[ConsistencyProblem]
 ) -> list[ConsistencyProblem]:
     """Repair in one transaction; return the problems that were not reported before."""
-    told: list[ConsistencyProblem] = []
-    untold = [finding for finding in findings if finding.repair is None]
+    reported: list[ConsistencyProblem] = []
+    unrepaired = [finding for finding in findings if finding.repair is None]
     with parts.database.transaction() as connection:
         for finding in findings:
             if finding.repair is None:
@@ -268,13 +268,13 @@ def _repaired(
                 finding.repair(connection)
                 body = {"said": finding.message}
                 add_event(connection, PROGRAM_ACTOR, finding.kind, finding.target, body)
-                told.append(finding)
+                reported.append(finding)
             except (InputError, OSError, sqlite3.IntegrityError) as error:
                 connection.execute("ROLLBACK TO one")
                 said = f"{finding.message} That failed: {error}"
-                untold.append(ConsistencyProblem("not-mended", finding.target, said))
+                unrepaired.append(ConsistencyProblem("not-mended", finding.target, said))
             connection.execute("RELEASE one")
-    return told + [f for f in untold if _is_new(parts, f) or f.locks]
+    return reported + [f for f in unrepaired if _is_new(parts, f) or f.locks]
 
 
 def _is_new(parts: DatasetParts, finding: ConsistencyProblem) -> bool:
@@ -369,7 +369,6 @@ def copy_files(mine: Path, theirs: Path, paths: Sequence[str]) -> list[str]:
 
 
 def _is_inside(folder: Path, path: Path) -> bool:
-    """Return True if ``path`` is below ``folder`` after resolving links."""
     try:
         return folder.resolve() in path.resolve().parents and len(path.name) <= 200
     except (OSError, ValueError):

@@ -66,7 +66,6 @@ def free_bytes_if_low(folder: Path) -> int | None:
 
 
 def _free(folder: Path) -> tuple[Path, int]:
-    """Return the nearest existing folder and the free bytes of its disk."""
     place = folder.absolute()
     while not place.exists():
         place = place.parent

@@ -125,7 +125,6 @@ def _annotation(one: SelectedEpisode, canvas: Canvas) -> dict[str, object]:
 
 
 def _shape(polygon_px: FloatArray) -> dict[str, object]:
-    """Return segmentation, box and area; empty without contact."""
     if not len(polygon_px):
         return {"segmentation": [], "bbox": [0, 0, 0, 0], "area": 0.0}
     low, high = polygon_px.min(axis=0), polygon_px.max(axis=0)

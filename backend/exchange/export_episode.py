@@ -161,7 +161,6 @@ def _recorded(recording: Recording, onset_s: float, *, commanded: bool) -> dict[
 
 
 def _poses(position_mm: FloatArray) -> NDArray[np.float32]:
-    """Return (n, 7): position in m and the identity quaternion."""
     poses = np.zeros((len(position_mm), 7), dtype=np.float32)
     poses[:, :3] = position_mm / 1e3
     poses[:, 6] = 1.0

@@ -298,7 +298,6 @@ def _write(
 
 
 def _sample(filmed: Sequence[SelectedEpisode]) -> tuple[SelectedEpisode, ...]:
-    """Return up to 20 episodes, evenly spread and renumbered."""
     count = min(SAMPLE_SIZE, len(filmed))
     picked = [filmed[k * len(filmed) // count] for k in range(count)]
     return tuple(replace(one, index=index) for index, one in enumerate(picked))

@@ -141,7 +141,7 @@ class ReaderDeadline:
                 if left_s <= 0.0:
                     what = f"was not read within {self._deadline_s:g} s and was given up"
                 elif self._watch.look(time.monotonic()):
-                    what = "was given up: its reader stands still, nothing in it wants to run"
+                    what = "was given up: its reader makes no progress"
                 else:
                     continue
             raise InputError(
@@ -250,7 +250,7 @@ def _recording(values: Mapping[str, NDArray[Any]], *, commanded: bool) -> Record
     ticks_s = np.asarray(1e-9 * TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1), dtype=np.float64)
     wrench: FloatArray = values[FT_WINDOW].reshape(-1, WRENCH_CHANNELS).astype(np.float64)
     pose_mm = _position_mm(values[STATE])
-    told = commanded and ACTION in values and values[ACTION].shape == values[STATE].shape
+    has_commands = commanded and ACTION in values and values[ACTION].shape == values[STATE].shape
     return Recording(
         wrench_t_s=np.asarray(fine_ns * 1e-9, dtype=np.float64),
         wrench=wrench,
@@ -259,13 +259,12 @@ def _recording(values: Mapping[str, NDArray[Any]], *, commanded: bool) -> Record
         pose_t_s=ticks_s,
         pose_mm=pose_mm,
         tare=np.zeros(WRENCH_CHANNELS),
-        command_t_s=np.asarray(ticks_s + 1e-9 * TICK_NS) if told else np.zeros(0),
-        command_mm=_position_mm(values[ACTION]) if told else np.zeros((0, 3)),
+        command_t_s=np.asarray(ticks_s + 1e-9 * TICK_NS) if has_commands else np.zeros(0),
+        command_mm=_position_mm(values[ACTION]) if has_commands else np.zeros((0, 3)),
     )
 
 
 def _position_mm(poses: NDArray[Any]) -> FloatArray:
-    """Return the positions (n, 3) in mm of poses (n, 7) in m."""
     return np.asarray(poses[:, :3].astype(np.float64) * 1e3, dtype=np.float64)
 
 

@@ -11,8 +11,6 @@ from touchdown.backend.annotations import (
     Label,
     LabelContent,
     OperationDraft,
-    Revision,
-    Source,
     add_event,
     append_operation,
     check_person,
@@ -113,8 +111,5 @@ def _change(dataset: Dataset, row: ImportedLabel, person: str) -> dict[str, obje
         return None
     with dataset.database.reading() as connection:
         state = state_after("set", read_review_status(connection, head.episode), person)
-    return new_revision(head.episode, head.rev_uuid, _content(head, row.label, "human"), state)
-
-
-def _content(head: Revision, label: Label, source: Source) -> LabelContent:
-    return replace(LabelContent.of(head), label=label, source=source)
+    content = replace(LabelContent.of(head), label=row.label, source="human")
+    return new_revision(head.episode, head.rev_uuid, content, state)

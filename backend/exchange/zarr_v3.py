@@ -42,7 +42,10 @@ def _write(zarr: Any, job: ExportJob, folder: Path) -> None:
         arrays[key] = _array(zarr, group, key, shape, "uint8")
     for start, batch in _batches(job):
         for key, array in arrays.items():
-            values = [_values(episode, key) for episode in batch]
+            values = [
+                np.stack(one.pictures[key]) if key in one.pictures else one.values[key]
+                for one in batch
+            ]
             array[start : start + len(batch)] = np.stack(values)
     group.attrs["fps"] = FPS
     group.attrs["episodes"] = [one.entry.uuid for one in job.chosen]
@@ -55,10 +58,6 @@ def _batches(job: ExportJob) -> Iterator[tuple[int, list[ExportEpisode]]]:
     while batch := list(islice(episodes, SHARD)):
         yield start, batch
         start += len(batch)
-
-
-def _values(episode: ExportEpisode, key: str) -> Any:
-    return np.stack(episode.pictures[key]) if key in episode.pictures else episode.values[key]
 
 
 def _array(zarr: Any, group: Any, key: str, shape: tuple[int, ...], dtype: str) -> Any:

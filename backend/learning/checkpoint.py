@@ -167,8 +167,8 @@ def load_card(path: Path) -> ModelCard:
     wanted = modality_columns(card.modality)
     problems = {
         f"architecture '{card.arch}' is not known": card.arch not in ARCHITECTURES,
-        f"it wants {card.frames} frames": card.frames != SAMPLES_PER_PROBE,
-        f"it wants {card.rate_hz} Hz": card.rate_hz != 10,
+        f"it needs {card.frames} frames": card.frames != SAMPLES_PER_PROBE,
+        f"it needs {card.rate_hz} Hz": card.rate_hz != 10,
         f"its channels are ordered {card.vector_order}": card.vector_order != VECTOR_ORDER,
         f"it has {card.hyper.inputs} inputs": card.hyper.inputs != wanted.stop - wanted.start,
     }

@@ -144,11 +144,11 @@ def score(
 ) -> EvaluationScores:
     """Score ``probability`` (n, N) against ``truth`` (n, N); support means p > ``delta``."""
     predicted = probability > CONTACT_LEVEL
-    says = stable_flags(probability > delta, points_mm)
-    stands = stable_flags(truth, points_mm)
-    right = int(np.sum(says == stands))
-    share = float(np.mean(stands))
-    unsafe = float(np.mean(says[~stands])) if not stands.all() else math.nan
+    released = stable_flags(probability > delta, points_mm)
+    stable = stable_flags(truth, points_mm)
+    right = int(np.sum(released == stable))
+    share = float(np.mean(stable))
+    unsafe = float(np.mean(released[~stable])) if not stable.all() else math.nan
     return EvaluationScores(
         len(truth),
         iou(predicted, truth),

@@ -78,11 +78,11 @@ def _compared(
     benches: Sequence[BenchDescription], bench: BenchDescription, name: str, text: str
 ) -> CardMismatch | None:
     """Compare one field with all benches of the training data."""
-    told = [value for one in benches if (value := getattr(one, name))]
+    known = [value for one in benches if (value := getattr(one, name))]
     here = getattr(bench, name)
-    if not told or not here or here in told:
+    if not known or not here or here in known:
         return None
-    return CardMismatch(text, " or ".join(sorted({_short(v) for v in told})), _short(here))
+    return CardMismatch(text, " or ".join(sorted({_short(v) for v in known})), _short(here))
 
 
 def _short(value: object) -> str:
@@ -253,7 +253,6 @@ def _append_line(path: Path, line: dict[str, Any]) -> None:
 
 
 def _lines(path: Path) -> list[dict[str, Any]]:
-    """Return the complete lines; incomplete ones are skipped."""
     if not path.is_file():
         return []
     found = []

@@ -275,8 +275,10 @@ CALIBRATION = "calibration_error"
 
 def begin_training(dataset: Dataset, job: TrainingJob) -> ActiveRun:
     """Begin the run of ``job`` with its parameters."""
-    asked = job.model_dump(mode="json", include={"piece", "out", "labels", "resume", "threads"})
-    settings = asked | job.settings.model_dump(mode="json")
+    parameters = job.model_dump(
+        mode="json", include={"piece", "out", "labels", "resume", "threads"}
+    )
+    settings = parameters | job.settings.model_dump(mode="json")
     return dataset.runs.begin(KIND, seed=job.settings.seed, settings=settings)
 
 
@@ -443,7 +445,6 @@ def make_training_job(
 
 
 def _checked_model_file(out: Path) -> Path:
-    """Return ``out``; raises ``InputError`` if no file can be written there."""
     if out.is_dir():
         raise InputError("This is a folder, not a file.", str(out), "Name a .safetensors file.")
     folder = next(place for place in out.parents if place.exists())
@@ -631,7 +632,6 @@ def _begin(request: TrainingRequest) -> ActiveRun:
 
 
 def _copy_curves(run: ActiveRun, former: TrainingRun) -> None:
-    """Copy the curves of the run that is continued."""
     for name, values in former.curves.items():
         for step, value in values:
             run.metric(name, step, value)

@@ -13,7 +13,6 @@ from .policy import describe_situation as describe_situation
 from .policy import give_up as give_up
 from .policy import judge_stability as judge_stability
 from .policy import shift_towards as shift_towards
-from .strategies import XY as XY
 from .strategies import FusedStrategy as FusedStrategy
 from .strategies import GraspedPiece as GraspedPiece
 from .strategies import PlaceDecision as PlaceDecision
@@ -22,6 +21,7 @@ from .strategies import SearchingStrategy as SearchingStrategy
 from .strategies import Strategy as Strategy
 from .strategies import load_network_of as load_network_of
 from .strategies import make_strategy as make_strategy
+from .support_tower import XY as XY
 from .support_tower import SupportTower as SupportTower
 
 __all__ = [

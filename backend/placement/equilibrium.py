@@ -98,7 +98,11 @@ def _turn(a: Point, b: Point, c: Point) -> float:
 
 TOO_CLOSE_MM = 0.2  # nearer to the edge than this, stability cannot be decided
 
-_KINDS = (SupportKind.NONE, SupportKind.POINT, SupportKind.LINE)
+
+def support_kind(hull: FloatArray) -> SupportKind:
+    """Return the kind of support of a ``hull`` (k, 2): none, point, line or area."""
+    kinds = (SupportKind.NONE, SupportKind.POINT, SupportKind.LINE, SupportKind.AREA)
+    return kinds[min(len(hull), 3)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +160,7 @@ def resting_contact(
     hull = rotated(convex_hull(points_mm[touching]), yaw_rad) + shift
     centre = rotated(np.asarray([com_xy_mm], dtype=np.float64), yaw_rad)[0] + shift
     at = (float(centre[0]), float(centre[1]))
-    support = _KINDS[len(hull)] if len(hull) < 3 else SupportKind.AREA
+    support = support_kind(hull)
     placed = rotated(points_mm, yaw_rad) + shift
     return RestingContact(placed, touching, hull, at, signed_margin_mm(hull, at), support)
 

@@ -123,13 +123,11 @@ def displacement_doubt(felt: FloatArray, offsets_mm: FloatArray) -> FloatArray:
 
 
 def _nearest(at_mm: FloatArray, count: int) -> NDArray[np.intp]:
-    """Return the indices (n, count) of the nearest other positions."""
     found = np.asarray(cKDTree(at_mm).query(at_mm, k=count + 1)[1], dtype=np.intp)
     return found[:, 1:]
 
 
 def _principal_components(probability: FloatArray) -> FloatArray:
-    """Return the first principal components of the log odds, (n, PARTS), with a common scale."""
     p = np.clip(probability, CLIP, 1 - CLIP)
     odds = np.log(p / (1 - p))
     left, sizes, _ = np.linalg.svd(odds - odds.mean(axis=0), full_matrices=False)

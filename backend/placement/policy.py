@@ -20,9 +20,13 @@ from touchdown.backend.placement.belief import (
     face_lattice,
     is_finite,
 )
-from touchdown.backend.placement.equilibrium import convex_hull, inside_hull, signed_margin_mm
-
-KINDS = (SupportKind.NONE, SupportKind.POINT, SupportKind.LINE)
+from touchdown.backend.placement.equilibrium import (
+    convex_hull,
+    inside_hull,
+    signed_margin_mm,
+    support_kind,
+)
+from touchdown.backend.placement.support_tower import XY
 
 
 def judge_stability(
@@ -48,7 +52,7 @@ def judge_stability(
     else:
         hull = _hull_on_face(belief, patch, offset_mm, settings.delta)
     margin_mm = signed_margin_mm(hull, centre)
-    support = KINDS[len(hull)] if len(hull) < 3 else SupportKind.AREA
+    support = support_kind(hull)
     stable = support is SupportKind.AREA and margin_mm >= settings.margin_mm
     return Stability(stable, margin_mm, support, hull, centre, settings.judge_from)
 
@@ -91,7 +95,6 @@ def _hull_on_face(
     return np.asarray(corner + face.pitch_mm * hull, dtype=np.float64)
 
 
-XY = tuple[float, float]
 BEST_PERCENTILE = 95.0
 
 

@@ -50,9 +50,8 @@ from touchdown.backend.placement.policy import (
     shift_towards,
     support_hull_mm,
 )
-from touchdown.backend.placement.support_tower import SupportTower, normal_draws
+from touchdown.backend.placement.support_tower import XY, SupportTower, normal_draws
 
-XY = tuple[float, float]
 SEARCH_RADIUS_MM = 10.0  # search radius of the face centre around the deepest point
 # Points this near the edge determine the uncertainty of the centre.
 EDGE_MM = 4.0
@@ -422,7 +421,6 @@ class FusedStrategy:
         return shift_towards(stability, aim, here, policy.longest_step_mm, required)
 
     def _shown(self, over: InsetDistribution) -> BeliefMap:
-        """Return the probability of support as a map."""
         limit, shape = self._settings.belief.log_odds_limit, self._belief.map.log_odds.shape
         p = over.exceeds(0.0).reshape(shape)
         with np.errstate(divide="ignore"):

@@ -126,13 +126,11 @@ def _relu(x: FloatArray) -> FloatArray:
 
 
 def _rms_norm(x: FloatArray) -> FloatArray:
-    """Normalise rows to a root mean square of 1, as ``torch.nn.functional.rms_norm``."""
     tiny = float(np.finfo(np.float32).eps)
     return np.asarray(x / np.sqrt((x**2).mean(axis=-1, keepdims=True) + tiny))
 
 
 def _normal_cdf(z: FloatArray) -> FloatArray:
-    """Return the cumulative distribution function of the standard normal distribution."""
     steps = np.linspace(-8.0, 8.0, 3201)
     return np.asarray(np.interp(z, steps, _NORMAL), dtype=np.float64)
 

@@ -108,7 +108,6 @@ def negative_log_likelihood(answer: tuple[Tensor, Tensor, Tensor], inset: Tensor
 
 
 def _key(name: str) -> str:
-    """Return a name without dots, as torch requires."""
     return name.replace(".", "/")
 
 

@@ -248,7 +248,8 @@ def test_what_is_decided_is_an_opinion_that_undo_withdraws(
     again = compare_with_control_items(dataset.database, dataset.geometry, "ann")
     assert again.rms_mm == pytest.approx(found.rms_mm)
     assert again.seconds[0] == 4.0
-    assert dataset.queue("gold", "ann") == []
+    # The draw of each id decides whether the undone one is asked again.
+    assert set(dataset.queue("gold", "ann")) <= {none}
     # Who approved or wrote the label is measured against nothing of their own.
     assert compare_with_control_items(dataset.database, dataset.geometry, "bob").episodes == 0
 

@@ -93,12 +93,12 @@ class EmulatedBench:
         self._present.close()
         self._process.close()
 
-    def witnessed(self) -> DriverObservations | None:
+    def driver_observations(self) -> DriverObservations | None:
         """Return the driver behaviour that the devices observed, None before the first scene.
 
         Raises ``OSError`` if the devices are gone.
         """
-        return None if self._truth is None else self._truth.witnessed()
+        return None if self._truth is None else self._truth.driver_observations()
 
     def __enter__(self) -> EmulatedBench:
         return self

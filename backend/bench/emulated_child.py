@@ -179,15 +179,15 @@ def _set(order: dict[str, Any], present: ExitStack) -> tuple[str, int]:
     settings = SimulationSettings.model_validate(order["settings"])
     scene = make_scene(load_pieces(pieces), SceneChoice(**chosen), settings)
     plan = FaultPlan.model_validate(order["plan"])
-    joined, emulation = serve_bench(scene, Path(order["folder"]), plan)
-    told = TcpServer(TruthServer(joined))
-    for ending in (told.close, emulation.close, joined.close):
+    emulated, emulation = serve_bench(scene, Path(order["folder"]), plan)
+    truth = TcpServer(TruthServer(emulated))
+    for ending in (truth.close, emulation.close, emulated.close):
         present.callback(ending)
     shorten_switch_interval()
-    joined.start()
+    emulated.start()
     emulation.start()
-    told.start()
-    return told.address
+    truth.start()
+    return truth.address
 
 
 if __name__ == "__main__":

@@ -110,7 +110,7 @@ class DriverMonitor:
         self._rest_n: FloatArray = np.zeros(3)
         self._force_n = 0.0
 
-    def feel(self, wrench: FloatArray) -> None:
+    def add_samples(self, wrench: FloatArray) -> None:
         """Process wrist samples (N, 6) of the world."""
         force_n = wrench[:, :3]
         if sum(map(len, self._rest)) < REST_ROWS:
@@ -120,7 +120,7 @@ class DriverMonitor:
             strongest_n = np.linalg.norm(force_n - self._rest_n, axis=1).max()
             self._force_n = max(self._force_n, float(strongest_n))
 
-    def told(self, moving_mm: float) -> DriverObservations:
+    def observations(self, moving_mm: float) -> DriverObservations:
         """Return the observations so far."""
         stream, gripper = self._melfa.stream, self.gripper
         return DriverObservations(
@@ -156,7 +156,7 @@ class EmulatedScene:
         start = self.frame.joints(self.world.drive.command_mm)
         self.melfa = EmulatedMelfa(settings, start_rad=start)
         self.world.drive.run(CarriedProgram(self))
-        self._witness = DriverMonitor(self.melfa)
+        self._monitor = DriverMonitor(self.melfa)
         self.melfa.controller.felt = self._felt_in_base
         self._zero_s = 0.0
         self._felt: tuple[float, FloatArray] = (0.0, np.zeros((1, 6)))
@@ -182,7 +182,7 @@ class EmulatedScene:
             self._thread.join()
 
     @property
-    def told_until_s(self) -> float:
+    def sampled_until_s(self) -> float:
         """Monotonic time up to which the wrist sensor has samples."""
         return self._zero_s + self._felt[0] + LATENCY_S
 
@@ -215,20 +215,20 @@ class EmulatedScene:
 
     def watch_gripper(self, gripper: WatchedGripper) -> None:
         """Include the counters of ``gripper`` in the observations."""
-        self._witness.gripper = gripper
+        self._monitor.gripper = gripper
 
-    def witnessed(self) -> DriverObservations:
+    def driver_observations(self) -> DriverObservations:
         """Return the driver behaviour observed so far."""
         controller, pivot_mm = self.melfa.controller, self.frame.pivot_mm
         now_s = controller.now_s
         before_mm = pivot_mm(controller.joints_at(now_s - STILL_S))
         way_mm = pivot_mm(controller.joints_at(now_s)) - before_mm
-        return self._witness.told(float(np.linalg.norm(way_mm)))
+        return self._monitor.observations(float(np.linalg.norm(way_mm)))
 
     def step(self, behind_s: float = 0.0) -> CycleRecord:
         """Advance the world, late by ``behind_s``, by one cycle and publish its samples."""
         sensed = self.world.step(FINGERS if behind_s <= PICTURE_S else ())
-        self._witness.feel(sensed.wrench)
+        self._monitor.add_samples(sensed.wrench)
         rows = np.concatenate([self._felt[1], sensed.wrench])[-KEPT:]
         self._felt = (1e-6 * sensed.end_us, rows)
         for finger in FINGERS:
@@ -311,14 +311,14 @@ class CarriedProgram:
     done = False
     failure: Fault | None = None
 
-    def __init__(self, joined: EmulatedScene) -> None:
-        self._joined = joined
+    def __init__(self, emulated: EmulatedScene) -> None:
+        self._emulated = emulated
         self.turn: FloatArray = IDENTITY_ROTATION  # rotation of the emulated arm's hand
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return the arm position at the end of ``cycle``; a descent begins the next probe."""
-        joints_rad, frame = self._joined.joints_rad(cycle.end_s), self._joined.frame
-        here, holding = frame.pivot_mm(joints_rad), self._joined.world.holding
+        joints_rad, frame = self._emulated.joints_rad(cycle.end_s), self._emulated.frame
+        here, holding = frame.pivot_mm(joints_rad), self._emulated.world.holding
         self.turn = frame.turn(joints_rad)
         if holding is not None and not holding.sensed and here[2] < command_mm[2]:
             height = float(here[2]) - holding.touch_height_mm
@@ -330,26 +330,26 @@ class CarriedProgram:
 class SceneDynpick(EmulatedDynpick):
     """Emulated wrist sensor of a scene; sends no sample beyond the time of the world."""
 
-    def __init__(self, joined: EmulatedScene, faults: Faults | None = None) -> None:
+    def __init__(self, emulated: EmulatedScene, faults: Faults | None = None) -> None:
         faults = faults or Faults("force_torque")
-        super().__init__(apply_faults(joined.wrench, faults))
+        super().__init__(apply_faults(emulated.wrench, faults))
         self.pace.faults = faults
-        self._joined = joined
+        self._emulated = emulated
 
     def due(self, now_s: float) -> bytes:
         """Return the records of the stream up to the time of the world."""
-        return super().due(min(now_s, self._joined.told_until_s))
+        return super().due(min(now_s, self._emulated.sampled_until_s))
 
 
 class SceneWsg(EmulatedWsg):
     """Emulated gripper whose jaws hold the piece of a scene."""
 
-    def __init__(self, joined: EmulatedScene, faults: Faults | None = None) -> None:
-        super().__init__(part_mm=joined.scene.piece.width_mm, faults=faults)
-        self._world, self._piece_mm = joined.world, joined.scene.piece.width_mm
+    def __init__(self, emulated: EmulatedScene, faults: Faults | None = None) -> None:
+        super().__init__(part_mm=emulated.scene.piece.width_mm, faults=faults)
+        self._world, self._piece_mm = emulated.world, emulated.scene.piece.width_mm
         self._held = self._in_hand = False
         self.openings = 0
-        joined.watch_gripper(self)
+        emulated.watch_gripper(self)
 
     def due(self, now_s: float) -> bytes:
         """Return the gripper's output and apply its jaws to the world."""
@@ -426,16 +426,16 @@ def serve_bench(
     ``folder`` takes the links of sensor and cameras, and the bench file. Raises ``OSError``.
     """
     settings = HardwareSettings.model_validate({"melfa": {"mxt": {"mxttout": TIMEOUT_CYCLES}}})
-    joined = EmulatedScene(scene, settings.melfa)
+    emulated = EmulatedScene(scene, settings.melfa)
     folder.mkdir(parents=True, exist_ok=True)
-    arm = MelfaServer(joined.melfa, host, faults=Faults("arm", plan))
+    arm = MelfaServer(emulated.melfa, host, faults=Faults("arm", plan))
     gripping = Faults("gripper", plan)
-    gripper = TcpServer(SceneWsg(joined, gripping), host, faults=gripping)
-    sensor = _sensor(joined, folder, Faults("force_torque", plan), host)
-    cameras = [_camera(joined, finger, folder, plan) for finger in FINGERS]
-    joined.priority = EMULATOR_PRIORITY
-    for front in (arm, gripper, sensor, *cameras):
-        front.priority = EMULATOR_PRIORITY
+    gripper = TcpServer(SceneWsg(emulated, gripping), host, faults=gripping)
+    sensor = _sensor(emulated, folder, Faults("force_torque", plan), host)
+    cameras = [_camera(emulated, finger, folder, plan) for finger in FINGERS]
+    emulated.priority = EMULATOR_PRIORITY
+    for server in (arm, gripper, sensor, *cameras):
+        server.priority = EMULATOR_PRIORITY
     tables: dict[str, Mapping[str, object]] = {
         **melfa_tables(arm),
         "wsg": {"host": host, "port": gripper.address[1]},
@@ -443,7 +443,7 @@ def serve_bench(
         **camera_tables(folder, SERIALS),
     }
     (folder / BENCH_FILE).write_text(bench_toml(tables), "utf-8")
-    return joined, Emulation((arm, gripper, sensor, *cameras), tables)
+    return emulated, Emulation((arm, gripper, sensor, *cameras), tables)
 
 
 def lab_toml(scene: Scene, emulation: Emulation) -> str:
@@ -466,21 +466,23 @@ def lab_toml(scene: Scene, emulation: Emulation) -> str:
     )
 
 
-def _sensor(joined: EmulatedScene, folder: Path, faults: Faults, host: str) -> DeviceServer:
-    device = SceneDynpick(joined, faults)
-    front: TcpServer | PtyServer
+def _sensor(emulated: EmulatedScene, folder: Path, faults: Faults, host: str) -> DeviceServer:
+    device = SceneDynpick(emulated, faults)
+    server: TcpServer | PtyServer
     if sys.platform == "win32":
-        front = TcpServer(device, host, faults=faults)
+        server = TcpServer(device, host, faults=faults)
     else:
-        front = PtyServer(device, faults=faults, link=folder / "force_torque")
-    front.tick_s = SENSOR_TICK_S
-    return front
+        server = PtyServer(device, faults=faults, link=folder / "force_torque")
+    server.tick_s = SENSOR_TICK_S
+    return server
 
 
-def _camera(joined: EmulatedScene, finger: Finger, folder: Path, plan: FaultPlan) -> GelsightServer:
+def _camera(
+    emulated: EmulatedScene, finger: Finger, folder: Path, plan: FaultPlan
+) -> GelsightServer:
     faults = Faults(f"tactile_{finger}", plan)
     return GelsightServer(
-        lambda now_s: joined.picture(finger),
+        lambda now_s: emulated.picture(finger),
         folder,
         SERIALS[finger],
         rate_hz=POLL_HZ,
@@ -497,20 +499,20 @@ TRUTH_FIELDS = ("offset_mm", "yaw_rad", "margin_mm", "stands", "slip_mm", "knock
 class TruthServer:
     """Answers each line with a line of JSON: ground truth or driver observations."""
 
-    def __init__(self, joined: EmulatedScene) -> None:
-        self._joined = joined
+    def __init__(self, emulated: EmulatedScene) -> None:
+        self._emulated = emulated
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Return one line per line."""
-        told = b""
+        answer = b""
         for line in data.splitlines(keepends=True):
             if line == SEEN:
-                told += json.dumps(asdict(self._joined.witnessed())).encode() + b"\n"
+                answer += json.dumps(asdict(self._emulated.driver_observations())).encode() + b"\n"
             elif line.endswith(b"\n"):
-                truth = self._joined.truth()
+                truth = self._emulated.truth()
                 fields = {name: getattr(truth, name) for name in TRUTH_FIELDS}
-                told += json.dumps(fields).encode() + b"\n"
-        return told
+                answer += json.dumps(fields).encode() + b"\n"
+        return answer
 
     def due(self, now_s: float) -> bytes:
         """Return nothing: it only answers."""
@@ -533,22 +535,22 @@ class TruthClient:
 
     def truth(self, *, animate: bool = False) -> SceneTruth:
         """Return the ground truth; raises ``OSError``."""
-        told = self._ask(TRUTH)
-        x, y = told.pop("offset_mm")
-        return SceneTruth(offset_mm=(x, y), fall=None, **told)
+        answer = self._ask(TRUTH)
+        x, y = answer.pop("offset_mm")
+        return SceneTruth(offset_mm=(x, y), fall=None, **answer)
 
-    def witnessed(self) -> DriverObservations:
+    def driver_observations(self) -> DriverObservations:
         """Return the driver observations; raises ``OSError``."""
         return DriverObservations(**self._ask(SEEN))
 
     def _ask(self, question: bytes) -> dict[str, Any]:
         with socket.create_connection(self._address, timeout=ANSWER_S) as line:
             line.sendall(question)
-            heard = b""
-            while not heard.endswith(b"\n") and len(heard) < LONGEST:
+            received = b""
+            while not received.endswith(b"\n") and len(received) < LONGEST:
                 more = line.recv(LONGEST)
                 if not more:
                     raise ConnectionResetError("the emulated bench is gone")
-                heard += more
-        answer: dict[str, Any] = json.loads(heard)
+                received += more
+        answer: dict[str, Any] = json.loads(received)
         return answer

@@ -220,7 +220,7 @@ class Campaign:
     def _broken(self, kind: Kind, codes: set[str], *, met: bool) -> list[str]:
         """Return what does not hold; ``met``: the fault surely struck a trial that went on."""
         heard, session = self._heard, self.bench.session
-        seen = self.bench.witnessed()
+        seen = self.bench.driver_observations()
         assert seen is not None
         # A fault may strike while the jaws open by right: then nothing more tells of the release.
         released = len([f for f in heard.of(PhaseEntered) if f.phase == "release"])

@@ -33,22 +33,22 @@ class Bench:
         settings = SimulatedBenchChoice(preset="quiet").settings()
         choice = SceneChoice("pot", ("short",), 3, jig=jig)
         scene = make_scene(load_pieces(), choice, settings)
-        self.joined = EmulatedScene(scene, MELFA)
-        self.gripper = SceneWsg(self.joined)
+        self.emulated = EmulatedScene(scene, MELFA)
+        self.gripper = SceneWsg(self.emulated)
 
     def pass_time(self, seconds):
         for _ in range(round(seconds / 0.01)):
-            self.joined.step()
-            self.gripper.due(1e-6 * self.joined.world.now_us)
+            self.emulated.step()
+            self.gripper.due(1e-6 * self.emulated.world.now_us)
 
     def order(self, request):
-        now_s = 1e-6 * self.joined.world.now_us
+        now_s = 1e-6 * self.emulated.world.now_us
         self.gripper.receive(now_s, wsg_binary.encode_request(request))
 
     def felt_n(self):
         """Mean Fz of the last 0.2 s, as the sensor asks for it."""
-        now_s = 1e-6 * self.joined.world.now_us + LATENCY_S
-        return np.mean([self.joined.wrench(now_s - 0.001 * k)[2] for k in range(200)])
+        now_s = 1e-6 * self.emulated.world.now_us + LATENCY_S
+        return np.mean([self.emulated.wrench(now_s - 0.001 * k)[2] for k in range(200)])
 
     def held(self):
         self.order(wsg_binary.home())
@@ -78,34 +78,34 @@ def test_both_ends_of_the_wire_place_the_bench_alike(yaw_deg):
 def test_the_piece_is_taken_with_its_weight_and_let_go(bench):
     bench.pass_time(0.3)
     empty_n = bench.felt_n()
-    assert bench.joined.world.holding is None
+    assert bench.emulated.world.holding is None
     bench.held()
-    holding = bench.joined.world.holding
+    holding = bench.emulated.world.holding
     assert holding is not None
     assert holding.gripping.grip_force_n == pytest.approx(10.0, abs=1.0)
     assert bench.felt_n() - empty_n == pytest.approx(holding.weight_g[2], abs=0.05)
     bench.order(wsg_binary.release(60.0, 50.0))
     bench.pass_time(0.5)
-    assert bench.joined.world.holding is None
+    assert bench.emulated.world.holding is None
     assert bench.gripper.jaws.part_mm is None
 
 
 def test_a_piece_that_is_lost_is_gone_from_jaws_and_world(bench):
     bench.held()
-    assert bench.joined.world.holding is not None
+    assert bench.emulated.world.holding is not None
     bench.gripper._faults.begin(0.0)
-    bench.gripper._faults.inject(1e-6 * bench.joined.world.now_us, "part_lost", 0.1)
+    bench.gripper._faults.inject(1e-6 * bench.emulated.world.now_us, "part_lost", 0.1)
     bench.pass_time(0.2)
     assert bench.gripper.jaws.state is GraspState.PART_LOST
-    assert bench.joined.world.holding is None
-    assert not bench.joined.truth().stands
+    assert bench.emulated.world.holding is None
+    assert not bench.emulated.truth().stands
     bench.pass_time(0.5)
     assert bench.gripper.jaws.part_mm is None
 
 
 def test_a_piece_let_go_in_its_jig_can_be_taken_again():
     bench = Bench(jig=True)
-    world = bench.joined.world
+    world = bench.emulated.world
     for _ in range(2):
         bench.held()
         assert world.holding is not None
@@ -117,10 +117,10 @@ def test_a_piece_let_go_in_its_jig_can_be_taken_again():
 @pytest.mark.parametrize(("jig", "again"), [(True, True), (False, False)])
 def test_a_piece_let_go_high_over_a_bench_with_a_jig_is_in_the_operators_hand(jig, again):
     bench = Bench(jig=jig)
-    world = bench.joined.world
+    world = bench.emulated.world
     bench.held()
     place = world.drive.command_mm + np.array([0.0, 0.0, 40.0])
-    bench.joined.melfa.controller.joints.true_rad = bench.joined.frame.joints(place)
+    bench.emulated.melfa.controller.joints.true_rad = bench.emulated.frame.joints(place)
     bench.pass_time(0.1)
     bench.order(wsg_binary.release(60.0, 50.0))
     bench.pass_time(1.2)
@@ -134,12 +134,12 @@ def test_a_piece_let_go_high_over_a_bench_with_a_jig_is_in_the_operators_hand(ji
 def test_a_piece_that_was_put_down_is_handed_over_again_where_an_operator_is(jig, again):
     """Else a rehearsal would end with the first trial."""
     bench = Bench(jig=jig)
-    world = bench.joined.world
+    world = bench.emulated.world
     bench.held()
 
     def go(height_mm):
         place = np.array([2.0, 1.0, height_mm])
-        bench.joined.melfa.controller.joints.true_rad = bench.joined.frame.joints(place)
+        bench.emulated.melfa.controller.joints.true_rad = bench.emulated.frame.joints(place)
         bench.pass_time(0.1)
 
     touch_mm = world.holding.touch_height_mm
@@ -163,17 +163,17 @@ def test_a_piece_that_was_put_down_is_handed_over_again_where_an_operator_is(jig
 
 def test_the_world_goes_where_the_joints_are_and_a_descent_is_a_probe(bench):
     bench.held()
-    world, touch_mm = bench.joined.world, bench.joined.world.holding.touch_height_mm
+    world, touch_mm = bench.emulated.world, bench.emulated.world.holding.touch_height_mm
     place = world.drive.command_mm
     for height_mm in np.arange(place[2] - 0.05, touch_mm - 0.3, -0.05):
         place[2] = height_mm
-        bench.joined.melfa.controller.joints.true_rad = bench.joined.frame.joints(place)
-        bench.joined.step()
+        bench.emulated.melfa.controller.joints.true_rad = bench.emulated.frame.joints(place)
+        bench.emulated.step()
     assert world.drive.command_mm == pytest.approx(place, abs=1e-4)
     assert world.holding.probe == 1
     assert world.holding.press_n > 1.0
     assert bench.felt_n() > -14.7 + world.holding.weight_g[2]
-    felt, told = bench.joined._felt[1][-1], bench.joined.melfa.controller.felt()
+    felt, told = bench.emulated._felt[1][-1], bench.emulated.melfa.controller.felt()
     assert np.abs(felt[3:]).max() > 0.01
     about_z = Rotation.from_euler("z", MELFA.yaw_deg, degrees=True)
     np.testing.assert_allclose(told, about_z.apply(felt.reshape(2, 3)).ravel())
@@ -183,21 +183,21 @@ def test_the_world_goes_where_the_joints_are_and_a_descent_is_a_probe(bench):
 def test_the_arms_own_sensor_feels_the_same_in_axes_of_its_base(bench, yaw_deg):
     """Force and moments both; the bench stands turned by its yaw before the base."""
     melfa = MELFA.model_copy(update={"yaw_deg": yaw_deg})
-    joined = EmulatedScene(bench.joined.scene, melfa)
-    joined._felt = (0.0, np.array([[1.0, -2.0, 3.0, 0.1, 0.2, -0.3]]))
+    emulated = EmulatedScene(bench.emulated.scene, melfa)
+    emulated._felt = (0.0, np.array([[1.0, -2.0, 3.0, 0.1, 0.2, -0.3]]))
     about_z = Rotation.from_euler("z", yaw_deg, degrees=True)
-    told = joined.melfa.controller.felt()
+    told = emulated.melfa.controller.felt()
     np.testing.assert_allclose(told[:3], about_z.apply([1.0, -2.0, 3.0]))
     np.testing.assert_allclose(told[3:], about_z.apply([0.1, 0.2, -0.3]))
 
 
 def test_a_late_world_is_felt_late_and_not_otherwise(bench):
     """No sample is made up while the world is behind; afterwards all of them come, none changed."""
-    joined, sensor = bench.joined, SceneDynpick(bench.joined)
+    emulated, sensor = bench.emulated, SceneDynpick(bench.emulated)
     bench.pass_time(0.1)
     told, felt = protocol.records(), []
-    step = joined.world.step
-    joined.world.step = lambda watched: felt.append(step(watched)) or felt[-1]
+    step = emulated.world.step
+    emulated.world.step = lambda watched: felt.append(step(watched)) or felt[-1]
     sensor.receive(0.1 + LATENCY_S, DynpickCommand.START.value)
 
     def records(now_s):
@@ -206,7 +206,7 @@ def test_a_late_world_is_felt_late_and_not_otherwise(bench):
     assert len(records(0.1)) == 1
     assert records(0.17) == []
     for _ in range(7):
-        joined.step()
+        emulated.step()
     late = records(0.17)
     exact = np.concatenate([sensed.wrench for sensed in felt]) * SENSITIVITY + protocol.ZERO_COUNT
     assert late == [tuple(row) for row in exact.round().astype(int).tolist()]
@@ -215,42 +215,44 @@ def test_a_late_world_is_felt_late_and_not_otherwise(bench):
 def test_time_that_is_given_up_is_told_with_no_older_sample(bench):
     """The same record again and again: the driver knows that for no measurement."""
     bench.pass_time(0.1)
-    joined = bench.joined
-    newest = joined.wrench(0.1 + LATENCY_S)
-    assert joined.wrench(0.05 + LATENCY_S) != newest
-    joined._give_up(0.6)
-    joined.step()
-    assert {joined.wrench(t_s + LATENCY_S) for t_s in np.arange(0.2, 0.69, 0.001)} == {newest}
-    assert joined.wrench(0.71 + LATENCY_S) != newest
+    emulated = bench.emulated
+    newest = emulated.wrench(0.1 + LATENCY_S)
+    assert emulated.wrench(0.05 + LATENCY_S) != newest
+    emulated._give_up(0.6)
+    emulated.step()
+    assert {emulated.wrench(t_s + LATENCY_S) for t_s in np.arange(0.2, 0.69, 0.001)} == {newest}
+    assert emulated.wrench(0.71 + LATENCY_S) != newest
 
 
 def test_a_late_world_takes_the_arm_where_it_was_then(bench):
     bench.held()
-    joined, controller = bench.joined, bench.joined.melfa.controller
-    first_mm, start_s = joined.world.drive.command_mm, 1e-6 * joined.world.now_us
+    emulated, controller = bench.emulated, bench.emulated.melfa.controller
+    first_mm, start_s = emulated.world.drive.command_mm, 1e-6 * emulated.world.now_us
     controller.advance(start_s)
-    controller.joints.command_rad = joined.frame.joints(first_mm - [0.0, 0.0, 1.0])
+    controller.joints.command_rad = emulated.frame.joints(first_mm - [0.0, 0.0, 1.0])
     controller.advance(start_s + 0.1)
     # The first order of the emulated joints, as the settings say it.
     away_mm = np.exp(-0.02 / (1e-3 * MELFA.arm_lag_ms))
     for _ in range(2):
-        joined.step()
-    assert joined.world.drive.command_mm[2] == pytest.approx(first_mm[2] - 1.0 + away_mm, abs=0.02)
+        emulated.step()
+    assert emulated.world.drive.command_mm[2] == pytest.approx(
+        first_mm[2] - 1.0 + away_mm, abs=0.02
+    )
     for _ in range(8):
-        joined.step()
-    assert joined.world.drive.command_mm[2] == pytest.approx(first_mm[2] - 1.0, abs=1e-3)
+        emulated.step()
+    assert emulated.world.drive.command_mm[2] == pytest.approx(first_mm[2] - 1.0, abs=1e-3)
 
 
 def test_a_world_far_behind_takes_no_picture_of_another_time(bench):
     for _ in range(10):
-        bench.joined.step(behind_s=0.05)
-    assert bench.joined.picture("left") is None
+        bench.emulated.step(behind_s=0.05)
+    assert bench.emulated.picture("left") is None
     for _ in range(10):
-        bench.joined.step(behind_s=0.03)
-    assert bench.joined.picture("left").shape == (240, 320, 3)
+        bench.emulated.step(behind_s=0.03)
+    assert bench.emulated.picture("left").shape == (240, 320, 3)
 
 
 def test_a_picture_is_given_once(bench):
     bench.pass_time(0.1)
-    assert bench.joined.picture("left").shape == (240, 320, 3)
-    assert bench.joined.picture("left") is None
+    assert bench.emulated.picture("left").shape == (240, 320, 3)
+    assert bench.emulated.picture("left") is None

@@ -1,10 +1,8 @@
-"""Simulated collections of labelled episodes: cut into jobs, written as packs by one or several
-processes, and searched for ambiguous presses.
+"""Simulated collections of labelled episodes, written as packs by one or several processes.
 
-The cut depends on the plan alone, so that results do not depend on the number of processes. The
-paper shows signals that are not symmetric about the middle of the bottom, and very different
-patches with very similar signals; ``find_ambiguous_pairs`` searches for such pairs. Free of torch:
-spawned workers import this module.
+The split into jobs depends on the plan alone, so results do not depend on the number of processes.
+``find_ambiguous_pairs`` searches for presses with similar signals and different patches. The module
+does not import torch, because spawned workers import it.
 """
 
 from __future__ import annotations
@@ -24,15 +22,13 @@ from touchdown.backend.episodes import PackedEpisode, TrainingRows, patch_hex, w
 from touchdown.backend.learning import channel_groups
 from touchdown.backend.simulation import BatchPlan, EpisodeBatch, simulate_episodes
 
-GRIPS_PER_JOB = 20
-"""Grips solved side by side when a gripping has many probes."""
-PROBES_PER_JOB = 128
-"""At least this many probes make a job, whatever the number of probes per grip."""
+GRIPS_PER_JOB = 20  # grips solved in one batch
+PROBES_PER_JOB = 128  # least number of probes of a job
 
 
 @dataclass(frozen=True, slots=True)
 class CollectionJob:
-    """Some grips of one plan, for one or more pack files of their own."""
+    """Some grips of one plan, written to one or more pack files."""
 
     plan: BatchPlan
     grips: range
@@ -42,12 +38,12 @@ class CollectionJob:
 
     @property
     def episodes(self) -> int:
-        """Number of episodes this job makes."""
+        """Number of episodes of this job."""
         return sum(self.plan.probes_of(grip) for grip in self.grips)
 
 
 def split_jobs(plan: BatchPlan, label: Mapping[str, object], folder: Path) -> list[CollectionJob]:
-    """Cut a plan into jobs; the cut depends on the plan only, so that results do too."""
+    """Split a plan into jobs."""
     size = max(GRIPS_PER_JOB, -(-PROBES_PER_JOB // plan.probes_per_grip))
     stem = f"{plan.piece}-{plan.bottom}"
     return [
@@ -84,14 +80,14 @@ def episode_rows(job: CollectionJob, batches: Sequence[EpisodeBatch]) -> Iterato
 
 
 def label_sigma_um(plan: BatchPlan) -> int:
-    """Return the standard deviation of the label's larger axis (x: the grasp offset counts)."""
+    """Return the standard deviation of the label along x, its larger axis."""
     spread = plan.settings.spread
     parts = (spread.grasp_offset_mm, spread.label_error_mm, spread.print_offset_mm)
     return round(1e3 * float(np.linalg.norm(parts)))
 
 
 def pack_metadata(job: CollectionJob) -> dict[str, str]:
-    """Return what a pack says about all its episodes."""
+    """Return the metadata of a pack."""
     plan = job.plan
     return {
         "simulated": "true",
@@ -104,21 +100,18 @@ def pack_metadata(job: CollectionJob) -> dict[str, str]:
     }
 
 
-HELD_TICKS = 5
-"""The hold at the end of the press: the signals have settled."""
-UNLIKE_IOU = 0.25
-"""Patches that overlap by less than this are very different."""
-LEAST_SHARE = 0.15
-"""Of the face: a patch smaller than this is unlike any other by its size alone."""
+HELD_TICKS = 5  # hold at the end of the press, with settled signals
+UNLIKE_IOU = 0.25  # patches with a smaller overlap are different
+LEAST_SHARE = 0.15  # least share of the face covered by a patch of a pair
 BLOCK_ROWS = 500
 
 
 @dataclass(frozen=True, slots=True)
 class AmbiguousPair:
-    """Two presses ``first``, ``second`` (row numbers) with like signals and unlike patches.
+    """Two presses with similar signals and different patches.
 
-    ``distance``: rms difference in units of the channel groups' spread over the data; ``rank``:
-    share of all pairs of the data that are nearer than this one.
+    ``first``, ``second``: row numbers; ``distance``: rms difference in units of the spread of each
+    channel group; ``rank``: share of all pairs with a smaller distance.
     """
 
     first: int
@@ -141,7 +134,7 @@ def largest_marker_px(signals: FloatArray) -> FloatArray:
 
 
 def standardise(signals: FloatArray) -> FloatArray:
-    """Return (n, 258) with each channel group of unit spread and equal weight in a distance."""
+    """Return signals (n, 258) scaled to unit spread and equal weight per channel group."""
     groups = channel_groups()
     centred = signals - signals.mean(axis=0)
     size = np.bincount(groups)
@@ -154,10 +147,10 @@ def standardise(signals: FloatArray) -> FloatArray:
 def find_ambiguous_pairs(
     signals: FloatArray, patch: NDArray[np.bool_], count: int, unlike_iou: float = UNLIKE_IOU
 ) -> list[AmbiguousPair]:
-    """Return the ``count`` nearest pairs of ``signals`` (n, 258) with unlike ``patch`` (n, N).
+    """Return the ``count`` nearest pairs of ``signals`` (n, 258) with different ``patch`` (n, N).
 
-    Both patches cover at least ``LEAST_SHARE`` of the face. No press occurs twice. All pairs are
-    looked at.
+    Both patches cover at least ``LEAST_SHARE`` of the face. Each press occurs in one pair at most.
+    All pairs are searched.
     """
     if signals.shape[1] != CHANNELS:
         raise ValueError(f"signals have {signals.shape[1]} channels, not {CHANNELS}")
@@ -196,9 +189,10 @@ POLL_S = 0.2
 
 
 def run_jobs(jobs: Sequence[CollectionJob], workers: int, advance: Callable[[int], None]) -> int:
-    """Run all jobs, here or in ``workers`` processes; returns the number of probes drawn again.
+    """Run all jobs in this process or in ``workers`` processes; return the number of repeated
+    probes.
 
-    ``advance`` gets the number of finished episodes. An error in a job stops the rest.
+    ``advance`` gets the number of finished episodes. An error in one job stops all.
     """
     workers = min(workers, len(jobs))
     if workers == 1:
@@ -220,7 +214,7 @@ def run_jobs(jobs: Sequence[CollectionJob], workers: int, advance: Callable[[int
 
 
 def _run_here(jobs: Sequence[CollectionJob], advance: Callable[[int], None]) -> int:
-    """Spare a process that would first have to load everything anew."""
+    """Run in this process, which has everything imported."""
     finished = 0
 
     def count(episodes: int) -> None:
@@ -232,9 +226,9 @@ def _run_here(jobs: Sequence[CollectionJob], advance: Callable[[int], None]) -> 
 
 
 def run_job(job: CollectionJob, count: Callable[[int], None] | None = None) -> int:
-    """Simulate and write one job; returns the number of probes drawn again.
+    """Simulate and write one job; return the number of repeated probes.
 
-    ``count`` gets the size of each batch; without it the counter of this worker does.
+    ``count`` gets the size of each batch; the default is the counter of this worker.
     """
     batches: list[EpisodeBatch] = []
     for batch in simulate_episodes(job.plan, job.grips):
@@ -248,7 +242,7 @@ _finished: Synchronized[int] | None = None
 
 
 def _count_in(finished: Synchronized[int]) -> None:
-    """Let this worker count its episodes in the parent's counter (set once, as it starts)."""
+    """Set the shared episode counter of this worker (pool initializer)."""
     global _finished
     _finished = finished
 

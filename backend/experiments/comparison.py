@@ -1,11 +1,10 @@
-"""Comparison of strategies as tables and a page.
+"""Comparison of strategies as tables and a report.
 
-The share tells how far a strategy gets from the paper's method to the oracle.
-
-One oracle knows the outline of the bottom, the other only that it is round. A share counts only the
-trials and groups that paper, strategy and oracle have in common. Its interval is that of a
-bootstrap over seeds within each cell, the three always drawn together (Efron and Tibshirani, An
-Introduction to the Bootstrap, 1993, ch. 13).
+The oracle share is the improvement of a strategy over the paper's method, relative to that of the
+oracle. One oracle knows the outline of the bottom, the other only that it is round. A share counts
+the trials and groups that paper, strategy and oracle have in common. Its interval is a bootstrap
+over seeds within each cell, the three always drawn together (Efron and Tibshirani, An Introduction
+to the Bootstrap, 1993, ch. 13).
 """
 
 from __future__ import annotations
@@ -41,18 +40,17 @@ from touchdown.backend.jobs import JobSpec, JobStore
 PAPER = "paper"
 BOOTSTRAP_DRAWS, INTERVAL_PERCENTILES = 4000, (2.5, 97.5)
 Json = dict[str, Any]
-CountFunction = Callable[[Json], Sequence[float]]
-"""What one trial or answer adds to some sums."""
+CountFunction = Callable[[Json], Sequence[float]]  # contribution of one trial or group to some sums
 
 
 def oracle_shares(
     trials: Mapping[Cell, Sequence[Json]], answers: Mapping[Cell, Mapping[int, Json]]
 ) -> list[Json]:
-    """Return one row per strategy beside paper and ceiling, and per quantity; ``to`` which ceiling.
+    """Return one row per strategy, oracle (``to``) and quantity.
 
     ``trials``: finished trials of each cell; ``answers``: finished groups, by the seed of the
-    first of them. ``share`` is None where the ceiling is no better than the paper, its interval
-    where that is so in more draws than lie beyond one end of it.
+    first. ``share`` is None if the oracle is not better than the paper; its interval is None if
+    that happens in more bootstrap draws than lie beyond one end of it.
     """
     rows = []
     by_seed = {cell: {t["seed"]: t for t in some} for cell, some in trials.items()}
@@ -69,15 +67,16 @@ def oracle_shares(
 
 
 def quantity_label(row: Mapping[str, Any]) -> str:
-    """Return what a row is about, and which ceiling is meant if not the highest."""
+    """Return the quantity of a row, with the oracle if it is not the first one."""
     to = row.get("to", ORACLES[0])
     return str(row["what"]) if to == ORACLES[0] else f"{row['what']}, to {to}"
 
 
 def merged_oracle_shares(stored: Sequence[tuple[str, Mapping[str, Any]]]) -> list[Json]:
-    """Return the rows over several ``beyond.json``: what each is called, and its content.
+    """Return the rows over several named ``beyond.json``.
 
-    Raises ``InputError`` where two of them hold the same cell of a strategy, or another bench.
+    Raises ``InputError`` if two of them contain the same cell of a strategy, or differ in the
+    bench.
     """
     trials: dict[Cell, list[Json]] = {}
     answers: dict[Cell, dict[int, Json]] = {}
@@ -94,7 +93,7 @@ def merged_oracle_shares(stored: Sequence[tuple[str, Mapping[str, Any]]]) -> lis
 
 
 def _compared_pairs(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
-    """Return who is asked on the way to which ceiling."""
+    """Return pairs of strategy and oracle."""
     names = dict.fromkeys(strategy for strategy, _, _ in found)
     if PAPER not in names:
         return []
@@ -105,7 +104,7 @@ def _compared_pairs(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
 def _shared(
     found: Mapping[Cell, Mapping[int, Json]], name: str, to: str
 ) -> list[list[tuple[Json, ...]]]:
-    """Return by cell what paper, ``name`` and the ceiling have in common, in this order."""
+    """Return by cell the common results of paper, ``name`` and oracle, in this order."""
     cells = []
     for piece, bottom in dict.fromkeys((p, b) for _, p, b in found):
         three = [found.get((s, piece, bottom), {}) for s in (PAPER, name, to)]
@@ -116,7 +115,7 @@ def _shared(
 
 
 def _counted(cells: Sequence[Sequence[tuple[Json, ...]]], count: CountFunction) -> list[FloatArray]:
-    """Return for each cell (seeds, 3, sums)."""
+    """Return an array (seeds, 3, sums) per cell."""
     return [
         np.array([[count(one) for one in three] for three in cell], dtype=np.float64)
         for cell in cells
@@ -176,7 +175,7 @@ def _row(
 
 
 def _share_of_way(values: FloatArray, *, upwards: bool) -> FloatArray:
-    """Return the share (...) of values (..., 3); NaN where the ceiling is no better."""
+    """Return the shares (...) of values (..., 3); NaN if the oracle is not better."""
     paper, own, ceiling = np.moveaxis(values, -1, 0)
     way = ceiling - paper
     better = way > 0.0 if upwards else way < 0.0
@@ -184,7 +183,7 @@ def _share_of_way(values: FloatArray, *, upwards: bool) -> FloatArray:
 
 
 def _bootstrap_sums(counts: Sequence[FloatArray]) -> FloatArray:
-    """Return (draws, 3, sums): seeds of every cell drawn again, with replacement."""
+    """Return (draws, 3, sums) over resampled seeds of every cell."""
     rng = np.random.Generator(np.random.PCG64(993))
     total = np.zeros((BOOTSTRAP_DRAWS, *counts[0].shape[1:]))
     for cell in counts:
@@ -195,7 +194,7 @@ def _bootstrap_sums(counts: Sequence[FloatArray]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class StrategyComparison:
-    """Closed loops and, where ``said`` is given, what is said before a release."""
+    """Closed loops ``loops`` and optional verdicts on groups ``said``."""
 
     loops: ClosedLoopComparison
     said: StaticComparison | None = None
@@ -205,7 +204,7 @@ class StrategyComparison:
         return [*self.loops.jobs(), *(self.said.jobs() if self.said else ())]
 
     def effort(self, spec: JobSpec) -> int:
-        """Return how long a job takes compared with others."""
+        """Return the relative duration of a job."""
         return (
             ClosedLoopComparison.effort(spec)
             if spec.kind == "beyond"
@@ -213,7 +212,7 @@ class StrategyComparison:
         )
 
     def answer(self, store: JobStore) -> Json:
-        """Return all that is finished by now."""
+        """Return all finished results."""
         found = self.loops.table(store)
         answers = self.said.answers(store) if self.said else {}
         found["gaps"] = oracle_shares(self.loops.trials_of(store), answers)
@@ -223,7 +222,7 @@ class StrategyComparison:
 
 
 def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
-    """Return the tables of an answer; without groups or a ceiling there are fewer."""
+    """Return the tables of a result: two more with groups, one more with an oracle."""
     found = [
         ReportTable.of_texts(
             "Closed loop, simulated; 95 % intervals",
@@ -263,7 +262,7 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
 
 
 def oracle_share_table(rows: Sequence[Json]) -> ReportTable:
-    """Return the table of the shares of the way to the ceiling."""
+    """Return the table of the oracle shares."""
     return ReportTable.of_texts(
         "Share of the way from paper to ceiling, what all three did; 95 % intervals over seeds",
         ("strategy", "of", "n", "paper %", "own %", "ceiling %", "share %"),
@@ -330,7 +329,7 @@ def _format_number(value: float | None) -> str:
 
 
 def comparison_report(answer: Mapping[str, Any]) -> Report:
-    """Return the report on an answer of ``touchdown experiment beyond``."""
+    """Return the report on a result of ``touchdown experiment beyond``."""
     text = (
         "Closed loops count every trial, whatever its outcome; unsafe: fell or knocked over; "
         "spare: probes beyond the least number, median. Towers: the upper bottom stands off the "

@@ -1,7 +1,8 @@
-"""A report as a document of sections, tables and pictures, rendered as one HTML page.
+"""Reports of sections, tables and pictures, rendered as one HTML page or as Markdown tables.
 
-Charts are SVG text drawn from numbers alone. SVG that comes from a file is checked: one element
-that draws and loads nothing. The Review workspace shows the same document.
+All report pages of the experiments use ``Report`` and ``report_page``; the Review workspace shows
+the same values. Charts are SVG text. SVG from a file is checked: one element without scripts and
+external references.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ SIMULATED = "SIMULATED BENCH: no robot moved for these figures"
 
 @dataclass(frozen=True, slots=True)
 class TableEntry:
-    """One cell of a table: a value, its 95 % interval, lines below, and where it comes from.
+    """A table cell: value, 95 % interval, lines below, and origin.
 
-    ``jobs``: folders below ``jobs/`` that hold what the cell was made from, none for a cell that is
-    made of others; ``seed``: the first one's.
+    ``jobs``: folders below ``jobs/`` with the underlying results, none for a derived cell;
+    ``seed``: seed of the first one.
     """
 
     value: str
@@ -38,7 +39,7 @@ class TableEntry:
 
     @property
     def trace(self) -> str:
-        """Say where the cell comes from; "" for one that is made of others."""
+        """Origin of the cell as text; "" for a derived cell."""
         if not self.jobs:
             return ""
         more = "" if len(self.jobs) == 1 else f" and {len(self.jobs) - 1} more"
@@ -76,7 +77,7 @@ class ReportTable:
 
 @dataclass(frozen=True, slots=True)
 class ReportPicture:
-    """``svg``: one element that needs nothing beside it; ``note`` stands below."""
+    """A picture: one self-contained ``svg`` element, with ``title`` and ``note``."""
 
     svg: str
     title: str = ""
@@ -85,7 +86,7 @@ class ReportPicture:
 
 @dataclass(frozen=True, slots=True)
 class PictureGallery:
-    """Pictures side by side, with a line below them."""
+    """Pictures side by side, with text above and a line below."""
 
     title: str
     pictures: tuple[ReportPicture, ...]
@@ -95,7 +96,7 @@ class PictureGallery:
 
 @dataclass(frozen=True, slots=True)
 class ReportSection:
-    """One part of a report: a title, paragraphs, then tables and pictures in order.
+    """One part of a report: title, paragraphs, then tables and galleries in order.
 
     Without a title it continues the section before it.
     """
@@ -118,7 +119,7 @@ class Report:
 def entry_of(
     estimate: Json, printed: float | None = None, notes: tuple[str, ...] = ()
 ) -> TableEntry:
-    """Return a rate of 0..1 in % with its interval; ``printed``: the paper's, said below it."""
+    """Return a rate of 0..1 in % with its interval; ``printed``: the paper's value, shown below."""
     paper = () if printed is None else (f"paper {format_percent(printed)}",)
     return TableEntry(
         format_percent(estimate.get("value")), format_interval(estimate), (*paper, *notes)
@@ -126,19 +127,19 @@ def entry_of(
 
 
 def format_interval(estimate: Json) -> str:
-    """Return the 95 % interval in %, "" without a value."""
+    """Format the 95 % interval in %; "" without a value."""
     if estimate.get("value") is None:
         return ""
     return f"({format_percent(estimate['low'])}-{format_percent(estimate['high'])})"
 
 
 def format_percent(share: float | None) -> str:
-    """Return a share in %, "-" for none."""
+    """Format a share in %; "-" for None."""
     return "-" if share is None else f"{100 * share:.1f}"
 
 
 def format_outcomes(outcomes: Mapping[str, int]) -> str:
-    """Return how many ended as placed / fell / knocked over / gave up / aborted."""
+    """Format the counts as placed / fell / knocked over / gave up / aborted."""
     return " / ".join(str(outcomes.get(outcome.value, 0)) for outcome in Outcome)
 
 
@@ -149,7 +150,7 @@ DATA_URL_PREFIX = "data:image/png;base64,"
 
 
 def check_svg(svg: str) -> str:
-    """Return ``svg`` if it is one element that draws and loads nothing; raises ValueError."""
+    """Return ``svg`` if it is one element without scripts and references; raises ValueError."""
     if "<!" in svg or "<?" in svg:
         raise ValueError("a drawing declares something")
     try:
@@ -171,17 +172,17 @@ def check_svg(svg: str) -> str:
 SIDE = 220
 PAD = 34
 INK, FAINT = "#1B2127", "#C9D0D7"
+# lines and marks; x, y, z where there are three
 BLUE, ORANGE, VIOLET = "#005FCC", "#C04A00", "#3A0D3F"
-"""Of lines and marks: x, y, z where there are three."""
 
 
 def scatter(
     points_mm: FloatArray, values: FloatArray, title: str, unit: str, reach_mm: float
 ) -> str:
-    """Return a map of ``values`` (n,) at ``points_mm`` (n, 2): colour is value, centre is zero.
+    """Return a map of ``values`` (n,) at ``points_mm`` (n, 2), with symmetric colours if signed.
 
-    The scale ends at the 98th percentile of the magnitude, so that single presses do not flatten
-    the rest; signs share one scale.
+    The scale ends at the 98th percentile of the magnitude, so single presses do not flatten the
+    rest.
     """
     top = float(np.percentile(np.abs(values), 98)) or 1.0
     signed = bool((values < 0).any())
@@ -203,7 +204,7 @@ def scatter(
 def reliability_chart(
     promised: Sequence[float], came: Sequence[float], title: str, note: str
 ) -> str:
-    """Return promise against outcome; an honest model lies on the diagonal."""
+    """Return a reliability diagram; a calibrated model lies on the diagonal."""
     place = [(_unit(p), _unit(1.0 - c)) for p, c in zip(promised, came, strict=True)]
     line = " ".join(f"{x:.1f},{y:.1f}" for x, y in place)
     dots = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.5" fill="{BLUE}"/>' for x, y in place)
@@ -233,7 +234,7 @@ def reliability_gallery(
 
 
 def patch_picture(points_mm: FloatArray, patch: NDArray[np.bool_], title: str, note: str) -> str:
-    """Return the face with the points that touch."""
+    """Return the face with the points in contact."""
     reach = float(np.abs(points_mm).max()) + 1.0
     cell = (SIDE - 2 * PAD) / (2.0 * reach)
     cells = [
@@ -245,7 +246,7 @@ def patch_picture(points_mm: FloatArray, patch: NDArray[np.bool_], title: str, n
 
 
 def twin_traces(first: FloatArray, second: FloatArray, title: str, unit: str) -> str:
-    """Return three channels of two presses (20, 3) over the 2 s: full and dashed."""
+    """Return three channels of two presses (20, 3) over 2 s, as full and dashed lines."""
     top = max(float(np.abs(first).max()), float(np.abs(second).max()), 1e-9)
     lines = []
     for values, dash in ((first, ""), (second, ' stroke-dasharray="3 3"')):

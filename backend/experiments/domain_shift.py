@@ -1,9 +1,8 @@
-"""The drop of models and strategies from the simulated bench to the second world, with and without
-domain randomisation.
+"""Change of models and strategies from the simulated bench to the second world.
 
-Domain randomisation trains on probes of which every mounting is a bench of its own: sizes of
-nuisances and laws of gel, grip, contact and friction are drawn for each mounting in wide ranges
-around the given bench. The ranges were chosen by hand and are not fitted to the second world.
+Domain randomisation trains on probes whose mountings are benches with their own settings: nuisance
+sizes and the laws of gel, grip, contact and friction are drawn per mounting from wide ranges around
+the given bench. The ranges were chosen by hand and are not fitted to the second world.
 """
 
 from __future__ import annotations
@@ -38,13 +37,14 @@ from touchdown.backend.experiments.tables import TRAINING_BOTTOMS, paper_trainin
 from touchdown.backend.jobs import JobSpec, JobStore
 from touchdown.backend.learning import DeviceName
 
+# mountings: drawn by the bench; randomised: each with its own nuisance sizes and laws
 CollectionKind = Literal["mountings", "randomised"]
-"""As many mountings of the bench as it draws them; the same, each with its own sizes and laws."""
+# first seed of the mountings, disjoint from the tables; number of seeds per outline
 FIRST_SEED, OUTLINE_SEEDS = 7_000_000, 10_000
-"""Of the mountings, far from the seeds of all tables; each outline has so many."""
 PROBES, PROBES_PER_GRIP, GRIPS_PER_MOUNTING, EPOCHS = 2000, 5, 10, 30
-NUISANCE_FACTORS = (0.5, 2.0)
-"""Every nuisance is so many times as large as on the bench."""
+NUISANCE_FACTORS = (0.5, 2.0)  # range of the scale of every nuisance
+# Range of the log-uniform factor on a value of the bench (``section.name``); one factor for both
+# numbers of a pair.
 LAW_FACTORS: Mapping[str, tuple[float, float]] = {
     "grasp.shear_n_mm": (0.5, 2.0),
     "grasp.normal_n_mm": (0.5, 2.0),
@@ -60,14 +60,13 @@ LAW_FACTORS: Mapping[str, tuple[float, float]] = {
     "tactile.roll_off_mm": (0.6, 1.6),
     "tactile.dilation": (0.3, 3.0),
 }
-"""Range of the factor by which a value of the bench (``section.name``) is multiplied; both numbers
-of a pair by the same. Chosen by hand, not fitted to anything. All factors are log-uniform."""
-_RNG_STREAM = 993
-"""Keeps these draws apart from those of the bench."""
+_RNG_STREAM = 993  # separates these draws from those of the bench
 
 
 def randomise_bench(bench: SimulationSettings, seed: int) -> SimulationSettings:
-    """Return the bench of the mounting ``seed``: the same for the same ``bench`` and seed."""
+    """Return the randomised bench of the mounting ``seed``; reproducible for the same bench and
+    seed.
+    """
     rng = np.random.default_rng([seed, _RNG_STREAM])
     for nuisance in NUISANCES:
         bench = scale_nuisance(bench, nuisance, _factor(rng, NUISANCE_FACTORS))
@@ -83,8 +82,7 @@ def randomise_bench(bench: SimulationSettings, seed: int) -> SimulationSettings:
 class RandomisedTraining:
     """Jobs of one model: ``probes`` over each training outline, then the paper's training.
 
-    Every job of the collection is one mounting with settings of its own in its spec, so that it
-    needs nothing else.
+    Each collection job is one mounting and holds all its settings in its spec.
     """
 
     bench: SimulationSettings
@@ -102,7 +100,7 @@ class RandomisedTraining:
         return f"{self.inputs} {self.collected}"
 
     def data(self) -> list[JobSpec]:
-        """Return the collection, mounting by mounting."""
+        """Return the collection jobs, one per mounting."""
         size = PROBES_PER_GRIP * GRIPS_PER_MOUNTING
         return [
             self._mounting(FIRST_SEED + OUTLINE_SEEDS * k + first // size, bottom,
@@ -112,7 +110,7 @@ class RandomisedTraining:
         ]  # fmt: skip
 
     def training(self) -> JobSpec:
-        """Return the training."""
+        """Return the training job."""
         settings = paper_training(self.inputs, self.epochs)
         params = {
             "piece": self.piece,
@@ -123,7 +121,7 @@ class RandomisedTraining:
         return JobSpec("train", params, settings.seed, tuple(s.id for s in self.data()), self.code)
 
     def effort(self, spec: JobSpec) -> int:
-        """Return how long a job takes compared with others (unit: that of ``asking.effort``)."""
+        """Return the relative duration of a job (unit of ``evaluation.job_effort``)."""
         if spec.kind == "train":
             return math.ceil(self.probes * self.epochs / 20)
         return int(spec.params["episodes"]) // 2
@@ -158,11 +156,12 @@ Json = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class DomainShift:
-    """What to ask in both worlds. ``models``: name in the tables to the job or file it comes from.
+    """Comparison of the simulated bench with the second world.
 
-    ``trained``: models that are made first, on collections of their own, and asked with the others.
-    Strategies read the first of ``models`` and of each of ``trained``; some read none.
-    ``first``: number of the first group and trial of a cell (choices are made on later ones).
+    ``models``: source (job or file) by name in the tables. ``trained``: models that are trained
+    first, on their own collections. Strategies read the first of ``models`` and each of
+    ``trained``, unless they need no model. ``first``: number of the first group and trial in a
+    cell; models are selected on later ones.
     """
 
     bench: SimulationSettings
@@ -177,7 +176,7 @@ class DomainShift:
     first: int = 0
 
     def jobs(self) -> list[JobSpec]:
-        """Return all jobs: the two worlds take turns, so that what is finished can be compared."""
+        """Return all jobs, alternating between the worlds for comparable partial results."""
         lists = [jobs for _, jobs in self._cells()]
         longest = max(map(len, lists))
         asked = [jobs[k] for k in range(longest) for jobs in lists if k < len(jobs)]
@@ -185,13 +184,13 @@ class DomainShift:
         return made + asked
 
     def effort(self, spec: JobSpec) -> int:
-        """Return how long a job takes compared with others, for the time that is left."""
+        """Return the relative duration of a job."""
         if spec.kind.startswith("asked-"):
             return job_effort(spec)
         return self.trained[0].effort(spec)
 
     def answer(self, store: JobStore) -> Json:
-        """Return what is finished in both worlds, by cell and pooled over bottoms."""
+        """Return the finished results of both worlds, by cell and pooled over bottoms."""
         found: dict[_Cell, list[Json]] = {}
         cells = dict(self._cells())
         for (world, bottom, strategy), jobs in cells.items():
@@ -229,7 +228,6 @@ class DomainShift:
         }  # fmt: skip
 
     def _asked(self) -> dict[str, str]:
-        """Return all models by name, the given ones first."""
         return {**self.models, **{plan.name: plan.training().id for plan in self.trained}}
 
     def _cells(self) -> Iterator[tuple[_Cell, list[JobSpec]]]:
@@ -249,8 +247,7 @@ class DomainShift:
                         yield (world, bottom, word), jobs
 
 
-_Cell = tuple[str, str, str]
-"""World, bottom, and strategy with what it reads ("" for presses)."""
+_Cell = tuple[str, str, str]  # world, bottom, strategy with its model ("" for presses)
 
 
 def _model_names(parts: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -258,7 +255,7 @@ def _model_names(parts: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _changes(found: Mapping[_Cell, Sequence[Json]], bottom: str) -> Iterator[Json]:
-    """Yield by group what each model loses elsewhere, and what one has over another in a world."""
+    """Yield the paired changes per model between worlds and between models in one world."""
     here, there = (found.get((world, bottom, ""), []) for world in WORLDS)
     if not here:
         return
@@ -275,7 +272,7 @@ def _changes(found: Mapping[_Cell, Sequence[Json]], bottom: str) -> Iterator[Jso
 
 
 def press_scores(parts: Sequence[Mapping[str, Any]], model: str) -> Json:
-    """Return what one model says of pressed groups: IoU, points, stability after 1 to 3 probes."""
+    """Return the IoU, point accuracy and stability scores of one model on pressed groups."""
     scores = [part["models"][model] for part in parts]
     figures: Json = {
         name: estimate_mean([value for s in scores for value in s[name]]).as_json()
@@ -294,7 +291,7 @@ def press_scores(parts: Sequence[Mapping[str, Any]], model: str) -> Json:
 
 
 def press_rows(answer: Json) -> list[tuple[str, ...]]:
-    """Return model and bottom with IoU and stability: on the bench, elsewhere, and the drop."""
+    """Return rows of IoU and stability by model and bottom: bench, second world, difference."""
     cells = {(c["model"], c["bottom"], c["world"]): c for c in answer["presses"]}
     rows = []
     for model, bottom in dict.fromkeys((m, b) for m, b, _ in cells):
@@ -308,13 +305,14 @@ def press_rows(answer: Json) -> list[tuple[str, ...]]:
                 format_interval(get(there)),
                 format_drop(get(here), get(there)),
             ]
-        unsafe = [format_percent(c["stable_1"]["unsafe"]["value"]) for c in (here, there)]
+        shares = [c["stable_1"]["unsafe"]["value"] for c in (here, there)]
+        unsafe = ["" if share is None else f"{100 * share:.0f}" for share in shares]
         rows.append((*row, " / ".join(unsafe)))
     return rows
 
 
 def change_rows(answer: Json) -> list[tuple[str, ...]]:
-    """Return each paired change: what is compared, on which bottom, points, number of groups."""
+    """Return one row per paired change: comparison, bottom, points, number of groups."""
     rows: list[tuple[str, ...]] = []
     for change in answer["changes"]:
         old, new = change["from"], change["to"]
@@ -324,7 +322,9 @@ def change_rows(answer: Json) -> list[tuple[str, ...]]:
 
 
 def trial_rows(answer: Json) -> list[tuple[str, ...]]:
-    """Return strategy and bottom with trials placed and unsafe: here, elsewhere, and the drop."""
+    """Return rows of placed and unsafe trials by strategy and bottom: bench, second world,
+    difference.
+    """
     cells = {(c["strategy"], c["bottom"], c["world"]): c for c in answer["trials"]}
     rows = []
     for strategy, bottom in dict.fromkeys((s, b) for s, b, _ in cells):
@@ -343,7 +343,7 @@ def trial_rows(answer: Json) -> list[tuple[str, ...]]:
 
 
 def format_interval(estimate: Json) -> str:
-    """Write an estimate in per cent with its interval; "" without one."""
+    """Format an estimate in percent with its interval; "" without a value."""
     if estimate["value"] is None:
         return ""
     value, low, high = (100 * estimate[key] for key in ("value", "low", "high"))
@@ -351,15 +351,10 @@ def format_interval(estimate: Json) -> str:
 
 
 def format_drop(here: Json, there: Json) -> str:
-    """Write by how many points the second falls short of the first."""
+    """Format the difference of two estimates in points."""
     if here["value"] is None or there["value"] is None:
         return ""
     return f"{100 * (there['value'] - here['value']):+.1f}"
-
-
-def format_percent(value: float | None) -> str:
-    """Write a share in per cent."""
-    return "" if value is None else f"{100 * value:.0f}"
 
 
 def _iou(cell: Json) -> Json:

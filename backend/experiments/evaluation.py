@@ -1,9 +1,8 @@
 """Evaluation of existing models and strategies on another bench or in the second world.
 
-There are two kinds of jobs: groups of presses, and whole trials. A bench is any settings of the
-simulated one, or the second world with these settings; seeds and draws are the same in both.
-``NUISANCES`` names what differs between mountings, grippings and probes, and ``scale_nuisance``
-makes one of them larger or smaller.
+There are two kinds of jobs: groups of presses, and whole trials. Seeds and draws are the same on
+every bench. ``NUISANCES`` lists the quantities that differ between mountings, grippings and probes;
+``scale_nuisance`` scales one of them.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ FOUNDATION = "face.foundation_range_n_mm3"
 
 @dataclass(frozen=True, slots=True)
 class Nuisance:
-    """``keys`` of the settings that grow together; ``limit``: where all draws end."""
+    """A nuisance of the bench. ``keys``: settings scaled together; ``limit``: bound of draws."""
 
     name: str
     title: str
@@ -41,6 +40,7 @@ class Nuisance:
     limit: str = ""
 
 
+# Quantities that differ between mountings, grippings or probes.
 NUISANCES = (
     Nuisance("tilt", "Tilt of the board", ("spread.tilt_rad",), "0.02 rad"),
     Nuisance("grasp-offset", "Grasp offset", ("spread.grasp_offset_mm",), "2 mm"),
@@ -62,16 +62,14 @@ NUISANCES = (
     Nuisance("wrist-noise", "Wrist white noise", ("wrist.white_n", "wrist.white_nm")),
     Nuisance("wrist-drift", "Wrist drift", ("wrist.drift_n_sqrt_min", "wrist.drift_nm_sqrt_min")),
 )
-"""All that differs between mountings, grippings or probes. What is fixed (support friction, mean
-frictions and stiffnesses, rates) is no nuisance."""
 
 
 def scale_nuisance(
     settings: SimulationSettings, nuisance: Nuisance, factor: float
 ) -> SimulationSettings:
-    """Return the bench with one nuisance ``factor`` times as large.
+    """Return the bench with one nuisance scaled by ``factor``.
 
-    A log-uniform range keeps its middle. A range that is not there stays so.
+    A log-uniform range keeps its middle. An absent range stays absent.
     """
     if factor == 1.0:
         return settings
@@ -95,16 +93,14 @@ def _times(value: Any, factor: float) -> Any:
 WORLDS: dict[str, type[BatchedTrials]] = {"bench": BatchedTrials, "elsewhere": SecondWorldTrials}
 PRESSES_SEED, TRIALS_SEED = 5_000_000, 6_000_000
 GROUPS_PER_JOB, PROBES, TRIALS_PER_JOB = 10, 3, 2
-EVALUATED_STRATEGIES = ("paper", "fused", "zero-wrench")
-"""What can be asked; the last two read no model of a piece."""
-SLIPPED_MM = 0.02
-"""A pad that moved by more than this in one press has slipped."""
+EVALUATED_STRATEGIES = ("paper", "fused", "zero-wrench")  # the last two use no model of a piece
+SLIPPED_MM = 0.02  # larger motions of a pad in one press are slip
 Json = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class EvaluationBench:
-    """Where something is asked: a ``world`` (a name of ``WORLDS``) with the settings of a bench.
+    """Bench of an evaluation: a ``world`` (a name of ``WORLDS``) and settings.
 
     ``first``: number of the first group or trial in each cell.
     """
@@ -117,7 +113,7 @@ class EvaluationBench:
 def press_jobs(
     place: EvaluationBench, pair: tuple[str, str], models: Mapping[str, str], groups: int, code: str
 ) -> list[JobSpec]:
-    """Return the jobs of ``groups`` groups of a (piece, bottom); ``models``: name to its job."""
+    """Return the jobs of ``groups`` groups of a (piece, bottom); ``models``: source by name."""
     return [
         JobSpec(
             "asked-presses",
@@ -137,7 +133,7 @@ def press_jobs(
 def trial_jobs(
     place: EvaluationBench, pair: tuple[str, str], strategy: tuple[str, str], trials: int, code: str
 ) -> list[JobSpec]:
-    """Return the jobs of ``trials`` trials; ``strategy``: its name, and the job of its model."""
+    """Return the jobs of ``trials`` trials; ``strategy``: its name, and the source of its model."""
     network = network_params(strategy[0], StackSettings())
     return [
         JobSpec(
@@ -157,7 +153,7 @@ def trial_jobs(
 
 
 def job_effort(spec: JobSpec) -> int:
-    """Return how long a job takes compared with others, for the time that is left."""
+    """Return the relative duration of a job."""
     p = spec.params
     slow = 4 if p["world"] == "elsewhere" else 1
     return slow * (int(p["groups"]) * PROBES if "groups" in p else 5 * int(p["trials"]))
@@ -188,7 +184,7 @@ def evaluate_presses(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
 
 def evaluate_trials(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
-    """Run some trials of one strategy; every trial counts, whatever its outcome."""
+    """Run trials of one strategy; every trial counts."""
     p, case = spec.params, _case(spec)
     use_one_thread()
     scenes = [scene for k in range(p["trials"]) if (scene := start_scene(case, spec.seed + k))]

@@ -1,15 +1,14 @@
-"""Learned fusion: simulated sequences of probes, training of the network, and trials that set its
-release threshold.
+"""Learned fusion: simulated probe sequences, training of the network, release threshold.
 
-A sequence is one gripping on one mounting, whose tilt and grasp stay the same from probe to probe.
-Most sequences step as a trial does, by at most 3 mm towards where the press acted; the others probe
-anywhere. Bottoms are circles, rectangles up to 1.5 to 1, rounded ones and random convex polygons,
-turned at random. An outline that covers a held-out one by more than ``SIMILAR_IOU`` (intersection
-over union, centroids on each other, best of many turns) is drawn again.
+A sequence is one gripping on one mounting with constant tilt and grasp. Most sequences step as a
+trial does, by at most 3 mm towards the centre of pressure; the others probe at random places.
+Bottoms are circles, rectangles up to 1.5 to 1, rounded rectangles and random convex polygons in
+random orientations. An outline that overlaps a held-out one by more than ``SIMILAR_IOU``
+(intersection over union, aligned centroids, best of many orientations) is drawn again.
 
-Trials for the release threshold never release: after every press the strategy moves on, and its
-belief about the centre of mass is kept beside the truth, so that all thresholds are compared on the
-same trials. They use neither bottoms nor seeds of the tables. Imports torch.
+Trials for the release threshold never release: the strategy moves on after every press, and its
+belief about the centre of mass is stored with the truth, so that all thresholds are compared on the
+same trials. They use no bottoms or seeds of the tables. Imports torch.
 """
 
 from __future__ import annotations
@@ -89,18 +88,16 @@ UNSEEN_BOTTOMS = ("short", "long", "hex20", "rect12x28")
 UNSEEN_PIECES = ("pot", "barrel", "mushroom")
 SIMILAR_IOU = 0.90
 ROTATIONS = 36
-SIZES_MM = (8.0, 32.0)
-"""Mean diameter of a bottom."""
+SIZES_MM = (8.0, 32.0)  # mean diameter of a bottom
 FACES_MM = (10.0, 30.0)
 MAX_ASPECT_RATIO = 1.5
 WIDTH_MM, HEIGHT_MM = 30.0, 20.0
-HEIGHTS_MM, MASSES_G = (15.0, 45.0), (15.0, 60.0)
-"""Of bottoms that stand free."""
+HEIGHTS_MM, MASSES_G = (15.0, 45.0), (15.0, 60.0)  # of free bottoms
 
 
 @dataclass(frozen=True, slots=True)
 class ShapeFamily:
-    """Draws outlines that resemble none of ``unseen_bottoms``, faces none of ``unseen_faces``."""
+    """Random outlines that resemble none of ``unseen_bottoms`` and no face of ``unseen_faces``."""
 
     unseen_bottoms: tuple[Outline, ...]
     unseen_faces: tuple[Outline, ...]
@@ -119,8 +116,8 @@ class ShapeFamily:
         )
 
     def bottom(self, rng: np.random.Generator, *, free: bool = False) -> Body:
-        """Return a bottom that is fixed to the table; or a free one, which rocks and slides and
-        takes several times longer.
+        """Return a random bottom: fixed to the table, or free to rock and slide, which is several
+        times slower.
         """
         face = _draw_outline(rng, SIZES_MM, self.unseen_bottoms)
         if not free:
@@ -129,7 +126,7 @@ class ShapeFamily:
         return Body("bottom", face, face, height, mass, 0.5 * height)
 
     def piece(self, rng: np.random.Generator) -> Piece:
-        """Return a piece: face, grip height, and a centre of mass up to 2 mm off the middle."""
+        """Return a random piece: face, grip height and a centre of mass within 2 mm."""
         face = _draw_outline(rng, FACES_MM, self.unseen_faces, round_share=0.5)
         reach = 2.0 * float(rng.random()) * bool(rng.random() < 0.5)
         angle = float(rng.uniform(0.0, 2.0 * pi))
@@ -154,7 +151,9 @@ class ShapeFamily:
 
 
 def similarity(first: Outline, second: Outline) -> float:
-    """Return the intersection over union of two outlines, centroids aligned, best of many turns."""
+    """Return the intersection over union of two outlines: aligned centroids, best of many
+    orientations.
+    """
     a, b = _centred(first.polygon(48)), _centred(second.polygon(48))
     angles = 2.0 * pi * np.arange(ROTATIONS) / ROTATIONS
     turns = np.stack([rotated(b, float(angle)) for angle in angles])
@@ -163,13 +162,15 @@ def similarity(first: Outline, second: Outline) -> float:
 
 
 def is_similar(first: Outline, second: Outline) -> bool:
-    """Whether the likeness exceeds ``LIKE``; no more can be common than the smaller one covers."""
+    """Return True if the similarity exceeds ``SIMILAR_IOU``; areas that differ too much decide
+    early.
+    """
     areas = sorted((first.area_mm2, second.area_mm2))
     return areas[0] > SIMILAR_IOU * areas[1] and similarity(first, second) > SIMILAR_IOU
 
 
 def area_mm2(polygon_mm: FloatArray) -> float:
-    """Return the area of a polygon (k, 2) in order."""
+    """Return the area of an ordered polygon (k, 2)."""
     x, y = polygon_mm.T
     return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
@@ -188,7 +189,7 @@ def _draw_outline(
 
 
 def _polygon(rng: np.random.Generator, size_mm: float) -> Outline | None:
-    """Return a rectangle, a rounded one or a random convex polygon of that mean diameter."""
+    """Return a rectangle, a rounded one or a random convex polygon of the given mean diameter."""
     kind = int(rng.integers(3))
     ratio = float(rng.uniform(1.0, MAX_ASPECT_RATIO)) ** 0.5
     if kind < 2:
@@ -217,7 +218,6 @@ def _circle_points(count: int) -> FloatArray:
 
 
 def _centred(polygon_mm: FloatArray) -> FloatArray:
-    """Return a polygon with its centroid at (0, 0)."""
     if len(polygon_mm) < 3:
         return polygon_mm
     x, y = polygon_mm.T
@@ -228,8 +228,8 @@ def _centred(polygon_mm: FloatArray) -> FloatArray:
 
 PROBES = 5
 MAX_STEP_MM = 3.0
+# share of sequences at random places; share of steps in a random direction
 RANDOM_SEQUENCE_SHARE, RANDOM_STEP_SHARE = 0.25, 0.2
-"""Share of sequences that probe anywhere; share of steps in any direction."""
 AIM_SD_MM = 2.0
 MAX_ATTEMPTS = 4
 CORNERS = 128
@@ -239,9 +239,9 @@ _DRAWS = 79
 
 
 def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
-    """Press sequences of ``pieces`` random pieces, each over bottoms of its own; one file.
+    """Simulate sequences of ``pieces`` random pieces, each over its own bottoms, into one file.
 
-    ``free``: the bottoms rock and slide, as in a trial; ``probes``: how many a sequence has.
+    ``free``: the bottoms rock and slide, as in a trial; ``probes``: length of a sequence.
     """
     p, catalogue = spec.params, load_pieces()
     settings = parse_settings(SimulationSettings, p["bench"], "job")
@@ -265,21 +265,21 @@ def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
 
 class MixedBottomLockstep(BatchedTrials):
-    """Trials over bottoms of their own, all fixed to the table or none of them."""
+    """Trials over different bottoms, either all fixed to the table or all free."""
 
     @staticmethod
     def shared(scene: Scene) -> tuple[object, ...]:
-        """Return what must be the same in all scenes."""
+        """Return the quantities that are equal in all scenes."""
         return scene.piece, scene.settings, scene.bottoms.bodies[-1].fixed
 
     def surfaces(self, rows: NDArray[np.intp]) -> Region:
-        """Return the outline of each trial's own bottom."""
+        """Return the outline of each trial's bottom."""
         return _OutlinePerTrial(tuple(self.scenes[row].surface for row in rows.tolist()))
 
 
 @dataclass(frozen=True, slots=True)
 class _OutlinePerTrial:
-    """An outline of its own under each face."""
+    """One outline per face of the batch."""
 
     each: tuple[Outline, ...]
 
@@ -296,13 +296,13 @@ def simulate_sequences(
     rng: np.random.Generator,
     probes: int = PROBES,
 ) -> dict[str, NDArray[Any]]:
-    """Return s sequences of one piece as arrays, one row for each of ``bottoms``.
+    """Return s sequences of one piece as arrays, one row per element of ``bottoms``.
 
-    ``wrench`` (s, P, T, 6) in N and N·m, ``field`` (s, P, T, 252) in px at ``TICKS``,
-    ``offset_mm`` commanded and ``true_mm`` (s, P, 2), the latter from where the bottom has slid
-    to, ``count`` (s,): how many of P = ``probes`` a sequence has, the rest is zero.
-    ``support_mm`` (s, 128, 2): outline of the bottom, its last corner repeated; ``reach_mm``
-    (s, 16), ``com_mm`` (s, 2), ``grip_height_mm`` (s,): the face.
+    ``wrench`` (s, P, T, 6) in N and N·m, ``field`` (s, P, T, 252) in px at ``TICKS``, ``offset_mm``
+    commanded and ``true_mm`` (s, P, 2), the latter relative to the displaced bottom, ``count``
+    (s,): number of valid probes of P = ``probes``; the rest is zero. ``support_mm`` (s, 128, 2):
+    outline of the bottom, its last corner repeated; ``reach_mm`` (s, 16), ``com_mm`` (s, 2),
+    ``grip_height_mm`` (s,): the face.
     """
     scenes = [
         Scene(piece, Tower((bottom,)), (0.0, 0.0), seed, settings)
@@ -353,9 +353,9 @@ def simulate_sequences(
 
 
 def next_places(last: FloatArray, acted: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return (n, 2) places after a step from ``last``: about to where the press acted, or astray.
+    """Return (n, 2) places after a step from ``last``: towards the centre of pressure, or random.
 
-    Nothing but what was felt decides: a step that knew the truth would tell it to the network.
+    The step depends on measured signals only; otherwise it would reveal the truth to the network.
     """
     n = len(last)
     aim = rng.uniform(0.5, 1.5, (n, 1)) * acted + AIM_SD_MM * rng.standard_normal((n, 2))
@@ -369,14 +369,14 @@ def next_places(last: FloatArray, acted: FloatArray, rng: np.random.Generator) -
 
 
 def corners_mm(outline: Outline) -> NDArray[np.float32]:
-    """Return (128, 2) corners of an outline, the last one repeated where it has fewer."""
+    """Return the (128, 2) corners of an outline, the last one repeated as padding."""
     polygon = outline.polygon(CORNERS)
     filled = np.repeat(polygon[-1:], CORNERS - len(polygon), axis=0)
     return np.concatenate([polygon, filled]).astype(np.float32)
 
 
 def load_sequences(folders: Sequence[Path]) -> dict[str, NDArray[Any]]:
-    """Return the sequences of all folders, joined in order; shorter ones end in zeros."""
+    """Return the sequences of all folders, joined in order and padded with zeros."""
     parts = [dict(np.load(folder / DATA)) for folder in folders]
     longest = max(part["true_mm"].shape[1] for part in parts)
     for part in parts:
@@ -387,13 +387,13 @@ def load_sequences(folders: Sequence[Path]) -> dict[str, NDArray[Any]]:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
+# Free bottoms of 30 mm and 30 g, none of the tables.
 THRESHOLD_BOTTOMS: Mapping[str, Outline] = {
     "disc 22": circle(22.0),
     "square 17": square(17.0),
     "disc 16": circle(16.0),
     "rectangle 13 x 19": rectangle(13.0, 19.0),
 }
-"""Free ones of 30 mm and 30 g, none of them of the tables."""
 WEIGHTS = "fused.safetensors"
 THRESHOLD_PIECES = ("mushroom", "barrel", "pot")
 THRESHOLD_SEED, CELL_SEEDS = 45_000_000, 10_000
@@ -407,7 +407,7 @@ Json = dict[str, Any]
 def threshold_jobs(
     bench: SimulationSettings, code: str, network: str, trials: int
 ) -> list[JobSpec]:
-    """Return the jobs of ``trials`` trials of every piece on every bottom, a few at a time."""
+    """Return the jobs of ``trials`` trials of every piece on every bottom."""
     return [
         JobSpec(
             "fused-trials",
@@ -428,7 +428,7 @@ def threshold_jobs(
 
 
 def fused_trials(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
-    """Run some trials of one piece on one bottom with the network of the input job."""
+    """Run trials of one piece on one bottom with the network of the input job."""
     use_one_thread()
     weights = place.store.folder(spec.inputs[0]) / WEIGHTS
     bench = parse_settings(SimulationSettings, spec.params["bench"], "job")
@@ -438,7 +438,7 @@ def fused_trials(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
 
 def held_out_setup(piece: str, bottom: str, bench: SimulationSettings) -> SceneSetup:
-    """Return a piece of the catalogue over one of ``BOTTOMS``."""
+    """Return a piece of the catalogue over one of ``THRESHOLD_BOTTOMS``."""
     catalogue = load_pieces()
     face = THRESHOLD_BOTTOMS[bottom]
     below = replace(catalogue.bottom("short"), name="own", face=face, upper=face, lower=face)
@@ -446,9 +446,9 @@ def held_out_setup(piece: str, bottom: str, bench: SimulationSettings) -> SceneS
 
 
 def record_trials(case: SceneSetup, seeds: Sequence[int], weights: Path) -> list[Json]:
-    """Run one trial for each of ``seeds``; each press with what was said and what was true.
+    """Run one trial per seed; record each press with belief and truth.
 
-    ``exceeds``: how likely the centre of mass lies further in than each of ``INSETS_MM``.
+    ``exceeds``: probability that the centre of mass lies further inside than each of ``INSETS_MM``.
     """
     scenes = [scene for seed in seeds if (scene := start_scene(case, seed)) is not None]
     never = FusedSettings(weights=str(weights), inset_mm=NEVER_MM)
@@ -464,14 +464,14 @@ def record_trials(case: SceneSetup, seeds: Sequence[int], weights: Path) -> list
 
 
 class RecordingFusedStrategy(FusedStrategy):
-    """Notes after each press how likely the centre of mass lies how far in the support."""
+    """Fused strategy that records the inset probabilities of the centre of mass."""
 
     def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:
         super().__init__(held, settings, origin_mm)
         self.said: list[list[float]] = []
 
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
-        """Conclude as ever, and note."""
+        """Return the decision of the fused strategy and record its belief."""
         found = super().conclude(touched)
         inset = self.inset_at(touched.offset_mm)
         if inset is not None:
@@ -491,14 +491,14 @@ def _trial_record(case: SceneSetup, end: BatchTrialResult, said: Sequence[Sequen
 
 
 def threshold_counts(trials: Sequence[Json]) -> list[Json]:
-    """Return the counts under every rule: ``risk`` and how far inside the centre must lie."""
+    """Return the outcome counts for every rule: ``risk`` and required inset."""
     return [
         count_under_threshold(trials, risk, at) for at in range(len(INSETS_MM)) for risk in RISKS
     ]
 
 
 def count_under_threshold(trials: Iterable[Json], risk: float, at: int) -> Json:
-    """Count what would have come of the trials under one rule, ``INSETS_MM[at]`` and ``risk``."""
+    """Count the outcomes of the trials under one rule, ``INSETS_MM[at]`` and ``risk``."""
     placed, unsafe, other, probes = 0, 0, 0, 0
     for trial in trials:
         steps = enumerate(trial["steps"], start=1)
@@ -520,10 +520,8 @@ def count_under_threshold(trials: Iterable[Json], risk: float, at: int) -> Json:
     }
 
 
-FIRST_SEED, SEEDS_PER_JOB = 40_000_000, 1000
-"""Far from the seeds of all tables."""
-HELD_OUT = 16
-"""One job in so many of each portion is held out: other pieces, bottoms, mountings."""
+FIRST_SEED, SEEDS_PER_JOB = 40_000_000, 1000  # disjoint from the seeds of all tables
+HELD_OUT = 16  # one job in HELD_OUT of each portion is held out: other pieces, bottoms, mountings
 REPORTED = 500
 FAMILY = (
     "faces and bottoms: circles, rectangles up to 1.5 to 1, rounded ones, random convex polygons; "
@@ -535,9 +533,10 @@ STANDS = ("fixed to the table", "most fixed to the table, some free to rock and 
 
 @dataclass(frozen=True, slots=True)
 class DataPortion:
-    """What jobs of one kind press: ``pieces``, over ``bottoms`` of their own, ``probes`` each time.
+    """Kind of collection jobs: ``pieces`` per job, each over its own ``bottoms``, with ``probes``
+    presses.
 
-    ``first``, ``most``: where their stretch of seeds begins, and how many jobs fit in.
+    ``first``: first seed; ``most``: number of jobs that fit into the seed range.
     """
 
     first: int
@@ -545,31 +544,29 @@ class DataPortion:
     pieces: int
     bottoms: int
     probes: int
-    free: bool
-    """Whether the bottoms rock and slide, as in a trial; such a press takes five times longer."""
+    free: bool  # bottoms rock and slide, as in a trial; such a press takes five times longer
 
 
+# The first two are alike, so that two machines can start at once.
 PORTIONS = {
     "short": DataPortion(0, 60, 3, 80, 5, free=False),
     "more": DataPortion(60, 60, 3, 80, 5, free=False),
     "free": DataPortion(500, 100, 8, 30, 8, free=True),
     "long": DataPortion(600, 400, 8, 30, 8, free=False),
 }
-"""By name. The first two are alike: two machines can start at once."""
 COUNTS = {"short": 50, "more": 50}
 
 
 @dataclass(frozen=True, slots=True)
 class FusionRecipe:
-    """So many jobs of each of ``portions``, then a training of so many ``steps``."""
+    """Jobs of each of ``portions``, followed by a training of ``steps`` steps."""
 
     bench: SimulationSettings
     code: str
     counts: Mapping[str, int] = field(default_factory=lambda: COUNTS)
     steps: int = 6000
     seed: int = 0
-    without: InputPart | None = None
-    """What an ablation leaves out."""
+    without: InputPart | None = None  # input left out in an ablation
     device: DeviceName = "auto"
     portions: Mapping[str, DataPortion] = field(default_factory=lambda: PORTIONS)
 
@@ -604,7 +601,7 @@ class FusionRecipe:
 
     @staticmethod
     def effort(spec: JobSpec) -> int:
-        """Return how long a job takes compared with others."""
+        """Return the relative duration of a job."""
         if spec.kind == "sequences":
             return 8 if spec.params["free"] else 1
         if spec.kind == "fused-trials":
@@ -613,7 +610,7 @@ class FusionRecipe:
 
 
 def split_folders(folders: Sequence[Path], counts: Sequence[int]) -> tuple[list[Path], list[Path]]:
-    """Return the folders to train on and those held out: the first of each portion."""
+    """Return the folders for training and those held out: the first of each portion."""
     train: list[Path] = []
     held_out: list[Path] = []
     for end, count in zip(np.cumsum(counts), counts, strict=True):

@@ -1,4 +1,4 @@
-"""Kinds of jobs of the experiments, each a pure function of its spec.
+"""Job kinds of the experiments, each a pure function of its spec.
 
 Imports torch and the simulated bench with its devices.
 """
@@ -68,12 +68,10 @@ from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import BatchPlan, Scene
 from touchdown.backend.simulation import simulate_episodes as simulated
 
-SLIPPED_MM = 0.02
-"""A pad that moved by more than this in one press has slipped."""
+SLIPPED_MM = 0.02  # larger motions of a pad in one press are slip
 GROUPS_AT_ONCE = 50
 PAIRS = 3
-FILMS = 2
-"""Courses of trials that a stacking cell leaves as pictures."""
+FILMS = 2  # number of trials per stacking cell stored as pictures
 
 
 def simulate_collection(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
@@ -138,9 +136,9 @@ def train_model(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
 
 def stability_rows(rows: TrainingRows) -> TrainingRows:
-    """Return the rows with one target each: whether the centre of mass is over the true patch.
+    """Return rows with one target: 1 if the centre of mass is above the true patch.
 
-    Trained on them the same network is the paper's *Implicit* baseline.
+    A network trained on them is the *Implicit* baseline of the paper.
     """
     piece = load_pieces().top(rows.piece)
     points = face_points(piece.face) - np.asarray(piece.com_xy_mm)
@@ -185,7 +183,7 @@ def _scores(checkpoint: Checkpoint, case: SceneSetup, groups: ProbeGroups) -> di
 
 
 def run_stacking(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
-    """Run the trials of one cell; every trial counts, whatever its outcome."""
+    """Run the trials of one cell; every trial counts."""
     p = spec.params
     case = _case(p)
     use_one_thread()
@@ -209,7 +207,9 @@ def run_stacking(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
 
 def _counted(case: SceneSetup, spec: JobSpec) -> tuple[list[Scene], int]:
-    """Return the first scenes in which something can be placed, and how many before had none."""
+    """Return the first scenes with a stable place, and the number of scenes without one before the
+    last.
+    """
     scenes: list[Scene] = []
     left_out = 0
     while len(scenes) < spec.params["trials"]:
@@ -224,7 +224,7 @@ def _counted(case: SceneSetup, spec: JobSpec) -> tuple[list[Scene], int]:
 def run_on_devices(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Run trials of a cell on the stepped bench: devices, rendered images, tracker, interlock.
 
-    The seeds are those that ``stack`` counts: towers that carry nothing are left out here, too.
+    The seeds are those of ``run_stacking``: towers without a stable place are left out here, too.
     """
     p = spec.params
     (source,) = spec.inputs
@@ -241,7 +241,7 @@ def run_on_devices(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         if isinstance(fact, TrialFinished):
             ends.append(fact)
 
-    # A fault ends a run: each trial is a run of its own, so that all of them count.
+    # A fault ends a run, so each trial is a run of its own.
     for scene in _counted(_case(p), spec)[0]:
         session = simulated_session(
             SimulatedBenchChoice(given=_bench(p)), keep=RecordingOptions(None)
@@ -261,7 +261,7 @@ def run_on_devices(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
 
 def describe_signals(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
-    """Describe a small collection: signals over the displacement, and like-feeling presses."""
+    """Describe a small collection: signals over the displacement, and ambiguous presses."""
     facts = simulate_collection(spec, place)
     rows = load_rows(place.folder)
     signals = hold_signals(rows)
@@ -309,7 +309,6 @@ def _bench(params: Mapping[str, Any]) -> SimulationSettings:
 
 
 def _finite(value: float) -> float | None:
-    """Return a margin for JSON: None where nothing is beneath."""
     return round(float(value), 4) if np.isfinite(value) else None
 
 

@@ -1,5 +1,4 @@
-"""Trained models of the experiments: adopted into a job store, loaded, and applied to batches of
-episodes.
+"""Trained models of the experiments: stored in a job store, loaded, and applied to batches.
 
 Imports torch.
 """
@@ -33,10 +32,10 @@ WEIGHTS = "model.safetensors"
 
 
 def adopt_models(store: JobStore, *folders: Path) -> dict[tuple[str, str], str]:
-    """Copy every model of the folders to the store; returns its id there by piece and table name.
+    """Copy every model of the folders to the store; return its id by piece and table name.
 
-    A later folder wins. Raises ``InputError`` for an empty folder, or two models of one folder for
-    the same cells.
+    A later folder takes precedence. Raises ``InputError`` for an empty folder, or for two models of
+    one folder for the same cells.
     """
     found: dict[tuple[str, str], str] = {}
     for folder in folders:
@@ -63,9 +62,10 @@ def _adopted(store: JobStore, folder: Path) -> dict[tuple[str, str], str]:
 
 
 def keep_models(store: JobStore, recipe: Recipe, folder: Path) -> list[Path]:
-    """Write each model that the experiment has trained so far to ``folder``, with 16-bit weights.
+    """Write each trained model of the experiment to ``folder``, with 16-bit weights.
 
-    Named by piece and table name, as ``pot-ft+tac.safetensors``: a folder for ``--models``.
+    The files are named by piece and table name (``pot-ft+tac.safetensors``), as ``--models`` reads
+    them.
     """
     written = []
     for piece in recipe.pieces:
@@ -79,7 +79,7 @@ def keep_models(store: JobStore, recipe: Recipe, folder: Path) -> list[Path]:
 
 
 def load_model(source: str, store: JobStore) -> Checkpoint:
-    """Return the model of job ``source``: trained by it, or adopted under this name."""
+    """Return the model of job ``source``: its training result, or a file adopted under this id."""
     if not store.has(source):
         raise InputError("There is no such model.", source, "Run the campaign from its beginning.")
     return load_checkpoint(store.folder(source) / WEIGHTS)
@@ -96,14 +96,14 @@ def _adopt(store: JobStore, path: Path, weights_sha256: str) -> str:
 
 
 def models_that_ship(preset: str) -> list[Path]:
-    """Return the folders of shipped models, that of models trained on the bench ``preset`` last."""
+    """Return the folders of shipped models; the one trained on the bench ``preset`` comes last."""
     folder = Path(str(files("touchdown.resources"))) / "models"
     own = folder / preset
     return [folder, own] if own.is_dir() else [folder]
 
 
 def batch_model(checkpoint: Checkpoint, piece: Piece) -> BatchModel:
-    """Return ``checkpoint`` for batches; raises ``InputError`` if it is not of ``piece``."""
+    """Return ``checkpoint`` for batches; raises ``InputError`` if it belongs to another piece."""
     card = checkpoint.card
     if card.piece != piece.name or card.geometry != piece.sha256:
         raise InputError(

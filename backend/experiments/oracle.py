@@ -2,10 +2,10 @@
 
 It estimates the place of the piece with an ensemble smoother with multiple data assimilation
 (Emerick and Reynolds, Comput. Geosci. 55 (2013) 3). A hypothesis is a place of the piece over its
-bottom with every nuisance of bench-v1 that changes the signals, in the units in which the bench
-draws it from a standard normal distribution. Sensor errors are those of the bench. The offset that
-the tare leaves on the wrench is unknown in every probe, and a uniform shift of a marker field
-carries no information. For comparison only: it reads the simulation, which no real bench allows.
+bottom with every nuisance of bench-v1 that changes the signals, in standard normal units. Sensor
+errors are those of the bench. The offset of the wrench after the tare is unknown in every probe,
+and a uniform shift of a marker field carries no information. The oracle reads the simulation, so it
+serves comparison only.
 """
 
 from __future__ import annotations
@@ -58,20 +58,18 @@ from touchdown.backend.simulation import (
 )
 
 _Point = tuple[float, float]
-DIAMETERS_MM = (10.0, 30.0)
-"""Of a round bottom whose diameter is not known."""
+DIAMETERS_MM = (10.0, 30.0)  # of a round bottom with unknown diameter
 SHIFT_X, SHIFT_Y, TILT_X, TILT_Y, STIFFNESS, GEL, MU_GRIP, GRIP, GRASP_X, GRASP_Z = range(10)
 YAW, GAIN_LEFT, GAIN_RIGHT, MU, DIAMETER = range(10, 15)
-NORMAL = slice(TILT_X, DIAMETER + 1)
-"""Columns that are standard normal before any probe."""
+NORMAL = slice(TILT_X, DIAMETER + 1)  # columns that are standard normal before any probe
 COLUMNS = 15
 
 
 @dataclass(frozen=True, slots=True)
 class OracleSetting:
-    """What is known of a trial: bench, piece, and the bottom, whose outline may not be.
+    """Knowledge of the oracle about a trial: bench, piece and bottom.
 
-    ``diameter_known``: else the bottom is round with a diameter within ``DIAMETERS_MM``.
+    If ``diameter_known`` is False, the bottom is round with a diameter within ``DIAMETERS_MM``.
     """
 
     piece: Piece
@@ -83,8 +81,9 @@ class OracleSetting:
 
 @dataclass(frozen=True, slots=True)
 class HypothesisEnsemble:
-    """``value`` (n, 15): columns as named above, the first two in mm: true minus commanded place.
+    """Ensemble of n hypotheses.
 
+    ``value`` (n, 15): columns as named above, the first two in mm: true minus commanded place.
     ``carried``: slip and gel of each gripping so far.
     """
 
@@ -93,15 +92,16 @@ class HypothesisEnsemble:
 
     @property
     def count(self) -> int:
-        """Number n of worlds."""
+        """Number n of hypotheses."""
         return len(self.value)
 
 
 @dataclass(frozen=True, slots=True)
 class PredictedPress:
-    """``observation`` (n, 20, 258) without sensor errors; ``worlds`` after the press.
+    """Predicted signals of one press for n hypotheses.
 
-    ``usable`` (n,): contact was found and the press converged, as in every press that is observed.
+    ``observation`` (n, 20, 258) without sensor errors; ``worlds``: hypotheses after the press;
+    ``usable`` (n,): contact was found and the press converged, as in every recorded press.
     """
 
     observation: NDArray[np.float32]
@@ -112,7 +112,7 @@ class PredictedPress:
 def draw_hypotheses(
     setting: OracleSetting, at_mm: _Point, count: int, rng: np.random.Generator
 ) -> HypothesisEnsemble:
-    """Return worlds before any probe: every place with enough overlap is as likely as any other."""
+    """Return hypotheses before any probe; all places with enough overlap are equally likely."""
     value = np.zeros((count, COLUMNS))
     value[:, NORMAL] = rng.standard_normal((count, COLUMNS - TILT_X))
     if setting.diameter_known:
@@ -127,7 +127,7 @@ def draw_hypotheses(
 
 
 def diameters_mm(setting: OracleSetting, value: FloatArray) -> FloatArray:
-    """Return (n,) the diameter of a bottom that is round but not known."""
+    """Return the diameter of the unknown round bottom (n,)."""
     low, high = DIAMETERS_MM
     return np.asarray(low + (high - low) * _share(value[:, DIAMETER]), dtype=np.float64)
 
@@ -135,9 +135,9 @@ def diameters_mm(setting: OracleSetting, value: FloatArray) -> FloatArray:
 def predict_press(
     setting: OracleSetting, worlds: HypothesisEnsemble, at_mm: _Point, rng: np.random.Generator
 ) -> PredictedPress:
-    """Press at the commanded place in every world; when contact is noticed is left to chance.
+    """Press at the commanded place in every hypothesis, with a random moment of contact detection.
 
-    A world that finds no balance at once is not searched further: it will be left out.
+    A hypothesis without convergence at the first attempt is unusable.
     """
     settings, value = setting.settings, worlds.value
     conditions = _conditions(setting, value)
@@ -177,7 +177,7 @@ def predict_press(
 
 @dataclass(frozen=True, slots=True)
 class _Discs:
-    """A disc of its own radius (n, 1) under each face."""
+    """One disc of radius (n, 1) per face."""
 
     radius_mm: FloatArray
 
@@ -235,12 +235,12 @@ def _foundation(settings: SimulationSettings, score: float) -> float:
 
 
 def _share(score: FloatArray) -> FloatArray:
-    """Return the share of a uniform range that stands for standard normal scores."""
+    """Return the normal distribution function of ``score``, for uniform ranges."""
     return np.array([0.5 * (1.0 + erf(s / 2**0.5)) for s in score])
 
 
 def _errorless(settings: SimulationSettings) -> SimulationSettings:
-    """Return the bench with sensors that make no errors; frames come in time."""
+    """Return the bench with sensors without errors and without dropped frames."""
     tactile = settings.tactile.model_copy(
         update={"white_px": 0.0, "drift_px_sqrt_s": 0.0, "lost_share": 0.0, "drop_share": 0.0}
     )
@@ -258,30 +258,29 @@ def _noise(
     probe: ProbeSettings,
     rng: np.random.Generator,
 ) -> SensorNoise:
-    """Return errors that only change when the contact is noticed."""
+    """Return sensor noise that only changes the moment of contact detection."""
     quiet = draw_noise(still, onset_rule(settings, probe), rng)
     force_n = settings.wrist.white_n * rng.standard_normal(len(quiet.force_n))
     return replace(quiet, force_n=force_n)
 
 
 TICKS = (0, 1, 2, 4, 7, 10, 14, 19)
+# Factors on the error variance, step by step; their inverses sum to 1.
 FIRST_STEPS, NEXT_STEPS = (156.0, 31.2, 6.24, 1.248), (5.0, 1.25)
-"""Factors on the variance of the errors, step by step; their inverses sum to 1."""
 ENSEMBLE_SIZE = 112
 KEPT_SHARE = 0.8
-DIRECTIONS = 48
-"""Signals are compared along so many directions in which the worlds differ most."""
+DIRECTIONS = 48  # number of principal directions in which signals are compared
+# Errors beyond those of the sensors: time steps, lost markers, sampling of the ensemble.
 FLOOR_N, FLOOR_NM, FLOOR_STRAIN = 0.03, 0.003, (0.004, 0.004, 0.0005, 0.02)
-"""Errors beyond those of the sensors: time steps, lost markers, worlds between which none lies."""
-RISK_SD = 2.33
-"""Released where the mean margin is so many standard deviations inside: a risk of 1 %."""
+RISK_SD = 2.33  # release if the mean margin exceeds this many standard deviations: a risk of 1 %
 MAX_PROBES, LONGEST_MM, NEAREST_MM = 8, 3.0, 0.2
 MAP_CELLS, PITCH_MM = 65, 1.0
 
 
 class OracleStrategy:
-    """Knows the forward model of the bench, its nuisances' distributions and, if so set, the
-    outline of the bottom; not where the bottom is, nor any nuisance.
+    """Strategy with complete knowledge of the bench model and its nuisance distributions.
+
+    It does not know the place of the bottom or any nuisance value; the outline is known if set so.
     """
 
     def __init__(self, setting: OracleSetting, origin_mm: XY, seed: int) -> None:
@@ -292,7 +291,7 @@ class OracleStrategy:
         self._probes = 0
 
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
-        """Assimilate the probe, judge by the risk, step towards the middle of the support."""
+        """Assimilate the probe, judge by the risk, and step towards the middle of the support."""
         here = touched.offset_mm
         self._assimilate(touched)
         self._probes += 1
@@ -309,11 +308,11 @@ class OracleStrategy:
         return PlaceDecision(self._map(), stability, self._choose(stability, here, shift))
 
     def stable_at(self, offset_mm: XY) -> bool:
-        """Whether the risk of letting go there is small."""
+        """Return True if the risk of a release there is small."""
         return self._at_risk_mm(offset_mm) >= 0.0
 
     def likely_at(self, offset_mm: XY) -> bool:
-        """Whether it would stand in most worlds."""
+        """Return True if the piece stands in most hypotheses."""
         return bool(np.median(self.margins_mm(offset_mm)) > 0.0)
 
     def _at_risk_mm(self, here: XY) -> float:
@@ -321,7 +320,7 @@ class OracleStrategy:
         return float(margin.mean() - RISK_SD * margin.std())
 
     def margins_mm(self, here: XY) -> FloatArray:
-        """Return (n,): by how much the piece would stand at the commanded place in each world."""
+        """Return the stability margin at the commanded place in each hypothesis (n,)."""
         setting, value = self._setting, self.worlds.value
         true = value[:, :TILT_X] + np.asarray(here) + np.asarray(setting.piece.com_xy_mm)
         share = setting.piece.mass_g / (setting.piece.mass_g + setting.bottom.mass_g)
@@ -341,7 +340,7 @@ class OracleStrategy:
             drift, after = felt.worlds.value[kept] - value, felt.worlds.carried.take(kept)
             value = assimilate(value, signals[kept], seen, self._signals.spread, factor, self._rng)
             prior = HypothesisEnsemble(value, prior.carried.take(kept))
-        # The press itself moved the piece; that is kept for the worlds as they are now.
+        # The motion of the piece by the press is added at the end.
         self.worlds = HypothesisEnsemble(prior.value + drift, after)
 
     def _choose(self, stability: Stability, here: XY, shift: FloatArray) -> PlaceAction:
@@ -356,7 +355,7 @@ class OracleStrategy:
         return shift_towards(stability, ShiftTarget(target, ""), here, LONGEST_MM, 0.0)
 
     def _map(self) -> BeliefMap:
-        """Return in how many worlds each cell supports, in commanded places."""
+        """Return the share of hypotheses that support each cell, in commanded places."""
         reach = PITCH_MM * (MAP_CELLS // 2)
         corner = self._origin[0] - reach, self._origin[1] - reach
         covered = np.ones((MAP_CELLS, MAP_CELLS), dtype=np.bool_)
@@ -374,10 +373,11 @@ class OracleStrategy:
 
 
 class SignalFeatures:
-    """What of an observation is compared, and how its errors spread.
+    """Features of an observation that are compared, and their error covariance.
 
-    At each of ``TICKS`` the six of the wrench and, for each finger, the four pad motions that fit
-    its marker field best beside a uniform shift. ``spread`` (F, F): covariance of the errors.
+    At each of ``TICKS`` the six components of the wrench and, for each finger, the four pad motions
+    that fit its marker field best beside a uniform shift. ``spread`` (F, F): covariance of the
+    errors.
     """
 
     def __init__(self, setting: OracleSetting) -> None:
@@ -404,7 +404,7 @@ class SignalFeatures:
             self.spread[at, at] = block
 
     def of(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Return (n, F) of observations (n, 20, 258)."""
+        """Return the features (n, F) of observations (n, 20, 258)."""
         chosen = observation[:, TICKS].astype(np.float64)
         parts = [chosen[..., TACTILE_CHANNELS:]]
         fields = chosen[..., :TACTILE_CHANNELS].reshape(*chosen.shape[:2], 2, 2, -1)
@@ -421,10 +421,10 @@ def select_likely(
     spread: FloatArray,
     rng: np.random.Generator,
 ) -> NDArray[np.intp]:
-    """Return which of n worlds go on, n of them, likelier ones more than once.
+    """Return n indices of hypotheses, resampled by likelihood.
 
-    The likelihood of what was ``seen`` (F,) given ``felt`` (n, F) is flattened until the worlds
-    that go on count as many as ``KEPT`` of all: strays are dropped, no single world takes over.
+    The likelihood of ``seen`` (F,) given ``felt`` (n, F) is flattened until the effective sample
+    size is ``KEPT_SHARE`` of n: outliers are dropped, no single hypothesis dominates.
     """
     misfit = np.where(usable | ~usable.any(), _misfit(felt, seen, spread), np.inf)
     misfit -= misfit.min()
@@ -454,9 +454,9 @@ def assimilate(
     factor: float,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return the worlds (n, P) after a step towards those that feel ``seen`` (F,).
+    """Return the hypotheses (n, P) after a Kalman step towards the observation ``seen`` (F,).
 
-    ``felt`` (n, F): what each feels; errors of covariance ``factor * spread``.
+    ``felt`` (n, F): predicted features; the errors have the covariance ``factor * spread``.
     """
     root = np.linalg.cholesky(spread)
     centre = felt.mean(axis=0)
@@ -473,7 +473,7 @@ def assimilate(
 
 
 def _fit(gel_map: FloatArray) -> FloatArray:
-    """Return (4, 126): pad motions of a marker field, a uniform shift taken out."""
+    """Return (4, 126): pad motions of a marker field without its uniform shift."""
     shifts = np.zeros((2, gel_map.shape[1]))
     shifts[0, 0::2] = shifts[1, 1::2] = 1.0
     return np.asarray(np.linalg.pinv(np.concatenate([gel_map, shifts]).T)[:4], dtype=np.float64)

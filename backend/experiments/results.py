@@ -1,6 +1,6 @@
-"""Result files of the experiments: read, checked, turned into a report beside the paper's numbers.
+"""Result files of the experiments: reading, checks, and reports beside the paper's numbers.
 
-A file of another format, or a damaged one, is one ``InputError``.
+A file of another format and a damaged file raise ``InputError``.
 """
 
 from __future__ import annotations
@@ -55,9 +55,10 @@ from touchdown.backend.geometry import TOO_CLOSE_MM
 from touchdown.backend.jobs import JobStore
 
 JsonMapping = Mapping[str, Any]
+# by piece and bottom, then by strategy; the largest of several results
 Cells = dict[tuple[str, str], dict[str, JsonMapping]]
-"""By piece and bottom, then by strategy; of several answers to one the largest."""
 PAPER = "paper"
+# Columns in this order; other strategies follow.
 TITLES = {
     PAPER: "Paper's",
     "fused": "Learned fusion",
@@ -66,14 +67,12 @@ TITLES = {
     "ceiling-diameter": "Ceiling, diameter unknown",
     "pick-and-place": "Pick and place",
 }
-"""Strategies as columns, in this order; those that are not named here come after them."""
-ASKED_AFTER = "3"
-"""Probes after which Table 2 is shown by strategy."""
+ASKED_AFTER = "3"  # number of probes in Table 2 by strategy
 UNSAFE_OUTCOMES = (Outcome.FELL.value, Outcome.KNOCKED_OVER.value)
 
 
 def strategy_sections(tables: JsonMapping) -> list[ReportSection]:
-    """Return the sections on strategies; none where no comparison stands with the tables."""
+    """Return the sections on strategies; none if the tables hold no comparison."""
     answers = tables.get("beyond") or ()
     if not answers:
         return []
@@ -156,7 +155,7 @@ def _stacking_section(cells: Cells, sources: Sequence[str]) -> ReportSection:
 
 
 def _source(answer: JsonMapping) -> str:
-    """Say what an answer holds and which networks read the probes there."""
+    """Return a sentence with strategies, program version and networks of a result."""
     names = dict.fromkeys(cell["strategy"] for cell in answer["cells"])
     models = "networks: " * bool(answer.get("models")) + ", ".join(
         f"{piece} {source[:8]}" for piece, source in answer.get("models", {}).items()
@@ -195,7 +194,7 @@ def _pooled_loop(places: Sequence[Mapping[str, JsonMapping]], name: str) -> Tabl
 
 
 def _shares(cells: Sequence[JsonMapping]) -> tuple[JsonMapping, JsonMapping]:
-    """Return placed and unsafe over all trials of some cells."""
+    """Return the placed and unsafe rates over all trials of some cells."""
     ended = [cell["outcomes"] for cell in cells]
     trials = sum(sum(one.values()) for one in ended)
     placed = sum(one.get(Outcome.PLACED.value, 0) for one in ended)
@@ -300,7 +299,7 @@ def _cell_title(place: tuple[str, str]) -> str:
 
 
 def report_of(tables: JsonMapping) -> Report:
-    """Return the report; raises KeyError, TypeError, ValueError and the like for other content."""
+    """Return the report; raises one of ``CONTENT_ERRORS`` for other content."""
     facts = tables["bench_facts"]
     slipped = facts["slipped"]
     slip = "not measured" if slipped is None else f"{100 * slipped:.0f} %"
@@ -394,7 +393,7 @@ def _table_columns(cells: Sequence[JsonMapping], last: str) -> tuple[tuple[str, 
 def _cell(
     cell: JsonMapping, estimate: JsonMapping | None = None, notes: tuple[str, ...] = ()
 ) -> TableEntry:
-    """Return what every cell shows; ``estimate``: its value, where that is a part of it."""
+    """Return an entry with the common parts of a cell; ``estimate``: its value."""
     entry = entry_of(cell if estimate is None else estimate, cell["paper"], notes)
     jobs = (cell["job"],) if "job" in cell else ()
     return TableEntry(entry.value, entry.interval, entry.notes, jobs, cell.get("seed"))
@@ -523,11 +522,10 @@ def _film_section(films: Sequence[JsonMapping]) -> ReportSection | None:
     return ReportSection("How the belief grew", (legend,), tuple(strips))
 
 
-MAX_BYTES = 64 * 2**20
-"""A report in full has one."""
+MAX_BYTES = 64 * 2**20  # a full report has about 1 MB
 Json = dict[str, Any]
+# raised by content of another shape
 CONTENT_ERRORS = (KeyError, TypeError, ValueError, AttributeError, IndexError)
-"""What content of another shape raises where it is looked into."""
 
 
 def read_report(file: Path) -> tuple[Json, Report]:
@@ -580,7 +578,7 @@ BEYOND_PAGE, BEYOND_DATA, BEYOND_TABLES = "beyond.html", "beyond.json", "beyond.
 
 
 def write_tables(out: Path, recipe: Recipe, store: JobStore) -> tuple[Path, Json]:
-    """Write what is finished to ``out``; returns the page's path and the content of the JSON."""
+    """Write the finished results to ``out``; return the path of the page and the content."""
     found = table_results(recipe, store)
     spec = recipe.twins()
     twins = store.result(spec.id) if store.has(spec.id) else None
@@ -592,10 +590,11 @@ def write_tables(out: Path, recipe: Recipe, store: JobStore) -> tuple[Path, Json
 
 
 def rewrite_tables(file: Path, compared: Sequence[Path]) -> Path:
-    """Give a ``tables.json`` other comparisons, and write its page anew; returns the page's path.
+    """Replace the comparisons of a ``tables.json`` and render its page; return the path of the
+    page.
 
-    Without ``compared`` it keeps those that it has. Raises ``InputError`` for a file that holds
-    something else, or a comparison on another bench.
+    Without ``compared`` the comparisons stay. Raises ``InputError`` for a file of another format,
+    or a comparison on another bench.
     """
     found = dict(read_report(file)[0])
     answers = []
@@ -611,7 +610,7 @@ def rewrite_tables(file: Path, compared: Sequence[Path]) -> Path:
 
 
 def _written(file: Path, found: Json) -> Path:
-    """Write the page beside ``file``, then the file; returns the page's path."""
+    """Write the page beside ``file``, then the file; return the path of the page."""
     page = file.with_suffix(".html")
     write_atomically(page, report_page(report_of(found)).encode())
     write_atomically(file, json.dumps(found, indent=1, sort_keys=True).encode() + b"\n")
@@ -619,7 +618,7 @@ def _written(file: Path, found: Json) -> Path:
 
 
 def _oracle_shares_over(files: Sequence[Path], answers: Sequence[Json]) -> list[Json]:
-    """Return the shares of the way over all files; those of each where they hold a cell twice."""
+    """Return the oracle shares over all files, or those of each file if files share a cell."""
     try:
         return merged_oracle_shares([(str(f), a) for f, a in zip(files, answers, strict=True)])
     except InputError:
@@ -627,7 +626,7 @@ def _oracle_shares_over(files: Sequence[Path], answers: Sequence[Json]) -> list[
 
 
 def write_comparison(out: Path, answer: Mapping[str, Any]) -> Path:
-    """Write what strategies beyond the paper did; tables written there later show it too."""
+    """Write a comparison of strategies; tables written to the same folder include it."""
     content = json.dumps(answer, indent=1, sort_keys=True).encode() + b"\n"
     write_atomically(out / BEYOND_DATA, content)
     write_atomically(out / BEYOND_PAGE, report_page(comparison_report(answer)).encode())
@@ -636,7 +635,7 @@ def write_comparison(out: Path, answer: Mapping[str, Any]) -> Path:
 
 
 def comparison_beside(out: Path, bench_id: str) -> Json | None:
-    """Return the comparison that lies beside the tables, if it is of the same bench.
+    """Return the comparison in the folder of the tables, if it is of the same bench.
 
     Raises ``InputError`` for a damaged one.
     """
@@ -647,7 +646,7 @@ def comparison_beside(out: Path, bench_id: str) -> Json | None:
 
 
 def program_version() -> str:
-    """Return the version of the program, part of the name of every job."""
+    """Return the version of the program, which is part of the id of every job."""
     try:
         return version("touchdown")
     except PackageNotFoundError:
@@ -655,7 +654,7 @@ def program_version() -> str:
 
 
 def _stored_films(recipe: Recipe, store: JobStore) -> list[Json]:
-    """Return the first trials of each piece on one bottom, and on two, probe by probe."""
+    """Return the recorded trials of each piece on one bottom and on two."""
     films = []
     for k, piece in enumerate(recipe.pieces):
         for bottoms in ((TABLE_BOTTOMS[k % len(TABLE_BOTTOMS)],), TOWER):

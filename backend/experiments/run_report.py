@@ -1,8 +1,6 @@
-"""One self-contained HTML page for a set of runs.
+"""Report page of a set of runs: belief maps, wrench traces and decisions, probe by probe.
 
-It shows belief maps, wrench traces and decisions, probe by probe.
-
-``belief_film`` keeps the course of a simulated trial as a strip of belief maps.
+``belief_film`` stores a simulated trial as a strip of belief maps.
 """
 
 from __future__ import annotations
@@ -103,7 +101,7 @@ def _polygon(points_mm: FloatArray, colour: str, width: float, dash: str = "") -
 
 
 def wrench_svg(episode: Episode) -> str:
-    """Return the 10 Hz forces of one probe, N over the 2 s after contact."""
+    """Return the 10 Hz forces of one probe in N over the 2 s after contact."""
     force = episode.observation[:, 252:255].astype(np.float64)
     top = max(1.0, float(np.nanmax(np.abs(force))))
     lines = []
@@ -123,7 +121,7 @@ def wrench_svg(episode: Episode) -> str:
 
 
 def tactile_png(episode: Episode) -> str:
-    """Return both fingers' last images of a probe side by side as an ``img`` tag, or ""."""
+    """Return the last images of both fingers side by side as an ``img`` tag; "" without images."""
     if episode.recording is None:
         return ""
     last = {frame.finger: frame.image for frame in episode.recording.frames}
@@ -140,15 +138,14 @@ def tactile_png(episode: Episode) -> str:
     )
 
 
-FILM_FILE = "film.json"
-"""File of a job with courses of its trials."""
+FILM_FILE = "film.json"  # file of a job with the strips of its trials
 
 
 def belief_film(end: BatchTrialResult, outline_mm: FloatArray) -> Mapping[str, Any]:
-    """Return the strip, JSON-ready; ``outline_mm`` (k, 2) is the true support, in true places.
+    """Return the strip for JSON; ``outline_mm`` (k, 2): true support in true places.
 
-    The map is kept in commanded places, which differ from the true ones by the errors of grasp and
-    print; the outline is drawn where the last probe shows it to be.
+    The map is in commanded places, which differ from the true ones by the errors of grasp and
+    print. The outline is shifted by the difference at the last probe.
     """
     probes = []
     last = end.steps[-1].offset_mm if end.steps else (0.0, 0.0)
@@ -189,8 +186,8 @@ def write_run_report(
 ) -> None:
     """Write the page atomically.
 
-    ``runs``: the facts of each run in order. ``outlines_mm``: true outline (k, 2) per bottom name,
-    drawn dashed after the fact; leave it out where the truth is unknown.
+    ``runs``: the events of each run in order. ``outlines_mm``: true outline (k, 2) per bottom,
+    drawn dashed; leave it out if the truth is unknown.
     """
     galleries, rows, placed = [], [], 0
     for events in runs:

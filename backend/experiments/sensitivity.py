@@ -1,8 +1,7 @@
-"""Sensitivity of a model to each nuisance of the bench, scaled one at a time from nothing to three
-times its size.
+"""Sensitivity of a model to each nuisance of the bench, scaled one at a time from 0 to 3.
 
-All factors use the same seeds, so that differences are paired by group. The page shows one small
-chart a nuisance above the table of changes.
+All factors use the same seeds, so differences are paired by group. The report shows one small chart
+per nuisance above the table of changes.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ JsonMapping = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class NuisanceSensitivity:
-    """What to ask. ``model``: job or file it comes from; ``groups`` and ``trials`` per bottom."""
+    """Sensitivity analysis of ``model`` (a job or file); ``groups`` and ``trials`` per bottom."""
 
     bench: SimulationSettings
     code: str
@@ -58,7 +57,7 @@ class NuisanceSensitivity:
     nuisances: tuple[Nuisance, ...] = NUISANCES
 
     def jobs(self) -> list[JobSpec]:
-        """Return every job once; the ends of the range come before what lies between."""
+        """Return every job once; the ends of the range come first."""
         order = sorted(FACTORS, key=lambda factor: (factor != 1.0, factor not in FACTORS[::4]))
         found: dict[str, JobSpec] = {}
         for factor in order:
@@ -68,7 +67,7 @@ class NuisanceSensitivity:
         return list(found.values())
 
     def answer(self, store: JobStore) -> Json:
-        """Return what is finished: for each nuisance a row per factor."""
+        """Return the finished results: one row per nuisance and factor."""
         return {
             "format": FORMAT,
             "simulated": True,
@@ -115,7 +114,7 @@ class NuisanceSensitivity:
             yield row
 
     def _cell(self, nuisance: Nuisance, factor: float) -> tuple[list[JobSpec], list[JobSpec]]:
-        # At the bench's own size it is the bench itself, whichever nuisance is meant.
+        # Factor 1 is the unchanged bench for every nuisance.
         bench = self.bench if factor == 1.0 else scale_nuisance(self.bench, nuisance, factor)
         place = EvaluationBench("bench", bench)
         presses: list[JobSpec] = []
@@ -132,7 +131,7 @@ _MODEL = "FT+Tac"
 
 
 def sensitivity_table(answer: JsonMapping) -> ReportTable:
-    """Return per nuisance its change of IoU at each factor, and stability right at the ends."""
+    """Return the change of IoU at each factor and stability at both ends, by nuisance."""
     rows = []
     for nuisance in answer["nuisances"]:
         at = {row["factor"]: row for row in nuisance["at"]}
@@ -152,12 +151,11 @@ def _finished_results(jobs: Sequence[JobSpec], store: JobStore) -> list[Mapping[
 
 
 WIDE, TALL, LEFT, BOTTOM, TOP = 260, 190, 34, 34, 30
-LOW, HIGH = 0.3, 1.0
-"""Range of the vertical axis."""
+LOW, HIGH = 0.3, 1.0  # range of the vertical axis
 
 
 def sensitivity_report(answer: JsonMapping) -> Report:
-    """Return the report: a chart a nuisance, and the table of changes."""
+    """Return the report: one chart per nuisance, and the table of changes."""
     about = (
         f"{answer['piece'].title()} on {' and '.join(answer['bottoms'])}, one model as it is, "
         f"bench {answer['bench_sha256'][:16]}, program {answer['code']}. Each nuisance alone is 0 "

@@ -1,8 +1,7 @@
-"""Groups of probes at drawn displacements, scored for Tables 1 and 2.
+"""Groups of probes at random displacements, scored for Tables 1 and 2.
 
-Every group is one gripping on one mounting of its own. Its first probe is at a displacement of a
-balanced sample of stable and unstable places, the further ones are at random. Groups are
-independent of each other.
+Every group is one gripping on its own mounting. Its first probe belongs to a balanced sample of
+stable and unstable places, the further ones are random. Groups are independent of each other.
 """
 
 from __future__ import annotations
@@ -38,10 +37,10 @@ class ProbeGroups:
     """g groups of p probes.
 
     ``observation`` (g, p, 20, 258); ``offset_mm`` (g, p, 2) commanded, ``true_mm`` (g, p, 2);
-    ``label`` (g, p, N): patch at the commanded displacement, as data is labelled; ``truth``
-    (g, p, N): the real one; ``slip_mm`` (g, p). ``margin_mm`` (g, 2): signed margin of the first
-    probe's place, top interface alone and all interfaces. ``rejected``: probes drawn again.
-    ``left_out``: groups in which a probe was no observation however often it was drawn.
+    ``label`` (g, p, N): patch at the commanded displacement, as data is labelled; ``truth`` (g, p,
+    N): true patch; ``slip_mm`` (g, p). ``margin_mm`` (g, 2): signed margin at the first place, for
+    the top interface and for all interfaces. ``rejected``: probes drawn again. ``left_out``: groups
+    with a probe that was invalid in all attempts.
     """
 
     observation: NDArray[np.float32]
@@ -58,11 +57,11 @@ class ProbeGroups:
 def probe_groups(
     case: SceneSetup, seeds: list[int], probes: int, world: type[BatchedTrials] = BatchedTrials
 ) -> ProbeGroups:
-    """Press ``probes`` times in each of the grippings named by ``seeds``.
+    """Press ``probes`` times in each of the grippings of ``seeds``.
 
-    Half of the groups begin at a stable place. A press that is no observation is drawn again;
-    a group that never gets all its probes (a grip that always slips) is left out and counted.
-    ``world``: in which to press.
+    Half of the groups begin at a stable place. An invalid press is drawn again; a group without all
+    its probes (for example, a grip that always slips) is left out and counted. ``world``: class of
+    the simulation.
     """
     scenes = [probing_scene(case, seed) for seed in seeds]
     bench, limits = world(scenes), EpisodeLimits()
@@ -135,8 +134,8 @@ DIGITS = 4
 def score_patches(probability: FloatArray, groups: ProbeGroups) -> dict[str, list[float]]:
     """Return for each group the mean IoU and point accuracy of its random probes.
 
-    ``probability`` (g, p, N). The first probe is that of a balanced sample and does not count.
-    ``..._true``: against the real patch in place of the label.
+    ``probability`` (g, p, N). The first probe belongs to a balanced sample and is left out.
+    ``..._true``: compared with the true patch instead of the label.
     """
     said = probability[:, 1:] > CONTACT_LEVEL
     scores = {}
@@ -151,10 +150,10 @@ def score_patches(probability: FloatArray, groups: ProbeGroups) -> dict[str, lis
 def score_fused_verdicts(
     probability: FloatArray, groups: ProbeGroups, model: BatchModel, case: SceneSetup
 ) -> dict[str, Any]:
-    """Fuse the first n probes of each group and judge at the place of the first.
+    """Fuse the first n probes of each group and judge the first place.
 
     Returns ``says`` per n, the reliability of all covered cells after three probes, and the IoU of
-    that map against the true support.
+    that map with the true support.
     """
     says: dict[str, list[bool]] = {str(n): [] for n in PROBE_COUNTS if n <= probability.shape[1]}
     promised, real = [], []
@@ -189,7 +188,7 @@ def score_fused_verdicts(
 def _support(
     belief: Belief, groups: ProbeGroups, g: int, case: SceneSetup
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return probability and truth of the covered cells, the map being in commanded places."""
+    """Return probability and truth of the covered cells; the map is in commanded places."""
     covered = belief.map.covered
     centres = belief.map.cell_centres_mm()[covered]
     shift = groups.true_mm[g, 0] - groups.offset_mm[g, 0]

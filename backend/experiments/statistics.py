@@ -1,9 +1,9 @@
 """Statistics of the experiments: rates, means, verdicts, paired changes, 95 % intervals.
 
-Rates have Wilson intervals, means normal ones over independent groups. ``reliability_curve`` sorts
-probabilities into bins of equal mass; its ``ece`` is the expected calibration error. ``iou_change``
-compares the same seeds group by group. ``compare_intervals`` lists the cells of one ``tables.json``
-whose interval misses the value of another one.
+Rates have Wilson intervals, means have normal intervals over independent groups.
+``reliability_curve`` sorts probabilities into bins of equal mass; its ``ece`` is the expected
+calibration error. ``iou_change`` compares the same seeds group by group. ``compare_intervals``
+lists the cells of one ``tables.json`` whose interval misses the value of another one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from touchdown.backend.learning import Z_95, wilson_interval
 
 @dataclass(frozen=True, slots=True)
 class IntervalEstimate:
-    """A value in 0..1 with its 95 % interval, from ``n`` independent trials; None without any."""
+    """A value in 0..1 with its 95 % interval from ``n`` independent trials; None without trials."""
 
     value: float | None
     low: float | None
@@ -34,7 +34,7 @@ class IntervalEstimate:
 
 
 def estimate_rate(successes: int, trials: int) -> IntervalEstimate:
-    """Return a share with its Wilson interval."""
+    """Return a rate with its Wilson interval."""
     if not trials:
         return IntervalEstimate(None, None, None, 0)
     low, high = wilson_interval(successes, trials)
@@ -42,7 +42,7 @@ def estimate_rate(successes: int, trials: int) -> IntervalEstimate:
 
 
 def estimate_mean(values: Sequence[float]) -> IntervalEstimate:
-    """Return a mean with its normal interval; ``values`` are independent of each other."""
+    """Return the mean of independent ``values`` with its normal interval."""
     n = len(values)
     if not n:
         return IntervalEstimate(None, None, None, 0)
@@ -54,8 +54,8 @@ def estimate_mean(values: Sequence[float]) -> IntervalEstimate:
 
 @dataclass(frozen=True, slots=True)
 class VerdictCounts:
-    """Counts of a yes-or-no answer: said stable and is (``both``), is but was not said
-    (``missed``), was said but is not (``unsafe``), ``neither``.
+    """Confusion counts of stability verdicts: ``both``, ``missed``, ``unsafe`` (said only),
+    ``neither``.
     """
 
     both: int
@@ -65,7 +65,7 @@ class VerdictCounts:
 
     @classmethod
     def of(cls, said: Sequence[bool], true: Sequence[bool]) -> VerdictCounts:
-        """Count; ``said`` and ``true`` of equal length."""
+        """Count ``said`` against ``true``, of equal length."""
         pairs = list(zip(said, true, strict=True))
         return cls(
             sum(s and t for s, t in pairs),
@@ -88,7 +88,7 @@ class VerdictCounts:
         )
 
     def as_json(self) -> dict[str, object]:
-        """Return accuracy, balanced accuracy, base rate, and the rate of each kind of error."""
+        """Return accuracy, balanced accuracy, base rate, and the rates of both errors."""
         found = estimate_rate(self.both, self.both + self.missed)
         unsafe = estimate_rate(self.unsafe, self.unsafe + self.neither)
         stable = self.both + self.missed
@@ -110,7 +110,9 @@ BINS = 15
 
 @dataclass(frozen=True, slots=True)
 class ReliabilityCurve:
-    """Per bin of equal mass: mean ``promised`` probability, share that ``came`` true, ``count``."""
+    """Per bin of equal mass: mean predicted probability ``promised``, observed share ``came``,
+    ``count``.
+    """
 
     promised: tuple[float, ...]
     came: tuple[float, ...]
@@ -118,7 +120,7 @@ class ReliabilityCurve:
 
     @property
     def ece(self) -> float:
-        """Mean distance between promise and truth, weighted by count; NaN without any."""
+        """Mean distance of prediction and observation, weighted by count; NaN without cases."""
         weight = np.array(self.count, dtype=np.float64)
         if not weight.sum():
             return float("nan")
@@ -131,7 +133,7 @@ def reliability_curve(
 ) -> ReliabilityCurve:
     """Sort ``probability`` (n,) into ``bins`` of equal mass and compare with ``truth`` (n,).
 
-    A share in place of a truth stands for cases that were counted together.
+    A share in ``truth`` represents cases that were counted together.
     """
     order = np.argsort(probability, kind="stable")
     parts = [part for part in np.array_split(order, bins) if len(part)]
@@ -142,16 +144,15 @@ def reliability_curve(
     )
 
 
-PressResult = Mapping[str, Any]
-"""The answer of one job of presses."""
+PressResult = Mapping[str, Any]  # result of one job of presses
 Json = dict[str, Any]
 
 
 def iou_change(pairs: Sequence[tuple[PressResult, PressResult]], before: str, after: str) -> Json:
-    """Return the mean change of IoU with its 95 % interval, over groups that both kept.
+    """Return the mean change of IoU with its 95 % interval, over groups common to both.
 
-    From model ``before`` in the first part of each pair to model ``after`` in the second. A job in
-    which a group was left out is not compared: its groups no longer match.
+    ``before`` is the model in the first part of each pair, ``after`` in the second. Jobs with
+    left-out groups are not compared, because their groups no longer match.
     """
     change = [
         new - old
@@ -166,7 +167,7 @@ def iou_change(pairs: Sequence[tuple[PressResult, PressResult]], before: str, af
 
 
 def format_change(change: Json | None) -> str:
-    """Write a change in points with half its interval; "" without one."""
+    """Format a change in points with half its interval; "" without one."""
     if not change or change["value"] is None:
         return ""
     half = 50.0 * (change["high"] - change["low"])
@@ -183,14 +184,14 @@ TablesContent = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class IntervalAgreement:
-    """``cells`` compared, and the names of those whose 95 % interval misses the other's value."""
+    """Number of compared cells, and names of those whose interval misses the other value."""
 
     cells: int
     outside: tuple[str, ...]
 
     @property
     def share(self) -> float:
-        """Return the share of cells that agree; 1 without any."""
+        """Share of cells that agree; 1 without cells."""
         return 1.0 - len(self.outside) / self.cells if self.cells else 1.0
 
 
@@ -208,7 +209,7 @@ def compare_intervals(small: TablesContent, large: TablesContent) -> IntervalAgr
 
 
 def _named_rates(answer: TablesContent) -> Iterator[tuple[str, Mapping[str, float]]]:
-    """Yield each cell that has a value, by a name that says table, row, piece and bottom."""
+    """Yield the name (table, row, piece, bottom) and the rate of each cell with a value."""
     rows = {"table1": ("metric", "model"), "table2": ("method",), "table3": ("strategy", "tower")}
     for table, keys in rows.items():
         for row in answer[table]:

@@ -1,13 +1,15 @@
-"""Strategies beyond the paper as jobs: closed-loop trials and verdicts on groups of probes.
+"""Jobs that compare strategies beyond the paper: closed-loop trials and verdicts on groups of
+probes.
 
 The trials are those of Table 3, the groups those of Table 2.
 
-A cell is one piece over one bottom under one strategy. It is cut into jobs of a few trials or
-groups, so that an interrupted experiment resumes and a table can be read at any time. Every
-strategy, the oracle included, gets the same presses. After n probes of a group it answers whether
-it would release at the first place, and whether the piece would rather stand there than fall.
+A cell is one piece over one bottom under one strategy. It is split into jobs of a few trials or
+groups, so that an interrupted experiment resumes and a table can be read at any time. All
+strategies, the oracle included, get the same presses. After n probes of a group each strategy gives
+two verdicts on the first place: whether it would release there, and whether the piece is more
+likely to stand than to fall.
 
-``beyond.json`` keeps trials and groups as one line each beside the counts. A trial: ``seed outcome
+``beyond.json`` stores one line per trial and group beside the counts. A trial: ``seed outcome
 probes least`` (``least`` as in ``least_probes``). A job of groups: the seed of its first group,
 then for each group ``margin:likely:released``: the true margin of all interfaces in mm (``-``
 without support) and the two verdicts after each number of probes in ``PROBE_COUNTS``, 1 for yes.
@@ -76,21 +78,20 @@ from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import Scene
 
 Json = dict[str, Any]
-Cell = tuple[str, str, str]
-"""Strategy, piece, bottom."""
+Cell = tuple[str, str, str]  # strategy, piece, bottom
 NO_SUPPORT = "-"
 VERDICT_KINDS = ("likely", "says")
 
 
 def trial_lines(trials: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Return a line for each trial."""
+    """Return one line per trial."""
     return [
         " ".join(str(t[k]) for k in ("seed", "outcome", "probes", "least_probes")) for t in trials
     ]
 
 
 def group_lines(answers: Mapping[int, Mapping[str, Any]]) -> list[str]:
-    """Return a line for each answer, by the seed of its first group."""
+    """Return one line per job of groups, by the seed of its first group."""
     return [
         " ".join([str(seed), *(_group(answer, g) for g in range(len(answer["margin_mm"])))])
         for seed, answer in sorted(answers.items())
@@ -98,7 +99,7 @@ def group_lines(answers: Mapping[int, Mapping[str, Any]]) -> list[str]:
 
 
 def parse_trials(answer: Mapping[str, Any]) -> dict[Cell, list[Json]]:
-    """Return the trials of each cell of a ``beyond.json``; cells without lines have none."""
+    """Return the trials of each cell of a ``beyond.json``."""
     found: dict[Cell, list[Json]] = {}
     for cell in answer["cells"]:
         for line in cell.get("trials", ()):
@@ -143,28 +144,31 @@ def _answer(groups: Sequence[str]) -> Json:
 
 
 FORMAT = BEYOND_FORMAT
+# the first two are those of the tables, with the same seeds
 SINGLE = ("short", "long", "hex20", "rect12x28")
-"""The first two are those of the tables, with the same seeds."""
+# bottom-up; the first is that of the tables
 TOWERS = ("short+long", "short+hex20", "short+rect12x28")
-"""Bottom-up; the first is that of the tables."""
 BOTTOMS = (*SINGLE, *TOWERS)
-TOWER_CELLS = 5
-"""Cells of towers come so many after those of the bottom that is touched."""
+TOWER_CELLS = 5  # offset of the cell number of a tower from that of its upper bottom
+# Both know the bench. The first knows the outline, the second only that the bottom is round.
 ORACLES = ("ceiling", "ceiling-diameter")
-"""Knowing the bench and the outline; knowing the bench and that the bottom is round."""
 STRATEGIES: tuple[str, ...] = (*get_args(StrategyName), *ORACLES)
+# ten parallel trials on towers take half the time of five times two
 TRIALS_PER_JOB, TOWER_TRIALS_PER_JOB = 2, 10
-"""Trials of a job; ten that press side by side on towers take half the time of five times two."""
-ENTRY_STREAM = 992
-"""Draws the errors of entries, apart from those of the bench."""
+ENTRY_STREAM = 992  # random stream of the entry errors, separate from the bench
 EXACT_MM, GRID_MM = 1e-6, 0.25
+# for the least number of probes: longest step, inset from the edge of the stable region
 STEP_MM, SAFE_INSET_MM = 3.0, 0.2
-"""For the least number of probes: longest step, and how far inside the stable region to be."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoopComparison:
-    """What to compare. ``models``: by piece the job or file that the model FT+Tac comes from."""
+    """Closed-loop comparison of strategies.
+
+    ``models``: by piece the job or file of the model FT+Tac. ``entry_sigma_mm``: error of the
+    simulated operator who measures the place of the upper bottom; None: the strategies are not
+    given the tower.
+    """
 
     bench: SimulationSettings
     code: str
@@ -174,12 +178,10 @@ class ClosedLoopComparison:
     strategies: tuple[str, ...] = ("paper", "fused", "ceiling")
     trials: int = 50
     entry_sigma_mm: float | None = 1.0
-    """How well the simulated operator measures where the upper bottom stands; None: no entry, and
-    nobody thinks of the tower."""
     method: StackSettings = field(default_factory=StackSettings)
 
     def jobs(self) -> list[JobSpec]:
-        """Return all jobs: the first trials of every cell come first."""
+        """Return all jobs; the first trials of every cell come first."""
         return [
             self._job(piece, bottom, strategy, first)
             for first in range(0, self.trials, TRIALS_PER_JOB)
@@ -200,7 +202,7 @@ class ClosedLoopComparison:
         return cells
 
     def left_out(self, store: JobStore) -> dict[tuple[str, str, str], int]:
-        """Return on how many towers no trial could be made, likewise."""
+        """Return the number of towers without a stable place, by strategy, piece and bottom."""
         found: dict[tuple[str, str, str], int] = {}
         for spec in self.jobs():
             p = spec.params
@@ -240,7 +242,7 @@ class ClosedLoopComparison:
 
     @staticmethod
     def effort(spec: JobSpec) -> int:
-        """Return how long a job takes compared with others, for the time that is left."""
+        """Return the relative duration of a job."""
         return int(spec.params["trials"]) * (100 if spec.params["strategy"] in ORACLES else 3)
 
     def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
@@ -263,19 +265,19 @@ class ClosedLoopComparison:
 
 
 def network_params(strategy: str, method: StackSettings) -> Json:
-    """Return what a job of ``strategy`` says of its network: another one makes another job."""
+    """Return the job parameters that identify the network of ``strategy``."""
     if strategy != "fused":
         return {}
     return {"fused_sha256": load_network_of(method.fused).card.weights_sha256}
 
 
 def _chunk(bottom: str) -> int:
-    """Return how many trials a job has at most."""
+    """Return the largest number of trials of a job."""
     return TOWER_TRIALS_PER_JOB if bottom in TOWERS else TRIALS_PER_JOB
 
 
 def job_traces(jobs: Iterable[JobSpec], store: JobStore) -> dict[tuple[str, str, str], Json]:
-    """Return the first seed and the finished jobs of each cell: strategy, piece, bottom."""
+    """Return the first seed and the finished jobs of each cell."""
     found: dict[tuple[str, str, str], Json] = {}
     for spec in jobs:
         p = spec.params
@@ -289,14 +291,13 @@ def job_traces(jobs: Iterable[JobSpec], store: JobStore) -> dict[tuple[str, str,
 def _trials_of(
     cells: Mapping[tuple[str, str, str], Sequence[Json]], strategy: str, bottoms: tuple[str, ...]
 ) -> list[Json]:
-    """Return all trials of a strategy over some bottoms."""
     return [
         t for (s, _, b), trials in cells.items() if s == strategy and b in bottoms for t in trials
     ]
 
 
 def count_outcomes(trials: Sequence[Mapping[str, Any]]) -> Json:
-    """Count outcomes: placed, unsafe releases, probes of the placed, and how many were spare."""
+    """Count outcomes, unsafe releases, and probes of placed trials."""
     outcomes = [trial["outcome"] for trial in trials]
     placed = [trial for trial in trials if trial["outcome"] == Outcome.PLACED.value]
     spare = [t["probes"] - t["least_probes"] for t in placed]
@@ -312,7 +313,7 @@ def count_outcomes(trials: Sequence[Mapping[str, Any]]) -> Json:
 
 
 def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
-    """Run some trials of one cell; every trial counts, whatever its outcome."""
+    """Run trials of one cell; every trial counts."""
     p, catalogue = spec.params, load_pieces()
     bench = parse_settings(SimulationSettings, p["bench"], "job")
     case = SceneSetup.of(catalogue, p["piece"], tuple(p["bottom"].split("+")), bench)
@@ -345,10 +346,10 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
 
 def least_probes(scene: Scene) -> int:
-    """Return how many probes one would need who knew everything: at the start, then every 3 mm.
+    """Return the number of probes that complete knowledge would need: one, and one more every 3 mm.
 
-    The way is that to the centre of the bottom: nearest for round ones, near it for the others. On
-    a tower it is that to the nearest place of a grid at which every interface holds.
+    The path leads to the centre of the bottom: the shortest one for round bottoms, nearly so for
+    others. On a tower it leads to the nearest grid point at which every interface holds.
     """
     start = np.asarray(scene.start_mm)
     if len(scene.bottoms.bodies) > 1:
@@ -364,7 +365,7 @@ def least_probes(scene: Scene) -> int:
 
 
 def _way_on_tower_mm(scene: Scene) -> float:
-    """Return the distance from the start to where the whole tower holds; 0 if there is none."""
+    """Return the distance from the start to the nearest stable place; 0 if there is none."""
     bodies = scene.bottoms.bodies
     steps = np.diff([body.at_mm for body in bodies], axis=0)
     offset_mm = tuple((float(x), float(y)) for x, y in steps)
@@ -384,7 +385,9 @@ def _way_on_tower_mm(scene: Scene) -> float:
 def _entered_tower_strategy(
     case: SceneSetup, sigma_mm: float, settings: StackSettings, model: BatchModel
 ) -> Callable[[Scene, XY], Strategy]:
-    """Begin trials on towers with what a simulated operator measured: truth and an error."""
+    """Create strategies that are given the place of the tower with the error of a simulated
+    operator.
+    """
 
     def begun(scene: Scene, at: XY) -> Strategy:
         rng = np.random.Generator(
@@ -401,31 +404,28 @@ def _entered_tower_strategy(
 
 
 def oracle_factory(case: SceneSetup, *, diameter_known: bool) -> Callable[[Scene, XY], Strategy]:
-    """Return how the ceiling begins a trial."""
+    """Return the factory of the oracle strategy."""
     setting = OracleSetting(case.piece, case.bottoms[0], case.settings, diameter_known)
     return lambda scene, at: OracleStrategy(setting, at, scene.seed)
 
 
 def uninformed_model(case: SceneSetup) -> BatchModel:
-    """Return a model that answers nothing: the ceiling reads the signals themselves."""
+    """Return a model without predictions, for the oracle, which reads the signals."""
     points = face_points(case.piece.face)
     return BatchModel(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)
 
 
-GROUPS_PER_JOB = 2
-"""Groups of a job: even, so that stable and unstable first places alternate as in Table 2."""
+GROUPS_PER_JOB = 2  # even, so that stable and unstable first places alternate as in Table 2
 PROBES_PER_GROUP = max(PROBE_COUNTS)
 RELIABLE_AFTER = (1, 3)
 IOU_AFTER = 3
-PROBABILITY_STEPS = 400
-"""Probabilities are counted in so many steps."""
-STRATEGIES_WITHOUT_BELIEF = ("zero-wrench",)
-"""Strategies without a belief in cells."""
+PROBABILITY_STEPS = 400  # number of bins of probabilities
+STRATEGIES_WITHOUT_BELIEF = ("zero-wrench",)  # strategies without a belief in cells
 
 
 @dataclass(frozen=True, slots=True)
 class StaticComparison:
-    """Which strategies to ask, over ``groups`` groups of each piece and bottom."""
+    """Verdicts of strategies over ``groups`` groups of each piece and bottom."""
 
     bench: SimulationSettings
     code: str
@@ -437,7 +437,7 @@ class StaticComparison:
     method: StackSettings = field(default_factory=StackSettings)
 
     def jobs(self) -> list[JobSpec]:
-        """Return all jobs: the first groups of every cell come first."""
+        """Return all jobs; the first groups of every cell come first."""
         return [
             self._job(piece, bottom, strategy, first)
             for first in range(0, self.groups, GROUPS_PER_JOB)
@@ -449,7 +449,7 @@ class StaticComparison:
         ]
 
     def answers(self, store: JobStore) -> dict[tuple[str, str, str], dict[int, Json]]:
-        """Return what is finished: by strategy, piece and bottom, then by the first seed."""
+        """Return the finished results by strategy, piece and bottom, then by the first seed."""
         found: dict[tuple[str, str, str], dict[int, Json]] = {}
         for spec in self.jobs():
             p = spec.params
@@ -481,7 +481,7 @@ class StaticComparison:
 
     @staticmethod
     def effort(spec: JobSpec) -> int:
-        """Return how long a job takes compared with those of ``Beyond``."""
+        """Return the relative duration of a job (unit of ``ClosedLoopComparison``)."""
         return GROUPS_PER_JOB * (200 if spec.params["strategy"] in ORACLES else 3)
 
     def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
@@ -501,7 +501,7 @@ class StaticComparison:
 
 
 def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
-    """Press some groups of one cell and ask one strategy after each probe."""
+    """Press groups of one cell and collect the verdicts of one strategy after each probe."""
     p, catalogue = spec.params, load_pieces()
     bench = parse_settings(SimulationSettings, p["bench"], "job")
     case = SceneSetup.of(catalogue, p["piece"], (p["bottom"],), bench)
@@ -527,7 +527,7 @@ def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
 
 class VerdictCollector:
-    """Collects the answers of one strategy, group by group."""
+    """Collects the verdicts of one strategy, group by group."""
 
     def __init__(self, case: SceneSetup, *, believes: bool) -> None:
         self._case, self._believes = case, believes
@@ -537,7 +537,7 @@ class VerdictCollector:
         self._counts = {str(n): np.zeros((3, PROBABILITY_STEPS)) for n in RELIABLE_AFTER}
 
     def group(self, groups: ProbeGroups, g: int, reasoner: Strategy, model: BatchModel) -> None:
-        """Let ``reasoner`` conclude from the probes of group ``g`` and note what it says."""
+        """Record the verdicts of ``reasoner`` on the probes of group ``g``."""
         first = _pair(groups.offset_mm[g, 0])
         probability = model.predict(groups.observation[g])
         for k in range(PROBES_PER_GROUP):
@@ -568,7 +568,7 @@ class VerdictCollector:
             self._iou.append(round(int((said & real).sum()) / either, 4) if either else 1.0)
 
     def as_json(self) -> Json:
-        """Return all answers; ``cells`` per n: count, how many supported, sum of promises."""
+        """Return all verdicts; ``cells`` per n: count, supported cells, sum of probabilities."""
         verdicts = {"says": self._says, "likely": self._likely}
         if not self._believes:
             return verdicts
@@ -577,7 +577,7 @@ class VerdictCollector:
 
 
 def static_scores(answers: Sequence[Json]) -> Json:
-    """Return balanced accuracy by n, reliability by n and IoU of some answers."""
+    """Return balanced accuracy by n, reliability by n, and IoU."""
     charts = {}
     for n in map(str, RELIABLE_AFTER):
         rows = [np.array(answer["cells"][n]) for answer in answers if "cells" in answer]
@@ -595,7 +595,7 @@ def static_scores(answers: Sequence[Json]) -> Json:
 
 
 def _verdicts(answers: Sequence[Json], kind: str, n: str) -> VerdictCounts:
-    """Count the verdicts after ``n`` probes against every interface."""
+    """Count the verdicts after ``n`` probes against all interfaces."""
     counts = VerdictCounts(0, 0, 0, 0)
     for answer in answers:
         counts += score_verdicts(answer[kind][n], answer["margin_mm"], interface=1)[0]
@@ -603,7 +603,7 @@ def _verdicts(answers: Sequence[Json], kind: str, n: str) -> VerdictCounts:
 
 
 def reliability_of_counts(counts: FloatArray) -> Json:
-    """Return the reliability of counted probabilities (3, STEPS); cells of a step count alike."""
+    """Return the reliability of binned probabilities (3, STEPS)."""
     count = counts[0].astype(int)
     some = count > 0
     promised = np.repeat(counts[2][some] / counts[0][some], count[some])
@@ -637,7 +637,6 @@ def _as_setting(strategy: str) -> str:
 
 
 def _finite(value: float) -> float | None:
-    """Return a margin for JSON: None where nothing is beneath."""
     return round(float(value), 4) if np.isfinite(value) else None
 
 

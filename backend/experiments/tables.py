@@ -1,7 +1,7 @@
-"""Tables 1 to 3 of the paper, from jobs to JSON rows beside the printed numbers.
+"""Tables 1 to 3 of the paper: jobs, results as JSON rows, and the published numbers.
 
 Paper: Ota et al., "Tactile Estimation of Extrinsic Contact Patch for Stable Placement", ICRA 2024,
-arXiv 2309.14552. Printed values are in % except Table III (successes of 10); keys: piece, bottom.
+arXiv 2309.14552. Published values are in % except Table III (successes of 10); keys: piece, bottom.
 ``Recipe`` lists the jobs and their dependencies at one ``Scale`` and runs nothing.
 """
 
@@ -19,8 +19,8 @@ from touchdown.backend.geometry import TOO_CLOSE_MM
 from touchdown.backend.jobs import JobSpec, JobStore
 from touchdown.backend.learning import DeviceName
 
+# columns of all three tables
 PAPER_CELLS = tuple(product(("mushroom", "barrel", "pot"), ("short", "long")))
-"""Columns of all three tables, in their order."""
 PaperRow = Mapping[tuple[str, str], float]
 
 
@@ -38,13 +38,13 @@ PAPER_POINT_ACCURACY: Mapping[str, PaperRow] = {
     "Tac": _paper_row(72.9, 60.4, 76.5, 77.5, 66.9, 71.7),
     "FT+Tac": _paper_row(77.9, 73.8, 77.0, 75.4, 67.3, 74.9),
 }
+# Implicit, and the method fusing n = 1, 2, 3 probes; the paper has no n = 5.
 PAPER_STABILITY: Mapping[str, PaperRow] = {
     "Implicit": _paper_row(73.7, 73.0, 63.9, 69.8, 64.2, 66.0),
     "1": _paper_row(69.8, 81.0, 63.7, 71.4, 61.7, 69.4),
     "2": _paper_row(88.4, 93.0, 92.7, 88.9, 83.2, 83.9),
     "3": _paper_row(93.0, 93.2, 97.3, 92.1, 91.1, 85.7),
 }
-"""Implicit, and the method fusing n = 1, 2, 3 probes. Five were not measured."""
 PAPER_STACKING: Mapping[str, PaperRow] = {
     "pick-and-place": _paper_row(0, 0, 0, 0, 0, 0),
     "one": _paper_row(8, 6, 8, 5, 7, 6),
@@ -56,24 +56,23 @@ PAPER_RUNS = 10
 PIECES = ("mushroom", "barrel", "pot")
 TABLE_BOTTOMS = ("short", "long")
 TRAINING_BOTTOMS = ("circle15", "circle25", "square15")
-TOWER = ("short", "long")
-"""Bottom-up: Long stands on Short, and Long is touched."""
+TOWER = ("short", "long")  # bottom-up: Long stands on Short, and Long is touched
 NetworkHead = Literal["patch", "stability"]
+# name in the tables, inputs, target of the network
 MODELS: tuple[tuple[str, str, NetworkHead], ...] = (
     ("FT", "FT", "patch"),
     ("Tac", "Tac", "patch"),
     ("FT+Tac", "FT+Tac", "patch"),
     ("Implicit", "FT+Tac", "stability"),
 )
-"""Name in the tables, inputs, and what the network answers."""
+# The seed ranges of cells do not overlap.
 TRAINING_SEED, STATIC_SEED, STACKING_SEED = 21, 3_000_000, 4_000_000
-"""Distances between cells are far below these: no seed serves twice."""
 CELL_SEEDS = 10_000
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How much of everything: ``probes`` for training per outline, groups and trials per cell."""
+    """Size of an experiment: ``probes`` for training per outline, groups and trials per cell."""
 
     name: str
     probes: int
@@ -83,10 +82,8 @@ class Scale:
     probes_per_grip: int = 50
     grips_per_mounting: int = 40
     fused: int = 5
-    pictured: int = 1500
-    """Probes whose signals are shown and searched for presses that feel alike."""
-    repeated: int = 0
-    """Trials of each cell of Table 3 that are run on the devices as well, images and all."""
+    pictured: int = 1500  # probes of the collection that is searched for ambiguous presses
+    repeated: int = 0  # trials of each cell of Table 3 that are repeated on the devices
 
 
 FULL = Scale("full", probes=2000, epochs=30, groups=400, trials=100, repeated=20)
@@ -98,8 +95,8 @@ SCALES = {scale.name: scale for scale in (FULL, QUICK)}
 class Recipe:
     """All jobs of Tables 1 to 3 on one bench.
 
-    ``models``: for each piece and model name the hash of a trained file to use in place of a
-    training; ``code`` is the version of the program.
+    ``models``: for each piece and model name the hash of a trained file that replaces a training;
+    ``code``: version of the program.
     """
 
     scale: Scale
@@ -107,15 +104,14 @@ class Recipe:
     code: str
     models: Mapping[tuple[str, str], str] = field(default_factory=dict)
     pieces: tuple[str, ...] = PIECES
-    device: DeviceName = "auto"
-    """What trains: another one gives other last digits."""
+    device: DeviceName = "auto"  # of the training; another device changes the last digits
 
     def bench_id(self) -> str:
         """Return the SHA-256 of the bench's settings."""
         return bench_sha256(self.bench)
 
     def jobs(self) -> list[JobSpec]:
-        """Return every job once, inputs before what needs them."""
+        """Return every job once, inputs before the jobs that need them."""
         found: dict[str, JobSpec] = {}
         for spec in self._all():
             found.setdefault(spec.id, spec)
@@ -146,7 +142,7 @@ class Recipe:
         return JobSpec("train", params, settings.seed, needs, self.code)
 
     def static(self, piece: str, bottom: str) -> JobSpec | None:
-        """Return the evaluation of all models of ``piece`` over one bottom; None without any."""
+        """Return the evaluation of the models of ``piece`` over one bottom; None without any."""
         names = [name for name, _, _ in MODELS if self._source(piece, name)]
         if not names:
             return None
@@ -163,7 +159,7 @@ class Recipe:
         )
 
     def stacking(self, piece: str, bottoms: tuple[str, ...], strategy: str) -> JobSpec | None:
-        """Return one cell of Table 3; None without a model for a strategy that needs one."""
+        """Return one cell of Table 3; None if its strategy needs a model and there is none."""
         source = self._source(piece, "FT+Tac") if strategy != "pick-and-place" else ""
         if source is None:
             return None
@@ -179,7 +175,7 @@ class Recipe:
         )
 
     def devices(self, piece: str, bottoms: tuple[str, ...]) -> JobSpec | None:
-        """Return the first trials of a cell on the stepped bench; None if there are to be none."""
+        """Return the first trials of a cell on the stepped bench; None if the scale has none."""
         cell = self.stacking(piece, bottoms, "paper")
         if cell is None or not self.scale.repeated:
             return None
@@ -187,7 +183,7 @@ class Recipe:
         return JobSpec("devices", params, cell.seed, cell.inputs, self.code)
 
     def twins(self) -> JobSpec:
-        """Return the small collection whose signals are shown and searched for alike presses."""
+        """Return the small collection that is searched for ambiguous presses."""
         return self._job(
             "twins",
             TRAINING_SEED,
@@ -199,7 +195,7 @@ class Recipe:
         )
 
     def effort(self, spec: JobSpec) -> int:
-        """Return how long a job takes compared with others, for the time that is left."""
+        """Return the relative duration of a job."""
         p, scale = spec.params, self.scale
         if spec.kind in ("simulate", "twins"):
             return int(p["episodes"])
@@ -226,7 +222,7 @@ class Recipe:
             yield from (cell for cell in cells if cell is not None)
 
     def _source(self, piece: str, model: str) -> str | None:
-        """Return the job or the hash that a model comes from."""
+        """Return the training job or the hash of a model."""
         if (piece, model) in self.models:
             return self.models[piece, model]
         return self.training(piece, model).id if self.scale.probes else None
@@ -241,7 +237,7 @@ class Recipe:
 
 
 def paper_training(inputs: str, epochs: int) -> TrainingSettings:
-    """Return training as the paper may have done it: a constant rate, and the last weights.
+    """Return the paper's training settings: a constant rate, and the last weights.
 
     The paper names neither a schedule nor an early stop.
     """
@@ -252,7 +248,7 @@ def paper_training(inputs: str, epochs: int) -> TrainingSettings:
             "schedule": "constant",
             "keep": "last",
             "patience": epochs,
-            # One mounting an outline: nothing is chosen by validation, so that it may know them.
+            # One mounting per outline; validation selects nothing.
             "divide_series": True,
         }
     )
@@ -260,8 +256,8 @@ def paper_training(inputs: str, epochs: int) -> TrainingSettings:
 
 TABLES_FORMAT = "touchdown-tables/1"
 BEYOND_FORMAT = "touchdown-beyond/2"
+# the first format lacks the towers that were left out
 BEYOND_READABLE = ("touchdown-beyond/1", BEYOND_FORMAT)
-"""The first says nothing of towers that were left out."""
 
 
 PATCH_MODELS = tuple(name for name, _, head in MODELS if head == "patch")
@@ -271,7 +267,7 @@ Json = dict[str, Any]
 
 
 def table_results(recipe: Recipe, store: JobStore) -> Json:
-    """Return everything that is finished; a cell whose job is missing is null."""
+    """Return all finished results; the value of a missing cell is null."""
     return {
         "format": TABLES_FORMAT,
         "scale": recipe.scale.name,
@@ -295,7 +291,7 @@ def _answer(spec: JobSpec | None, store: JobStore) -> Json | None:
 
 
 def _table1(recipe: Recipe, store: JobStore) -> list[Json]:
-    """One row per model and metric; interval from the spread between grippings."""
+    """Return one row per model and metric; intervals from the spread between grippings."""
     rows = []
     for metric, printed in (("iou", PAPER_IOU), ("accuracy", PAPER_POINT_ACCURACY)):
         for model in PATCH_MODELS:
@@ -314,7 +310,7 @@ def _table1(recipe: Recipe, store: JobStore) -> list[Json]:
 
 
 def _table2(recipe: Recipe, store: JobStore) -> list[Json]:
-    """One row per method; each cell both ways: top interface alone, and every interface."""
+    """Return one row per method; each cell for the top interface alone, and for all interfaces."""
     rows = []
     for method in ("Implicit", "1", "2", "3", "5"):
         model = "Implicit" if method == "Implicit" else OWN_MODEL
@@ -340,9 +336,9 @@ def _table2(recipe: Recipe, store: JobStore) -> list[Json]:
 def score_verdicts(
     says: Sequence[bool], margins_mm: Sequence[Sequence[float | None]], interface: int
 ) -> tuple[VerdictCounts, int]:
-    """Count answers against margins; cases within the band that is too close are left out.
+    """Count verdicts against margins; cases within the tolerance around zero are left out.
 
-    A margin of None means no support at all. Returns the counts and how many were left out.
+    A margin of None means no support. Returns the counts and the number of cases left out.
     """
     kept = [
         (said, margin[interface])
@@ -354,7 +350,7 @@ def score_verdicts(
 
 
 def _table3(recipe: Recipe, store: JobStore) -> list[Json]:
-    """One row per tower and strategy. Every trial counts."""
+    """Return one row per tower and strategy. Every trial counts."""
     rows = []
     kinds: tuple[tuple[str, str, str], ...] = (
         ("pick-and-place", "one", "pick-and-place"),
@@ -395,7 +391,7 @@ def _table3(recipe: Recipe, store: JobStore) -> list[Json]:
 
 
 def stacking_cell(trials: Sequence[Mapping[str, Any]]) -> Json:
-    """Count how the trials of one cell ended, by every interface and by the top one alone."""
+    """Count the outcomes of one cell, for all interfaces and for the top one."""
     counts: dict[str, int] = {}
     for trial in trials:
         counts[trial["outcome"]] = counts.get(trial["outcome"], 0) + 1
@@ -412,7 +408,7 @@ def stacking_cell(trials: Sequence[Mapping[str, Any]]) -> Json:
 
 
 def agreement(batch: Sequence[Mapping[str, Any]], devices: Sequence[Mapping[str, Any]]) -> Json:
-    """Compare the trials that were run both ways, by seed."""
+    """Compare the batch trials and the device trials of the same seeds."""
     mine = {trial["seed"]: trial for trial in batch}
     pairs = [(mine[trial["seed"]], trial) for trial in devices]
     placed = [
@@ -428,7 +424,7 @@ def agreement(batch: Sequence[Mapping[str, Any]], devices: Sequence[Mapping[str,
 
 
 def _bench_facts(recipe: Recipe, store: JobStore) -> Json:
-    """How hard the bench was: slip, stable share, reliability and map IoU after three probes."""
+    """Return the difficulty of the bench: slip, reliability and map IoU after three probes."""
     slipped, rejected, count = [], 0, 0
     charts = []
     for piece, bottom in _cells(recipe):
@@ -455,7 +451,7 @@ def _bench_facts(recipe: Recipe, store: JobStore) -> Json:
 
 
 def _cell(piece: str, bottom: str, spec: JobSpec | None, printed: float | None) -> Json:
-    """Return what every cell carries: where it belongs, its job, and the paper's number."""
+    """Return the common fields of a cell: piece, bottom, job, seed and the paper's number."""
     trace = {} if spec is None else {"job": spec.id, "seed": spec.seed}
     return {"piece": piece, "bottom": bottom, "paper": printed, **trace}
 
@@ -470,6 +466,6 @@ def _means(cells: Sequence[Json]) -> Json:
 
 
 def pieces_of(text: str) -> tuple[str, ...]:
-    """Return the pieces named by a text with commas, in the order of the tables."""
+    """Return the pieces named in a comma-separated text, in the order of the tables."""
     wanted = set(filter(None, text.split(",")))
     return tuple(piece for piece in PIECES if piece in wanted)

@@ -1,8 +1,8 @@
 """Simulated stacking trials that run side by side, from a seeded scene to the outcome.
 
-Each trial concludes by the same strategies as ``touchdown.backend.runs.stack``. Tare, reference,
-tracker and interlock of that plan do not happen here. Episodes are accepted by the same limits on
-press force and slip. ``start_scene`` makes the scene that the device loop makes of the same seed.
+The strategies are those of ``touchdown.backend.runs.stack``. Tare, reference, tracker and interlock
+of that plan are left out. Episodes are accepted by the same limits on press force and slip.
+``start_scene`` builds the same scene as the device loop for a given seed.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ _START, _DISPLACEMENT = 77, 78
 
 @dataclass(frozen=True, slots=True)
 class SceneSetup:
-    """A piece over one bottom, or over a tower of them (bottom-up), on a bench."""
+    """A piece over one bottom, or over a tower of bottoms (bottom-up), on a bench."""
 
     piece: Piece
     bottoms: tuple[Piece, ...]
@@ -71,14 +71,14 @@ class SceneSetup:
         bottoms: tuple[str, ...],
         settings: SimulationSettings,
     ) -> SceneSetup:
-        """Look the names up; raises ``InputError``."""
+        """Return the set-up of the named pieces; raises ``InputError``."""
         return cls(catalogue.top(piece), tuple(map(catalogue.bottom, bottoms)), settings)
 
 
 def start_scene(case: SceneSetup, seed: int) -> Scene | None:
-    """Return the scene of one trial, started unstable; None if nothing can be placed there.
+    """Return the unstable scene of one trial; None if no place is stable.
 
-    The device loop makes the same scene of the same seed.
+    The device loop builds the same scene from the same seed.
     """
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, _START])))
     tower = draw_tower(rng, case.bottoms)
@@ -89,15 +89,16 @@ def start_scene(case: SceneSetup, seed: int) -> Scene | None:
 
 
 def probing_scene(case: SceneSetup, seed: int) -> Scene:
-    """Return a scene for single presses: one mounting and one gripping of their own."""
+    """Return a scene for single presses, with its own mounting and gripping."""
     return Scene(case.piece, Tower((case.bottoms[0].body(),)), (0.0, 0.0), seed, case.settings)
 
 
 def balanced_offset(case: SceneSetup, seed: int, attempt: int, *, stable: bool) -> FloatArray:
-    """Return (2,) a displacement at which the piece would (not) stand, uniform over all such.
+    """Return a random displacement (2,) at which the piece stands, or does not, as ``stable``
+    requires.
 
-    Overlaps below the least of the data collection do not occur. Raises ``InputError`` if there is
-    none of the wanted kind.
+    The overlap is at least that of the data collection. Raises ``InputError`` if no such place
+    exists.
     """
     rng = displacement_rng(seed, 0, attempt)
     bottom = case.bottoms[0].body()
@@ -114,28 +115,27 @@ def balanced_offset(case: SceneSetup, seed: int, attempt: int, *, stable: bool) 
 
 
 def uniform_offset(case: SceneSetup, seed: int, probe: int, attempt: int) -> FloatArray:
-    """Return (2,) a displacement, uniform over all with enough overlap."""
+    """Return a random displacement (2,) with enough overlap."""
     rng = displacement_rng(seed, probe, attempt)
     return np.asarray(draw_offset(rng, case.piece.face, case.bottoms[0].face, 1)[0])
 
 
 def displacement_rng(seed: int, probe: int, attempt: int) -> np.random.Generator:
-    """Return the generator of the displacement of one probe of a trial."""
+    """Return the random generator of the displacement of one probe of a trial."""
     place = np.random.SeedSequence([seed, _DISPLACEMENT, probe + 1, attempt + 1])
     return np.random.Generator(np.random.PCG64(place))
 
 
+# contact probabilities (k, N) of observations (k, 20, 258)
 BatchPredict = Callable[[NDArray[np.float32]], FloatArray]
-"""Contact probabilities (k, N) of observations (k, 20, 258)."""
-MAX_ATTEMPTS = 2
-"""A press that is no observation is repeated once, as on the bench."""
+MAX_ATTEMPTS = 2  # an invalid press is repeated once, as on the bench
 TOPPLED_REASON = "The press tipped the bottom over its edge."
 XY = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class BatchModel:
-    """What the loop needs of a trained model: ``points_mm`` (N, 2) of the face."""
+    """Interface of a trained model: ``points_mm`` (N, 2) of the face, and predictions."""
 
     predict: BatchPredict
     points_mm: FloatArray
@@ -144,9 +144,7 @@ class BatchModel:
 
 @dataclass(frozen=True, slots=True)
 class ProbeStep:
-    """One probe of a trial: where the command was, where the piece really stood on the bottom
-    (``true_mm``), what was believed and chosen.
-    """
+    """One probe of a trial: commanded place, true place ``true_mm``, belief and decision."""
 
     offset_mm: XY
     true_mm: XY
@@ -157,9 +155,9 @@ class ProbeStep:
 
 @dataclass(frozen=True, slots=True)
 class BatchTrialResult:
-    """How a trial ended. ``verdict``: the exact judge at the release, None without one.
+    """Result of a trial. ``verdict``: exact judge at the release, None without a release.
 
-    ``true_mm``: displacement of the piece at the end, where it was ever pressed.
+    ``true_mm``: final displacement of the piece, None if it was never pressed.
     """
 
     seed: int
@@ -171,7 +169,7 @@ class BatchTrialResult:
     steps: tuple[ProbeStep, ...] = field(default=(), repr=False)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what a result keeps of it; a margin without any support is None."""
+        """Return the stored form; a margin without support is None."""
         verdict = self.verdict
         finite = (
             None
@@ -189,8 +187,6 @@ class BatchTrialResult:
 
 @dataclass
 class _RunningTrial:
-    """A trial under way."""
-
     number: int
     scene: Scene
     here: XY
@@ -201,7 +197,6 @@ class _RunningTrial:
     end: BatchTrialResult | None = None
 
     def close(self, outcome: Outcome, reason: str, verdict: TowerVerdict | None = None) -> None:
-        """End the trial."""
         self.end = BatchTrialResult(
             self.scene.seed,
             outcome,
@@ -223,8 +218,8 @@ def stack_in_lockstep(
 ) -> list[BatchTrialResult]:
     """Run one trial per scene to its end; the scenes share piece, touched surface and bench.
 
-    ``reasoner`` begins a trial of a scene at a commanded place; None: the strategy of the settings.
-    ``world``: in which to press.
+    ``reasoner`` creates the strategy of a trial from its scene and commanded place; the default is
+    the strategy of the settings. ``world``: class of the simulation.
     """
     bench = world(scenes, settings.probe)
     trials = []
@@ -250,7 +245,7 @@ def stack_in_lockstep(
 def grasped_piece_in(
     scene: Scene, base_rate: float | None, below: SupportTower | None = None
 ) -> GraspedPiece:
-    """Return what a strategy may know of the piece in the hand."""
+    """Return the properties of the grasped piece that a strategy may know."""
     height_mm, com = scene.settings.wrist.height_mm, scene.piece.com_xy_mm
     return GraspedPiece(com, scene.grip_height_mm, base_rate, height_mm, below)
 
@@ -258,7 +253,7 @@ def grasped_piece_in(
 def pick_and_place_in_lockstep(
     scenes: Sequence[Scene], settings: StackSettings, limits: EpisodeLimits
 ) -> list[BatchTrialResult]:
-    """Press once and let go, whatever was felt: what the paper compares with."""
+    """Press once and release in any case: the paper's baseline."""
     bench = BatchedTrials(scenes, settings.probe)
     commands = bench.start_commands_mm()
     felt = bench.press(range(len(scenes)), commands)
@@ -281,8 +276,8 @@ def pick_and_place_in_lockstep(
 def _accepted_presses(
     active: list[_RunningTrial], felt: TrialPresses, limits: EpisodeLimits
 ) -> list[int]:
-    """Return which presses are observations; a trial whose press is none twice is aborted, unless
-    its strategy can go on without a contact.
+    """Return the valid presses; a trial with two invalid presses is aborted, unless its strategy
+    can recover from a missed contact.
     """
     kept = []
     for k, trial in enumerate(active):
@@ -316,7 +311,7 @@ def _accepted_presses(
 
 
 def _recover_missed_contact(trial: _RunningTrial, reasoner: SearchingStrategy) -> None:
-    """Let a strategy that asks for it go on elsewhere."""
+    """Move on to the place that the strategy proposes after a missed contact."""
     action = reasoner.missed(trial.here)
     if action.kind == "give_up":
         trial.close(Outcome.GAVE_UP, action.reason)
@@ -342,7 +337,7 @@ def _decide(trial: _RunningTrial, touched: ProbeObservation, bench: BatchedTrial
 
 
 def _release(trial: _RunningTrial, bench: BatchedTrials) -> None:
-    """Let the exact judge of the whole tower decide, as the simulated bench does."""
+    """Judge the whole tower, as the simulated bench does."""
     assert trial.true_mm is not None
     kick = release_kick_mm(trial.scene, 1)
     yaw = bench.grippings[trial.number].yaw_rad

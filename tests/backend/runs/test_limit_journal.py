@@ -56,7 +56,7 @@ def test_a_change_holds_from_now_on_and_is_said(session, tmp_path):
 def test_nothing_changes_while_the_arm_is_moved(session):
     session.hand.jog.renew(JogOrder(1, 1, session.clock_s(), "z", "XYZ", 5.0))
     session.advance()
-    with pytest.raises(RefusedError, match="by hand"):
+    with pytest.raises(RefusedError, match="manual control"):
         session.change_limits(LOWER, "anna")
     assert session.interlock.limits == Limits()
 

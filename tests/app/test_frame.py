@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QRect, Qt, qWarning
 from PySide6.QtGui import QAction, QImage
-from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel, QSpinBox, QWidget
+from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel, QPushButton, QSpinBox, QWidget
 
 from tests.app.conftest import settle
 from tests.app.stand_in import StandInBench
@@ -272,7 +272,7 @@ def test_details_are_shown_and_copied(live, bench, qapp):
     card._copy()
     assert "FT-TRIP" in qapp.clipboard().text()
     assert card._details.isHidden()
-    card._toggle()
+    next(b for b in card.findChildren(QPushButton) if b.text() == "Details").click()
     assert not card._details.isHidden()
 
 

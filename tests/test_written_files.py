@@ -326,7 +326,6 @@ def test_calibrations_hold() -> None:
     assert {len(dots) for dots in camera.gels.values()} == {126}
 
 
-@pytest.mark.xfail(reason="tables of the removed strategies outlines and looking are refused")
 def test_settings_of_the_method_are_kept() -> None:
     method = load_method(WRITTEN / "method.toml")
     assert method.belief.half_extent_mm == 16.0

@@ -16,6 +16,8 @@ from touchdown.backend.core import InputError
 NAME = "settings"
 HELP = "show the settings of the method, or write them to a file"
 JSON_VERSION = 1
+# Tables that 0.1.0 wrote for strategies that are gone.
+REMOVED_TABLES = {"looking", "outlines", "pressure"}
 OF_THE_RUN = {"strategy", "mode"}
 """Chosen with each run, so not in the file."""
 HEAD = """\
@@ -53,6 +55,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 def load_method(path: Path) -> StackSettings:
     """Read the settings of ``path``; raises ``InputError`` naming file and key."""
     content = read_toml(path)
+    content = {key: value for key, value in content.items() if key not in REMOVED_TABLES}
     for key in sorted(OF_THE_RUN & content.keys()):
         raise InputError(
             f"'{key}' is no setting of the method.",

@@ -260,10 +260,10 @@ def test_a_run_of_a_removed_strategy_still_replays(
     assert (result["piece"], result["facts"]) == ("pot", {"RunStarted": 1})
 
 
-def test_a_method_file_with_a_removed_setting_is_one_error(
+def test_a_method_file_with_an_unknown_setting_is_one_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     method = tmp_path / "old.toml"
-    method.write_text("[outlines]\nrisk = 0.05\n", "utf-8")
+    method.write_text("[contours]\nrisk = 0.05\n", "utf-8")
     assert main(["settings", "--method", str(method)]) == 2
-    assert "There is no setting 'outlines'." in capsys.readouterr().err
+    assert "There is no setting 'contours'." in capsys.readouterr().err

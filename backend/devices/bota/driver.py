@@ -33,14 +33,14 @@ WAKE_S = 10.0
 PAUSE_S = 0.5
 ANSWER_S = 1.0
 TIMESTAMP_TURN = 1 << 32
-# Samples; a larger step of the timestamp is a restart of the sensor, not a loss.
+# Samples; a larger gap is a restart of the sensor, not a loss.
 LONGEST_GAP = 10_000
 
-OLD_US = 1_000_000  # a timestamp so little before the newest is late; one farther back is a restart
+OLD_US = 1_000_000  # a timestamp this much before the newest is late; an older one is a restart
 
 
 class BotaDriver:
-    """Losses follow from the timestamps of the sensor."""
+    """Losses are found by the sensor's timestamps."""
 
     baud = 460_800
     chunk = 2 * protocol.FRAME_BYTES
@@ -77,18 +77,18 @@ class BotaDriver:
         return SensorDescription(identity, self._settings.rated, self._period_s, numbered=True)
 
     def take(self, data: bytes) -> list[WrenchReading]:
-        """Return the samples; what the sensor marks invalid is NaN."""
+        """Return the samples; those marked invalid are NaN."""
         frames = (m for m in self._decoder.feed(data) if isinstance(m, BotaFrame))
         return [self._reading(frame) for frame in frames if not self._is_old(frame)]
 
     @property
     def refusals(self) -> FrameErrors:
-        """Frames that were none."""
+        """Counts of invalid frames."""
         decoder = self._decoder
         return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
 
     def stop(self, link: SensorLink) -> None:
-        """Leave the sensor in configuration mode, which is quiet."""
+        """Switch to configuration mode, in which the sensor is silent."""
         link.write(protocol.encode(BotaRequest("C")))
 
     def _ask(self, link: SensorLink, cancel: threading.Event, request: BotaRequest) -> None:
@@ -101,7 +101,7 @@ class BotaDriver:
             raise NotAnsweredError(f"The sensor refuses '{request.command}' ({reply.code})")
 
     def _is_old(self, frame: BotaFrame) -> bool:
-        """Whether it comes after one that was taken later, or twice."""
+        """Return True if the frame is overtaken or repeated."""
         if self._last_us is None:
             return False
         return (self._last_us - frame.timestamp_us) % TIMESTAMP_TURN <= OLD_US

@@ -32,7 +32,7 @@ TIMESTAMP_TURN = 1 << 32
 
 
 class EmulatedBota:
-    """``wrench(now_s)`` gives six values, N and N·m; ``quiet_in_config`` as in the settings."""
+    """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m."""
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class EmulatedBota:
         self._booted = self._configuring = False
 
     def receive(self, now_s: float, data: bytes) -> bytes:
-        """Take text commands; return the answers, behind the boot text of a new client."""
+        """Process text commands; return the answers, after the boot text for a new client."""
         answers = (self._answer(now_s, request) for request in self._requests.feed(data))
         return self._boot(now_s) + b"".join(answers)
 
@@ -60,7 +60,7 @@ class EmulatedBota:
         return boot + b"".join(map(self._frame, times))
 
     def closed(self, now_s: float) -> None:
-        """Start again with the next client, as a sensor powered by its plug does."""
+        """Restart for the next client, like a sensor powered by its plug."""
         self._booted = self._configuring = False
         self._sinc = DEFAULT_SINC
         self.pace.end()

@@ -28,7 +28,7 @@ from touchdown.backend.devices.identification import ProtocolSignature
 
 FRAME_BYTES = 37
 HEADER = 0xAA
-SINC_STEP_S = 19.53125e-6  # sample period is the ``sinc`` length of the filter times this
+SINC_STEP_S = 19.53125e-6  # sample period per unit of the filter length ``sinc``
 BAUD_CODES = {9600: 0, 57600: 1, 115200: 2, 230400: 3, 460800: 4}
 
 _FIELDS = struct.Struct("<H6fIf")
@@ -49,7 +49,7 @@ class BotaStatus(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class BotaFrame:
-    """One sample as sent. Of a frame marked invalid, a number that is none is kept as NaN."""
+    """One sample as sent; numbers that are not finite are NaN in an invalid frame."""
 
     status: int
     values: tuple[float, ...]
@@ -58,17 +58,17 @@ class BotaFrame:
 
     @property
     def usable(self) -> bool:
-        """Whether the values are a measurement in N and N·m."""
+        """True if the values are valid, in N and N·m."""
         return not self.status & (BotaStatus.INVALID | BotaStatus.RAW)
 
     def wrench(self) -> Wrench:
-        """Return the measurement; NaN if the sensor marks it invalid or unscaled."""
+        """Return the wrench; NaN if the sensor marks it invalid or unscaled."""
         return wrench_of(self.values) if self.usable else NO_WRENCH
 
 
 @dataclass(frozen=True, slots=True)
 class BotaReply:
-    """Answer to a text command; ``code`` 0 is good."""
+    """Answer to a text command; ``code`` 0 is success."""
 
     command: str
     code: int
@@ -109,7 +109,7 @@ def encode(message: BotaMessage | BotaRequest) -> bytes:
 
 
 def decode_frame(data: bytes) -> BotaFrame:
-    """Return the frame of exactly 37 bytes; raises ``WireError``."""
+    """Return the frame of exactly 37 bytes; raises ``ProtocolError``."""
     require_length(data, FRAME_BYTES, "bota frame")
     if data[0] != HEADER:
         raise ProtocolError("header", "bota frame")
@@ -126,12 +126,12 @@ def decode_frame(data: bytes) -> BotaFrame:
 
 
 def incoming() -> FrameStream[BotaMessage]:
-    """Return the decoder of what the sensor sends: frames and texts in any order."""
+    """Return the decoder of the sensor's messages: frames and texts in any order."""
     return FrameStream(_take, overtake=_text_behind)
 
 
 def requests() -> FrameStream[BotaRequest]:
-    """Return the decoder of what the sensor is sent."""
+    """Return the decoder of commands."""
     return FrameStream(_take_request, overtake=lambda take, data, at: False)
 
 
@@ -168,7 +168,7 @@ def _wait_for_text(data: bytes, at: int) -> FrameStep[BotaMessage] | None:
 
 
 def _text_behind(take: TakeFrame[BotaMessage], data: bytes, at: int) -> bool:
-    """Return whether a text begins behind a frame that was cut off by it."""
+    """Return True if a text starts within an incomplete frame."""
     return re.compile(_REPLY.pattern + b"|" + _BOOT).search(data, at) is not None
 
 

@@ -17,7 +17,7 @@ from touchdown.backend.devices.framing import ProtocolError
 
 
 def link_fault(name: str, what: str) -> Fault:
-    """Return the fault of a camera that is not, or no longer, there."""
+    """Return the fault of a missing or lost camera."""
     return Fault(
         "CAMERA-LINK",
         what,
@@ -28,7 +28,7 @@ def link_fault(name: str, what: str) -> Fault:
 
 
 def frozen_fault(name: str) -> Fault:
-    """Return the fault of a camera that sends the same picture again and again."""
+    """Return the fault of a camera that repeats the same picture."""
     return Fault(
         "CAMERA-FROZEN",
         "The camera sends the same picture again and again.",
@@ -50,15 +50,15 @@ def dark_fault(name: str) -> Fault:
 
 
 START, END = b"\xff\xd8\xff", b"\xff\xd9"
-LONGEST = 16 << 20  # bytes of one picture; what goes on longer is noise
+LONGEST = 16 << 20  # maximum bytes of one picture
 _SIZED = frozenset({0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
 _SCAN = 0xDA
-# Huffman codes, quantisation, restarts, scan, frame: what the picture data are read by.
+# Segments needed for decoding: Huffman codes, quantisation, restarts, scan, frame.
 _TABLES = frozenset({0xC4, 0xDB, 0xDD, _SCAN}) | _SIZED
 
 
 class JpegStream:
-    """Cuts a stream into pictures; one whose end is missing is refused at the next start."""
+    """Stream decoder of pictures; one without an end is rejected at the next start."""
 
     def __init__(self) -> None:
         self._rest = b""
@@ -66,11 +66,11 @@ class JpegStream:
 
     @property
     def pending(self) -> int:
-        """Bytes kept of an unfinished picture."""
+        """Number of bytes of an incomplete picture."""
         return len(self._rest)
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take the next bytes; return the pictures they complete, oldest first."""
+        """Process the next bytes; return the completed pictures, oldest first."""
         seen = max(0, len(self._rest) - 2)
         self._rest += data
         pictures: list[bytes] = []
@@ -96,7 +96,7 @@ class JpegStream:
             seen = 0
 
     def reset(self) -> None:
-        """Forget the bytes of an unfinished picture; the counts stay."""
+        """Discard an incomplete picture; the counts stay."""
         self._rest = b""
 
     def _skip(self, count: int) -> None:
@@ -110,7 +110,7 @@ class JpegStream:
 
 
 def size_px(picture: bytes) -> tuple[int, int]:
-    """Return width and height of a JPEG from its frame header; raises ``WireError``."""
+    """Return width and height of a JPEG from its frame header; raises ``ProtocolError``."""
     for kind, segment in _segments(picture):
         if kind in _SIZED and len(segment) >= 5:
             height, width = int.from_bytes(segment[1:3], "big"), int.from_bytes(segment[3:5], "big")
@@ -121,9 +121,8 @@ def size_px(picture: bytes) -> tuple[int, int]:
 
 
 def tables(picture: bytes) -> bytes:
-    """Return what the data of a picture are read by, without comments and the maker's own.
-
-    Pictures of one camera have few such headers, so that one bit wrong in it makes a new one.
+    """Return the segments needed for decoding, without comments and vendor data. Pictures of one
+    camera have few such headers, so that one wrong bit makes a new one.
     """
     return b"".join(
         bytes((kind,)) + segment for kind, segment in _segments(picture) if kind in _TABLES
@@ -144,8 +143,7 @@ def _segments(picture: bytes) -> Iterator[tuple[int, bytes]]:
 WIDTH_PX, HEIGHT_PX = 320, 240
 MIRRORS = {"none": None, "x": 1, "y": 0, "both": -1}
 _SHAPE_TOLERANCE = 0.02
-# The level that libjpeg gives blocks without data; so many pixels of the last one are looked at, as
-# a block has at least after reduced decoding by four.
+# Grey level of blocks without data in libjpeg, and the size of a block after decoding at a quarter.
 MISSING, LAST_PX = 128, 2
 _REDUCED = {
     8: cv2.IMREAD_REDUCED_COLOR_8,
@@ -156,10 +154,8 @@ _REDUCED = {
 
 
 def decode(content: bytes, crop_fraction: float) -> ImageArray:
-    """Return the picture of a JPEG, decoded no finer than is needed after cropping.
-
-    Raises ``WireError`` if it is damaged so that the decoder notices, or if its data ended before
-    the picture did.
+    """Return the picture of a JPEG, decoded at the resolution needed after cropping. Raises
+    ``ProtocolError`` if the decoder detects damage, or if data are missing.
     """
     width, height = size_px(content)
     kept = 1.0 - 2.0 * crop_fraction
@@ -174,17 +170,15 @@ def decode(content: bytes, crop_fraction: float) -> ImageArray:
 
 
 def _ends_early(picture: ImageArray) -> bool:
-    """Whether the last pixels are what the decoder puts where data are missing.
-
-    No lit gel ends in a patch of that very grey, without any noise and in all three colours.
+    """Return True if the last pixels are the decoder's filling for missing data. An illuminated gel
+    never has this exact grey without noise in all three colours.
     """
     return bool((picture[-1, -LAST_PX:] == MISSING).all())
 
 
 def fit(picture: ImageArray, crop_fraction: float, mirror: str) -> ImageArray:
-    """Return (240, 320, 3): ``crop_fraction`` cut off on each side, scaled, mirrored.
-
-    Raises ``WireError`` if what is left is not of the shape 4:3.
+    """Return (240, 320, 3): cropped by ``crop_fraction`` on each side, scaled, mirrored. Raises
+    ``ProtocolError`` if the result is not 4:3.
     """
     height, width = picture.shape[:2]
     rows, columns = round(height * crop_fraction), round(width * crop_fraction)
@@ -201,18 +195,17 @@ def fit(picture: ImageArray, crop_fraction: float, mirror: str) -> ImageArray:
     return np.array(turned, dtype=np.uint8)
 
 
-# So many equal pictures in a row are no measurement; so many mean that the camera hangs.
+# Number of equal pictures in a row that are rejected, and that are a fault.
 EQUAL_INVALID, EQUAL_FAULT = 3, 10
-# So long a camera may be dark after it was switched on; so many dark pictures in a row are a fault
-# once it was bright.
+# Time a camera may be dark after it was switched on; number of dark pictures in a row that are a
+# fault later.
 DARK_S, DARK_FAULT = 3.0, 5
 MOST_HEADERS = 64
 
 
 class PictureFilter:
-    """Of one connection from ``now_s`` on; the caller owns the clock.
-
-    ``invalid``: pictures that were none. ``fault``: of the newest picture, if it tells of one.
+    """Filter of the pictures of one connection from ``now_s`` on; the caller owns the clock.
+    ``invalid`` counts rejected pictures; ``fault`` is the fault of the newest picture.
     """
 
     def __init__(self, finger: Finger, name: str, settings: GelsightSettings, now_s: float) -> None:
@@ -228,7 +221,7 @@ class PictureFilter:
         self.fault: Fault | None = None
 
     def judge(self, t_s: float, content: bytes | ImageArray) -> ImageArray | None:
-        """Return the picture as the tracker takes it, (240, 320, 3); None if it is none."""
+        """Return the picture for the tracker, (240, 320, 3); None if it is invalid."""
         self.fault = None
         raw = content if isinstance(content, bytes) else content.tobytes()
         self._equal = self._equal + 1 if raw == self._last else 0
@@ -261,9 +254,8 @@ class PictureFilter:
             return None
 
     def _known(self, content: bytes) -> bool:
-        """Whether this header came before, or is the first; a new one is believed when it returns.
-
-        Cameras that adapt their compression use some dozens of them.
+        """Return True if this header is the first or known; a new one is accepted at its second
+        occurrence. Cameras that adapt their compression use some dozens of headers.
         """
         header = tables(content)
         known = not self._headers or header in self._headers

@@ -1,8 +1,8 @@
 """Picture sources of a camera: UVC device, pipe of JPEGs, video file.
 
 All raise ``OSError``. Only the thread that opened a source reads it. Exposure and white balance are
-locked under Linux by whichever control name the kernel has (source: ``linux/videodev2.h``; names as
-``v4l2-ctl`` prints them).
+locked under Linux by the kernel's control names (source: ``linux/videodev2.h``; names as printed by
+``v4l2-ctl``).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from touchdown.backend.devices.cameras.frames import JpegStream
 QUERY, GET, SET = 0xC0445624, 0xC008561B, 0xC008561C
 NEXT = 0x8000_0000
 DISABLED, CLASS_TYPE = 0x1, 6
-MOST = 256  # controls of one camera; no driver has as many
+MOST = 256  # limit of the number of controls of a camera
 V4L2_MANUAL_EXPOSURE = 1
 _INFO = struct.Struct("<II32s4iI8x")
 _VALUE = struct.Struct("<Ii")
@@ -42,10 +42,8 @@ IoctlFunction = Callable[[int, int, bytes], bytes]
 def lock_controls(
     path: Path, settings: GelsightSettings, ask: IoctlFunction | None = None
 ) -> Mapping[str, float]:
-    """Switch the automatics off, set exposure and white balance; return what was read back.
-
-    A control that the camera lacks is left out of the answer; nothing is raised, and nothing
-    answered where the system is another one.
+    """Disable automatic control, set exposure and white balance; return the values read back.
+    Missing controls are left out; the result is empty on other systems. Nothing is raised.
     """
     ask = ask or _ioctl()
     if ask is None:
@@ -76,7 +74,7 @@ def find_controls(file: int, ask: IoctlFunction) -> Mapping[str, int]:
         try:
             content = ask(file, QUERY, _INFO.pack(last | NEXT, 0, b"", 0, 0, 0, 0, 0))
         except OSError as error:
-            if error.errno == errno.EINVAL:  # there is no further one
+            if error.errno == errno.EINVAL:  # no further control
                 break
             raise
         last, kind, name, _, _, _, _, flags = _INFO.unpack(content)
@@ -91,7 +89,7 @@ def plain_name(title: str) -> str:
 
 
 def _wanted(settings: GelsightSettings) -> Mapping[str, int]:
-    """Return the values by key; automatics first, they would bar the others."""
+    """Return the values by key; automatic modes first, because they block the others."""
     return {
         "white_balance_auto": 0,
         "exposure_auto": V4L2_MANUAL_EXPOSURE,
@@ -104,7 +102,7 @@ def _wanted(settings: GelsightSettings) -> Mapping[str, int]:
 def _set(
     file: int, ask: IoctlFunction, known: Mapping[str, int], names: tuple[str, ...], value: int
 ) -> float | None:
-    """Set the first of ``names`` that exists and return what it is then."""
+    """Set the first existing control of ``names`` and return its value."""
     control = next((known[name] for name in names if name in known), None)
     if control is None:
         return None
@@ -132,19 +130,19 @@ _FOURCC = cv2.VideoWriter.fourcc(*"MJPG")
 
 
 class PictureSource(Protocol):
-    """An open camera; ``lost``: pictures that came damaged or were overtaken by a newer one."""
+    """An open camera; ``lost`` counts damaged and replaced pictures."""
 
     lost: int
 
     @property
     def facts(self) -> Mapping[str, float]:
-        """What it answers to the format and controls that were set."""
+        """Format and controls as read back."""
 
     def read(self, limit_s: float) -> bytes | ImageArray | None:
-        """Return the next picture, a JPEG or an image; None if there is none in time."""
+        """Return the next picture, a JPEG or an image; None after the time limit."""
 
     def close(self) -> None:
-        """Let go of the camera; its controls stay as set."""
+        """Close the camera; its controls stay as set."""
 
 
 class UvcSource:
@@ -162,7 +160,7 @@ class UvcSource:
             self._capture.release()
             raise OSError(f"{path} cannot be opened")
         wanted = {
-            "fourcc": (cv2.CAP_PROP_FOURCC, float(_FOURCC)),  # before the size
+            "fourcc": (cv2.CAP_PROP_FOURCC, float(_FOURCC)),  # must precede the size
             "width_px": (cv2.CAP_PROP_FRAME_WIDTH, settings.width_px),
             "height_px": (cv2.CAP_PROP_FRAME_HEIGHT, settings.height_px),
             "buffer_size": (cv2.CAP_PROP_BUFFERSIZE, settings.buffer_size),
@@ -175,12 +173,12 @@ class UvcSource:
             self._capture.set(number, value)
         self._raw = settings.keep_jpeg and bool(self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0.0))
         told = {name: float(self._capture.get(number)) for name, (number, _) in wanted.items()}
-        locked = lock_controls(path, settings)  # OpenCV knows no names, and not all of them
+        locked = lock_controls(path, settings)  # OpenCV knows no names and not all controls
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
         self.facts: Mapping[str, float] = {**told, **locked, "fps": fps}
 
     def read(self, limit_s: float) -> bytes | ImageArray | None:
-        """Return the next picture; blocks as long as the driver of the system does."""
+        """Return the next picture; blocks while the system's driver does."""
         there, picture = self._capture.read()
         if not there or picture is None or not picture.size:
             return None
@@ -193,7 +191,7 @@ class UvcSource:
 
 
 class PipeSource:
-    """A named pipe into which somebody writes JPEGs end to end."""
+    """A named pipe with consecutive JPEGs."""
 
     facts: Mapping[str, float] = {}
 
@@ -216,7 +214,7 @@ class PipeSource:
                 self._overtaken += len(pictures) - 1
                 self.lost = self._overtaken + self._decoder.bad_frames
                 return pictures[-1]
-            if not data:  # nobody writes: the pipe is always "readable" then
+            if not data:  # without a writer the pipe is always readable
                 self._idle.wait(min(IDLE_S, left_s))
         return None
 
@@ -235,7 +233,7 @@ class PipeSource:
 
 
 class FileSource:
-    """A video played at its own rate, from the start again when it ends."""
+    """A video played in a loop at its own rate."""
 
     def __init__(self, path: Path, rate_hz: float | None = None) -> None:
         self.lost = 0
@@ -268,7 +266,7 @@ class FileSource:
 
 
 def open_source(path: Path, settings: GelsightSettings) -> PictureSource:
-    """Open what ``path`` is: a pipe, a device, or a video file."""
+    """Open ``path``: a pipe, a device, or a video file."""
     mode = path.stat().st_mode
     if stat.S_ISFIFO(mode):
         return PipeSource(path)

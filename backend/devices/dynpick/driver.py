@@ -1,6 +1,6 @@
 """Driver of WACOH-TECH Dynpick sensors.
 
-Detects losses, single leaps and readings at the ends of the range.
+Detects losses, single outliers and values at the ends of the range.
 """
 
 from __future__ import annotations
@@ -34,9 +34,8 @@ LONGEST_ANSWER = 60
 
 
 class DynpickDriver:
-    """The sensor has no checksum: one sample that leaps by more than ``max_step`` is left out.
-
-    If the next agrees with it, the load really changed.
+    """The protocol has no checksum: a single sample that differs by more than ``max_step`` is
+    dropped. If the next one agrees with it, the load has changed.
     """
 
     baud = 921_600
@@ -51,7 +50,7 @@ class DynpickDriver:
         self._missed = 0
 
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
-        """Stop an old stream, ask for the sensitivities (older types do not tell), start."""
+        """Stop an old stream, read the sensitivities (older types do not answer), start."""
         link.write(DynpickCommand.STOP.value)
         pause(cancel, SETTLE_S)
         link.drain()
@@ -66,7 +65,7 @@ class DynpickDriver:
             self._sensitivity = decode_sensitivity(bytes(heard))
         link.write(DynpickCommand.FILTER_1.value + DynpickCommand.START.value)
         rated = tuple(ZERO_COUNT / per_unit for per_unit in self._sensitivity)
-        # The sensor tells no number, so the port stands for it.
+        # The sensor has no readable serial number: the port replaces it.
         return SensorDescription(
             Identity("WACOH-TECH", "Dynpick", self._address, ""), rated, PERIOD_S
         )
@@ -77,7 +76,7 @@ class DynpickDriver:
 
     @property
     def refusals(self) -> FrameErrors:
-        """Records that were none."""
+        """Counts of invalid records."""
         decoder = self._decoder
         return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
 

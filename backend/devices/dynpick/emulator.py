@@ -35,9 +35,8 @@ _DIVIDERS = {
 
 
 class EmulatedDynpick:
-    """``wrench(now_s)`` gives six values, N and N·m, on the sensor in its own axes.
-
-    ``tells_sensitivity`` off: an older type that does not answer ``p``.
+    """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m in sensor axes. Without
+    ``tells_sensitivity`` it is an older type that does not answer ``p``.
     """
 
     def __init__(
@@ -57,11 +56,11 @@ class EmulatedDynpick:
 
     @property
     def streaming(self) -> bool:
-        """Whether records go out of themselves."""
+        """True while the stream runs."""
         return self.pace.running
 
     def receive(self, now_s: float, data: bytes) -> bytes:
-        """Take commands; return the answers."""
+        """Process commands; return the answers."""
         return b"".join(self._answer(now_s, command) for command in self._commands.feed(data))
 
     def due(self, now_s: float) -> bytes:
@@ -71,7 +70,7 @@ class EmulatedDynpick:
         return b"".join(map(self._record, times))
 
     def closed(self, now_s: float) -> None:
-        """Nothing: a sensor on a serial line does not notice."""
+        """Do nothing: a sensor on a serial line does not notice."""
 
     def _answer(self, now_s: float, command: DynpickCommand) -> bytes:
         match command:

@@ -29,7 +29,7 @@ _COUNTS = struct.Struct(">6H")
 
 
 class DynpickCommand(Enum):
-    """What may be sent; no terminator."""
+    """Commands, sent without a terminator."""
 
     READ = b"R"
     START = b"S"
@@ -68,7 +68,7 @@ def encode_record(record: DynpickRecord) -> bytes:
 
 
 def decode_record(data: bytes) -> DynpickRecord:
-    """Return the record of exactly 27 bytes; raises ``WireError``."""
+    """Return the record of exactly 27 bytes; raises ``ProtocolError``."""
     if len(data) != RECORD_BYTES or data[-2:] != END:
         raise ProtocolError("length", "dynpick record", min(len(data), RECORD_BYTES))
     if _DIGITS.match(data) is None:
@@ -93,12 +93,12 @@ def _take(data: bytes, at: int) -> FrameStep[DynpickRecord] | None:
 
 
 def records() -> FrameStream[DynpickRecord]:
-    """Return a decoder of a stream of records; a line that is not one is counted and left out."""
+    """Return the decoder of a stream of records; invalid lines are counted."""
     return FrameStream(_take, overtake=lambda take, data, at: False)
 
 
 def command_stream() -> FrameStream[DynpickCommand]:
-    """Return the decoder of what a sensor is sent."""
+    """Return the decoder of commands."""
     return FrameStream(_take_command, overtake=lambda take, data, at: False)
 
 

@@ -225,24 +225,24 @@ class WrenchDriver(Protocol):
         """Bytes of about two frames, which are read together."""
 
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
-        """Bring the sensor from any state to streaming; raises ``NotAnsweredError``, ``WireError``.
+        """Bring the sensor from any state to streaming.
 
-        ``cancel`` ends the waiting.
+        ``cancel`` ends it. Raises ``NotAnsweredError`` or ``ProtocolError``.
         """
 
     def take(self, data: bytes) -> list[WrenchReading]:
-        """Return the samples that ``data`` completes, oldest first."""
+        """Return the samples completed by ``data``, oldest first."""
 
     @property
     def refusals(self) -> FrameErrors:
-        """What could not be read so far."""
+        """Counts of rejected data."""
 
     def stop(self, link: SensorLink) -> None:
-        """Leave a silent sensor behind."""
+        """Stop the stream."""
 
 
 def pause(cancel: threading.Event, seconds: float) -> None:
-    """Wait; raises ``NotAnsweredError`` when cancelled."""
+    """Sleep; raises ``NotAnsweredError`` when cancelled."""
     if cancel.wait(seconds):
         raise NotAnsweredError("Connecting was cancelled")
 
@@ -253,7 +253,7 @@ def listen(
     limit_s: float,
     find: Callable[[bytes], AnswerT | None],
 ) -> AnswerT | None:
-    """Hand what comes to ``find`` until it returns an answer; None after ``limit_s``."""
+    """Pass received bytes to ``find`` until it returns an answer; return None after ``limit_s``."""
     end_s = time.monotonic() + limit_s
     while (left_s := end_s - time.monotonic()) > 0:
         pause(cancel, 0.0)
@@ -272,7 +272,7 @@ def ask(
     limit_s: float = 0.2,
     tries: int = 3,
 ) -> AnswerT:
-    """Send ``request`` up to ``tries`` times until ``find`` knows the answer."""
+    """Send ``request`` up to ``tries`` times until ``find`` returns an answer."""
     for _ in range(tries):
         link.write(request)
         answer = listen(link, cancel, limit_s, find)

@@ -1,9 +1,9 @@
 """Reader of wrist-sensor samples on a thread of its own.
 
-Samples become stamped wrenches in tool axes; an invalid one is NaN. Stamps follow the sensor's own
-count: a sensor samples evenly, while adapters and networks deliver late and in bursts. The line of
-least delay under all (number, arrival) pairs is the time of the samples, up to the delay of the
-quickest arrival.
+Samples become time-stamped wrenches in tool axes; an invalid one is NaN. Stamps follow the sensor's
+own count, because a sensor samples evenly while adapters and networks deliver late and in bursts.
+The line of least delay below all (number, arrival) pairs gives the sampling times, up to the delay
+of the fastest arrival.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ from touchdown.backend.devices.identification import identify_device
 from touchdown.backend.devices.protocols import ConnectionSteps, DeviceState, Health, Identity
 from touchdown.backend.devices.supervision import ArrivalMonitor
 
-CHUNK_S = 0.25  # of so many seconds of samples only the promptest arrival is kept
+CHUNK_S = 0.25  # the arrival with the least delay is kept per interval of this length
 CHUNKS = 40
-FIT_S = 2.0  # before there are so many seconds the sensor's nominal period holds
-MOST_OFF = 0.1  # the period of a sensor is not farther from its nominal one than this share
-# Arrivals that are late for so long, evenly, follow samples that nobody counted as missing.
+FIT_S = 2.0  # the nominal period is used until the fit covers this time
+MOST_OFF = 0.1  # maximum relative deviation from the nominal period
+# Arrivals that are evenly late for this time follow uncounted lost samples.
 LATE_FOR_S = 0.5
 
-# What comes so much before its time follows a count that has leapt: the line begins anew.
+# A sample this much before its time follows a jump of the count: the fit restarts.
 EARLY_S = 0.1
 
-LEAST_LATE = 20  # fewer late samples than these say nothing
-# So long, and with so many samples, the pace of what is ever later tells that it is another.
+LEAST_LATE = 20  # minimum number of late samples for a decision
+# Time and number of increasingly late samples that show another sample rate.
 SLOW_FOR_S, LEAST_SLOW = 0.1, 4
-# Samples that come this much slower are those of a sensor that was set to another rate.
+# Ratio of the periods from which on the sensor has another sample rate.
 OTHER_RATE = 1.5
 
 
 @dataclass(slots=True)
 class _LatePeriod:
-    """Since when nothing arrived in time: first arrival and number, and the least delay."""
+    """Period without a timely arrival: first arrival and number, and the least delay."""
 
     first_s: float
     first_number: int
@@ -58,7 +58,9 @@ class _LatePeriod:
 
 
 class SampleClock:
-    """Of one connection; ``late_s``: a delay up to this is the way of the wire, and no loss."""
+    """Sampling times of one connection; a delay up to ``late_s`` is caused by the wire, not a
+    loss.
+    """
 
     def __init__(self, period_s: float, late_s: float) -> None:
         self._nominal_s, self._late_s = period_s, max(late_s, 3.0 * period_s)
@@ -70,15 +72,15 @@ class SampleClock:
 
     @property
     def period_s(self) -> float:
-        """The period of the sensor as fitted, or the nominal one."""
+        """Fitted or nominal sample period, s."""
         return self._period_s
 
     def taken_s(self, numbers: FloatArray) -> FloatArray:
-        """Return when the samples (n,) with these numbers were taken."""
+        """Return the sampling times (n,) of samples with these numbers, s."""
         return np.asarray(self._offset_s + self._period_s * numbers)
 
     def feed(self, arrival_s: float, number: int) -> int:
-        """Take the newest sample of a read; return how many must be missing that nobody counted."""
+        """Add the newest sample of a read; return the number of uncounted lost samples."""
         if not self._chunks:
             self._offset_s = arrival_s - self._period_s * number
         self._keep(arrival_s, number)
@@ -97,7 +99,7 @@ class SampleClock:
         return self._offset_s + self._period_s * number
 
     def _keep(self, arrival_s: float, number: int) -> None:
-        """Keep the promptest arrival of each chunk; fit anew when one is whole."""
+        """Keep the arrival with the least delay of each chunk; fit when a chunk is complete."""
         chunk = int(number * self._nominal_s / CHUNK_S)
         if chunk != self._chunk:
             if self._chunks:
@@ -112,12 +114,12 @@ class SampleClock:
         return arrival_s - self._period_s * number
 
     def _fit(self) -> None:
-        """Lay the line under all arrivals that is nearest to them: one edge of their hull."""
+        """Fit the closest line below all arrivals: one edge of their lower hull."""
         numbers, arrivals_s = map(np.array, zip(*self._chunks, strict=True))
         if (numbers[-1] - numbers[0]) * self._nominal_s >= FIT_S:
             fitted_s = _edge(numbers, arrivals_s)
             if OTHER_RATE * fitted_s < self._nominal_s:
-                # It was slow for a while, and is no longer: the line begins anew.
+                # The low rate has ended: restart the fit.
                 self._nominal_s = self._period_s = self._usual_s
                 self._offset_s = float(arrivals_s[-1] - self._usual_s * numbers[-1])
                 self._chunks.clear()
@@ -129,7 +131,9 @@ class SampleClock:
         self._offset_s = float((arrivals_s - self._period_s * numbers).min())
 
     def _step(self, arrival_s: float, number: int, delay_s: float) -> int:
-        """Move the line once nothing came in time for long: what was lost is a gap in time."""
+        """Shift the line after a long time without a timely arrival: lost samples are a gap in
+        time.
+        """
         late = self._late
         if late is None:
             self._late = _LatePeriod(arrival_s, number, delay_s)
@@ -152,7 +156,7 @@ class SampleClock:
         return round(late.least_s / self._period_s)
 
     def _begin(self, arrival_s: float, number: int, period_s: float) -> None:
-        """Begin the line anew, with another period."""
+        """Restart the fit with another period."""
         self._late = None
         self._chunks.clear()
         self._nominal_s = self._period_s = period_s
@@ -161,7 +165,7 @@ class SampleClock:
 
 
 def _edge(numbers: FloatArray, arrivals_s: FloatArray) -> float:
-    """Return the slope of the lower hull where it passes under the mean of ``numbers``."""
+    """Return the slope of the lower hull below the mean of ``numbers``."""
     hull: list[int] = []
     for i in range(len(numbers)):
         while len(hull) > 1 and _above(numbers, arrivals_s, (hull[-2], hull[-1], i)):
@@ -173,25 +177,22 @@ def _edge(numbers: FloatArray, arrivals_s: FloatArray) -> float:
 
 
 def _above(numbers: FloatArray, arrivals_s: FloatArray, three: tuple[int, int, int]) -> bool:
-    """Whether the middle one is on or above the line through the other two."""
+    """Return True if the middle point is on or above the line through the other two."""
     a, b, c = three
     left = (arrivals_s[b] - arrivals_s[a]) * (numbers[c] - numbers[a])
     right = (arrivals_s[c] - arrivals_s[a]) * (numbers[b] - numbers[a])
     return bool(left >= right)
 
 
-LEAST_S = 1e-6  # stamps rise by at least this much
-LATE_S = 0.01  # a delay of the wire up to this is no loss, if nobody says otherwise
+LEAST_S = 1e-6  # minimum difference of two stamps
+LATE_S = 0.01  # default limit of the delay of the wire
 
 
 class WrenchStamper:
-    """Counts what is missing and notices a stuck sensor; the caller owns the clock.
-
-    ``late_s``: how late the wire may be without a loss. ``numbered``: the sensor's own count shows
-    every loss; else a loss that nobody counted is found by what comes late ever after.
-
-    ``stuck``: the newest ``stuck_after`` samples or more are equal to the last digit, which no
-    living sensor is. ``overload`` and ``trouble`` stay once they have been seen.
+    """Time stamps and validity of samples; the caller owns the clock. ``late_s``: limit of the
+    delay of the wire. ``numbered``: True if the sensor's own count shows every loss; otherwise a
+    loss is found by a persistent delay. A sensor is stuck if the newest ``stuck_after`` samples are
+    identical. ``overload`` and ``trouble`` are latched.
     """
 
     def __init__(
@@ -215,7 +216,7 @@ class WrenchStamper:
 
     @property
     def stuck(self) -> bool:
-        """Whether the sensor repeats itself."""
+        """True while the sensor repeats the same sample."""
         return self._equal + 1 >= self._settings.stuck_after
 
     def accept(
@@ -223,15 +224,15 @@ class WrenchStamper:
     ) -> tuple[FloatArray, FloatArray]:
         """Return stamps (n,) and wrenches (n, 6), N and N·m in tool axes.
 
-        Stamps follow the count of the sensor along the line of least delay, less the latency: a
-        burst that comes late is spread over the time in which it was measured.
+        Stamps follow the count of the sensor along the line of least delay, minus the latency: a
+        late burst is spread over the time of its measurement.
         """
         told = np.array([self._valid(reading) for reading in readings], dtype=np.float64)
         values = (told.reshape(-1, 2, 3) @ self._turn.T).reshape(-1, 6)
         return self._stamps(arrival_s - 1e-3 * self._settings.latency_ms, readings), values
 
     def _valid(self, reading: WrenchReading) -> Wrench:
-        """Return what a reading says in axes of the sensor, NaN where that is no measurement."""
+        """Return the wrench of a reading in sensor axes, NaN if it is invalid."""
         self.lost += reading.missed
         self.overload |= reading.overload
         self.trouble = self.trouble or reading.trouble
@@ -249,7 +250,7 @@ class WrenchStamper:
         self.lost += 0 if self._numbered else missing
         stamps = self._clock.taken_s(numbers)
         if stamps[0] <= self._newest_s:
-            # The line was too late so far: time goes on, as slowly as it takes.
+            # The line was too late so far: stamps must still increase.
             last_s = max(float(stamps[-1]), self._newest_s + LEAST_S * len(stamps))
             stamps = np.linspace(self._newest_s, last_s, len(readings) + 1)[1:]
         self._newest_s = float(stamps[-1])
@@ -268,7 +269,7 @@ OVERLOAD = Fault(
 
 
 def link_fault(what: str) -> Fault:
-    """Return the fault of a connection that is not, or no longer, there."""
+    """Return the fault of a missing or lost connection."""
     return Fault(
         "FT-LINK",
         what,
@@ -280,7 +281,7 @@ def link_fault(what: str) -> Fault:
 
 
 def driver_fault(error: Exception) -> Fault:
-    """Return the fault of a language that failed on something it did not expect."""
+    """Return the fault of a driver that raised an unexpected exception."""
     return Fault(
         "FT-DRIVER",
         f"The driver of the force/torque sensor failed: {type(error).__name__}: {error}.",
@@ -301,7 +302,7 @@ def sensor_fault(what: str) -> Fault:
     )
 
 
-READ_S = 0.005  # longest wait for bytes: short enough for stamps, long enough not to spin
+READ_S = 0.005  # longest wait for bytes
 BAD_LIMIT = 20
 RATE_WINDOW_S = 1.0
 STALE_S = 0.1
@@ -310,9 +311,8 @@ WIRE_TROUBLE = (OSError, ProtocolError, NotAnsweredError)
 
 
 class ForceTorqueReader:
-    """``language`` makes one for each connection; samples are stamped in the time of ``now_s``.
-
-    ``late_s``: how late the wire may hand over a sample that was not lost.
+    """Reader of a wrist sensor. The factory makes one driver per connection; ``now_s`` is the clock
+    of the stamps. ``late_s``: limit of the delay of the wire.
     """
 
     name = NAME
@@ -344,17 +344,17 @@ class ForceTorqueReader:
 
     @property
     def state(self) -> DeviceState:
-        """Where the connection is in its life."""
+        """State of the connection."""
         return self._state
 
     @property
     def identity(self) -> Identity | None:
-        """Known once connected."""
+        """Identity, None before the first connection."""
         return self._greeting.identity if self._greeting else None
 
     @property
     def samples(self) -> SampleStream:
-        """Fx Fy Fz Tx Ty Tz in N and N·m, tool axes; NaN where there is no measurement."""
+        """Stream of Fx Fy Fz Tx Ty Tz in N and N·m, tool axes; NaN if invalid."""
         return self._samples
 
     @property
@@ -372,7 +372,7 @@ class ForceTorqueReader:
 
     @property
     def resynchronised(self) -> int:
-        """How often the reader found its place again after bytes that were no frame."""
+        """Number of resynchronisations after invalid bytes."""
         return self._resynchronised
 
     @property
@@ -388,7 +388,7 @@ class ForceTorqueReader:
 
     @property
     def slow_since_s(self) -> float | None:
-        """When it began to deliver less than half of its samples; None while it does not."""
+        """Start of a rate below half of the usual one, s; None at the usual rate."""
         return self._pace.slow_since_s
 
     def describe(self) -> Mapping[str, str | float]:
@@ -427,7 +427,7 @@ class ForceTorqueReader:
         self._settle()
 
     def close(self) -> None:
-        """Stop the stream and let go of the link."""
+        """Stop the stream and close the link."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
@@ -443,7 +443,7 @@ class ForceTorqueReader:
             raise FaultError(self.fault)
 
     def _stranger(self) -> str:
-        """Return a sentence if another device answers in the place of the sensor."""
+        """Return a sentence that names another device in place of the sensor, else ""."""
         with suppress(OSError), closing(self._open_link(self._new_language())) as link:
             stranger = identify_device(link.write, link.read, self._settings.driver)
             wanted = f"a force/torque sensor (ft.driver is {self._settings.driver})"
@@ -456,7 +456,7 @@ class ForceTorqueReader:
         try:
             link = self._open_link(language)
         except OSError as error:
-            # The text of some packages tells number and port twice.
+            # Some packages repeat number and port in the text.
             why = os.strerror(error.errno) if error.errno else str(error)
             port = f"port {self._settings.address}".rstrip()
             raise FaultError(link_fault(f"The {port} cannot be opened: {why}.")) from error
@@ -483,7 +483,7 @@ class ForceTorqueReader:
         self._thread.start()
 
     def _forget(self) -> None:
-        """Begin to count and to stamp anew."""
+        """Reset counts and time stamps."""
         period_s = self._greeting.period_s if self._greeting else 1.0
         numbered = self._greeting is not None and self._greeting.numbered
         self._readout = WrenchStamper(self._settings, period_s, self._late_s, numbered=numbered)
@@ -494,7 +494,7 @@ class ForceTorqueReader:
         self._pace = ArrivalMonitor(period_s)
 
     def _read(self, link: SensorLink, language: WrenchDriver) -> None:
-        """Own the link until told to stop or it is lost; leave a silent sensor behind."""
+        """Read the link until the stop or its loss; then stop the sensor."""
         good_s, discarded = self._now_s(), language.refusals.discarded
         try:
             while not self._stop.is_set():

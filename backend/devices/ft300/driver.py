@@ -39,7 +39,7 @@ SERIAL_WORDS, FIRMWARE_WORDS = 4, 3
 
 
 class Ft300Driver:
-    """The stream carries no number: a frame that was refused counts as one sample lost."""
+    """Samples are not numbered: a rejected frame counts as one lost sample."""
 
     baud = 19_200
     chunk = FRAME_BYTES
@@ -50,7 +50,7 @@ class Ft300Driver:
         self._seen_bad = 0
 
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
-        """End a stream that may still run, read number and firmware, start the stream."""
+        """End an old stream, read serial number and firmware, start the stream."""
         self.stop(link)
         pause(cancel, PAUSE_S)
         link.drain()
@@ -77,12 +77,12 @@ class Ft300Driver:
 
     @property
     def refusals(self) -> FrameErrors:
-        """Frames that were none."""
+        """Counts of invalid frames."""
         decoder = self._decoder
         return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
 
     def stop(self, link: SensorLink) -> None:
-        """End the stream; the next start would find a streaming sensor else."""
+        """End the stream."""
         link.write(protocol.encode(StreamStop()))
 
     def _started(self, data: bytes) -> bool | None:

@@ -1,6 +1,6 @@
 """Emulated Robotiq FT300 sensor.
 
-Modbus until the stream is on, then it ignores all but bytes of FFh.
+Answers Modbus until the stream runs; then only bytes of FFh have an effect.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _LIMIT = 0x7FFF
 
 
 class EmulatedFt300:
-    """``wrench(now_s)`` gives six values, N and N·m, in the axes of the sensor."""
+    """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m in sensor axes."""
 
     def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
         self._wrench = wrench
@@ -51,7 +51,7 @@ class EmulatedFt300:
         self.pace = SampleSchedule()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
-        """Take requests; return the answers."""
+        """Process requests; return the answers."""
         answers = (self._answer(now_s, request) for request in self._requests.feed(data))
         return b"".join(protocol.encode(answer) for answer in answers if answer is not None)
 
@@ -61,7 +61,7 @@ class EmulatedFt300:
         return b"".join(protocol.encode(self._sample(t_s)) for t_s in times)
 
     def closed(self, now_s: float) -> None:
-        """Nothing: a sensor on a serial line does not notice."""
+        """Do nothing: a sensor on a serial line does not notice."""
 
     def _answer(self, now_s: float, request: Ft300Request) -> Ft300Message | None:
         if isinstance(request, StreamStop):

@@ -24,7 +24,7 @@ SLAVE = 9
 STREAM_HEADER = b"\x20\x4e"
 FRAME_BYTES = 16
 STOP_BYTES = 50
-LARGEST_READ = 8  # registers of the longest answer used here; a longer one is taken for noise
+LARGEST_READ = 8  # registers of the longest answer used here; longer ones are noise
 
 STREAM_REGISTER, STREAM_ON = 410, 0x0200
 WRENCH_REGISTER, ACCELERATION_REGISTER = 180, 190
@@ -56,7 +56,7 @@ class Read:
 
 @dataclass(frozen=True, slots=True)
 class Registers:
-    """Their values, unsigned."""
+    """Values of registers, unsigned."""
 
     values: tuple[int, ...]
 
@@ -92,7 +92,7 @@ class ModbusWritten:
 
 @dataclass(frozen=True, slots=True)
 class ModbusRefusal:
-    """The sensor refuses ``function`` with a Modbus exception code."""
+    """Modbus exception ``code`` as the answer to ``function``."""
 
     function: int
     code: int
@@ -100,7 +100,7 @@ class ModbusRefusal:
 
 @dataclass(frozen=True, slots=True)
 class StreamStop:
-    """The run of FFh that ends the stream."""
+    """Bytes of FFh, which end the stream."""
 
 
 Ft300Request = Read | WriteOne | WriteMany | StreamStop
@@ -139,7 +139,7 @@ def _body(message: Read | WriteOne | WriteMany | Ft300Message) -> bytes:
 
 
 def decode(frame: bytes) -> Ft300Message:
-    """Return the message of one whole frame from the sensor; raises ``WireError``."""
+    """Return the message of one whole frame from the sensor; raises ``ProtocolError``."""
     length = _incoming_length(frame, 0)
     if length == 0:
         raise ProtocolError("header", "ft300 frame")
@@ -149,12 +149,12 @@ def decode(frame: bytes) -> Ft300Message:
 
 
 def incoming() -> FrameStream[Ft300Message]:
-    """Return the decoder of what the sensor sends: answers and stream on one line."""
+    """Return the decoder of the sensor's messages: answers and stream."""
     return FrameStream(_take)
 
 
 def requests() -> FrameStream[Ft300Request]:
-    """Return the decoder of what the sensor is sent."""
+    """Return the decoder of requests."""
     return FrameStream(_take_request)
 
 
@@ -165,7 +165,7 @@ def _checked(frame: bytes) -> bytes:
 
 
 def _incoming_length(data: bytes, at: int) -> int | None:
-    """Return how long the frame at ``at`` is; 0 if none starts there, None if not known yet."""
+    """Return the length of the frame at ``at``; 0 if none starts there, None if unknown yet."""
     head = data[at : at + 3]
     if head[:2] == STREAM_HEADER:
         return FRAME_BYTES

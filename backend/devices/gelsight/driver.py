@@ -1,7 +1,7 @@
 """Driver of a GelSight Mini camera.
 
-One thread reads, one decodes; a newer picture replaces one that was not taken. A camera is found by
-the serial number in its card name, never by the order of video devices.
+One thread reads, one decodes; a newer picture replaces an undecoded one. A camera is found by the
+serial number in its card name, never by the order of video devices.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 
 class Mailbox(Generic[T]):
-    """Holds at most one item; ``skipped`` counts those that were never taken."""
+    """Queue of one item; ``skipped`` counts the replaced ones."""
 
     def __init__(self) -> None:
         self._item: T | None = None
@@ -33,14 +33,14 @@ class Mailbox(Generic[T]):
         self.skipped = 0
 
     def put(self, item: T) -> None:
-        """Offer an item."""
+        """Put an item, replacing the former one."""
         with self._there:
             self.skipped += self._item is not None
             self._item = item
             self._there.notify()
 
     def take(self, limit_s: float) -> T | None:
-        """Return the newest item and leave none behind; None if none comes in time."""
+        """Return and remove the newest item; None after the time limit."""
         with self._there:
             self._there.wait_for(lambda: self._item is not None, limit_s)
             item, self._item = self._item, None
@@ -52,7 +52,7 @@ LONGEST = 256
 
 @dataclass(frozen=True, slots=True)
 class CardName:
-    """Name of a video device; ``serial`` is None if it is no GelSight Mini or cut off."""
+    """Name of a video device; ``serial`` is None if it is not a GelSight Mini or cut off."""
 
     name: str
     serial: str | None
@@ -60,7 +60,7 @@ class CardName:
 
 
 def decode(content: bytes) -> CardName:
-    """Return what the content of a ``/sys/class/video4linux/*/name`` file says."""
+    """Parse the content of a ``/sys/class/video4linux/*/name`` file."""
     name = content[:LONGEST].decode("utf-8", "replace").strip("\n\x00 ")
     if "GelSight Mini" not in name:
         return CardName(name, None, is_gelsight=False)
@@ -82,8 +82,8 @@ class FoundCamera:
 def find_cameras(by_id: Path, names: Path, nodes: Path) -> list[FoundCamera]:
     """Return all GelSight Minis, by serial number.
 
-    ``by_id``: the system's folder of stable links; where it has none, ``names``: the folder of
-    card names, and ``nodes``: where its devices are. What changes while it is read is left out.
+    ``by_id`` is the system's folder of stable links; without it, ``names`` is the folder of card
+    names and ``nodes`` that of the devices. Entries that change meanwhile are left out.
     """
     found = {camera.serial: camera for camera in _by_name(names, nodes)}
     found.update((camera.serial, camera) for camera in _by_id(by_id))
@@ -119,16 +119,15 @@ TAKE_S = 0.1
 JOIN_S = 1.0
 STALE_S = 0.12
 RATE_WINDOW_S = 1.0
-# So long without a new valid picture, a camera whose device has left the system was unplugged.
+# A camera without its device is unplugged after this time without a valid picture.
 GONE_S = 0.045
 RETRY_S = (0.5, 1.0, 1.5)
 Captured: TypeAlias = tuple[float, int, bytes | ImageArray]
 
 
 class TactileCamera:
-    """``finger`` of ``settings``; pictures are stamped by ``now_s`` when they arrive.
-
-    ``identity``: who it is, where ``open_camera`` needs no path that leads to it.
+    """Camera of one finger; pictures are stamped by ``now_s`` on arrival. ``identity`` is given if
+    ``open_camera`` needs no path.
     """
 
     def __init__(
@@ -160,22 +159,24 @@ class TactileCamera:
 
     @property
     def state(self) -> DeviceState:
-        """Where the connection is in its life; FAULT while the camera is gone or hangs."""
+        """State of the connection; FAULT while the camera is missing or hangs."""
         return self._state
 
     @property
     def identity(self) -> Identity | None:
-        """Known once connected."""
+        """Identity, None before the first connection."""
         return self._identity
 
     @property
     def frames(self) -> Stream[TactileFrame]:
-        """Pictures as they arrive."""
+        """Stream of pictures."""
         return self._frames
 
     @property
     def health(self) -> Health:
-        """Delivered pictures per second, age of the newest, counts; lost: never delivered."""
+        """Delivered pictures per second, age of the newest, counts; ``lost`` are undelivered
+        pictures.
+        """
         now_s, arrivals = self._now_s(), list(self._arrivals)
         newest_s = arrivals[-1] if arrivals else float("-inf")
         rate_hz = sum(t > now_s - RATE_WINDOW_S for t in arrivals) / RATE_WINDOW_S
@@ -183,7 +184,7 @@ class TactileCamera:
         return Health(rate_hz, now_s - newest_s, self._received, lost)
 
     def describe(self) -> Mapping[str, str | float]:
-        """Return condition, scale, and what the camera answered to format and controls."""
+        """Return condition, scale, and the camera's format and controls."""
         stale = self._state is DeviceState.READY and self.health.age_s > STALE_S
         return {
             "kind": self._identity.model if self._identity else "GelSight Mini",
@@ -198,7 +199,7 @@ class TactileCamera:
         }
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Find the camera by its number, open it, wait for the first bright picture."""
+        """Find the camera by its serial number, open it, wait for the first bright picture."""
         if self._state is DeviceState.READY:
             return
         self.close()
@@ -225,7 +226,7 @@ class TactileCamera:
                 raise FaultError(self._why or link_fault(self.name, "No picture comes."))
 
     def close(self) -> None:
-        """Stop reading and release the camera; one that blocks is left to end by itself."""
+        """Stop reading and release the camera; a blocked thread ends by itself."""
         self._stop.set()
         for thread in self._threads:
             thread.join(JOIN_S)
@@ -236,7 +237,7 @@ class TactileCamera:
         return PictureFilter(self.finger, self.name, self._settings, self._now_s())
 
     def find(self) -> Path:
-        """Return where the camera is now; raises ``FaultError``."""
+        """Return the path of the camera; raises ``FaultError``."""
         if self._given is not None:
             self._identity = self._given
             return Path(self.name)
@@ -253,7 +254,7 @@ class TactileCamera:
         return found[self._own.serial]
 
     def _watch(self, stop: threading.Event) -> None:
-        """Own the camera; take it again, and only this one, whenever it was lost."""
+        """Read the camera; reopen the same camera after each loss."""
         tries = 0
         while not stop.is_set():
             try:
@@ -279,9 +280,8 @@ class TactileCamera:
             tries = 0
 
     def _read(self, source: PictureSource, node: Path, stop: threading.Event) -> None:
-        """Read until told to stop, or until the camera falls silent or its ``node`` is gone.
-
-        Numbers go on over a replug.
+        """Read until the stop, a silence, or the loss of ``node``. Picture numbers continue after a
+        replug.
         """
         begun_s = heard_s = new_s = self._now_s()
         damaged = self._damaged
@@ -297,21 +297,21 @@ class TactileCamera:
                 before = content
             elif now_s - heard_s > self._settings.silence_s:
                 raise OSError(f"no picture for {now_s - heard_s:.1f} s")
-            # What is read of a camera that is gone may be called a picture, or be the last one.
+            # A read from a removed camera may return data, or the last picture.
             shown_s = max(begun_s, self._arrivals[-1] if self._arrivals else begun_s)
             shown_s = min(shown_s, new_s)
             if self._given is None and now_s - shown_s > GONE_S and not node.exists():
                 raise OSError("it was unplugged")
 
     def _deliver(self, stop: threading.Event) -> None:
-        """Take what was read until told to stop."""
+        """Decode pictures until the stop."""
         while not stop.is_set():
             taken = self._newest.take(TAKE_S)
             if taken is not None:
                 self._take(*taken)
 
     def _take(self, t_s: float, sequence: int, content: bytes | ImageArray) -> None:
-        """Hand a picture on, unless it is none."""
+        """Deliver a picture if it is valid."""
         image = self._gate.judge(t_s, content)
         if self._gate.fault is not None:
             self._fail(self._gate.fault)

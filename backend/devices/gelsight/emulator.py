@@ -1,8 +1,7 @@
-"""Emulated GelSight Mini: a folder that looks like the system's, a named pipe in place of a device.
+"""Emulated GelSight Mini: a copy of the system's folders, with a named pipe in place of a device.
 
-``by-id`` holds the stable links, ``names`` the card names, ``nodes`` the devices: two of each, as a
-real camera has them, of which the second carries no pictures. After a replug the nodes have other
-numbers.
+``by-id`` holds the stable links, ``names`` the card names, ``nodes`` the devices: two of each as
+for a real camera, the second without pictures. After a replug the nodes have other numbers.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ from touchdown.backend.emulation import (
     PictureFunction,
 )
 
-WIDTH_PX = 320  # width of the pictures that ``OTHER`` and ``TILE_COLUMNS`` are of
-# Where another gel of the same kind has its dots: some 5 px off, as two real sensors.
+WIDTH_PX = 320  # picture width to which ``OTHER`` and ``TILE_COLUMNS`` refer
+# Transform to another gel of the same kind: its dots are some 5 px away, as for two real sensors.
 OTHER = np.array([[1.0, 0.012, 3.0], [-0.01, 0.985, 4.0]])
-# Seven by nine pitches of either gel, of 320 x 240 px: side by side they go on as one grid.
+# Seven by nine pitches of 320 x 240 px: tiles side by side continue the grid.
 TILE_ROWS, TILE_COLUMNS = (8, 232), (12, 308)
-SMALLER = 0.88  # makes 8 x 10 dots of 7 x 9
+SMALLER = 0.88  # scale from 7 x 9 to 8 x 10 dots
 RATE_HZ = 25.0
 QUALITY = 95
 DARKENING, HALVED = 16, 0.5
@@ -41,7 +40,7 @@ IDLE_S = 0.01
 
 
 class GelsightServer(DeviceServer):
-    """Writes pictures into ``folder`` at ``rate_hz`` until closed; several may share a folder."""
+    """Server of pictures in ``folder`` at ``rate_hz``; several may share a folder."""
 
     def __init__(
         self,
@@ -70,7 +69,7 @@ class GelsightServer(DeviceServer):
         return str(self._link(0))
 
     def close(self) -> None:
-        """Stop and take the device away."""
+        """Stop and remove the device."""
         super().close()
         self._pull()
 
@@ -79,8 +78,8 @@ class GelsightServer(DeviceServer):
         return self._folder / "by-id" / name
 
     def _plug(self) -> Path:
-        """Make the pipe under the first free even number, a mute one beside it, and what leads
-        there; return the first.
+        """Make the pipe at the first free even number, a silent one beside it, and their links;
+        return the first.
         """
         number = 0
         while True:
@@ -91,7 +90,7 @@ class GelsightServer(DeviceServer):
             except FileExistsError:
                 number += 2
         self._mute = self._node_of(number + 1)
-        self._mute.unlink(missing_ok=True)  # of one that was killed
+        self._mute.unlink(missing_ok=True)  # left by a killed process
         os.mkfifo(self._mute)
         for index, one in enumerate((node, self._mute)):
             entry = self._folder / "names" / one.name
@@ -131,7 +130,7 @@ class GelsightServer(DeviceServer):
                 self._write(self.damage(out))
 
     def _replug(self) -> None:
-        """Be away as long as the fault lasts; come back as another node."""
+        """Remove the device during the fault; return as another node."""
         before = self._node
         self._pull()
         while self._is_unplugged() and not self._stop.wait(IDLE_S):
@@ -141,7 +140,7 @@ class GelsightServer(DeviceServer):
             self._node = self._plug()
             before.unlink()
         except FileNotFoundError:
-            # The folder was taken away meanwhile: there is nowhere to come back to.
+            # The folder was removed meanwhile.
             self._stop.set()
 
     def _picture(self, now_s: float) -> bytes | None:
@@ -160,7 +159,7 @@ class GelsightServer(DeviceServer):
         return self._last
 
     def _changed(self, picture: ImageArray, now_s: float) -> ImageArray:
-        """Return the picture in the light that is left, of the gel that is fitted."""
+        """Return the picture with the present brightness and gel."""
         for kind, fitted in GELS.items():
             if self.faults.active(kind, now_s):
                 picture = fitted(picture)
@@ -170,7 +169,7 @@ class GelsightServer(DeviceServer):
         return np.asarray(picture * self._light, dtype=np.uint8) if fading else picture
 
     def _write(self, out: bytes) -> None:
-        """Write one picture while somebody reads; what nobody takes in time is lost."""
+        """Write one picture if there is a reader; unread data are lost."""
         if not self._answered():
             return
         rest, file = memoryview(out), self._file
@@ -186,9 +185,9 @@ class GelsightServer(DeviceServer):
         self._gave(out[: len(out) - len(rest)])
 
     def _answered(self) -> bool:
-        """Whether somebody reads the pipe; opens it for writing when the first one does."""
+        """Return True if the pipe has a reader; opens it for writing on the first one."""
         if self._file is None:
-            with contextlib.suppress(OSError):  # nobody reads
+            with contextlib.suppress(OSError):  # no reader
                 self._file = os.open(self._node, os.O_WRONLY | os.O_NONBLOCK)
                 self.clients += 1
         return self._file is not None
@@ -212,7 +211,7 @@ def encode(picture: ImageArray) -> bytes:
 
 
 def other_gel(picture: ImageArray) -> ImageArray:
-    """Return what the camera saw if another gel of the same kind were fitted."""
+    """Return the picture of another gel of the same kind."""
     height, width = picture.shape[:2]
     sized = OTHER * np.array([1.0, 1.0, width / WIDTH_PX])
     moved = cv2.warpAffine(picture, sized, (width, height), borderMode=cv2.BORDER_REPLICATE)
@@ -220,7 +219,7 @@ def other_gel(picture: ImageArray) -> ImageArray:
 
 
 def small_dots(picture: ImageArray) -> ImageArray:
-    """Return what the camera saw if a gel of 8 x 10 small dots were fitted."""
+    """Return the picture of a gel with 8 x 10 small dots."""
     height, width = picture.shape[:2]
     scale = width / WIDTH_PX
     rows, columns = (
@@ -232,7 +231,7 @@ def small_dots(picture: ImageArray) -> ImageArray:
     return np.asarray(smaller, dtype=np.uint8)
 
 
-# What a fault of this kind fits in place of the gel.
+# Fault kind -> transform to the picture of the fitted gel.
 GELS = {"other_gel": other_gel, "small_dots": small_dots}
 
 

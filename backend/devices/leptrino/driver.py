@@ -1,6 +1,6 @@
 """Driver of Leptrino PFS and CFS sensors.
 
-The rated loads are read from the sensor: they are the scale.
+The rated loads, read from the sensor, are the scale.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ AnswerT = TypeVar("AnswerT", Info, Rated, Plain, Filter)
 
 
 class LeptrinoDriver:
-    """The sensor numbers nothing: a frame that was refused counts as one sample lost."""
+    """Samples are not numbered: a rejected frame counts as one lost sample."""
 
     baud = 460_800
     chunk = 50
@@ -49,7 +49,7 @@ class LeptrinoDriver:
         self._seen_bad = 0
 
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
-        """Stop twice, ask who it is and for its rated loads, start the stream."""
+        """Stop twice, read identity and rated loads, start the stream."""
         for _ in range(2):
             link.write(protocol.encode(Plain(LeptrinoCommand.STOP)))
             pause(cancel, SETTLE_S)
@@ -74,7 +74,7 @@ class LeptrinoDriver:
 
     @property
     def refusals(self) -> FrameErrors:
-        """Frames that were none."""
+        """Counts of invalid frames."""
         decoder = self._decoder
         return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
 

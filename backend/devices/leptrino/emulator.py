@@ -36,13 +36,13 @@ from touchdown.backend.emulation import (
 RATED = (250.0, 250.0, 250.0, 6.0, 6.0, 6.0)
 INFO = Info("PFS080YA501A6", "00012345", "1.13")
 PERIOD_S = 0.001
-LENGTH, UNDEFINED, VALUE = 1, 2, 3  # results of a command that is refused
+LENGTH, UNDEFINED, VALUE = 1, 2, 3  # result codes of refused commands
 FILTERS = 4
 _FRAME = re.compile(rb"\x10\x02((?:[^\x10]|\x10\x10)*)\x10\x03(.)", re.DOTALL)
 
 
 class EmulatedLeptrino:
-    """``wrench(now_s)`` gives six values, N and N·m, in the axes of the sensor."""
+    """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m in sensor axes."""
 
     def __init__(
         self, wrench: Callable[[float], Sequence[float]], rated: Sequence[float] = RATED
@@ -53,7 +53,7 @@ class EmulatedLeptrino:
         self.pace = SampleSchedule()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
-        """Take commands; a frame with a wrong check is answered with NAK, a length by its code."""
+        """Process commands; the answer is NAK for a wrong check, a code for a wrong length."""
         out = b"".join(
             protocol.encode(self._answer(now_s, packet)) for packet in self._commands.feed(data)
         )
@@ -68,7 +68,7 @@ class EmulatedLeptrino:
         return b"".join(protocol.encode(self._sample(t_s, LeptrinoCommand.START)) for t_s in times)
 
     def closed(self, now_s: float) -> None:
-        """Nothing: a sensor on a serial line does not notice."""
+        """Do nothing: a sensor on a serial line does not notice."""
 
     def _answer(self, now_s: float, packet: Packet) -> Packet:
         command = getattr(packet, "command", None)
@@ -100,7 +100,7 @@ class EmulatedLeptrino:
 
 
 def _refusal(data: bytes) -> Packet:
-    """Return the answer to a frame that is none: its length, or its check, is wrong."""
+    """Return the answer to a frame with a wrong length or check."""
     found = _FRAME.search(data)
     content = b"" if found is None else found[1].replace(b"\x10\x10", b"\x10")
     whole = found is not None and len(content) >= 3 and xor8(content) ^ ETX == found[2][0]

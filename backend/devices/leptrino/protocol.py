@@ -24,7 +24,7 @@ from touchdown.backend.devices.identification import ProtocolSignature
 
 DLE, STX, ETX, NAK_BYTE = 0x10, 0x02, 0x03, 0x15
 LONGEST_DATA = 128
-FULL_SCALE, CLIP = 10_000, 32_000  # counts of the rated load, and where the sensor clips
+FULL_SCALE, CLIP = 10_000, 32_000  # counts at the rated load, and at the end of the range
 
 
 class LeptrinoCommand(IntEnum):
@@ -49,7 +49,7 @@ class LeptrinoStatus(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Plain:
-    """A request without content, the acknowledge of one, or a refusal (``code`` not 0).
+    """A request without content, its acknowledgement, or a refusal (``code`` not 0).
 
     Codes: 1 length, 2 undefined command, 3 value, 4 state.
     """
@@ -60,7 +60,7 @@ class Plain:
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """Who the sensor is; ``rate`` only from newer firmware."""
+    """Identity of the sensor; ``rate`` from newer firmware only."""
 
     model: str
     serial: str
@@ -77,7 +77,7 @@ class Rated:
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """Filter to set, or as read: 0 off, 1 10 Hz, 2 100 Hz, 3 200 Hz."""
+    """Filter setting: 0 off, 1 10 Hz, 2 100 Hz, 3 200 Hz."""
 
     command: int
     index: int
@@ -85,7 +85,7 @@ class Filter:
 
 @dataclass(frozen=True, slots=True)
 class LeptrinoSample:
-    """One sample; ``command`` tells whether it was asked for (READ) or streamed (START)."""
+    """One sample; ``command`` is READ for a requested one, START for a streamed one."""
 
     command: int
     counts: tuple[int, ...]
@@ -100,14 +100,14 @@ class LeptrinoSample:
 
 @dataclass(frozen=True, slots=True)
 class Nak:
-    """The last frame had a wrong check: send it again."""
+    """The last frame had a wrong check and must be repeated."""
 
 
 Packet = Plain | Info | Rated | Filter | LeptrinoSample | Nak
 
 
 def encode(packet: Packet) -> bytes:
-    """Return the frame, stuffed and checked."""
+    """Return the frame with byte stuffing and check."""
     if isinstance(packet, Nak):
         return bytes((DLE, NAK_BYTE))
     try:
@@ -139,7 +139,7 @@ def _content(packet: Plain | Info | Rated | Filter | LeptrinoSample) -> tuple[in
 
 
 def decode(frame: bytes) -> Packet:
-    """Return the message of one whole frame; raises ``WireError``."""
+    """Return the message of one whole frame; raises ``ProtocolError``."""
     step = _take(frame, 0)
     if step is None or step.length != len(frame):
         if step is not None and step.refused:
@@ -163,7 +163,7 @@ def _take(data: bytes, at: int) -> FrameStep[Packet] | None:
     if data[at + 1] == NAK_BYTE:
         return FrameStep(2, Nak())
     if data[at + 1] != STX:
-        return FrameStep(2)  # a pair of 10h is content of a lost frame, never its start
+        return FrameStep(2)  # a pair of 10h is content of a lost frame, never a start
     return _take_frame(data, at)
 
 

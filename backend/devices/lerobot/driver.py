@@ -1,4 +1,4 @@
-"""Driver of tactile cameras that the package ``lerobot`` reads.
+"""Driver of tactile cameras through the package ``lerobot``.
 
 Any camera class of LeRobot can be the source. Its robots are not adapted: they take joint positions
 without force, pose or time.
@@ -36,7 +36,7 @@ class LeRobotSource:
         self.facts: Mapping[str, float] = {k: float(v) for k, v in told.items() if v}
 
     def read(self, limit_s: float) -> ImageArray | None:
-        """Return the next picture as (rows, columns, 3), blue first; None if none comes in time."""
+        """Return the next picture, (rows, columns, 3) BGR; None after the time limit."""
         try:
             picture = self._camera.async_read(timeout_ms=1e3 * limit_s)
         except TimeoutError:
@@ -49,7 +49,7 @@ class LeRobotSource:
         return np.ascontiguousarray(image[:, :, ::-1])
 
     def close(self) -> None:
-        """Let go of the camera."""
+        """Close the camera."""
         if self._camera.is_connected:
             self._camera.disconnect()
 
@@ -60,7 +60,7 @@ def make_lerobot(
     now_s: Callable[[], float],
     frames: Stream[TactileFrame],
 ) -> TactileCamera:
-    """Return the camera of one finger; raises ``InputError`` for fields it cannot take."""
+    """Return the camera of one finger; raises ``InputError`` for invalid fields."""
     table = settings.lerobot
     fields = table.left if finger == "left" else table.right
     make = _maker(table.config, fields, f"lerobot.{finger}")
@@ -73,7 +73,7 @@ def make_lerobot(
 
 
 def _maker(config: str, fields: str, where: str) -> Callable[[], Any]:
-    """Return what makes the camera of ``config`` ("module:Class") with ``fields`` (JSON)."""
+    """Return the factory of the camera of ``config`` ("module:Class") with ``fields`` (JSON)."""
     module, _, name = config.partition(":")
     try:
         content = json.loads(fields)

@@ -126,7 +126,7 @@ def jog(mode: int, minus_axes: int, plus_axes: int, inching: int = 0) -> R3Reque
 
 
 def encode_request(request: R3Request) -> bytes:
-    """Return the text without its end; raises ``WireError`` for all that ``ALLOWED`` lacks."""
+    """Return the text without its end; raises ``ProtocolError`` for all that ``ALLOWED`` lacks."""
     if (request.robot is None) != (request.slot is None):
         raise ProtocolError("address", "r3 request")
     address = "" if request.robot is None else f"{request.robot};{request.slot};"
@@ -140,7 +140,7 @@ def encode_request(request: R3Request) -> bytes:
 
 
 def decode_request(content: bytes) -> R3Request:
-    """Return the request of one text without its end; raises ``WireError``."""
+    """Return the request of one text without its end; raises ``ProtocolError``."""
     if len(content) > LONGEST_REQUEST:
         raise ProtocolError("length", "r3 request", LONGEST_REQUEST)
     text = _text(content, "ascii", "r3 request")
@@ -165,7 +165,7 @@ def encode_reply(reply: R3Reply) -> bytes:
 
 
 def decode_reply(content: bytes) -> R3Reply:
-    """Return the reply of one text without its end; raises ``WireError``."""
+    """Return the reply of one text without its end; raises ``ProtocolError``."""
     if len(content) > LONGEST_REPLY:
         raise ProtocolError("length", "r3 reply", LONGEST_REPLY)
     text = _text(content, "latin-1", "r3 reply")
@@ -226,7 +226,7 @@ class AxisReading:
 
 
 def read_axes(answer: str) -> AxisReading:
-    """Return the reading; raises ``WireError``."""
+    """Return the reading; raises ``ProtocolError``."""
     axes, mark, rest = answer.partition(";;")
     parts, tail = axes.split(";"), rest.split(";")
     if not mark or len(parts) % 2 or len(tail) != 4:
@@ -283,7 +283,7 @@ class Number:
 
 
 def read_variable(answer: str) -> Position | Number:
-    """Return the variable of an answer to VAL; raises ``WireError``."""
+    """Return the variable of an answer to VAL; raises ``ProtocolError``."""
     found = _VARIABLE_ASSIGNMENT.fullmatch(answer)
     if found is None:
         raise ProtocolError("fields", "r3 variable")
@@ -297,14 +297,14 @@ def read_variable(answer: str) -> Position | Number:
 
 
 def number(text: str) -> float:
-    """Return a decimal number without exponent; raises ``WireError``."""
+    """Return a decimal number without exponent; raises ``ProtocolError``."""
     if _NUMBER.fullmatch(text) is None:
         raise ProtocolError("number", "r3 answer")
     return float(text)
 
 
 def whole(text: str) -> int:
-    """Return a whole number, not negative; raises ``WireError``."""
+    """Return a whole number, not negative; raises ``ProtocolError``."""
     if re.fullmatch(r"[0-9]{1,10}", text) is None:
         raise ProtocolError("number", "r3 answer")
     return int(text)
@@ -419,7 +419,7 @@ class ProgramProgress:
 
 
 def read_opened(answer: str) -> ControllerInfo:
-    """Return the answer to OPEN; raises ``WireError``."""
+    """Return the answer to OPEN; raises ``ProtocolError``."""
     parts = _parts(answer, 16, "r3 open")
     flag1, flag2 = (whole(part) for part in _pair(parts[2], ","))
     return ControllerInfo(
@@ -466,7 +466,7 @@ def read_state(answer: str) -> ControllerState:
 
 
 def read_progress(answer: str) -> ProgramProgress:
-    """Return the answer to DSTATE; raises ``WireError``."""
+    """Return the answer to DSTATE; raises ``ProtocolError``."""
     parts = _parts(answer, 3, "r3 dstate")
     return ProgramProgress(*_status(parts[0]), whole(parts[1]), whole(parts[2]))
 

@@ -95,7 +95,7 @@ def kind_of(block: Block) -> BlockKind:
 
 
 def encode_block(block: Block) -> bytes:
-    """Return 40 bytes; raises ``WireError`` for numbers that are none or do not fit."""
+    """Return 40 bytes; raises ``ProtocolError`` for numbers that are none or do not fit."""
     try:
         return _pack(block)
     except (struct.error, OverflowError, ValueError) as error:
@@ -233,7 +233,7 @@ class MxtReply:
 
 
 def encode_mxt_request(request: MxtRequest) -> bytes:
-    """Return the 196 bytes; raises ``WireError`` if a number does not fit or is none."""
+    """Return the 196 bytes; raises ``ProtocolError`` if a number does not fit or is none."""
     kind = kind_of(request.target)
     send_type = next((code for code, known in SEND_KINDS.items() if known is kind), None)
     if send_type is None:
@@ -270,7 +270,7 @@ def _join_mxt_packet(
 
 
 def decode_mxt_request(data: bytes) -> MxtRequest:
-    """Return the request of one datagram; raises ``WireError``."""
+    """Return the request of one datagram; raises ``ProtocolError``."""
     command, send_type, monitors, signals, timeouts, counter = _open_mxt_packet(data)
     if send_type not in SEND_KINDS:
         raise ProtocolError("type", "mxt request", 2)
@@ -279,7 +279,7 @@ def decode_mxt_request(data: bytes) -> MxtRequest:
 
 
 def decode_mxt_reply(data: bytes) -> MxtReply:
-    """Return the reply of one datagram; raises ``WireError``."""
+    """Return the reply of one datagram; raises ``ProtocolError``."""
     command, send_type, monitors, signals, timeouts, counter = _open_mxt_packet(data)
     starts = (8, *(slot + _SLOT.size for slot in _SLOTS))
     first, second, third, fourth = (
@@ -346,7 +346,7 @@ def encode_monitor_request(request: MonitorRequest) -> bytes:
 
 
 def decode_monitor_request(data: bytes) -> MonitorRequest:
-    """Return the request of one datagram; raises ``WireError``."""
+    """Return the request of one datagram; raises ``ProtocolError``."""
     command, types = _open_monitor_packet(data)
     return MonitorRequest(command, types)
 
@@ -364,7 +364,7 @@ def encode_monitor_reply(reply: MonitorReply, kinds: BlockKinds) -> bytes:
 
 
 def decode_monitor_reply(data: bytes, kinds: BlockKinds) -> MonitorReply:
-    """Return the reply of one datagram; an unknown data type is a ``WireError``."""
+    """Return the reply of one datagram; an unknown data type is a ``ProtocolError``."""
     command, types = _open_monitor_packet(data)
     if command != START:
         raise ProtocolError("command", "monitor reply")

@@ -34,7 +34,7 @@ SEQUENCE_TURN = 1 << 32
 
 
 class NetFtDriver:
-    """Old and doubled datagrams are dropped by their sequence; a gap counts as lost."""
+    """Old and repeated datagrams are dropped by their sequence number; a gap counts as lost."""
 
     baud = 0
     chunk = protocol.RECORD_BYTES
@@ -47,7 +47,7 @@ class NetFtDriver:
         self._bad = self._bad_in_a_row = self._discarded = 0
 
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
-        """Learn the scale, stop an old stream, start."""
+        """Read the scale, stop an old stream, start."""
         self._counts = self._scale(link)
         for _ in range(2):
             link.write(protocol.encode_request(RdtRequest(RdtCommand.STOP)))
@@ -59,7 +59,7 @@ class NetFtDriver:
         return SensorDescription(identity, self._settings.rated, self._period_s, numbered=True)
 
     def take(self, data: bytes) -> list[WrenchReading]:
-        """Return the samples of one datagram that are newer than all before."""
+        """Return the new samples of one datagram."""
         if not data:
             return []
         try:
@@ -74,11 +74,11 @@ class NetFtDriver:
 
     @property
     def refusals(self) -> FrameErrors:
-        """Datagrams that were none."""
+        """Counts of invalid datagrams."""
         return FrameErrors(self._bad, self._bad_in_a_row, self._discarded)
 
     def stop(self, link: SensorLink) -> None:
-        """Three times: a datagram may be lost."""
+        """Stop the stream; sent three times, because a datagram may be lost."""
         for _ in range(3):
             link.write(protocol.encode_request(RdtRequest(RdtCommand.STOP)))
 

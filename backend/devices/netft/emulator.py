@@ -31,13 +31,13 @@ from touchdown.backend.emulation import (
 PER_UNIT = 1_000_000
 RATE_HZ = 1000.0
 SEQUENCE_TURN = 1 << 32
-SATURATED = 0x0002_0000  # status bit of a gauge at its end
+SATURATED = 0x0002_0000  # status bit of a saturated gauge
 _LIMIT = 0x7FFF_FFFF
 _STARTS = (RdtCommand.START, RdtCommand.START_AXIA, RdtCommand.START_BUFFERED)
 
 
 class EmulatedNetFt:
-    """``wrench(now_s)`` gives six values, N and N·m; one client, the last who asked."""
+    """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m. It serves the last client."""
 
     def __init__(
         self, wrench: Callable[[float], Sequence[float]], *, rate_hz: float = RATE_HZ
@@ -49,7 +49,7 @@ class EmulatedNetFt:
         self._bias: tuple[int, ...] = (0,) * 6
 
     def receive(self, now_s: float, data: bytes) -> list[bytes]:
-        """Take one request; nothing answers it but records."""
+        """Process one request; the records are its only answer."""
         try:
             request = protocol.decode_request(data)
         except ProtocolError:
@@ -88,13 +88,13 @@ class EmulatedNetFt:
 
 
 class EmulatedCalibration:
-    """The TCP channel of an Ethernet Axia: 20 bytes in, the scale out."""
+    """TCP channel of an Ethernet Axia: a request of 20 bytes, answered with the scale."""
 
     def __init__(self) -> None:
         self._heard = b""
 
     def receive(self, now_s: float, data: bytes) -> bytes:
-        """Answer a whole request."""
+        """Answer a complete request."""
         self._heard += data
         if len(self._heard) < len(TCP_REQUEST):
             return b""
@@ -105,23 +105,23 @@ class EmulatedCalibration:
         return protocol.encode_calibration(scale)
 
     def due(self, now_s: float) -> bytes:
-        """Nothing."""
+        """Do nothing."""
         return b""
 
     def closed(self, now_s: float) -> None:
-        """Forget half a request."""
+        """Discard an incomplete request."""
         self._heard = b""
 
 
 class EmulatedPage:
-    """The page of a Net F/T box: one request, one answer."""
+    """Web page of a Net F/T box: one request, one answer."""
 
     def __init__(self, force_unit: str = "N", torque_unit: str = "N-m") -> None:
         self._units = force_unit, torque_unit
         self._heard = b""
 
     def receive(self, now_s: float, data: bytes) -> bytes:
-        """Answer a whole request."""
+        """Answer a complete request."""
         self._heard += data
         if b"\r\n\r\n" not in self._heard:
             return b""
@@ -140,11 +140,11 @@ class EmulatedPage:
         return head % (status, len(body)) + body
 
     def due(self, now_s: float) -> bytes:
-        """Nothing."""
+        """Do nothing."""
         return b""
 
     def closed(self, now_s: float) -> None:
-        """Forget half a request."""
+        """Discard an incomplete request."""
         self._heard = b""
 
 

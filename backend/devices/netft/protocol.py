@@ -17,7 +17,7 @@ from touchdown.backend.devices.framing import ProtocolError, Wrench, require_len
 RDT_PORT, TCP_PORT = 49152, 49151
 HEADER = 0x1234
 RECORD_BYTES = 36
-TCP_REQUEST = b"\x01" + bytes(19)  # asks for the calibration on the TCP channel
+TCP_REQUEST = b"\x01" + bytes(19)  # request for the calibration on the TCP channel
 UNIT_NEWTON, UNIT_NEWTON_METRE = 2, 3
 
 _REQUEST = struct.Struct(">HHI")
@@ -39,7 +39,7 @@ class RdtCommand(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class RdtRequest:
-    """``count`` records are wanted, 0 means without end."""
+    """Request for ``count`` records, 0 for an endless stream."""
 
     command: int
     count: int = 0
@@ -82,7 +82,7 @@ def encode_request(request: RdtRequest) -> bytes:
 
 
 def decode_request(data: bytes) -> RdtRequest:
-    """Return the request of one datagram; raises ``WireError``."""
+    """Return the request of one datagram; raises ``ProtocolError``."""
     require_length(data, _REQUEST.size, "rdt request")
     header, command, count = _REQUEST.unpack(data)
     if header != HEADER:
@@ -101,7 +101,7 @@ def encode_records(records: tuple[RdtRecord, ...]) -> bytes:
 
 
 def decode_records(data: bytes) -> tuple[RdtRecord, ...]:
-    """Return the records of one datagram, one or (buffered) several; raises ``WireError``."""
+    """Return the records of one datagram, one or (buffered) several; raises ``ProtocolError``."""
     if not data or len(data) % RECORD_BYTES:
         raise ProtocolError("length", "rdt record", len(data))
     rows = _RECORD.iter_unpack(data)

@@ -1,6 +1,6 @@
 """Driver of OptoForce and OnRobot HEX sensors.
 
-The scale is that of the sensor's own data sheet.
+The scale comes from the sensor's data sheet.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from touchdown.backend.devices.optoforce.protocol import SPEED_HZ, Ack, Config, 
 from touchdown.backend.devices.protocols import Identity
 
 COUNT_TURN = 1 << 16
-OLD = 1000  # a count so little before the newest is late; one farther back is a restart
+OLD = 1000  # a count this much before the newest is late; an older one is a restart
 SPEED, NO_FILTER = 1, 0
 
 
 class OptoforceDriver:
-    """Losses follow from the count of the sensor; raises ``InputError`` without a scale."""
+    """Losses are found by the sensor's count; raises ``InputError`` without a scale."""
 
     baud = 1_000_000
     chunk = 44
@@ -45,7 +45,7 @@ class OptoforceDriver:
         self._last: int | None = None
 
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
-        """Ask for the full rate without filter; the acknowledge may come between frames."""
+        """Set the full rate without filter; the acknowledgement may come between frames."""
         link.drain()
 
         def find(data: bytes) -> Ack | None:
@@ -66,16 +66,16 @@ class OptoforceDriver:
 
     @property
     def refusals(self) -> FrameErrors:
-        """Frames that were none."""
+        """Counts of invalid frames."""
         decoder = self._decoder
         return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
 
     def stop(self, link: SensorLink) -> None:
-        """Speed 0."""
+        """Stop the stream."""
         link.write(protocol.encode(Config(0, NO_FILTER)))
 
     def _is_old(self, frame: OptoforceFrame) -> bool:
-        """Whether it comes after one that was taken later, or twice."""
+        """Return True if the frame is overtaken or repeated."""
         return self._last is not None and (self._last - frame.count) % COUNT_TURN <= OLD
 
     def _reading(self, frame: OptoforceFrame) -> WrenchReading:

@@ -33,7 +33,9 @@ _OVERLOAD_BITS = (9, 8, 7, 6, 5, 4)
 
 
 class EmulatedOptoforce:
-    """``wrench(now_s)`` gives six values, N and N·m; scaled by ``counts`` at ``capacity``."""
+    """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m, scaled by ``counts`` at
+    ``capacity``.
+    """
 
     def __init__(
         self,
@@ -50,7 +52,7 @@ class EmulatedOptoforce:
         self._zero: tuple[int, ...] = (0,) * 6
 
     def receive(self, now_s: float, data: bytes) -> bytes:
-        """Take configurations; return their acknowledges."""
+        """Process configurations; return their acknowledgements."""
         return b"".join(self._answer(now_s, request) for request in self._requests.feed(data))
 
     def due(self, now_s: float) -> bytes:
@@ -60,7 +62,7 @@ class EmulatedOptoforce:
         return b"".join(map(self._frame, times))
 
     def closed(self, now_s: float) -> None:
-        """Nothing: a sensor on a serial line does not notice."""
+        """Do nothing: a sensor on a serial line does not notice."""
 
     def _answer(self, now_s: float, request: Config) -> bytes:
         if request.speed not in SPEED_HZ or request.filter not in protocol.FILTER_HZ:

@@ -134,7 +134,7 @@ def _body(message: OptoforceMessage | Config) -> bytes:
 
 
 def decode(frame: bytes) -> OptoforceMessage:
-    """Return the message of one whole frame from the sensor; raises ``WireError``."""
+    """Return the message of one whole frame from the sensor; raises ``ProtocolError``."""
     length = _length(frame, 0)
     if length == 0:
         raise ProtocolError("header", "optoforce frame")

@@ -1,6 +1,6 @@
 """Driver of a Weiss WSG gripper over TCP.
 
-``WsgCore`` is a pure state machine: replies in, requests out, without wire, clock or thread.
+``WsgCore`` is a state machine from replies to requests, without wire, clock or thread.
 ``WsgGripper`` runs it: one thread listens, commands bypass every queue.
 """
 
@@ -90,7 +90,7 @@ def fast_stop_fault() -> Fault:
 
 
 def device_fault(flags: SystemFlag) -> Fault | None:
-    """Return the fault that the system flags tell, None if all is well."""
+    """Return the fault of the system flags, None without one."""
     for flag, why in DEVICE_FAULTS.items():
         if flag in flags:
             return Fault(
@@ -104,7 +104,7 @@ def device_fault(flags: SystemFlag) -> Fault | None:
 
 
 def link_fault(what: str) -> Fault:
-    """Return the fault of a connection that is not, or no longer, there."""
+    """Return the fault of a missing or lost connection."""
     return Fault(
         "WSG-LINK",
         what,
@@ -120,7 +120,7 @@ def stopped_fault() -> Fault:
 
 
 def replaced_fault() -> Fault:
-    """Return the fault of a motion that another command took the place of."""
+    """Return the fault of a motion that was replaced by another command."""
     return Fault(
         "REPLACED",
         "Another command took the place of this motion.",
@@ -131,7 +131,7 @@ def replaced_fault() -> Fault:
 
 
 def not_connected_fault() -> Fault:
-    """Return the fault of a command to a gripper that is not there."""
+    """Return the fault of a command without a connection."""
     return Fault(
         "NOT-CONNECTED",
         "The gripper is not connected.",
@@ -142,7 +142,7 @@ def not_connected_fault() -> Fault:
 
 
 class WsgMotion(CommandedMotion):
-    """The step under way is the first of ``steps``; ``pending`` once the gripper accepted it."""
+    """A motion in steps, the active one first; ``pending`` once the gripper has accepted it."""
 
     def __init__(
         self, steps: Sequence[WsgRequest], sent: Mapping[str, float], deadline_s: float
@@ -160,7 +160,7 @@ _MOVES = (WsgCommand.HOME, WsgCommand.PREPOSITION, WsgCommand.GRASP, WsgCommand.
 
 @dataclass(frozen=True, slots=True)
 class WsgLimits:
-    """What the gripper can do: mm, mm/s, mm/s², N as the sum over both fingers."""
+    """Limits of the gripper: mm, mm/s, mm/s², N as the sum over both fingers."""
 
     stroke_mm: float
     speed_mm_s: tuple[float, float]
@@ -169,22 +169,24 @@ class WsgLimits:
 
     @classmethod
     def of_settings(cls, settings: WsgSettings) -> WsgLimits:
-        """Return those of a gripper that does not tell its own."""
+        """Return the limits of a gripper that does not report its own."""
         speeds = (settings.speed_min, settings.speed_max)
         forces = (settings.force_min_n, settings.force_max_n)
         return cls(settings.stroke_mm, speeds, settings.acceleration_mm_s2, forces)
 
     def speed(self, wanted_mm_s: float) -> float:
-        """Return the nearest speed that the gripper can do."""
+        """Return the nearest possible speed."""
         return min(max(wanted_mm_s, self.speed_mm_s[0]), self.speed_mm_s[1])
 
     def travel_s(self, travel_mm: float, speed_mm_s: float) -> float:
-        """Return how long a way takes at most, with its ramps."""
+        """Return the longest time of a travel including its ramps, s."""
         return travel_mm / speed_mm_s + 2 * speed_mm_s / self.acceleration_mm_s2
 
 
 class WsgCore:
-    """One gripper. The owner sends what is returned, in this order, and hands in every reply."""
+    """State of one gripper. The owner sends the returned requests in order and feeds every
+    reply.
+    """
 
     def __init__(self, settings: WsgSettings) -> None:
         self._settings = settings
@@ -200,7 +202,7 @@ class WsgCore:
 
     @property
     def status(self) -> GripStatus:
-        """Width, force per finger, whether a piece is held: as last heard."""
+        """Last width, force per finger and grip."""
         holding = self.grasp_state is GraspState.HOLDING
         return GripStatus(self.width_mm, self.force_sum_n / self._fingers, holding)
 
@@ -213,7 +215,7 @@ class WsgCore:
         ]
 
     def home(self, now_s: float) -> list[WsgRequest]:
-        """Find the origin. On the operator's word only: with a piece in the jaws it is wrong."""
+        """Find the origin. Only on the operator's command: with a piece in the jaws it is wrong."""
         slowest = self.limits.speed_mm_s[0]
         return self._begin(now_s, protocol.home(), {}, self.limits.stroke_mm / slowest)
 
@@ -231,7 +233,7 @@ class WsgCore:
         return self._begin(now_s, requests, sent, within_s)
 
     def open_to(self, now_s: float, width_mm: float, speed_mm_s: float) -> list[WsgRequest]:
-        """Go to a width; a held piece is let go."""
+        """Move to a width; releases a held piece."""
         width = min(width_mm, self.limits.stroke_mm)
         speed = self.limits.speed(speed_mm_s)
         if self.grasp_state is GraspState.HOLDING:
@@ -242,23 +244,23 @@ class WsgCore:
         return self._begin(now_s, request, {"width_mm": width, "speed_mm_s": speed}, within_s)
 
     def stop(self) -> list[WsgRequest]:
-        """Stop a motion; a grip that stands is kept."""
+        """Stop a motion; keeps a completed grip."""
         moving = self.motion is not None or SystemFlag.MOVING in self.flags
         self._end(stopped_fault())
         return [STOP] if moving else []
 
     def acknowledge(self) -> list[WsgRequest]:
-        """Take a fast stop or a fault as seen; it ends with the answer of the gripper."""
+        """Acknowledge a fast stop or a fault; it ends with the answer of the gripper."""
         return [
             protocol.acknowledge(),
             protocol.update(WsgCommand.SYSTEM_STATE, STATE_MS, on_change=True),
         ]
 
     def feed(self, now_s: float, reply: WsgReply) -> list[WsgRequest]:
-        """Take one reply."""
+        """Process one reply."""
         self._heard_s = now_s
         if reply.command == WsgCommand.ACKNOWLEDGE and reply.status == WsgStatus.SUCCESS:
-            self.fault = None  # states told before this answer are those of before
+            self.fault = None  # states before this answer are outdated
         if reply.status == WsgStatus.SUCCESS and reply.values:
             self._read(reply)
         motion = self.motion
@@ -267,7 +269,7 @@ class WsgCore:
         return self._advance(motion, reply)
 
     def tick(self, now_s: float) -> list[WsgRequest]:
-        """Look at the clock: a motion that takes too long is stopped, silence is a fault."""
+        """Check the time: stop a motion that takes too long, report silence as a fault."""
         if now_s - self._heard_s > SILENCE_S:
             self._latch(link_fault(f"The gripper is silent for {now_s - self._heard_s:.1f} s."))
         elif self.motion is not None and now_s > self.motion.deadline_s:
@@ -277,7 +279,7 @@ class WsgCore:
         return []
 
     def lose(self, fault: Fault) -> None:
-        """Take note that the wire is gone."""
+        """Handle the loss of the wire."""
         self._latch(fault)
 
     def _readings(self) -> list[WsgRequest]:
@@ -295,7 +297,7 @@ class WsgCore:
         sent: Mapping[str, float],
         within_s: float,
     ) -> list[WsgRequest]:
-        """Start a motion and, at its end, read anew what it changed."""
+        """Start a motion and, at its end, read what it changed."""
         if self.fault is not None:
             raise FaultError(self.fault)
         first = requests if isinstance(requests, tuple) else (requests,)
@@ -312,7 +314,7 @@ class WsgCore:
             motion.pending = True
             return []
         if reply.status == WsgStatus.CMD_ABORTED and not motion.pending:
-            return []  # the end of the motion before this one
+            return []  # end of the previous motion
         if reply.status == WsgStatus.CHECKSUM_ERROR and not motion.resent:
             motion.resent = True
             return [request]
@@ -320,7 +322,7 @@ class WsgCore:
             self._end(refusal(request.command, reply.status, self.flags))
             return []
         if request.command in _MOVES and not motion.pending:
-            return []  # a result of before; ours begins with "pending"
+            return []  # result of a previous motion; ours starts with "pending"
         motion.steps.pop(0)
         motion.pending = False
         if not motion.steps:
@@ -373,8 +375,7 @@ STALE_S = 1.0
 
 
 class WsgGripper:
-    """``host`` and ``port`` of the gripper; replies are stamped by ``now_s``.
-
+    """Driver of the gripper at ``host`` and ``port``; replies are stamped by ``now_s``.
     ``language`` makes the protocol of one connection.
     """
 
@@ -401,33 +402,34 @@ class WsgGripper:
         self._identity: Identity | None = None
         self._received = 0
         self._arrivals: deque[float] = deque(maxlen=512)
-        # A piece was held when the connection was lost: its fast stop waits for the operator.
+        # True if a piece was held when the connection was lost: the operator must acknowledge the
+        # stop.
         self.lost_holding = False
 
     @property
     def state(self) -> DeviceState:
-        """Where the connection is in its life; a latched fault of the gripper is FAULT."""
+        """State of the connection; FAULT for a latched fault of the gripper."""
         faulty = self._state is DeviceState.READY and self._core.fault is not None
         return DeviceState.FAULT if faulty else self._state
 
     @property
     def identity(self) -> Identity | None:
-        """Known once connected."""
+        """Identity, None before the first connection."""
         return self._identity
 
     @property
     def fault(self) -> Fault | None:
-        """What the operator has to acknowledge, or why the connection was lost."""
+        """Fault to acknowledge, or cause of a lost connection."""
         return self._core.fault
 
     @property
     def homed(self) -> bool:
-        """Whether the gripper knows where its jaws are."""
+        """True if the origin of the jaws is known."""
         return SystemFlag.REFERENCED in self._core.flags
 
     @property
     def lost_parts(self) -> int:
-        """How often a held piece was lost since connection."""
+        """Number of lost pieces since the connection."""
         return self._core.lost_parts
 
     @property
@@ -453,10 +455,9 @@ class WsgGripper:
         }
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Greet the gripper, acknowledge a fast stop, start the readings.
-
-        After a connection that was lost while holding a piece the fast stop stays until
-        ``acknowledge``: the operator looks at the piece first.
+        """Identify the gripper, acknowledge a fast stop, start the readings. If the last connection
+        was lost while holding a piece, the fast stop stays until ``acknowledge``: the operator
+        checks the piece first.
         """
         if self._state is DeviceState.READY:
             return
@@ -478,7 +479,7 @@ class WsgGripper:
         self._begin()
 
     def close(self) -> None:
-        """Say goodbye and close; the jaws stay as they are, a held piece is kept."""
+        """Announce the end and close; the jaws do not move, a held piece is kept."""
         if self._thread is not None:
             self.stop()
             self._stop.set()
@@ -490,11 +491,11 @@ class WsgGripper:
         self._state = DeviceState.CLOSED
 
     def status(self) -> GripStatus:
-        """Return what the gripper told last."""
+        """Return the last status of the gripper."""
         return self._core.status
 
     def home(self) -> WsgMotion:
-        """Let the gripper find its origin: on the operator's word, with empty jaws only."""
+        """Home the gripper, on the operator's command and with empty jaws only."""
         return self._command(lambda now_s: self._core.home(now_s))
 
     def grip(self, force_n: float) -> WsgMotion:
@@ -505,20 +506,20 @@ class WsgGripper:
         return self._command(lambda now_s: self._core.grip(now_s, force_n))
 
     def open_to(self, width_mm: float, speed_mm_s: float) -> WsgMotion:
-        """Open (or close) to ``width_mm``; a held piece is let go."""
+        """Open (or close) to ``width_mm``; releases a held piece."""
         self._require_ready()
         if not (0.0 <= width_mm < float("inf") and 0.0 < speed_mm_s < float("inf")):
             raise ValueError("width and speed must be finite, the speed positive")
         return self._command(lambda now_s: self._core.open_to(now_s, width_mm, speed_mm_s))
 
     def stop(self) -> None:
-        """Stop where it is; keeps the grip. From any thread, in every state."""
+        """Stop and keep the grip; from any thread, in every state."""
         with self._lock:
             requests = self._core.stop()
         self._send(requests)
 
     def acknowledge(self) -> None:
-        """Take a fast stop or fault as seen, on the operator's word."""
+        """Acknowledge a fast stop or fault, on the operator's command."""
         self._require_link()
         with self._lock:
             self.lost_holding = False
@@ -577,7 +578,7 @@ class WsgGripper:
         raise FaultError(link_fault(self._who_answers(self._socket)))
 
     def _who_answers(self, line: socket.socket) -> str:
-        """Return a sentence: who is there instead."""
+        """Return a sentence that names the device that answers instead."""
 
         def receive(limit_s: float) -> bytes:
             line.settimeout(limit_s)
@@ -648,7 +649,7 @@ class WsgGripper:
             self._lose(error)
 
     def _lose(self, error: OSError) -> None:
-        """Take note that the wire is gone: whether a piece is held is not known any more."""
+        """Handle the loss of the wire: the grip is unknown from now on."""
         self._stop.set()
         with self._lock:
             self.lost_holding |= self._core.status.holding
@@ -656,10 +657,9 @@ class WsgGripper:
             self._state = DeviceState.FAULT
 
     def _farewell(self) -> None:
-        """Announce the end, so that it latches no fast stop; a grip that this would end is not.
-
-        Where the gripper lets go after an announced end, the fast stop keeps the piece until the
-        operator acknowledges it.
+        """Announce the end, which avoids a fast stop, unless that would open the grip. If the
+        gripper opens after an announced end, the fast stop keeps the piece until the operator
+        acknowledges it.
         """
         if self._core.status.holding and not self._settings.keeps_grip_after_07:
             self.lost_holding = True

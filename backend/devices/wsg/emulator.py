@@ -43,12 +43,12 @@ from touchdown.backend.emulation import (
     TcpServer,
 )
 
-CLAMPING_TRAVEL_MM = 3.0  # how far grasp closes beyond the nominal width before it gives up
+CLAMPING_TRAVEL_MM = 3.0  # travel of a grasp beyond the nominal width before it fails
 
 
 @dataclass(frozen=True, slots=True)
 class GripperProfile:
-    """What a gripper can do: mm, mm/s, mm/s², N as the sum over both fingers."""
+    """Limits of an emulated gripper: mm, mm/s, mm/s², N as the sum over both fingers."""
 
     kind: int = 0
     stroke_mm: float = 66.0
@@ -59,7 +59,7 @@ class GripperProfile:
 
 @dataclass(frozen=True, slots=True)
 class JawMotion:
-    """A motion under way, from ``start_mm`` at ``begun_s``; speed signed, closing below 0."""
+    """An active motion from ``start_mm`` at ``begun_s``; negative speed closes."""
 
     command: WsgCommand
     start_mm: float
@@ -74,7 +74,7 @@ class JawMotion:
 
 
 class EmulatedJaws:
-    """``part_mm`` is the width of a part between the fingers; None if there is none."""
+    """Emulated jaws; ``part_mm`` is the width of a part between the fingers, or None."""
 
     def __init__(self, profile: GripperProfile, part_mm: float | None = None) -> None:
         self.profile, self.part_mm = profile, part_mm
@@ -83,10 +83,10 @@ class EmulatedJaws:
         self.state = GraspState.IDLE
         self.flags = SystemFlag(0)
         self.motion: JawMotion | None = None
-        self.statistics = (0, 0, 0)  # grasps in all, without a part, with a part that was lost
+        self.statistics = (0, 0, 0)  # number of grasps, of grasps without a part, of lost parts
 
     def count(self, *, missed: int = 0, lost: int = 0) -> None:
-        """Count a grasp that ended (``missed``: without a part), or a part that was ``lost``."""
+        """Count a completed grasp (``missed``: without a part), or a ``lost`` part."""
         total, no_part, lost_parts = self.statistics
         self.statistics = (total + 1 - lost, no_part + missed, lost_parts + lost)
 
@@ -112,18 +112,18 @@ class EmulatedJaws:
         }.get(command, GraspState.POSITIONING)
 
     def halt(self) -> JawMotion | None:
-        """Stop where they are; return the motion that this ended."""
+        """Stop; return the ended motion."""
         motion, self.motion = self.motion, None
         self.flags = (self.flags & ~SystemFlag.MOVING) | SystemFlag.AXIS_STOPPED
         self.state = GraspState.IDLE
         return motion
 
     def let_go(self) -> None:
-        """Hold nothing any more, without a motion: the fingers have no force."""
+        """Release without a motion: the fingers have no force."""
         self.state = GraspState.IDLE
 
     def advance(self, now_s: float) -> tuple[WsgCommand, WsgStatus] | None:
-        """Move on to ``now_s``; return command and result of a motion that ended."""
+        """Advance to ``now_s``; return command and result of a motion that ended."""
         if self.state is GraspState.HOLDING and self.part_mm is None:
             self.state = GraspState.PART_LOST
             self.count(lost=1)
@@ -163,7 +163,7 @@ _MOTIONS = (WsgCommand.HOME, WsgCommand.PREPOSITION, WsgCommand.GRASP, WsgComman
 
 @dataclass(slots=True)
 class PeriodicUpdate:
-    """A reading sent again and again."""
+    """A periodically sent reading."""
 
     period_s: float
     on_change: bool
@@ -172,10 +172,9 @@ class PeriodicUpdate:
 
 
 class EmulatedWsg:
-    """``jaws.part_mm`` may be set at any time: a part comes, or is lost.
-
-    ``faults``: those that the gripper itself can suffer from. ``keeps_grip``: whether the piece
-    stays held when a connection ends as announced.
+    """Emulated gripper; set ``jaws.part_mm`` at any time to add or remove a part. ``faults``:
+    faults of the gripper itself. ``keeps_grip``: True if a piece stays held after an announced
+    disconnect.
     """
 
     def __init__(
@@ -194,7 +193,7 @@ class EmulatedWsg:
         self._acceleration_mm_s2 = self.jaws.profile.acceleration_mm_s2[0]
         self._leaving = False
         self._lost_mm: float | None = None
-        self.barred = 0  # motions that were asked of it while a fault was not acknowledged
+        self.barred = 0  # motion commands before a fault was acknowledged
         self._actions: dict[int, Callable[[WsgRequest], tuple[WsgStatus, tuple[Number, ...]]]] = {
             WsgCommand.LOOP: lambda request: (WsgStatus.SUCCESS, request.values),
             WsgCommand.ACKNOWLEDGE: self._acknowledge,
@@ -204,7 +203,7 @@ class EmulatedWsg:
         }
 
     def receive(self, now_s: float, data: bytes) -> bytes:
-        """Take commands; return what is answered at once."""
+        """Process commands; return the immediate answers."""
         out = self.due(now_s)
         for request in self._requests.feed(data):
             replies = self._answer(now_s, request)
@@ -220,7 +219,7 @@ class EmulatedWsg:
         return b"".join(map(protocol.encode_reply, replies))
 
     def closed(self, now_s: float) -> None:
-        """Latch the fast stop unless the end was announced."""
+        """Latch the fast stop unless the disconnect was announced."""
         self._updates.clear()
         self._requests.reset()
         if not self._leaving:
@@ -230,12 +229,12 @@ class EmulatedWsg:
         self._leaving = False
 
     def _suffer(self, now_s: float) -> list[WsgReply]:
-        """Let the faults that are on have their effect; return the end of a motion they break."""
+        """Apply active faults; return the end of an interrupted motion."""
         if self._faults.active("part_lost", now_s):
             self._lost_mm = self.jaws.part_mm or self._lost_mm
             self.jaws.part_mm = None
         elif self._lost_mm is not None and self.jaws.width_mm >= self._lost_mm:
-            # The fault is over: somebody holds the piece between the open jaws again.
+            # End of the fault: the piece is between the open jaws again.
             self.jaws.part_mm, self._lost_mm = self._lost_mm, None
         broken: JawMotion | None = None
         if self._faults.active("power", now_s) and SystemFlag.POWER_FAULT not in self.jaws.flags:
@@ -348,7 +347,7 @@ class EmulatedWsg:
         return [WsgReply(command, WsgStatus.SUCCESS, reading)]
 
     def _reading(self, command: int) -> tuple[Number, ...] | None:
-        """Return what a reading command answers; None for other commands."""
+        """Return the answer to a reading command; None for other commands."""
         jaws, profile = self.jaws, self.jaws.profile
         motion = jaws.motion
         readings: dict[int, tuple[Number, ...]] = {
@@ -381,7 +380,7 @@ READINGS = {
     "GRIPSTATE": WsgCommand.GRASP_STATE,
 }
 SELVES: dict[str, Scalar] = {"DEVTYPE": '"WSG 32-068"', "VERSION": "4.0.1", "SN": SERIAL}
-KEPT = ("VERBOSE", "PWT", "CLT", "TAG")  # what may be set; it is echoed
+KEPT = ("VERBOSE", "PWT", "CLT", "TAG")  # variables that can be set; the value is echoed
 ORDERS = {
     "STOP": WsgRequest(WsgCommand.STOP),
     "FASTSTOP": WsgRequest(WsgCommand.FAST_STOP),
@@ -399,14 +398,14 @@ _RELEASE_MM = 10.0
 
 @dataclass(frozen=True, slots=True)
 class UnknownLine:
-    """A line that begins with ``name`` and has no form that is known."""
+    """A line that starts with ``name`` and has an unknown form."""
 
     name: str
 
 
 @dataclass(slots=True)
 class AutoSend:
-    """A reading sent again and again; ``on_change`` only when it differs."""
+    """A periodically sent reading; ``on_change`` only when it differs."""
 
     period_s: float
     on_change: bool
@@ -415,7 +414,7 @@ class AutoSend:
 
 
 class EmulatedGcl:
-    """``gripper`` does the work; this is its mouth."""
+    """Text interface of the emulated ``gripper``."""
 
     def __init__(self, gripper: EmulatedWsg, settings: WsgSettings | None = None) -> None:
         self.gripper, self._settings = gripper, settings or WsgSettings()
@@ -428,7 +427,7 @@ class EmulatedGcl:
         self._verbose, self._kept = False, dict[str, GclLine]()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
-        """Take lines; return what is answered at once."""
+        """Process lines; return the immediate answers."""
         out: list[GclLine] = []
         for asked in self._lines.feed(data):
             answer = self._answer(now_s, asked)
@@ -436,7 +435,7 @@ class EmulatedGcl:
         return b"".join(map(gcl.encode, out))
 
     def due(self, now_s: float) -> bytes:
-        """Return the ends of motions, and the readings that are sent of themselves."""
+        """Return the ends of motions and the periodic readings."""
         self._hear(now_s, self.gripper.due(now_s))
         out = self._ends(now_s)
         for name, auto in self._auto.items():
@@ -449,14 +448,14 @@ class EmulatedGcl:
         return b"".join(map(gcl.encode, out))
 
     def closed(self, now_s: float) -> None:
-        """Forget the client; without ``BYE`` the fast stop is latched."""
+        """Handle the end of a connection; without ``BYE`` the fast stop is latched."""
         self._lines.reset()
         self._auto.clear()
         self._waiting.clear()
         self.gripper.closed(now_s)
 
     def _ends(self, now_s: float) -> list[GclLine]:
-        """Return the ends of motions that may go out by now."""
+        """Return the ends of motions that are due."""
         out = [line for at_s, line in self._waiting if at_s <= now_s]
         self._waiting = [item for item in self._waiting if item[0] > now_s]
         return out
@@ -532,7 +531,7 @@ class EmulatedGcl:
             return [self._ended(name, WsgStatus.CMD_FORMAT_ERROR, "ACK")]
         request = self._request(now_s, name, numbers)
         self._called[request.command] = name
-        # Before it is asked: the end of a motion may come with the answer.
+        # Before the request: the end of a motion may come with the answer.
         self._acknowledged_s = now_s
         status = self._ask(now_s, request).status
         if status == WsgStatus.CMD_PENDING:
@@ -554,12 +553,12 @@ class EmulatedGcl:
         return protocol.release(self.gripper.jaws.width_mm + share * distance_mm, speed_mm_s)
 
     def _ask(self, now_s: float, request: WsgRequest) -> WsgReply:
-        """Return the gripper's own answer; ends of motions that come with it go out in time."""
+        """Return the gripper's answer; ends of motions in it are sent when due."""
         content = self.gripper.receive(now_s, protocol.encode_request(request))
         return self._hear(now_s, content, request.command) or WsgReply(request.command, 14)
 
     def _hear(self, now_s: float, content: bytes, command: int = -1) -> WsgReply | None:
-        """Keep the ends of motions for later; return the newest reply to ``command``."""
+        """Queue the ends of motions; return the newest reply to ``command``."""
         found: WsgReply | None = None
         for reply in self._replies.feed(content):
             if reply.command == command:
@@ -574,12 +573,12 @@ class EmulatedGcl:
         if status == WsgStatus.SUCCESS:
             return GclAnswer(good, name)
         text = WsgStatus(status).name.lower().replace("_", " ") if self._verbose else ""
-        # A name as long as a line would leave no room for the rest of the answer.
+        # A name as long as a line leaves no space for the rest of the answer.
         return Failure(name[:LONGEST_NAME], int(status), text)
 
 
 def _read(content: bytes) -> GclLine | UnknownLine:
-    """Return a line; one that cannot be read still names what was wanted, or raises."""
+    """Return a line; an invalid one with its name if possible, else raise."""
     try:
         return gcl.decode(content)
     except ProtocolError:

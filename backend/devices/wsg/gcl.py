@@ -1,8 +1,8 @@
 """Text protocol of Weiss WSG grippers (GCL), translated to the messages of the binary protocol.
 
 One command, query or answer per line. For grippers whose text interface cannot be switched off. It
-has no limits, no acceleration and no force limit of its own: those of the settings count, and the
-force travels with the grip. Source: GCL reference manual (contents), public clients.
+has no limits, acceleration or force limit: those of the settings apply, and the force is an
+argument of the grip. Source: GCL reference manual (contents), public clients.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ Scalar: TypeAlias = float | int | str | bool
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """``COMMAND(arguments)``; a text argument travels in quotation marks."""
+    """``COMMAND(arguments)``; a text argument is quoted."""
 
     command: str
     arguments: tuple[Scalar, ...] = ()
@@ -62,7 +62,7 @@ class Query:
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """``NAME=value``: set, echoed, or the answer to a query; text is kept as it stands."""
+    """``NAME=value``: set, echoed, or the answer to a query; text is unchanged."""
 
     name: str
     value: Scalar | tuple[Scalar, ...]
@@ -70,7 +70,7 @@ class Assignment:
 
 @dataclass(frozen=True, slots=True)
 class GclAnswer:
-    """``ACK`` accepted, ``FIN`` carried out."""
+    """``ACK`` accepted, ``FIN`` completed."""
 
     kind: str
     command: str
@@ -89,7 +89,7 @@ GclLine = Call | Query | Assignment | GclAnswer | Failure
 
 
 def encode(line: GclLine) -> bytes:
-    """Return the line with its LF; raises ``WireError`` unless it reads back as the same."""
+    """Return the line with its LF; raises ``ProtocolError`` unless it reads back as the same."""
     content = _text(line).encode("ascii", "replace")
     if decode(content) != line:
         raise ProtocolError("text", "gcl line")
@@ -97,7 +97,7 @@ def encode(line: GclLine) -> bytes:
 
 
 def decode(content: bytes) -> GclLine:
-    """Return the message of one line without its end; raises ``WireError``."""
+    """Return the message of one line without its end; raises ``ProtocolError``."""
     if len(content) > LONGEST or _PRINTABLE.fullmatch(content) is None:
         raise ProtocolError("text", "gcl line")
     if found := _ANSWER.fullmatch(content):
@@ -187,10 +187,10 @@ def _value(text: str) -> Scalar | tuple[Scalar, ...]:
         return text
 
 
-# Everything is asked for so often: it keeps the connection alive, whatever AUTOSEND does.
+# Period of all queries: they keep the connection alive, independent of AUTOSEND.
 QUERY_S = 0.2
-# Those that matter, each asked for by its bit. MOVING is not asked for: told this seldom it would
-# be old, and a stop on its word would end a grip that stands.
+# Flags that are queried, each by its bit. MOVING is left out: at this rate it would be outdated,
+# and a stop because of it would end a completed grip.
 FLAGS = (
     SystemFlag.REFERENCED,
     SystemFlag.FAST_STOP,
@@ -200,7 +200,7 @@ FLAGS = (
     SystemFlag.FINGER_FAULT,
 )
 READINGS = {WsgCommand.GRASP_STATE: "GRIPSTATE", WsgCommand.WIDTH: "POS", WsgCommand.FORCE: "FORCE"}
-SELVES = ("DEVTYPE", "VERSION", "SN")  # who it is: three texts
+SELVES = ("DEVTYPE", "VERSION", "SN")  # variables of the identity
 CALLS = {
     WsgCommand.STOP: "STOP",
     WsgCommand.FAST_STOP: "FASTSTOP",
@@ -211,7 +211,7 @@ UNKNOWN_TO_TEXT = (WsgCommand.SYSTEM_LIMITS, WsgCommand.GET_ACCELERATION)
 
 
 class GclProtocol:
-    """Says requests as lines; answers itself what the text protocol does not know."""
+    """Sends requests as lines; answers by itself those that the text protocol does not have."""
 
     def __init__(self, settings: WsgSettings) -> None:
         self._settings = settings
@@ -228,7 +228,7 @@ class GclProtocol:
 
     @property
     def bad_frames(self) -> int:
-        """Lines that were none."""
+        """Number of invalid lines."""
         return self._decoder.bad_frames
 
     def encode(self, requests: Iterable[WsgRequest]) -> bytes:
@@ -240,7 +240,7 @@ class GclProtocol:
         return b"".join(map(encode, lines))
 
     def take(self, data: bytes) -> list[WsgReply]:
-        """Return the replies; with no data those to requests that it answers itself."""
+        """Return the replies; without data those to requests that it answers by itself."""
         replies: list[WsgReply] = []
         while self._own:
             replies.append(self._own.popleft())
@@ -257,7 +257,7 @@ class GclProtocol:
         return b"".join(map(encode, queries))
 
     def identity(self, told: WsgReply, address: str) -> Identity:
-        """Return what it says of itself."""
+        """Return the identity."""
         kind, version, serial = (
             value.decode() if isinstance(value, bytes) else "" for value in told.values
         )
@@ -299,7 +299,7 @@ class GclProtocol:
         return lines
 
     def _motion(self, command: WsgCommand, values: tuple[float, ...]) -> GclLine:
-        """Return the call that begins a motion; the one under this name is this motion from now."""
+        """Return the call that starts a motion and register the motion by its name."""
         if command is WsgCommand.HOME:
             return Call("HOME", (int(values[0]),) if values[0] else ())
         if command is WsgCommand.GRASP:
@@ -332,7 +332,7 @@ class GclProtocol:
 
     def _obeyed(self, name: str) -> list[WsgReply]:
         if name == "FSACK":
-            self._bits.clear()  # what was told before belongs to the time before
+            self._bits.clear()  # earlier flags are outdated
         command = _called(name)
         return [] if command is None else [WsgReply(command, WsgStatus.SUCCESS)]
 
@@ -351,7 +351,7 @@ class GclProtocol:
         return []
 
     def _flag(self, bit: int, up: bool) -> list[WsgReply]:
-        """Take one flag; return them all once each has been told."""
+        """Store one flag; return all once each has been received."""
         self._bits[SystemFlag(1 << bit)] = up
         if not all(flag in self._bits for flag in FLAGS):
             return []

@@ -132,8 +132,8 @@ class GraspState(IntEnum):
     ERROR = 7
 
 
-LONGEST_UNKNOWN = 64  # payload of a command not in the tables; longer ones are taken for noise
-# Commands whose content is bytes of any length up to this.
+LONGEST_UNKNOWN = 64  # longest payload of a command outside the tables; longer ones are noise
+# Commands with a payload of any length up to this.
 TEXT: dict[int, int] = {WsgCommand.LOOP: 256, WsgCommand.SET_TAG: 64, WsgCommand.GET_TAG: 64}
 
 _UPDATE, NOTHING = "<BH", "<"
@@ -157,7 +157,7 @@ REQUESTS: dict[int, str] = {
     WsgCommand.FORCE: _UPDATE,
 }
 
-# Layouts of what follows status 0 in each reply; the manual prints 30h with a value.
+# Layouts after status 0 in each reply; the manual prints 30h with a value.
 REPLIES: dict[int, tuple[str, ...]] = {
     **dict.fromkeys(WsgCommand, (NOTHING,)),
     WsgCommand.SET_ACCELERATION: (NOTHING, "<f"),
@@ -194,7 +194,7 @@ class WsgRequest:
 
 @dataclass(frozen=True, slots=True)
 class WsgRefusal:
-    """A request that cannot be carried out as sent, and the status to answer with."""
+    """An invalid request, and the status of its answer."""
 
     command: int
     status: WsgStatus
@@ -220,7 +220,7 @@ def home(direction: int = 0) -> WsgRequest:
 def preposition(
     width_mm: float, speed_mm_s: float, *, relative: bool = False, stop_on_block: bool = False
 ) -> WsgRequest:
-    """Move the fingers; a block ends it in either mode, without ``stop_on_block`` pressing on."""
+    """Move the fingers; a block ends it in either mode, with pressure unless ``stop_on_block``."""
     return WsgRequest(WsgCommand.PREPOSITION, (relative | stop_on_block << 1, width_mm, speed_mm_s))
 
 
@@ -245,12 +245,12 @@ def set_force_limit(force_sum_n: float) -> WsgRequest:
 
 
 def update(command: WsgCommand, period_ms: int = 0, *, on_change: bool = False) -> WsgRequest:
-    """Ask for a reading once (period 0), or again and again; ``on_change`` only when it differs."""
+    """Request a reading once (period 0) or periodically; ``on_change`` only when it differs."""
     return WsgRequest(command, ((period_ms > 0) | on_change << 1, period_ms))
 
 
 def encode_request(request: WsgRequest) -> bytes:
-    """Return the frame; raises ``WireError`` if a value does not fit or is no number."""
+    """Return the frame; raises ``ProtocolError`` if a value is not finite or out of range."""
     layout = REQUESTS.get(request.command)
     if layout is None or (request.command in TEXT and request.values):
         return _frame(request.command, _only_bytes(request.values, request.command))
@@ -274,17 +274,17 @@ def encode_reply(reply: WsgReply) -> bytes:
 
 
 def requests() -> FrameStream[WsgIncoming]:
-    """Return the decoder of a gripper; what it cannot carry out comes out as ``Refused``."""
+    """Return the decoder of a gripper; an invalid request becomes a ``WsgRefusal``."""
     return FrameStream(_take_request)
 
 
 def replies() -> FrameStream[WsgReply]:
-    """Return the decoder of whoever drives a gripper."""
+    """Return the decoder of a driver."""
     return FrameStream(_take_reply)
 
 
 def decode_reply(frame: bytes) -> WsgReply:
-    """Return the reply of one whole frame; raises ``WireError``."""
+    """Return the reply of one whole frame; raises ``ProtocolError``."""
     size = _size(frame, 0)
     if size == 0 or size is None or len(frame) != size:
         raise ProtocolError("length", "wsg frame", len(frame))
@@ -315,7 +315,7 @@ def _only_bytes(values: tuple[Number, ...], command: int) -> bytes:
 
 
 def _size(data: bytes, at: int) -> int | None:
-    """Return how long the frame at ``at`` is; 0 if none starts there, None if not known yet."""
+    """Return the length of the frame at ``at``; 0 if none starts there, None if unknown yet."""
     head = data[at : at + _HEAD]
     if not (head.startswith(PREAMBLE) or PREAMBLE.startswith(head)):
         return 0
@@ -327,7 +327,7 @@ def _size(data: bytes, at: int) -> int | None:
 
 
 def _payload(frame: bytes) -> bytes:
-    # Not "crc over the frame is 0": that also holds for some wrong values of its two bytes.
+    # Not "crc over the frame is 0": that is also true for some wrong values of its two bytes.
     if crc_wsg(frame[:-_CRC]) != int.from_bytes(frame[-_CRC:], "little"):
         raise ProtocolError("crc", "wsg frame", len(frame) - _CRC)
     return frame[_HEAD:-_CRC]
@@ -385,7 +385,7 @@ def _take_request(data: bytes, at: int) -> FrameStep[WsgIncoming] | None:
         payload = _payload(frame)
     except ProtocolError:
         inner = data.find(PREAMBLE, at + 1, at + size)
-        length = size if inner < 0 else inner - at  # noise may have promised too much
+        length = size if inner < 0 else inner - at  # noise may contain a false length
         return FrameStep(length, WsgRefusal(command, WsgStatus.CHECKSUM_ERROR), refused=True)
     return FrameStep(size, _request(command, payload))
 
@@ -408,34 +408,36 @@ DECIMALS = 100
 
 
 class GripperProtocol(Protocol):
-    """One protocol, for one connection."""
+    """Protocol of one connection."""
 
     @property
     def bad_frames(self) -> int:
-        """What could not be read so far."""
+        """Number of invalid messages so far."""
 
     def encode(self, requests: Iterable[WsgRequest]) -> bytes:
-        """Return what to send for these requests, in their order."""
+        """Return the bytes of these requests, in their order."""
 
     def take(self, data: bytes) -> list[WsgReply]:
         """Return the replies that ``data`` completes, oldest first."""
 
     def due(self, now_s: float) -> bytes:
-        """Return what is to be sent by the clock alone."""
+        """Return the bytes that are due by time."""
 
     def identity(self, told: WsgReply, address: str) -> Identity:
-        """Return who answers, by the reply to SYSTEM_INFO; ``address`` stands for a number."""
+        """Return the identity from the reply to SYSTEM_INFO; ``address`` replaces a missing
+        number.
+        """
 
 
 class BinaryProtocol:
-    """The binary protocol: updates come of themselves and keep the connection alive."""
+    """The binary protocol: periodic updates keep the connection alive."""
 
     def __init__(self) -> None:
         self._decoder = replies()
 
     @property
     def bad_frames(self) -> int:
-        """Frames that were none."""
+        """Number of invalid frames."""
         return self._decoder.bad_frames
 
     def encode(self, requests: Iterable[WsgRequest]) -> bytes:
@@ -447,7 +449,7 @@ class BinaryProtocol:
         return self._decoder.feed(data)
 
     def due(self, now_s: float) -> bytes:
-        """Nothing."""
+        """Do nothing."""
         return b""
 
     def identity(self, told: WsgReply, address: str) -> Identity:

@@ -284,7 +284,25 @@ def to_s(ns: Times) -> FloatArray:
 
 
 def read_episode(path: Path) -> Episode:
-    """Read the episode ``path`` with decoded frames; raises ``InputError`` for a damaged file."""
+    """Read an episode file with decoded frames.
+
+    Parameters
+    ----------
+    path : Path
+        Episode file (``.mcap``).
+
+    Returns
+    -------
+    Episode
+        Observation (20, 258) and the recorded signals in their native rates and units: N and N·m,
+        mm, px, seconds of the bench clock.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, is not an episode, or is a pack.
+
+    """
     return episode_of(read_whole(path), path)
 
 

@@ -23,9 +23,23 @@ from touchdown.backend.episodes.packs import PackedEpisode, read_pack
 class TrainingRows:
     """n episodes of one grasped piece.
 
-    ``observation`` (n, 20, 258) float32, or float16 as a memory map of a training cache;
-    ``offset_mm`` (n, 2) labelled displacement; ``patch`` (n, N) bool, the true patch over the face
-    points; ``bottom``, ``grip_id`` and ``mounting_id`` per episode; ``labels`` as stored.
+    Attributes
+    ----------
+    piece, geometry : str
+        Name of the grasped piece and hash of its geometry.
+    observation : ndarray, shape (n, 20, 258)
+        Markers in px, wrench in N and N·m; float32, or float16 as a memory map of a training cache.
+    offset_mm : ndarray, shape (n, 2)
+        Labelled offset of the face in frame ``O``.
+    patch : ndarray of bool, shape (n, N)
+        True patch over the N face points.
+    bottom, grip_id, mounting_id : tuple of str
+        Bottom, grip and mounting of each episode.
+    labels : tuple of mapping
+        Labels as stored.
+    fetch : callable, optional
+        Reads ``observation[index]`` of a memory map.
+
     """
 
     piece: str
@@ -37,7 +51,6 @@ class TrainingRows:
     grip_id: tuple[str, ...]
     mounting_id: tuple[str, ...]
     labels: tuple[Mapping[str, object], ...]
-    # reads ``observation[index]`` of a memory map
     fetch: Callable[[NDArray[np.int64]], NDArray[np.floating]] | None = None
 
     def inputs(self, index: NDArray[np.int64]) -> NDArray[np.float32]:

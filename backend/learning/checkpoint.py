@@ -140,10 +140,24 @@ def save_card(path: Path, card: ModelCard) -> None:
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
-    """Load and check a model; raises ``InputError`` with the file for any problem.
+    """Load and check a model. No code in the file is executed.
 
-    Checked: file type, card, hash, architecture (allow-list), name, shape and type of every tensor,
-    finite values, length and order of the input.
+    Parameters
+    ----------
+    path : Path
+        Weights (``.safetensors``), with the card (``.json``) beside them.
+
+    Returns
+    -------
+    Checkpoint
+        Weights as float32 arrays by name, and card.
+
+    Raises
+    ------
+    InputError
+        For any problem of file type, card, hash, architecture (allow-list), name, shape, type or
+        values of a tensor, or length and order of the input. The error names the file.
+
     """
     content = read_limited(path, MAX_WEIGHT_BYTES)
     if content.startswith(_PICKLES) and content[8:9] != b"{":

@@ -148,10 +148,40 @@ def resting_contact(
     offset_mm: tuple[float, float],
     yaw_rad: float = 0.0,
 ) -> RestingContact:
-    """Return the contact of the face at ``offset_mm``, rotated by ``yaw_rad``.
+    """Return the contact of a face on a bottom.
 
-    ``points_mm`` (N, 2) is the lattice of the face and ``com_xy_mm`` the centre of mass, both in
-    ``F``. Raises ``ValueError`` unless the offset is finite.
+    Parameters
+    ----------
+    points_mm : ndarray, shape (N, 2)
+        Lattice of the face in frame ``F``.
+    com_xy_mm : tuple of float
+        Centre of mass in frame ``F``.
+    bottom : Outline
+        Bottom face, centred at the origin of frame ``O``.
+    offset_mm : tuple of float
+        Offset of the face in frame ``O``.
+    yaw_rad : float
+        Rotation of the face, counter-clockwise.
+
+    Returns
+    -------
+    RestingContact
+        Contact points, hull and margin in frame ``O``.
+
+    Raises
+    ------
+    ValueError
+        If offset or rotation are not finite.
+
+    Examples
+    --------
+    >>> from touchdown.backend.geometry import circle, face_points
+    >>> face, bottom = circle(20.0), circle(30.0)
+    >>> resting_contact(face_points(face), (0.0, 0.0), bottom, (8.0, 0.0)).stable
+    True
+    >>> resting_contact(face_points(face), (0.0, 0.0), bottom, (18.0, 0.0)).stable
+    False
+
     """
     if not all(map(math.isfinite, (*offset_mm, yaw_rad))):
         raise ValueError("the displacement is not finite")

@@ -127,7 +127,26 @@ class Estimator:
 
     @classmethod
     def load(cls, path: Path, piece: Piece) -> Estimator:
-        """Load the model ``path`` of ``piece``; raises ``InputError`` if it does not fit."""
+        """Load a model for a piece.
+
+        Parameters
+        ----------
+        path : Path
+            Model file (``.safetensors``).
+        piece : Piece
+            Grasped piece, in the version that the model was trained for.
+
+        Returns
+        -------
+        Estimator
+            Estimator of the piece.
+
+        Raises
+        ------
+        InputError
+            If the model is damaged or belongs to another piece.
+
+        """
         checkpoint = load_checkpoint(path)
         points = face_points(piece.face)
         _check_fit(checkpoint.card, piece, len(points), str(path))
@@ -148,8 +167,21 @@ class Estimator:
     def estimate(self, episode: Episode) -> ContactPatch:
         """Return the contact probability of every face point.
 
-        Raises ``InputError`` for an episode of another piece or shape, or with values that are not
-        finite.
+        Parameters
+        ----------
+        episode : Episode
+            Probe with an observation (20, 258).
+
+        Returns
+        -------
+        ContactPatch
+            Face points (N, 2) in mm in frame ``F`` and their probabilities (N,).
+
+        Raises
+        ------
+        InputError
+            If the episode has another piece or shape, or values that are not finite.
+
         """
         observation = episode.observation
         where = f"episode {episode.episode_id}"

@@ -36,10 +36,27 @@ def judge_stability(
     offset_mm: tuple[float, float],
     settings: StabilitySettings,
 ) -> Stability:
-    """Judge the stability of the piece at ``offset_mm`` (frame of the map).
+    """Judge the stability of the piece at an offset.
 
-    ``patch`` is the latest estimate; its points are the face. ``com_xy_mm`` is the centre of mass
-    in ``F``. Only cells under the piece count as support.
+    Parameters
+    ----------
+    belief : Belief
+        Belief after the latest probe.
+    patch : ContactPatch
+        Latest estimate; its points (N, 2) are the face in frame ``F``.
+    com_xy_mm : tuple of float
+        Centre of mass in frame ``F``.
+    offset_mm : tuple of float
+        Offset of the face in the frame of the map.
+    settings : StabilitySettings
+        Threshold ``delta``, required margin, and evidence to judge from: map or patch.
+
+    Returns
+    -------
+    Stability
+        Signed margin of the centre of mass, hull (k, 2) in mm, and kind of support. Only cells
+        under the piece count as support. Not stable if a value is not finite.
+
     """
     centre = (offset_mm[0] + com_xy_mm[0], offset_mm[1] + com_xy_mm[1])
     finite = is_finite(patch) and bool(np.isfinite(belief.map.log_odds).all())

@@ -499,9 +499,27 @@ class ZeroWrenchStrategy:
 
 
 def make_strategy(held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> Strategy:
-    """Return the strategy of a trial whose first probe is at ``origin_mm``.
+    """Return the strategy of one trial.
 
-    Raises ``InputError`` for a strategy without probes.
+    Parameters
+    ----------
+    held : GraspedPiece
+        Grasped piece, with centre of mass in frame ``F``.
+    settings : StackSettings
+        Strategy ("paper", "fused" or "zero-wrench") and its settings.
+    origin_mm : tuple of float
+        Offset of the first probe.
+
+    Returns
+    -------
+    Strategy
+        Strategy whose ``conclude`` takes one probe after the other.
+
+    Raises
+    ------
+    InputError
+        If the strategy does not probe, or lacks data such as the height of the sensor.
+
     """
     if settings.strategy == "fused":
         return FusedStrategy(held, settings, origin_mm)

@@ -1,9 +1,8 @@
 """Command channel of a MELFA controller: request queue, start-up sequence, state polling.
 
-``R3Client`` is a pure state machine ``step(now, bytes) -> bytes`` with one request on the wire. A
-request without a reply in time is given up, but its reply is still owed: it is waited for and
-dropped, so that no reply is matched to another request. Before a stream opens, the cycles of this
-computer are measured.
+``R3Client`` is a state machine ``step(now, bytes) -> bytes`` with one request on the wire. A
+request without a timely reply fails; its late reply is awaited and dropped, so that no reply is
+matched to another request. Before a stream opens, the cycles of this computer are measured.
 """
 
 from __future__ import annotations
@@ -48,12 +47,12 @@ from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 from touchdown.backend.devices.melfa.stream import FAULT_CYCLES, HOLD_CYCLES
 from touchdown.backend.devices.protocols import STOPPED, ConnectionStep, Identity
 
-PACE_S = 0.1  # between two exchanges while a program of the controller runs
+PACE_S = 0.1  # minimum time between two exchanges while a controller program runs
 TIMEOUT_S, DOWN_S = 1.0, 3.0
 
 
 class PendingRequest:
-    """One request on its way; ``wait`` on it, then ask for the ``answer``."""
+    """A sent or queued request: call ``wait``, then read ``answer``."""
 
     def __init__(self, request: R3Request, timeout_s: float) -> None:
         self.request, self.timeout_s = request, timeout_s
@@ -64,28 +63,28 @@ class PendingRequest:
 
     @property
     def done(self) -> bool:
-        """Whether it was answered or given up."""
+        """True when it is answered or has failed."""
         return self._ended.is_set()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until it ends; return whether it did."""
+        """Wait until it is done; return False after the time limit."""
         return self._ended.wait(timeout_s)
 
     def end(self, reply: R3Reply | None, fault: Fault | None = None) -> None:
-        """End with a reply, or with the reason why there is none."""
+        """End with a reply or a fault."""
         self._reply, self._fault = reply, fault
         self._ended.set()
 
     @property
     def reply(self) -> R3Reply:
-        """The reply; raises ``FaultError`` if there is none."""
+        """The reply; raises ``FaultError`` without one."""
         if self._fault is not None or self._reply is None:
             raise FaultError(self._fault or link_fault("The controller did not answer."))
         return self._reply
 
     @property
     def answer(self) -> str:
-        """What follows QoK; raises ``FaultError`` if the request was refused or not answered."""
+        """Text after QoK; raises ``FaultError`` if the request was refused or not answered."""
         reply = self.reply
         if not reply.ok:
             raise FaultError(controller_fault(reply.error))
@@ -93,7 +92,7 @@ class PendingRequest:
 
 
 class R3Client:
-    """``ask`` from any thread; ``step`` from the owner of the wire."""
+    """Request queue; call ``ask`` from any thread, ``step`` from the owner of the wire."""
 
     def __init__(self, reply_gap_s: float) -> None:
         self._gap_s = reply_gap_s
@@ -106,15 +105,15 @@ class R3Client:
         self._ready_s = -math.inf
         self._byte_s = -math.inf
         self._silent_since_s = math.inf
-        self.paced = False  # true while a program runs: exchanges keep their distance
+        self.paced = False  # True while a program runs: exchanges are spaced by ``PACE_S``
 
     @property
     def bad_replies(self) -> int:
-        """Replies that could not be read."""
+        """Number of invalid replies."""
         return self._decoder.bad_frames
 
     def ask(self, request: R3Request, timeout_s: float = TIMEOUT_S) -> PendingRequest:
-        """Put a request in line; STOP goes before all that is not yet sent."""
+        """Queue a request; STOP precedes all unsent requests."""
         ticket = PendingRequest(request, timeout_s)
         with self._lock:
             if self._over is not None:
@@ -126,7 +125,9 @@ class R3Client:
         return ticket
 
     def step(self, now_s: float, data: bytes) -> bytes:
-        """Take what came; return what goes out. Raises ``FaultError`` when the link is down."""
+        """Process received bytes; return the bytes to send. Raises ``FaultError`` if the link is
+        down.
+        """
         for reply in self._receive(now_s, data):
             self._take(now_s, reply)
         current = self._current
@@ -141,7 +142,7 @@ class R3Client:
         return self._send(now_s)
 
     def end(self, fault: Fault) -> None:
-        """Give up everything, also what is yet to be asked: the wire is gone."""
+        """Fail all requests, present and future: the wire is gone."""
         with self._lock:
             self._over = fault
             left = [*([self._current] if self._current else []), *self._waiting]
@@ -181,7 +182,7 @@ class R3Client:
         return encode_request(ticket.request) + b"\r"
 
 
-# (now, datagrams that came) -> the packet of this cycle, None if there is none.
+# (now, received datagrams) -> packet of this cycle or None.
 CycleFunction = Callable[[float, tuple[bytes, ...]], bytes | None]
 
 
@@ -206,7 +207,7 @@ class CycleTimes:
 class ControllerLinks(Protocol):
     """One command channel, one STOP lane, one real-time wire.
 
-    ``cycle`` is called once per control cycle by the owner of the real-time wire; ``lost`` when
+    The owner of the real-time wire calls ``cycle`` once per control cycle; ``lost`` is called when
     the command channel is gone.
     """
 
@@ -214,35 +215,35 @@ class ControllerLinks(Protocol):
 
     @property
     def bad_replies(self) -> int:
-        """Replies of the command channel that could not be read."""
+        """Number of invalid replies of the command channel."""
 
     def open(self, cycle: CycleFunction, lost: Callable[[Fault], None]) -> None:
         """Connect; raises ``FaultError``."""
 
     def ask(self, request: R3Request, timeout_s: float) -> PendingRequest:
-        """Send a request in its turn."""
+        """Queue a request."""
 
     def finish(self, ticket: PendingRequest) -> None:
-        """Wait until the ticket has ended."""
+        """Wait until the request is done."""
 
     def watch_anew(self) -> None:
-        """Count ``times`` from now on."""
+        """Restart the count of ``times``."""
 
     def pause(self, seconds: float) -> None:
-        """Let time pass between two questions."""
+        """Sleep between two requests."""
 
     def pace(self, running: bool) -> None:
-        """Say whether a program of the controller runs."""
+        """Set True while a controller program runs."""
 
     def stop_now(self, packet: bytes) -> None:
-        """Send STOP on its own lane and ``packet`` on the real-time wire; wait for nothing."""
+        """Send STOP on its own connection and ``packet`` on the real-time wire; does not wait."""
 
     def close(self) -> None:
-        """Close all; a second time changes nothing."""
+        """Close all; may be called twice."""
 
 
 STATE_S = 0.1
-PLACE_S = 0.04  # only while no program runs: the controller asks for 100 ms between exchanges then
+PLACE_S = 0.04  # without a running program: otherwise 100 ms are required
 PROBING_STATE_S = 0.35
 STATE, PLACE = R3Request("STATE"), R3Request("PPOS", "F")
 
@@ -250,7 +251,7 @@ AskFunction = Callable[[R3Request, float], PendingRequest]
 
 
 class ControllerPoller:
-    """``step`` once per cycle; it never waits."""
+    """Polls the controller; call ``step`` once per cycle, it never waits."""
 
     def __init__(self, ask: AskFunction, placing: MelfaPlacement, euler: str) -> None:
         self._ask, self._placing, self._euler = ask, placing, euler
@@ -258,21 +259,19 @@ class ControllerPoller:
         self._next_s = -math.inf
         self._state_s = -math.inf
         self.state: ControllerState | None = None
-        # (3,) where ``G`` is, of the last answer; taken by who reads it.
+        # Position of ``G`` of the last answer, (3,) mm; the reader resets it.
         self.place_mm: FloatArray | None = None
-        # An error of the controller, or a program that ended by itself.
+        # Fault of the controller, or of a program that ended by itself.
         self.fault: Fault | None = None
 
     @property
     def ended(self) -> bool:
-        """Whether the controller has told that no program runs."""
+        """True when the controller reports that no program runs."""
         return self.state is not None and RunStatus.RUNNING not in self.state.run
 
     def step(self, now_s: float, *, streaming: bool, probing: bool = False) -> None:
-        """Read the answer that came, ask the next question when it is time.
-
-        ``probing``: the force program runs, so that questions keep their distance; then most of
-        them are for the place.
+        """Read the last answer and send the next request when it is due. ``probing``: the force
+        program runs, requests are spaced, and most of them read the position.
         """
         if self._ticket is not None:
             if not self._ticket.done:
@@ -318,7 +317,7 @@ ENDED = Fault(
 )
 
 
-# A gap in which the ladder would hold the arm; one in which it would end the stream.
+# Gaps that would hold the arm, and that would end the stream.
 WARN_S, REFUSE_S = HOLD_CYCLES * CYCLE_S, FAULT_CYCLES * CYCLE_S
 LOOK_S = 0.1
 
@@ -326,10 +325,9 @@ LOOK_S = 0.1
 def notice_of_idle_check(
     wires: ControllerLinks, settings: MelfaSettings, go_on: Callable[[], None]
 ) -> str:
-    """Watch for ``settings.idle_check_s``; return what the operator should know, "" for nothing.
-
-    Raises ``FaultError`` RIG-STARVED for a gap that would end the stream of an arm that is not
-    emulated on this computer; ``go_on`` raises where connecting is cancelled meanwhile.
+    """Measure cycles for ``settings.idle_check_s``; return a notice for the operator, or "". Raises
+    ``FaultError`` RIG-STARVED for a gap that would end the stream, unless the arm is emulated on
+    this computer; ``go_on`` raises if connecting is cancelled meanwhile.
     """
     if not settings.idle_check_s:
         return ""
@@ -354,7 +352,7 @@ def notice_of_idle_check(
 POLL_S = 0.1
 ANSWER_S = 1.0
 RUN_S = 5.0
-CLIENT = "TOUCHDOWN"  # how this program calls itself to the controller
+CLIENT = "TOUCHDOWN"  # name of this program for the controller
 RESETS = (
     "Connecting once more in the same window resets this error; from elsewhere reset it at the "
     "controller."
@@ -362,9 +360,8 @@ RESETS = (
 
 
 class Console:
-    """Speaks to one controller; every refusal is a ``FaultError`` with its number.
-
-    Once it was ``stopped``, or connecting was cancelled, it begins nothing: no motors, no program.
+    """Command sequences of one controller; every refusal is a ``FaultError`` with its number. After
+    ``stopped`` or a cancelled connection it switches on no motors and starts no program.
     """
 
     def __init__(
@@ -375,17 +372,17 @@ class Console:
         cancel: threading.Event,
         alarm: int = 0,
     ) -> None:
-        """``alarm``: the error for which the connection before was refused, 0 for none."""
+        """``alarm`` is the error that refused the previous connection, 0 for none."""
         self._wires, self._settings = wires, settings
-        # The controller's error for which this connection is refused: the next one resets it.
+        # The controller's error that refuses this connection: the next connection resets it.
         self.alarm = alarm
         self._stopped, self._cancel = stopped, cancel
-        # Whether the controller would wait for packets for ever, and that was allowed.
+        # True if the controller never ends a silent stream, and the settings permit it.
         self.unlimited = False
-        self.notice = ""  # what the operator should know of this connection; "" for nothing
+        self.notice = ""  # notice for the operator
 
     def again(self, cancel: threading.Event) -> Console:
-        """Return the console of the next connection, which knows what was told in this one."""
+        """Return the console of the next connection, with the state of this one."""
         return Console(self._wires, self._settings, self._stopped, cancel, self.alarm)
 
     def ask(self, command: str, argument: str = "", timeout_s: float = ANSWER_S) -> str:
@@ -401,7 +398,7 @@ class Console:
     # -- start-up ---------------------------------------------------------------------------------
 
     def start_up(self, reached: Callable[[ConnectionStep], None]) -> Identity:
-        """Go from an open wire to a running real-time program; raises ``FaultError``."""
+        """Start the real-time program on an open wire; raises ``FaultError``."""
         try:
             identity = self._identify()
             reached("identify")
@@ -420,7 +417,7 @@ class Console:
         return identity
 
     def examine(self) -> Identity:
-        """Return who answers and leave it as it was: nothing is switched on."""
+        """Return the identity of the controller; nothing is switched on."""
         try:
             identity = self._identify()
             self._require_no_error()
@@ -432,9 +429,9 @@ class Console:
         return identity
 
     def run_stream(self) -> None:
-        """Start the controller's program that opens the stream, and wait until it runs."""
+        """Start the controller program that opens the stream, and wait until it runs."""
         if RunStatus.RUNNING in self.state().run:
-            # Of a connection that broke: it is ended, never taken over.
+            # A program of a broken connection is ended, never taken over.
             self.ask("STOP")
             self._wait_for_end()
         self._go_on()
@@ -442,7 +439,7 @@ class Console:
         self._run(self._settings.mxt.program, "The real-time program does not start.")
 
     def run_probe(self, values: Mapping[str, float]) -> None:
-        """Write the variables of the force program, read them back, and run it."""
+        """Write the variables of the force program, verify them, and run it."""
         program = self._settings.fsc.program
         if RunStatus.RUNNING in self.state().run:
             self.ask("STOP")
@@ -460,7 +457,7 @@ class Console:
         self._run(program, "The force program does not start.")
 
     def _run(self, program: str, what: str) -> None:
-        """Run a program, unless STOP came; one that was on its way as STOP came is stopped too."""
+        """Run a program, unless STOP came; a program that starts during STOP is stopped too."""
         self._go_on()
         self._wires.pace(running=True)
         self.ask("RUN", f"{program};1")
@@ -473,7 +470,7 @@ class Console:
             raise
 
     def _go_on(self) -> None:
-        """Raise ``FaultError`` once nothing more may begin."""
+        """Raise ``FaultError`` after STOP or cancellation."""
         if self._stopped.is_set():
             raise FaultError(STOPPED)
         if self._cancel.is_set():
@@ -487,9 +484,8 @@ class Console:
         return Identity("Mitsubishi", opened.robot_type, self._settings.host, opened.version)
 
     def _reset_alarm(self) -> None:
-        """Reset the error for which the last connection was refused, as was told then.
-
-        The controller refuses while an emergency stop is pressed, and its error is told again.
+        """Reset the error that refused the last connection, as announced then. The controller
+        refuses while an emergency stop is pressed, and the error is reported again.
         """
         if self.alarm and read_error(self.ask("ERROR"))[0] == self.alarm:
             self._go_on()
@@ -514,7 +510,7 @@ class Console:
             raise FaultError(unlimited_fault())
 
     def servo_on(self) -> None:
-        """Switch the motors on and wait until they are; raises ``FaultError``."""
+        """Switch the servo motors on and wait for them; raises ``FaultError``."""
         self.ask("CNTL", "ON")
         self.ask("OVRD=", str(self._settings.override_start))
         self._go_on()
@@ -535,13 +531,15 @@ class Console:
     # -- shutdown ---------------------------------------------------------------------------------
 
     def shut_down(self) -> None:
-        """Switch off, give the right back; the stream has ended."""
+        """Switch off and return the operation right, after the end of the stream."""
         self.servo_off()
         self.ask("CNTL", "OFF")
         self.ask("CLOSE")
 
     def servo_off(self) -> None:
-        """Stop, wait until nothing runs, switch the motors off; the stream has ended."""
+        """Stop, wait until nothing runs, switch the servo motors off, after the end of the
+        stream.
+        """
         self.ask("STOP")
         self._wait_for_end()
         self.ask("SRV", "OFF")

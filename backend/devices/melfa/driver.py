@@ -1,7 +1,7 @@
 """Driver of a MELFA arm: straight moves, jogging, compliant presses, streamed by this computer.
 
 Start-up, errors and STOP use the command channel, every motion the real-time stream. ``stop`` is
-out of band: it joins nothing and waits for no lock that a wire could hold.
+out of band: it waits for no thread and for no lock that a wire could hold.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ from touchdown.backend.devices.streamed import (
 
 
 class MelfaOrders:
-    """Makes programs for one arm; ``level``: those that any streamed arm has."""
+    """Creates programs for one arm; ``level``: those of every streamed arm."""
 
     def __init__(self, settings: MelfaSettings) -> None:
         self.placing = MelfaPlacement(
@@ -91,7 +91,7 @@ class MelfaOrders:
         )
 
     def under_way(self, core: StreamCore) -> bool:
-        """Whether a motion has begun and not ended."""
+        """Return True while a motion is active."""
         program = core.program
         return program is not None and not program.motion.done
 
@@ -101,7 +101,7 @@ class MelfaOrders:
         target: tuple[FloatArray, FloatArray],
         speeds: tuple[float, float],
     ) -> CommandedMotion:
-        """Begin a straight move to (3,) mm and (3, 3) turn, with mm/s and rad/s."""
+        """Start a straight move to (3,) mm and (3, 3) turn, with mm/s and rad/s."""
         target_mm, turn = target
         x, y, z = target_mm.tolist()
         motion = CommandedMotion({"x_mm": x, "y_mm": y, "z_mm": z, "speed_mm_s": speeds[0]})
@@ -115,7 +115,7 @@ class MelfaOrders:
     def jog(
         self, core: StreamCore, velocity_mm_s: FloatArray, turn_rad_s: FloatArray, until_s: float
     ) -> CommandedMotion:
-        """Begin to follow a velocity and a turn, or go on with others."""
+        """Start to move at a velocity and turn rate, or continue with new ones."""
         if core.turn is IDENTITY_ROTATION and not turn_rad_s.any():
             return self.level.follow(core, velocity_mm_s, until_s)
         program = core.program
@@ -129,7 +129,7 @@ class MelfaOrders:
     def jog_joints(
         self, core: StreamCore, speeds_rad_s: FloatArray, until_s: float
     ) -> CommandedMotion:
-        """Begin to turn joints, or go on with other speeds."""
+        """Start to turn joints, or continue with new speeds."""
         program = core.program
         self.level.leave()
         if not isinstance(program, JointJogProgram) or program.motion.done:
@@ -142,7 +142,7 @@ class MelfaOrders:
     def travel_joints(
         self, core: StreamCore, target_rad: FloatArray, speed_rad_s: float
     ) -> CommandedMotion:
-        """Begin to turn all joints to their ends."""
+        """Start to turn all joints to their ends."""
         ends = {f"j{k}_rad": v for k, v in enumerate(target_rad.tolist(), 1)}
         motion = CommandedMotion({**ends, "speed_rad_s": speed_rad_s})
         self.level.leave()
@@ -156,7 +156,7 @@ PHASES = {phase: float(place) for place, phase in enumerate(Phase)}
 def words_of(
     device: DeviceState, state: ControllerState | None, fault: Fault | None, *, moving: bool
 ) -> ArmStatus:
-    """Return the status words; ``state`` is what the controller told last."""
+    """Return the status; ``state`` is the last report of the controller."""
     if device is DeviceState.CLOSED:
         return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
     override = 0.0 if state is None else state.override / 100.0
@@ -195,7 +195,7 @@ def trace_of(core: StreamCore, orders: MelfaOrders) -> tuple[float, ...]:
 def raw_fields(
     core: StreamCore, wires: ControllerLinks, settings: MelfaSettings, console: Console
 ) -> Mapping[str, str | float]:
-    """Return them by name; ``command_mm`` is of ``G`` in the bench."""
+    """Return the inspector fields; ``command_mm`` is of ``G`` in the bench frame."""
     counts, times = core.replies.counts, wires.times
     x, y, z = core.command_mm.tolist()
     return {
@@ -226,7 +226,7 @@ OPEN_S = 5.0
 
 
 class MelfaArm:
-    """``wrench``: the untared samples of the wrist sensor, in the axes of the bench."""
+    """Driver of the arm; ``wrench``: untared samples of the wrist sensor in bench axes."""
 
     name = ARM
     rotates = True
@@ -243,7 +243,7 @@ class MelfaArm:
         self._wires, self._settings, self._now_s = wires, settings, now_s
         self._wrench, self._wrench_cursor = wrench, 0
         self._measured = PositionRecord(now_s, poses)
-        # Measured position of ``G``, mm in the bench, once per cycle.
+        # Measured position of ``G``, mm in the bench frame, once per cycle.
         self.poses = self._measured.poses
         self._orders, self.steps = MelfaOrders(settings), ConnectionSteps()
         self._core = StreamCore(settings, self._orders.placing)
@@ -252,8 +252,8 @@ class MelfaArm:
         self._console = Console(wires, settings, self._stopped, threading.Event())
         self._force = ForceProgram(lambda: self._console, wires, settings)
         self._lock = threading.Lock()
-        self.state = DeviceState.CLOSED  # where the connection is in its life
-        # Known once connected; the controller tells no number, so its address stands for it.
+        self.state = DeviceState.CLOSED  # state of the connection
+        # None before the first connection; the address replaces a serial number.
         self.identity: Identity | None = None
         self._powered = False
         self.fault: Fault | None = None
@@ -268,11 +268,11 @@ class MelfaArm:
             return self._measured.health(counts.refused + counts.skipped)
 
     def describe(self) -> Mapping[str, str | float]:
-        """Return the commanded place and the counts of the link."""
+        """Return the commanded position and the counts of the link."""
         return raw_fields(self._core, self._wires, self._settings, self._console)
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Go through the start-up to an open stream; ``timeout_s`` is the least for each step."""
+        """Connect up to an open stream; ``timeout_s`` is the minimum time limit of each step."""
         if self.state is DeviceState.READY:
             return
         self.close()
@@ -291,14 +291,14 @@ class MelfaArm:
         except FaultError as error:
             self._give_up()
             raise FaultError(self._latched() or error.fault) from error
-        # What was measured on the way up belongs to no connection yet.
+        # Discard positions measured during the start-up.
         self.poses.clear()
         with self._lock:
             ready = self._latched() is None
             self.state = DeviceState.READY if ready else DeviceState.FAULT
 
     def examine(self) -> Identity:
-        """Ask who answers, while closed; raises ``FaultError``. Nothing is switched on."""
+        """Read the identity while closed; raises ``FaultError``. Nothing is switched on."""
         try:
             self._wires.open(lambda now_s, datagrams: None, lambda fault: None)
             return self._console.examine()
@@ -306,7 +306,7 @@ class MelfaArm:
             self._wires.close()
 
     def close(self) -> None:
-        """Brake, end the stream, stop, switch the servo off; the gripper stays as it is."""
+        """Brake, end the stream, stop, switch the servo motors off; the gripper does not move."""
         if self.state is DeviceState.CLOSED:
             return
         with self._lock:
@@ -315,7 +315,7 @@ class MelfaArm:
         self._give_up()
 
     def servo(self, on: bool) -> None:
-        """Switch the motors; the place is told all the while. May take seconds."""
+        """Switch the servo motors; positions continue meanwhile. May take seconds."""
         if self.state is not DeviceState.READY:
             raise FaultError(self.fault or NOT_CONNECTED)
         if on:
@@ -344,7 +344,7 @@ class MelfaArm:
         self.state = DeviceState.CLOSED
 
     def _open_stream(self) -> None:
-        """Take the place that the running program replies; raises ``FaultError``."""
+        """Open the stream at the position that the program replies; raises ``FaultError``."""
         placing, euler = self._orders.placing, self._settings.euler
         with self._lock:
             if self._stopped.is_set():
@@ -363,7 +363,7 @@ class MelfaArm:
             if waited_s > OPEN_S + self._settings.mxt.start_timeout_s:
                 raise FaultError(link_fault("The real-time stream does not open."))
 
-    # -- one cycle, on the thread that owns the real-time wire ------------------------------------
+    # -- cycle, on the thread that owns the real-time wire ----------------------------------------
 
     def _cycle(self, now_s: float, datagrams: tuple[bytes, ...]) -> bytes | None:
         with self._lock:
@@ -399,7 +399,7 @@ class MelfaArm:
         return self.fault
 
     def _latch(self, fault: Fault) -> None:
-        """Keep the first fault, unless the controller's own reason comes after a silence."""
+        """Latch the first fault; the controller's own reason replaces a silence."""
         if self.fault is None or self.fault.code in ("MXT-LOST", "MXT-ENDED"):
             self.fault = fault
         self.state = DeviceState.FAULT
@@ -413,18 +413,18 @@ class MelfaArm:
     # -- state ------------------------------------------------------------------------------------
 
     def status(self) -> ArmStatus:
-        """Return the status words."""
+        """Return the status."""
         state = None if self._watch is None else self._watch.state
         moving = self._force.under_way or self._orders.under_way(self._core)
         return words_of(self.state, state, self.fault, moving=moving)
 
     @property
     def press_n(self) -> float:
-        """Felt press force by the zero of the contact law; NaN without contact."""
+        """Measured press force relative to the zero of the contact law, N; NaN without contact."""
         return self._force.press_n if self._force.running else self._orders.level.press_n()
 
     def trace(self) -> tuple[float, ...]:
-        """Return the values of ``TRACE`` as they are now."""
+        """Return the present values, in the order of ``TRACE_NAMES``."""
         with self._lock:
             return trace_of(self._core, self._orders)
 
@@ -442,7 +442,9 @@ class MelfaArm:
     def move_to(
         self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S
     ) -> CommandedMotion:
-        """Move straight to ``target``, turning on the way; ValueError for a senseless number."""
+        """Move on a straight line to ``target`` and turn; raises ``ValueError`` for an invalid
+        number.
+        """
         goal, turn = np.array([target.x_mm, target.y_mm, target.z_mm]), pose_rotation(target)
         speeds = (speed_mm_s, turn_rad_s)
         if not (np.isfinite([*goal, *turn.ravel()]).all() and all(0.0 < v < INF for v in speeds)):
@@ -454,7 +456,7 @@ class MelfaArm:
     def jog(
         self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL
     ) -> CommandedMotion:
-        """Follow a velocity and a turn for ``for_s``; a renewal goes on without a jerk."""
+        """Move at a velocity and turn rate for ``for_s``; a renewal continues smoothly."""
         velocity, turning = np.array(velocity_mm_s), np.array(turn_rad_s)
         if not (np.isfinite([*velocity, *turning]).all() and 0.0 < for_s <= LONGEST_S):
             raise ValueError("velocity and time must be finite, the time positive")
@@ -469,13 +471,13 @@ class MelfaArm:
             return tuple(self._core.measured_rad.tolist())
 
     def place_of(self, joints_rad: Joints) -> Pose:
-        """Return the pose that these joints give the hand."""
+        """Return the pose of the hand at these joints."""
         joints, placing = np.array(joints_rad), self._orders.placing
         x, y, z = placing.pivot_mm(joints).tolist()
         return Pose(x, y, z, *rotation_vector(placing.turn(joints)).tolist())
 
     def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> CommandedMotion:
-        """Turn the joints for ``for_s``; a renewal goes on without a jerk."""
+        """Turn the joints for ``for_s``; a renewal continues smoothly."""
         speeds = np.array(speeds_rad_s)
         if not (speeds.shape == (6,) and np.isfinite(speeds).all() and 0.0 < for_s <= LONGEST_S):
             raise ValueError("six speeds and the time must be finite, the time positive")
@@ -494,7 +496,7 @@ class MelfaArm:
             return self._orders.travel_joints(self._core, target, speed_rad_s)
 
     def press(self, command: PressCommand) -> ArmPress:
-        """Press compliantly from here straight down; refused while the hand is turned."""
+        """Press compliantly, straight down; refused while the hand is turned."""
         if self._settings.stiffness_mode == "controller":
             return self._press_by_controller(command)
         self._require_stream()
@@ -504,7 +506,7 @@ class MelfaArm:
             return self._orders.level.press(self._core, command, before)
 
     def unload(self, force_n: float, speed_mm_s: float) -> CommandedMotion:
-        """Rise until the press force is ``force_n``."""
+        """Lift until the press force is ``force_n``."""
         if self._force.running:
             self._require_ready()
             return self._force.unload(force_n, speed_mm_s, self._now_s())
@@ -513,7 +515,7 @@ class MelfaArm:
             return self._orders.level.unload(self._core, force_n, speed_mm_s)
 
     def halt(self) -> None:
-        """Brake and stand still; the stream goes on, a force program is stopped."""
+        """Brake to standstill; the stream continues, a force program is stopped."""
         with self._lock:
             self._core.halt()
         if self._force.running:
@@ -522,7 +524,7 @@ class MelfaArm:
             self._wires.pace(running=False)
 
     def retreat(self) -> None:
-        """Draw back from what the arm touches; where no stream is open, stop."""
+        """Retreat from the contact; stop if no stream is open."""
         with self._lock:
             if self._core.phase is Phase.OPEN:
                 self._orders.level.retreat(self._core)
@@ -530,7 +532,7 @@ class MelfaArm:
         self.stop()
 
     def stop(self) -> None:
-        """End the stream and stop the controller on a connection of its own."""
+        """End the stream and stop the controller on a separate connection."""
         self._stopped.set()
         with self._lock:
             self._core.stop()
@@ -540,7 +542,7 @@ class MelfaArm:
             self._wires.pace(running=False)
 
     def _press_by_controller(self, command: PressCommand) -> ArmPress:
-        """End the stream and let the controller press by its force program."""
+        """End the stream and press with the controller's force program."""
         self._force.refuse(command)
         self._require_ready()
         require_unrotated(self._core.turn)
@@ -551,12 +553,12 @@ class MelfaArm:
 
     def _air_of_program(self) -> AirBaseline:
         if self._watch is not None:
-            # What the controller told before concerns another program.
+            # Earlier reports of the controller concern another program.
             self._watch.state = None
         return air_before(self._wrench, self._now_s())
 
     def _require_stream(self) -> None:
-        """Raise ``FaultError`` unless ready; after a stop or a force program it is opened again."""
+        """Reopen the stream after a stop or a force program; raises ``FaultError`` unless ready."""
         self._require_ready()
         if self._force.running:
             self._force.end(REPLACED)
@@ -566,11 +568,11 @@ class MelfaArm:
             self._open_stream()
 
     def _require_ready(self) -> None:
-        """Raise ``FaultError`` unless connected with its motors on."""
+        """Raise ``FaultError`` unless connected with the servo motors on."""
         if self.state is not DeviceState.READY:
             raise FaultError(self.fault or NOT_CONNECTED)
         if not self._powered:
-            # The program of the stream would switch them on.
+            # The stream program would switch them on.
             raise FaultError(servo_off_fault(ARM))
 
 

@@ -1,7 +1,7 @@
 """Channels of an emulated MELFA controller: commands, real-time stream, monitor.
 
-A command session is a function of time and bytes, so it serves a TCP port and a serial line alike.
-The monitor's data type numbers are stand-ins: only the manual of the controller has them.
+A command session is a function of time and bytes, for a TCP port or a serial line. The monitor's
+data type numbers are placeholders: only the manual of the controller has them.
 """
 
 from __future__ import annotations
@@ -55,23 +55,23 @@ from touchdown.backend.devices.melfa.realtime_protocol import (
 )
 from touchdown.backend.emulation import SampleSchedule
 
-TOLERANCE = 1.2  # how much over its top speed a joint may be told to go
+TOLERANCE = 1.2  # tolerance of a commanded joint speed
 PULSES_PER_RAD = 1e5
 FLAGS = (7, 0)
 _KINDS = {0: BlockKind.POSE, 1: BlockKind.JOINT, 2: BlockKind.PULSE}
 
 
 class EmulatedStream:
-    """``jump_rad`` may be set: the position that the first reply tells is off by it."""
+    """Emulated stream; a fault sets ``jump_rad``, the error of the first replied position."""
 
     def __init__(self, controller: EmulatedController) -> None:
         self._controller, self._settings = controller, controller.settings
         controller.on_cycle = self._cycle
         self.jump_rad: FloatArray = np.zeros(6)
-        self.commands = 0  # motion commands that were followed
-        # Largest step that was asked of a joint, as a share of its top speed.
+        self.commands = 0  # number of executed motion commands
+        # Largest commanded step of a joint relative to its top speed.
         self.largest_share = 0.0
-        # Longest time after the end of all motion at which a motion command still came.
+        # Latest motion command after the end of all motion, s.
         self.late_command_s = 0.0
         self._begin()
 
@@ -80,7 +80,7 @@ class EmulatedStream:
         self._counter = self._timeouts = self._silent = 0
 
     def receive(self, now_s: float, data: bytes) -> bytes | None:
-        """Take one datagram; return the reply, None where there is none."""
+        """Process one datagram; return the reply or None."""
         controller = self._controller
         controller.advance(now_s)
         try:
@@ -193,8 +193,8 @@ class EmulatedStream:
         return Values(kind, (*angles.tolist(), 0.0, 0.0))
 
 
-# A request without an end is taken as whole after this silence; the second segment of one that was
-# sent in two waits up to 40 ms for the first to be acknowledged.
+# A request without an end is complete after this silence; the second segment of a split request
+# waits up to 40 ms for the acknowledgement of the first.
 GAP_S = 0.05
 PACE_S = 0.1
 TEXTS = {
@@ -209,9 +209,9 @@ OPENED = (
     "3F;3F;7,0;3,5,A,1E,32,46,64;MB6;PRM;{robot};CR800-D;MELFA;20-11-19;Ver.C1;ENG;"
     "EMULATED BY TOUCHDOWN;1;1;8;"
 )
-# Ports of a controller as it is delivered: the stream, then nine for commands.
+# Ports of a controller with factory settings: the stream, then nine for commands.
 NETPORTS = tuple(range(10000, 10010))
-FORCE = "P_FsCurD"  # what the controller's own force sensor measures
+FORCE = "P_FsCurD"  # variable of the controller's own force sensor
 _ENDS = {"none": b"", "cr": b"\r", "crlf": b"\r\n"}
 _PLACE = re.compile(r"(?i)(MOV|MVS) \(([^()]*)\)\([0-9]+,[0-9]+\)")
 _SPEED = re.compile(r"(?i)(SPD|JOVRD|OVRD) ([0-9.]+)")
@@ -226,13 +226,13 @@ class EmulatedCommands:
         self._end = b""
         self._byte_s = self._exchange_s = -math.inf
         self._speed_share = 0.1
-        self.too_fast = 0  # exchanges less than 100 ms apart while a program ran
+        self.too_fast = 0  # number of exchanges less than 100 ms apart during a program
         self.received: deque[R3Request] = deque(maxlen=1000)
         self.gone = False
         self._answers = self._table()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
-        """Take bytes; return the replies."""
+        """Process bytes; return the replies."""
         controller = self._controller
         controller.advance(now_s)
         self._byte_s = now_s
@@ -249,7 +249,7 @@ class EmulatedCommands:
         return b""
 
     def closed(self, now_s: float) -> None:
-        """Give the right back."""
+        """Return the operation right."""
         self._controller.advance(now_s)
         self._lines.reset()
         if self._controller.right is self:
@@ -413,7 +413,7 @@ class EmulatedCommands:
             raise RefusedCommandError(4340)
         return f"{request.argument}={value:+g}"
 
-    # -- places and moves -------------------------------------------------------------------------
+    # -- positions and moves ----------------------------------------------------------------------
 
     def _place(self, request: R3Request) -> str:
         frame = frame_of(self._controller.joints.feedback_rad)
@@ -461,7 +461,7 @@ class EmulatedCommands:
 
 
 def _request(content: bytes) -> R3Request | None:
-    """Return the request, None for what no controller knows: it is answered with an error."""
+    """Return the request, None for an unknown one, which is answered with an error."""
     try:
         return r3_protocol.decode_request(content)
     except ProtocolError:
@@ -473,7 +473,7 @@ COUNTER_TURN = 1 << 32
 
 
 class EmulatedMonitor:
-    """``wrench(now_s)`` gives six values, N and N·m; a type it does not know is a zero block."""
+    """Emulated monitor; ``wrench(now_s)`` returns (6,) N and N·m. Unknown types are zero blocks."""
 
     def __init__(
         self, wrench: Callable[[float], Sequence[float]], *, type_force: int = TYPE_FORCE
@@ -484,7 +484,7 @@ class EmulatedMonitor:
         self._counter = 0
 
     def receive(self, now_s: float, data: bytes) -> list[bytes]:
-        """Take one request."""
+        """Process one request."""
         try:
             request = realtime_protocol.decode_monitor_request(data)
         except ProtocolError:

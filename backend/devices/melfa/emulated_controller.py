@@ -1,9 +1,9 @@
 """State of an emulated CR800 controller: joints, servo, errors, programs, motion.
 
-Time moves by ``advance``; between two calls nothing happens. Errors stop all motion at once. Poses
-are computed from the chain of joint frames and solved numerically, independently of the driver's
-closed form. The force program presses with a stiffness: along each axis the position is the taught
-one less force by stiffness, reached with a lag.
+Time advances by ``advance`` only. Errors stop all motion at once. Poses are computed from the chain
+of joint frames and solved numerically, independently of the driver's closed form. The force program
+presses with a stiffness: on each axis the position is the taught one minus force by stiffness, with
+a lag.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _SOLVE_STEPS = 60
 
 def frame_of(joints_rad: FloatArray) -> FloatArray:
     """Return the (4, 4) frame of the flange in the base."""
-    # Written out: arrays so small take ten times as long.
+    # Written out: small arrays take ten times as long.
     x, y, z = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]
     at_mm = [0.0, 0.0, 0.0]
     for joint, angle in zip(JOINTS, joints_rad.tolist(), strict=True):
@@ -51,7 +51,7 @@ def _turned(a: list[float], b: list[float], c: float, s: float) -> tuple[list[fl
 
 
 def solve(frame: FloatArray, near_rad: FloatArray) -> FloatArray | None:
-    """Return joints (6,) that reach ``frame`` from ``near_rad``, None if none was found."""
+    """Return joints (6,) for ``frame`` near ``near_rad``, None without a solution."""
     joints = near_rad.copy()
     for _ in range(_SOLVE_STEPS):
         error = _apart(frame_of(joints), frame)
@@ -62,14 +62,14 @@ def solve(frame: FloatArray, near_rad: FloatArray) -> FloatArray | None:
 
 
 class LocalSolver:
-    """Joints for places near the first one: its slopes serve for all of them."""
+    """Joints for frames near the first one, by its Jacobian."""
 
     def __init__(self, joints_rad: FloatArray) -> None:
         self._joints = joints_rad.copy()
         self._pull = np.linalg.pinv(_slopes(joints_rad))
 
     def solve(self, frame: FloatArray) -> FloatArray | None:
-        """Return joints (6,) that reach ``frame`` from the last, None if none was found."""
+        """Return joints (6,) for ``frame`` near the last ones, None without a solution."""
         joints = self._joints
         for _ in range(_SOLVE_STEPS):
             error = _apart(frame_of(joints), frame)
@@ -89,7 +89,7 @@ def _slopes(joints_rad: FloatArray, step_rad: float = 1e-6) -> FloatArray:
 
 
 def _apart(here: FloatArray, there: FloatArray) -> FloatArray:
-    """Return (6,) the way in mm and the turn in rad from one frame to another."""
+    """Return displacement, mm, and turn, rad, from one frame to another, (6,)."""
     turn = there[:3, :3] @ here[:3, :3].T
     axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     size = float(np.linalg.norm(axis))
@@ -130,12 +130,12 @@ class EmulatedJoints:
         self.true_rad = start_rad.copy()
         self.feedback_rad = start_rad.copy()
         self.filter_s = 0.010
-        self.frozen = False  # fault: the encoders tell the same for ever
+        self.frozen = False  # fault: the encoders do not change
 
     def cycle(self) -> None:
         """Advance by one control cycle."""
         t = self._cycle_s
-        # New arrays, so that whoever reads from another thread has one of one instant.
+        # New arrays, so that other threads read values of one instant.
         command = self.command_rad
         filtered, true = self.filtered_rad, self.true_rad
         self.filtered_rad = filtered + (command - filtered) * _share(t, self.filter_s)
@@ -145,7 +145,7 @@ class EmulatedJoints:
             self.feedback_rad = self.true_rad + noise
 
     def currents(self) -> FloatArray:
-        """Return (6,) in %: as the joint is behind, by what it is behind at its top speed."""
+        """Return currents (6,) in %: lag of each joint relative to its lag at top speed."""
         behind = self.command_rad - self.true_rad
         return np.asarray(100.0 * behind / (SPEEDS_RAD_S * max(self._lag_s, self._cycle_s)))
 
@@ -158,7 +158,7 @@ LAG_S = 0.15
 ASK_S, STAND_S = 3.0, 60.0
 LIFT_MM, LIFT_MM_S, UNLOAD_MM = 2.0, 10.0, 10.0
 IN_A_ROW = 3
-# What must have been written before it runs.
+# Variables that must be written before the program runs.
 WRITTEN = (
     "MDSPD", "MDTRV", "MDTHR", "MDDEP", "MDRMP", "MDHLD", "MDKX", "MDKY", "MDKZ", "MDUNL", "MDUSP",
     "MDDMP", "MDFRM",
@@ -167,7 +167,7 @@ UNLOAD, ABORT = 2, 3  # values of MDO; 0 waits, 1 lifts
 
 
 class ProbeProgramStep(Enum):
-    """Where the program is."""
+    """Step of the program."""
 
     DESCEND = "descend"
     PRESS = "press"
@@ -179,7 +179,7 @@ class ProbeProgramStep(Enum):
 
 
 class EmulatedProbe:
-    """One run of the program from joints (6,); ``force_n`` on the tool (3,) in axes of the base."""
+    """One run of the program from joints (6,); ``force_n`` on the tool (3,) in base axes."""
 
     def __init__(
         self,
@@ -199,7 +199,7 @@ class EmulatedProbe:
         self.step = ProbeProgramStep.DESCEND
 
     def cycle(self) -> FloatArray | None:
-        """Advance by one cycle; return the joints (6,), None where no place has any."""
+        """Advance by one cycle; return the joints (6,), None without a solution."""
         force_n = self._force_n() - self._offset_n
         self._lasted_s += CYCLE_S
         self._advance(float(force_n[2]))
@@ -275,20 +275,20 @@ class EmulatedProbe:
         self._taught_mm[2] = max(float(self._taught_mm[2]) - speed_mm_s * CYCLE_S, least_mm)
 
 
-JOG_S = 0.140  # a jog ends by itself this long after the last command
+JOG_S = 0.140  # a jog ends this long after the last command
 JOG_SHARE = 0.10  # of the top speed of a joint, at full override
 JOG_MM_S = 250.0  # along a straight axis, at full override
 AXIS_TURN_RAD_S = 0.5
-# Where it stands when it is switched on: the hand points down.
+# Joints at power-on: the hand points down.
 READY_RAD = np.radians([0.0, 20.0, 100.0, 0.0, 60.0, 0.0])
 STREAM, PROBE, IDLE = "stream", "probe", ""
-PLAIN = "MXT"  # the stream by the name that clients of other makers give its program
+PLAIN = "MXT"  # name of the stream program for clients of other makers
 JOINT, STRAIGHT, TOOL = 0, 1, 2
-PAST = 300  # cycles whose joints are remembered: somewhat more than a second
+PAST = 300  # stored cycles: about a second
 
 
 class RefusedCommandError(Exception):
-    """The controller refuses; ``number`` is its error."""
+    """Refusal of the controller with its error ``number``."""
 
     def __init__(self, number: int) -> None:
         super().__init__(str(number))
@@ -297,7 +297,7 @@ class RefusedCommandError(Exception):
 
 @dataclass(slots=True)
 class ActiveJog:
-    """A jog in progress: how fast in which coordinates, and until when."""
+    """A jog in progress: speed, coordinates, and end."""
 
     mode: int
     signs: FloatArray
@@ -306,7 +306,7 @@ class ActiveJog:
 
 @dataclass(slots=True)
 class ActiveMove:
-    """A move of EXEC: ``point(share)`` gives joints, or None where there are none."""
+    """A move of EXEC: ``point(share)`` returns joints, or None without a solution."""
 
     point: Callable[[float], FloatArray | None]
     begun_s: float
@@ -314,7 +314,9 @@ class ActiveMove:
 
 
 class EmulatedController:
-    """``settings`` are those of the driver; ``streaming``: the stream runs from the start."""
+    """Emulated controller with the settings of the driver; ``streaming``: the stream runs at
+    once.
+    """
 
     def __init__(
         self,
@@ -334,7 +336,7 @@ class EmulatedController:
         self.right: object | None = None
         self._servo_on_s = math.inf
         self.error = 0
-        # When an error or a servo that was switched off last ended all motion.
+        # Last time at which an error or servo-off ended all motion, s.
         self.stopped_s = math.inf
         self.program, self.loaded = IDLE, settings.mxt.program
         self.missing_programs: set[str] = set()
@@ -342,10 +344,10 @@ class EmulatedController:
         self._jog: ActiveJog | None = None
         self._moving: ActiveMove | None = None
         self._probe: EmulatedProbe | None = None
-        self.variables: dict[str, float] = {}  # of the force program
-        # Wrench on the tool (6,), N and N·m in axes of the base: the controller's own sensor.
+        self.variables: dict[str, float] = {}  # variables of the force program
+        # Wrench on the tool (6,), N and N·m in base axes, for the controller's own sensor.
         self.felt: Callable[[], FloatArray] = lambda: np.zeros(6)
-        # Called once per cycle: the stream counts its silence there.
+        # Called once per cycle; the stream counts its silence there.
         self.on_cycle: Callable[[], None] = _nothing
         if streaming:
             self._servo_on_s, self.program = -math.inf, STREAM
@@ -354,12 +356,12 @@ class EmulatedController:
 
     @property
     def servo(self) -> bool:
-        """Whether the servo is on."""
+        """True while the servo is on."""
         return self.now_s >= self._servo_on_s
 
     @property
     def moving(self) -> bool:
-        """Whether a jog or a move is under way."""
+        """True during a jog or a move."""
         return self._jog is not None or self._moving is not None
 
     def words(self) -> tuple[RunStatus, StopStatus]:
@@ -374,7 +376,7 @@ class EmulatedController:
 
     @property
     def next_cycle_s(self) -> float:
-        """When the present cycle ends; never before time has begun."""
+        """End of the present cycle, s; infinite before the start."""
         if self._begun_s is None:
             return math.inf
         return self._begun_s + (self._cycles + 1) * CYCLE_S
@@ -383,7 +385,7 @@ class EmulatedController:
         """Run the cycles up to ``now_s``."""
         if self._begun_s is None:
             self._begun_s = now_s
-        # Counted, not added up: so a cycle that ends exactly now is not left to rounding.
+        # Multiplied, not summed, to avoid rounding at the end of a cycle.
         while (next_s := self.next_cycle_s) <= now_s + 1e-7:
             self._cycles += 1
             self.now_s = next_s
@@ -402,7 +404,7 @@ class EmulatedController:
         self._past.append((self.now_s, self.joints.true_rad))
 
     def joints_at(self, t_s: float) -> FloatArray:
-        """Return (6,) where the joints were then, between two cycles; at most where they are."""
+        """Return the joints (6,) at a past time, interpolated between cycles."""
         past = list(self._past)
         if not past or t_s >= past[-1][0]:
             return self.joints.true_rad
@@ -413,10 +415,10 @@ class EmulatedController:
         share = (t_s - start_s) / (end_s - start_s)
         return np.asarray(start_rad + share * (end_rad - start_rad))
 
-    # -- orders -----------------------------------------------------------------------------------
+    # -- commands ---------------------------------------------------------------------------------
 
     def require(self, session: object | None, *, servo: bool = False, still: bool = False) -> None:
-        """Raise the refusal that comes first: no right, error, servo off, running."""
+        """Raise the first refusal: no operation right, error, servo off, running."""
         if session is not None and self.right is not session:
             raise RefusedCommandError(6020)
         if self.error:
@@ -429,7 +431,7 @@ class EmulatedController:
             raise RefusedCommandError(5640)
 
     def switch_servo(self, on: bool) -> None:
-        """Switch on (it takes its time) or off (at once)."""
+        """Switch the servo on (after a delay) or off (at once)."""
         if not on:
             self._servo_on_s, self.stopped_s = math.inf, self.now_s
             self.halt(end_stream=self.settings.mxt.ends_on_servo_off)
@@ -455,20 +457,20 @@ class EmulatedController:
         self.program = PROBE
 
     def require_program(self, name: str) -> None:
-        """Raise the refusal of a program that is not in the controller."""
+        """Raise the refusal of an unknown program."""
         here = (self.settings.mxt.program, PLAIN, self.settings.fsc.program)
         if name not in here or name in self.missing_programs:
             raise RefusedCommandError(4140)
 
     def halt(self, *, end_stream: bool = True) -> None:
-        """Stand still where the joints are."""
+        """Stop at the present joints."""
         self._jog = self._moving = self._probe = None
         if self.program and end_stream:
             self.program, self.held = IDLE, True
         self.joints.command_rad = self.joints.true_rad.copy()
 
     def finish_program(self) -> None:
-        """Take note that the program has come to its end."""
+        """Handle the end of the program."""
         self.program = IDLE
 
     def raise_error(self, number: int) -> None:
@@ -479,11 +481,11 @@ class EmulatedController:
         self.halt()
 
     def press_emergency_stop(self, number: int = 50) -> None:
-        """Someone pressed an emergency stop."""
+        """Press the emergency stop."""
         self.raise_error(number)
 
     def release_emergency_stop(self) -> None:
-        """Someone turned it back; the error stays until it is reset."""
+        """Release the emergency stop; the error stays until the reset."""
         self.emergency = False
 
     def reset_error(self) -> None:
@@ -495,14 +497,14 @@ class EmulatedController:
     # -- moves ------------------------------------------------------------------------------------
 
     def jog(self, mode: int, minus: int, plus: int) -> None:
-        """Move as long as this comes again in time; axis bits from 1."""
+        """Jog until the command is not repeated in time; axis bits from 1."""
         if mode not in (JOINT, STRAIGHT, TOOL):
             raise RefusedCommandError(self.settings.r3.error_unknown)
         signs = [float(bool(plus >> k & 1)) - float(bool(minus >> k & 1)) for k in range(6)]
         self._jog = ActiveJog(mode, np.array(signs), self.now_s + JOG_S)
 
     def move(self, target_rad: FloatArray, *, straight: bool, speed_share: float) -> None:
-        """Begin a move of EXEC to joints (6,)."""
+        """Start a move of EXEC to joints (6,)."""
         start = self.joints.command_rad.copy()
         way = target_rad - start
         share = max(speed_share * self.override / 100.0, 1e-3)
@@ -571,4 +573,4 @@ class EmulatedController:
 
 
 def _nothing() -> None:
-    """Nothing waits for the cycle."""
+    """Do nothing per cycle."""

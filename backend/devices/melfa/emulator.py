@@ -1,7 +1,7 @@
 """Emulated MELFA controller behind real sockets: two ports for commands, one for the stream.
 
-Faults of the wire strike the stream; ``silent`` and ``unplug`` strike the command channel as well.
-``estop`` is pressed as long as the fault lasts; ``alarm`` and ``servo_off`` happen at its start.
+Faults of the wire act on the stream; ``silent`` and ``unplug`` act on the command channel as well.
+``estop`` is pressed during the fault; ``alarm`` and ``servo_off`` happen at its start.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from touchdown.backend.emulation import (
     apply_faults,
 )
 
-TICK_S = 0.004  # longest sleep between two looks; while cycles are counted, until the next one
+TICK_S = 0.004  # longest sleep between two polls; during a program, until the next cycle
 ALARM = 2601  # error of the fault ``alarm``: a position over its limit
 ESTOP = 50
 TIMEOUT_CYCLES = 57  # MXTTOUT of the bench file: a silent stream ends after 0.2 s
@@ -41,7 +41,7 @@ IDLE_CHECK_S = 0.5  # of the bench file: shorter than on a real arm
 
 
 class EmulatedMelfa:
-    """One controller with its stream; ``session`` gives a command channel for each client."""
+    """One controller with its stream; ``session`` returns a command channel for each client."""
 
     def __init__(
         self,
@@ -50,9 +50,8 @@ class EmulatedMelfa:
         start_rad: FloatArray | None = None,
         streaming: bool = False,
     ) -> None:
-        """``streaming``: servo on and the program running from the start, for a client without R3.
-
-        ``start_rad``: (6,) joints to begin with; else the hand points down somewhere in reach.
+        """``streaming``: servo on and program running from the start, for a client without R3.
+        ``start_rad``: initial joints (6,); by default the hand points down within reach.
         """
         self.controller = EmulatedController(settings, start_rad=start_rad, streaming=streaming)
         self.stream = EmulatedStream(self.controller)
@@ -63,7 +62,7 @@ class EmulatedMelfa:
 
 
 class MelfaServer(DeviceServer):
-    """Serves ``device`` on ``host``; ports 0 take free ones. ``settings`` has them afterwards."""
+    """Serves ``device`` on ``host``; port 0 takes a free one, see ``settings``."""
 
     def __init__(
         self,
@@ -79,7 +78,7 @@ class MelfaServer(DeviceServer):
         self._sources: list[socket.socket] = []
         self._host, self._ports = host, ports
         self._listen()
-        self.stops: list[float] = []  # when STOP came, on the clock of the front
+        self.stops: list[float] = []  # times of STOP on the server's clock
         self._on: set[str] = set()
         controller = device.controller
         self._begins: dict[str, Callable[[], None]] = {
@@ -95,7 +94,7 @@ class MelfaServer(DeviceServer):
 
     @property
     def settings(self) -> MelfaSettings:
-        """Settings with which a driver reaches it."""
+        """Settings of a driver for this server."""
         commands, stop, stream = self._ports
         given = self._device.controller.settings
         r3 = given.r3.model_copy(update={"port": commands, "stop_port": stop})
@@ -226,7 +225,7 @@ class MelfaServer(DeviceServer):
         selector: selectors.BaseSelector,
         sessions: dict[socket.socket, EmulatedCommands],
     ) -> None:
-        """Send what is due without a question; forget who has gone."""
+        """Send unrequested data that are due; drop closed clients."""
         self._device.controller.advance(now_s)
         for client, session in list(sessions.items()):
             self._reply(client, session, session.due(now_s))
@@ -246,10 +245,10 @@ class MelfaServer(DeviceServer):
         else:
             self._gave(out)
 
-    # -- trouble ----------------------------------------------------------------------------------
+    # -- faults -----------------------------------------------------------------------------------
 
     def _trouble(self, now_s: float) -> None:
-        """Let the faults of the controller itself begin and end."""
+        """Start and end faults of the controller."""
         controller = self._device.controller
         for kind, begin in self._begins.items():
             active = self.faults.active(kind, now_s)

@@ -29,7 +29,7 @@ VOID = Fault(
 
 
 def lost_fault(cycles: int) -> Fault:
-    """Return the fault of a stream whose replies stayed away."""
+    """Return the fault of a stream without replies."""
     return Fault(
         "MXT-LOST",
         f"No real-time reply for {cycles} cycles.",
@@ -40,7 +40,7 @@ def lost_fault(cycles: int) -> Fault:
 
 
 def tilted_fault(degrees: float) -> Fault:
-    """Return the fault of a hand that leans too far to have been left so by this program."""
+    """Return the fault of a hand that leans further than this program ever leaves it."""
     return Fault(
         "TILTED",
         f"The hand leans {degrees:.1f}° away from straight down.",
@@ -51,7 +51,7 @@ def tilted_fault(degrees: float) -> Fault:
 
 
 def link_fault(what: str) -> Fault:
-    """Return the fault of a command channel that is not, or no longer, there."""
+    """Return the fault of a missing or lost command channel."""
     return Fault(
         "ARM-LINK",
         what,
@@ -78,7 +78,7 @@ def controller_fault(number: int, text: str = "") -> Fault:
 
 
 def oversize_fault(cycles: int) -> Fault:
-    """Return the fault of a motion that asks for steps too large for so many cycles in a row."""
+    """Return the fault of a motion with too large steps in several cycles in a row."""
     return Fault(
         "STEPS-TOO-LARGE",
         f"A motion asked for steps too large for its speed, {cycles} cycles in a row.",
@@ -89,7 +89,7 @@ def oversize_fault(cycles: int) -> Fault:
 
 
 def unlimited_fault() -> Fault:
-    """Return the fault of a controller that would go on waiting for packets for ever."""
+    """Return the fault of a controller that never ends a silent stream."""
     return Fault(
         "MXTTOUT",
         "The controller does not end a real-time stream that falls silent (MXTTOUT is -1).",
@@ -100,7 +100,7 @@ def unlimited_fault() -> Fault:
 
 
 def starved_fault(gap_s: float, watched_s: float) -> Fault:
-    """Return the fault of a computer that does not keep the time of a stream."""
+    """Return the fault of a computer that is too busy for a stream."""
     return Fault(
         "RIG-STARVED",
         f"This computer left the arm without a cycle for {1e3 * gap_s:.0f} ms, watched for "

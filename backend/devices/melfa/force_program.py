@@ -1,8 +1,7 @@
-"""Presses by the controller's own force program instead of compliance over the stream.
+"""Presses with the controller's force program instead of compliance over the stream.
 
-It excludes the stream, which is ended before and opened again by the next other order. Wrist
-samples tell when contact began and when the press is over. ``ControllerPress`` has no thread, wire
-or clock.
+It excludes the stream, which is ended before and reopened by the next other command. Wrist samples
+determine the contact and the end of the press. ``ControllerPress`` has no thread, wire or clock.
 """
 
 from __future__ import annotations
@@ -39,12 +38,14 @@ from touchdown.backend.devices.streamed import (
     told_of,
 )
 
-# The program waits so long for what is to follow; an order takes a moment to reach it.
+# Time the program waits for the next command, and the delay of a command.
 WAITS_S, SOON_S = 3.0, 0.3
 
 
 class ControllerPress:
-    """``before``: wrench samples (n,), (n, 3) in air; ``margin_s``: how late it may be."""
+    """State of one press; ``before``: wrench samples (n,), (n, 3) in air; ``margin_s``:
+    permitted delay.
+    """
 
     def __init__(
         self,
@@ -67,16 +68,16 @@ class ControllerPress:
 
     @property
     def under_way(self) -> bool:
-        """Whether the press, or its unloading, has not ended."""
+        """True until the press or its unloading has ended."""
         return not self.motion.done or (self._unloading is not None and not self._unloading.done)
 
     @property
     def touched(self) -> bool:
-        """Whether contact was felt."""
+        """True after contact."""
         return self.motion.onset_s is not None
 
     def holds(self, now_s: float) -> bool:
-        """Whether the program still presses: it lifts by itself unless it is told in time."""
+        """Return True while the program presses: it lifts by itself without a timely command."""
         onset_s = self.motion.onset_s
         if onset_s is None:
             return False
@@ -85,16 +86,16 @@ class ControllerPress:
 
     @property
     def press_n(self) -> float:
-        """Newest press force over that in air; NaN before contact."""
+        """Newest press force relative to air, N; NaN before contact."""
         return self._press_n if self.touched else math.nan
 
     def unload(self, motion: CommandedMotion, force_n: float, now_s: float, speed: float) -> None:
-        """Take note that the program was told to unload to ``force_n`` at ``speed`` mm/s."""
+        """Handle the command to unload to ``force_n`` at ``speed`` mm/s."""
         self._unloading, self._unloaded_n = motion, force_n
         self._ends_s = now_s + UNLOAD_MM / speed + self._margin_s
 
     def end(self, fault: Fault) -> None:
-        """End what is under way: the program was stopped."""
+        """End the press: the program was stopped."""
         self.motion.end(fault)
         if self._unloading is not None:
             self._unloading.end(fault)
@@ -102,7 +103,9 @@ class ControllerPress:
     def step(
         self, now_s: float, samples: tuple[FloatArray, FloatArray], *, running: bool
     ) -> Fault | None:
-        """Take samples (n,), (n, 3) and whether the program runs; a fault: abort the program."""
+        """Process samples (n,), (n, 3) and the program state; a returned fault aborts the
+        program.
+        """
         tripped = self._feel(*samples)
         if not self.under_way:
             return None
@@ -130,7 +133,7 @@ class ControllerPress:
         return None
 
     def _feel(self, t_s: FloatArray, force_n: FloatArray) -> bool:
-        """Take samples; return whether they are over the trip limit."""
+        """Add samples; return True above the trip limit."""
         finite = np.isfinite(force_n).all(axis=1)
         if not finite.any():
             return False
@@ -164,15 +167,15 @@ LATE = Fault(
 
 AirBaseline = tuple[FloatArray, FloatArray]  # times (n,) and forces (n, 3)
 HOT_S = 1.0
-UNLOAD, ABORT = 2, 3  # what the variable MDO asks of the program
-# So much later the place is told: ten times a second at most, and not while variables are written.
-# Still within the second of silence that is a fault of the command channel (reliability 6.1).
+UNLOAD, ABORT = 2, 3  # values of the variable MDO
+# Additional delay of positions: they come at most ten times per second, and not while variables are
+# written. Less than the second of silence that is a fault of the command channel.
 PLACE_LATE_S = 0.6
-UNLOAD_SHARE = 0.8  # it unloads a little further than asked: its own sensor has another zero
+UNLOAD_SHARE = 0.8  # unload further than commanded: the controller's sensor has another zero
 
 
 class ForceProgram:
-    """``console`` returns the one of the present connection."""
+    """Force program of a controller; ``console`` returns that of the present connection."""
 
     def __init__(
         self, console: Callable[[], Console], wires: ControllerLinks, settings: MelfaSettings
@@ -182,26 +185,26 @@ class ForceProgram:
 
     @property
     def under_way(self) -> bool:
-        """Whether a press or an unloading goes on."""
+        """True during a press or an unloading."""
         return self._press is not None and self._press.under_way
 
     @property
     def running(self) -> bool:
-        """Whether the program may still hold the arm."""
+        """True while the program may hold the arm."""
         return self._press is not None
 
     @property
     def place_late_s(self) -> float:
-        """By how much older a place may be while the program holds the arm."""
+        """Additional age of positions while the program holds the arm, s."""
         return PLACE_LATE_S if self.running else 0.0
 
     @property
     def press_n(self) -> float:
-        """Felt press force; NaN without contact."""
+        """Measured press force, N; NaN without contact."""
         return math.nan if self._press is None else self._press.press_n
 
     def refuse(self, command: PressCommand) -> None:
-        """Raise ``RefusedError`` for a press that could reach more than the limit of a probe."""
+        """Raise ``RefusedError`` for a press that could exceed the limit of a probe."""
         most_n = command.depth_mm * command.stiffness_n_mm[2]
         limit_n = self._settings.probe_force_limit_n
         if not most_n <= limit_n:
@@ -210,9 +213,8 @@ class ForceProgram:
             )
 
     def begin(self, command: PressCommand, air: Callable[[], AirBaseline]) -> ArmPress:
-        """Write the variables and run the program; the stream has been ended. ``FaultError``.
-
-        ``air`` returns the samples in air up to now.
+        """Write the variables and run the program, after the end of the stream. ``air`` returns the
+        samples in air up to now. Raises ``FaultError``.
         """
         kx, ky, kz = command.stiffness_n_mm
         self._console().run_probe(
@@ -238,7 +240,7 @@ class ForceProgram:
         return motion
 
     def unload(self, force_n: float, speed_mm_s: float, now_s: float) -> CommandedMotion:
-        """Tell the program to rise; raises ``FaultError`` unless its press has touched."""
+        """Command the program to lift; raises ``FaultError`` unless its press had contact."""
         press = self._press
         if press is None or not press.holds(now_s):
             raise FaultError(NOT_PRESSING)
@@ -251,9 +253,8 @@ class ForceProgram:
         return motion
 
     def cycle(self, now_s: float, samples: tuple[FloatArray, FloatArray], *, running: bool) -> None:
-        """See how the press stands; abort the program for what went wrong.
-
-        On the way down it listens to nothing but its own sensor: there it is stopped.
+        """Process one cycle; abort the program after a fault. During the descent the program only
+        reads its own sensor, so it is stopped there.
         """
         press = self._press
         if press is None or press.step(now_s, samples, running=running) is None:
@@ -266,7 +267,7 @@ class ForceProgram:
         self._wires.pace(running=False)
 
     def end(self, fault: Fault) -> None:
-        """Take note that the program was, or is to be, stopped."""
+        """Handle a stop of the program."""
         press, self._press = self._press, None
         if press is not None:
             press.end(fault)

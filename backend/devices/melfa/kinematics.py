@@ -1,9 +1,8 @@
 """Kinematics of the MELFA RV-5AS-D with its joint limits.
 
 Closed form for a hand that points straight down. The arm has no offsets and a spherical wrist; the
-posture is Right, Above, NonFlip throughout. A command outside joint range, step or distance to a
-singularity is refused, never bent into another motion; every check is a positive comparison, so
-that NaN is refused.
+posture is always Right, Above, NonFlip. A command outside joint range, step or distance to a
+singularity is refused, never changed; every check is a positive comparison, so that NaN is refused.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ def turn_x(angle_rad: float) -> FloatArray:
 
 
 def hand_of(a_rad: float, b_rad: float, c_rad: float, euler: str) -> FloatArray:
-    """Return the rotation (3, 3) that A, B, C mean; ``euler`` as in the settings."""
+    """Return the rotation (3, 3) of A, B, C; ``euler`` as in the settings."""
     x, y, z = turn_x(a_rad), turn_y(b_rad), turn_z(c_rad)
     return np.asarray(z @ y @ x if euler.startswith("Rz") else x @ y @ z)
 
@@ -58,11 +57,10 @@ def flange(joints_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def joints_for(position_mm: FloatArray, hand: FloatArray, near_rad: FloatArray) -> FloatArray:
-    """Return the (6,) joints for a flange place; J1, J4 and J6 in the turn nearest ``near_rad``.
-
-    Raises ``RefusedError`` REACH where there is none, SINGULAR where it is not unique.
+    """Return the joints (6,) for a flange pose; J1, J4 and J6 in the turn nearest to ``near_rad``.
+    Raises ``RefusedError`` REACH without a solution, SINGULAR if it is not unique.
     """
-    # Once per cycle: written out, as small arrays would take ten times as long.
+    # Called once per cycle and written out: small arrays take ten times as long.
     (xx, yx, zx), (xy, yy, zy), (xz, yz, zz) = hand.tolist()
     x, y, z = position_mm.tolist()
     x, y, up = x - FLANGE_MM * zx, y - FLANGE_MM * zy, z - FLANGE_MM * zz - SHOULDER_MM
@@ -78,7 +76,7 @@ def joints_for(position_mm: FloatArray, hand: FloatArray, near_rad: FloatArray) 
     )
     c, s = math.cos(q1), math.sin(q1)
     sine, cosine = math.sin(q2 + q3), math.cos(q2 + q3)
-    # The hand in axes of the forearm: its z wholly, of x and y the part along the forearm.
+    # Hand in forearm axes: all of its z, the components of x and y along the forearm.
     out = c * zx + s * zy
     ahead, aside = cosine * out - sine * zz, c * zy - s * zx
     along = sine * out + cosine * zz
@@ -100,7 +98,7 @@ def _nearest(angle_rad: float, near_rad: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class MelfaPlacement:
-    """Where the bench stands in the base of the arm, and how long the tool is.
+    """Placement of the bench in the arm's base, and length of the tool.
 
     ``origin_mm``: bench origin in the base. ``yaw_rad``: turn of the bench about z.
     ``hand_rad``: turn of the flange's x against that of the bench, about z (half a turn leaves J6
@@ -123,7 +121,7 @@ class MelfaPlacement:
     ) -> FloatArray:
         """Return the (6,) joints that put ``G`` at (3,) mm of the bench, hand down.
 
-        ``turn`` (3, 3): by how much the hand is turned from there, in the bench frame.
+        ``turn`` (3, 3): turn of the hand from straight down, in the bench frame.
         """
         bench = turn_z(self.yaw_rad)
         hand = self.hand if turn is IDENTITY_ROTATION else bench @ turn @ bench.T @ self.hand
@@ -131,14 +129,14 @@ class MelfaPlacement:
         return joints_for(at - self.tool_mm * hand[:, 2], hand, near_rad)
 
     def turn(self, joints_rad: FloatArray) -> FloatArray:
-        """Return by how much the hand is turned, (3, 3) in the bench frame."""
+        """Return the turn of the hand from straight down, (3, 3) in the bench frame."""
         bench = turn_z(self.yaw_rad)
         _, hand = flange(joints_rad)
         return np.asarray(bench.T @ hand @ self.hand.T @ bench)
 
     def pivot_mm(self, joints_rad: FloatArray) -> FloatArray:
-        """Return where ``G`` is in the bench, (3,) mm."""
-        # Three times per cycle: written out, as small arrays would take ten times as long.
+        """Return the position of ``G`` in the bench frame, (3,) mm."""
+        # Called three times per cycle and written out: small arrays take ten times as long.
         q1, q2, q3, q4, q5, _ = joints_rad.tolist()
         lean, tilt = q2 + q3, math.sin(q5)
         sine, cosine = math.sin(lean), math.cos(lean)
@@ -155,12 +153,12 @@ class MelfaPlacement:
         return np.array([c * from_x + s * from_y, c * from_y - s * from_x, up - self.origin_mm[2]])
 
     def from_flange(self, position_mm: FloatArray, hand: FloatArray) -> FloatArray:
-        """Return where ``G`` is in the bench for a flange place in the base."""
+        """Return the position of ``G`` in the bench frame for a flange position in the base."""
         at = position_mm + self.tool_mm * hand[:, 2]
         return np.asarray(turn_z(-self.yaw_rad) @ (at - np.array(self.origin_mm)))
 
 
-RANGE_MARGIN_RAD = math.radians(2.0)  # our limits lie inside those of the controller by this much
+RANGE_MARGIN_RAD = math.radians(2.0)  # margin of these limits within those of the controller
 # Lowest and highest angle of each joint, rad.
 JOINT_RANGES: tuple[tuple[float, float], ...] = tuple(
     (-limit, limit) for limit in (LIMITS_RAD - RANGE_MARGIN_RAD).tolist()

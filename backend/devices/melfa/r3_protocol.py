@@ -23,7 +23,7 @@ _VARIABLE_NAME = r"[A-Za-z][A-Za-z0-9_]{0,15}"
 _WRITE = _VARIABLE_NAME + r"=[-+0-9.,()Ee]{1,160}"
 _MOTION = r"(?i:MOV|MVS|SPD|JOVRD|OVRD) [A-Za-z0-9_+\-.,() ]{1,160}"
 
-# Every command that may go out, and what its argument may look like.
+# Permitted commands with the pattern of their argument.
 ALLOWED: dict[str, str] = {
     "OPEN=": r"[A-Za-z0-9]{1,32}",
     "CLOSE": "",
@@ -101,17 +101,17 @@ class R3Reply:
 
     @property
     def ok(self) -> bool:
-        """Whether the command was accepted."""
+        """True if the command was accepted."""
         return self.head[1] in "oO"
 
     @property
     def alarm(self) -> bool:
-        """Whether an error is active: an inference from printed samples."""
+        """True if an error is active; inferred from printed samples."""
         return self.ok and self.head[2] == "k"
 
     @property
     def error(self) -> int:
-        """Why the command was refused; 0 if it was not."""
+        """Error number of a refusal, 0 if accepted."""
         found = None if self.ok else re.match(r"[0-9]{1,5}", self.answer)
         return int(found[0]) if found else 0
 
@@ -126,7 +126,9 @@ def jog(mode: int, minus_axes: int, plus_axes: int, inching: int = 0) -> R3Reque
 
 
 def encode_request(request: R3Request) -> bytes:
-    """Return the text without its end; raises ``ProtocolError`` for all that ``ALLOWED`` lacks."""
+    """Return the text without its end; raises ``ProtocolError`` for commands outside
+    ``ALLOWED``.
+    """
     if (request.robot is None) != (request.slot is None):
         raise ProtocolError("address", "r3 request")
     address = "" if request.robot is None else f"{request.robot};{request.slot};"
@@ -180,7 +182,7 @@ def requests() -> LineStream[R3Request]:
 
 
 def replies() -> LineStream[R3Reply]:
-    """Return the decoder of whoever commands one."""
+    """Return the decoder of a driver."""
     return LineStream(decode_reply, LONGEST_REPLY)
 
 
@@ -246,19 +248,19 @@ def read_axes(answer: str) -> AxisReading:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """A position variable as it stands: six numbers (mm and deg, or N and N·m) and two flags."""
+    """A position variable: six numbers (mm and deg, or N and N·m) and two flags."""
 
     name: str
     numbers: tuple[float, ...]
     flags: tuple[int, int]
 
     def pose(self) -> MelfaPose:
-        """Return it as a place: mm and rad."""
+        """Return the variable as a pose: mm and rad."""
         axes = (*self.numbers[:3], *map(math.radians, self.numbers[3:]), 0.0, 0.0)
         return MelfaPose(axes, *self.flags)
 
     def wrench(self) -> Wrench:
-        """Return it as a force variable such as ``P_FsCurD``: N and N·m."""
+        """Return the variable as a force such as ``P_FsCurD``: N and N·m."""
         return wrench_of(self.numbers)
 
     def answer(self) -> str:
@@ -357,7 +359,7 @@ class StopStatus(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class ControllerInfo:
-    """Answer to OPEN: who the controller is. ``jog_speeds`` in %; axes as bits."""
+    """Answer to OPEN: identity of the controller. ``jog_speeds`` in %; axes as bits."""
 
     xyz_axes: int
     joint_axes: int
@@ -396,7 +398,7 @@ class ControllerState:
     mechanism_in_use: int
 
     def answer(self) -> str:
-        """Return the text of the answer, with as many empty fields as the printed sample."""
+        """Return the text of the answer, with the empty fields of the printed sample."""
         status = f"{self.run:02X}{self.stop:02X}{self.error}"
         front = f"{self.program};{self.line};{self.override};{self.edit_status};{status}"
         tail = f"{self.task_program};{self.task_mode};{self.task_condition};{self.task_priority}"
@@ -442,7 +444,7 @@ def read_opened(answer: str) -> ControllerInfo:
 
 
 def read_state(answer: str) -> ControllerState:
-    """Return the answer to STATE; the number of empty fields in its middle is left open."""
+    """Return the answer to STATE; the number of empty fields in its middle may vary."""
     parts = _parts(answer, 12, "r3 state")
     run, stop, error = _status(parts[4])
     line, override, edit_status, step, mechanism = (whole(parts[i]) for i in (1, 2, 3, 5, 6))
@@ -508,7 +510,7 @@ def read_bits(answer: str) -> int:
 
 
 def read_origin(answer: str) -> tuple[bool, int]:
-    """Return whether the origin is set, and for which axes as bits."""
+    """Return the origin flag, and the axes as bits."""
     found = re.fullmatch(r"([A-Z])([0-9A-F]{2})([0-9A-F]{2})", answer)
     if found is None:
         raise ProtocolError("fields", "r3 origin")

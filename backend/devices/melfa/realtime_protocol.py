@@ -25,7 +25,7 @@ _ROBMON = struct.Struct("<6f2h6shI")
 
 
 class BlockKind(Enum):
-    """What a block holds."""
+    """Content of a data block."""
 
     NONE = "none"
     POSE = "pose"
@@ -86,7 +86,7 @@ _LAYOUTS = {
 
 
 def kind_of(block: Block) -> BlockKind:
-    """Return what ``block`` holds."""
+    """Return the kind of ``block``."""
     if block is None:
         return BlockKind.NONE
     if isinstance(block, MelfaPose):
@@ -95,7 +95,7 @@ def kind_of(block: Block) -> BlockKind:
 
 
 def encode_block(block: Block) -> bytes:
-    """Return 40 bytes; raises ``ProtocolError`` for numbers that are none or do not fit."""
+    """Return 40 bytes; raises ``ProtocolError`` for numbers that are not finite or out of range."""
     try:
         return _pack(block)
     except (struct.error, OverflowError, ValueError) as error:
@@ -152,7 +152,7 @@ def _unpack(kind: BlockKind, data: bytes) -> Block:
 
 
 def _finite(numbers: tuple[float, ...]) -> tuple[float, ...]:
-    # The sum is none if a number is none, and found several times as fast.
+    # The sum is NaN if a number is NaN; testing it is several times faster.
     if not math.isfinite(sum(numbers)) and not all(map(math.isfinite, numbers)):
         raise ProtocolError("number", "melfa block")
     return numbers
@@ -185,7 +185,7 @@ MONITOR_KINDS = {
 
 
 class MxtCommand(IntEnum):
-    """What the packet asks for; the first packet must be NONE."""
+    """Command of a packet; the first packet must be NONE."""
 
     NONE = 0
     MOVE = 1
@@ -205,7 +205,7 @@ class MxtSignals:
 
 @dataclass(frozen=True, slots=True)
 class MxtRequest:
-    """To the controller: an absolute ``target`` and the four monitor types wanted."""
+    """Request to the controller: an absolute ``target`` and four monitor types."""
 
     command: MxtCommand
     target: Block = None
@@ -217,7 +217,7 @@ class MxtRequest:
 
 @dataclass(frozen=True, slots=True)
 class MxtReply:
-    """From the controller: the monitored ``blocks`` with their types.
+    """Reply of the controller: the monitored ``blocks`` with their types.
 
     ``timeouts``: cycles without a packet; ``counter``: number of the exchange; both wrap.
     ``send_type`` repeats the type of the first block.
@@ -233,7 +233,7 @@ class MxtReply:
 
 
 def encode_mxt_request(request: MxtRequest) -> bytes:
-    """Return the 196 bytes; raises ``ProtocolError`` if a number does not fit or is none."""
+    """Return the 196 bytes; raises ``ProtocolError`` if a number is not finite or out of range."""
     kind = kind_of(request.target)
     send_type = next((code for code, known in SEND_KINDS.items() if known is kind), None)
     if send_type is None:
@@ -312,7 +312,7 @@ START, END = 1, 255
 
 _MONITOR_SIGNALS = struct.Struct("<2H3I")
 
-# What each data type number of this controller stands for; 0 is none.
+# Kind of each data type number of this controller; 0 is none.
 BlockKinds = Mapping[int, BlockKind]
 DataTypes = tuple[int, int, int, int]
 
@@ -415,7 +415,7 @@ CYCLE_S = 0.0035  # control cycle of a CR800
 class Joint:
     """One joint: ``axis`` of rotation, ``rise_mm`` along z from the joint before it.
 
-    ``limit_rad`` to both sides, highest speed and acceleration.
+    ``limit_rad`` in both directions, highest speed and acceleration.
     """
 
     axis: str

@@ -1,8 +1,8 @@
-"""Sockets of a MELFA controller: one thread each for commands, stream.
+"""Sockets of a MELFA controller: one thread for commands, one for the stream.
 
-The stream wakes at absolute deadlines; a missed cycle is skipped, never made up. A lock file named
-after the address keeps a second program of this computer away; another computer is refused by the
-controller's operation right.
+The stream runs at absolute deadlines; a missed cycle is skipped, never made up. A lock file named
+after the address excludes a second program on this computer; the controller's operation right
+excludes other computers.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from touchdown.backend.devices.melfa.stream import END
 from touchdown.backend.devices.protocols import ARM, NOTHING_MOVED
 
 PREFIX, SUFFIX = "touchdown-arm-", ".lock"
-# Who takes old files away holds each for an instant: that is no other program at the arm.
+# Retries: the deletion of old files locks each of them for an instant.
 TRIES, AGAIN_S = 5, 0.02
 
 
 class ControllerLock:
-    """Holds a controller until ``close``; raises ``FaultError`` if another program holds it."""
+    """Lock of a controller until ``close``; raises ``FaultError`` if another program has it."""
 
     def __init__(self, host: str, port: int) -> None:
         name = re.sub(r"[^A-Za-z0-9.-]", "_", host)
@@ -51,7 +51,7 @@ class ControllerLock:
             raise FaultError(taken_fault(f"{host}:{port}")) from error
 
     def close(self) -> None:
-        """Give the controller back."""
+        """Release the lock."""
         _take_away(self._descriptor, self._path)
 
 
@@ -65,7 +65,7 @@ def _lock_patiently(path: Path) -> int:
 
 
 def _lock(path: Path) -> int:
-    """Lock ``path`` itself: not a file that was taken away while its lock was waited for."""
+    """Lock ``path``, but not a file that was deleted while waiting for the lock."""
     while True:
         descriptor = lock_file(path)
         if os.name != "posix" or _is_there(descriptor, path):
@@ -82,13 +82,13 @@ def _is_there(descriptor: int, path: Path) -> bool:
 
 def _take_away(descriptor: int, path: Path) -> None:
     if os.name == "posix":
-        # Still locked: whoever waits for it finds that it is gone and makes a new one.
+        # Delete before unlocking: a waiting program finds it deleted and creates a new one.
         path.unlink(missing_ok=True)
     os.close(descriptor)
 
 
 def _sweep(folder: Path, wanted: Path) -> None:
-    """Take away the files that nobody holds any more."""
+    """Delete unlocked files."""
     if os.name != "posix":
         return
     for found in folder.glob(f"{PREFIX}*{SUFFIX}"):
@@ -102,7 +102,7 @@ def _sweep(folder: Path, wanted: Path) -> None:
 
 
 def taken_fault(address: str) -> Fault:
-    """Return the fault of a controller that another program of this computer drives."""
+    """Return the fault of a controller that is used by another program on this computer."""
     return Fault(
         "ARM-TAKEN",
         f"Another program on this computer drives the controller at {address}.",
@@ -113,16 +113,18 @@ def taken_fault(address: str) -> Fault:
 
 
 CONNECT_S = 3.0
-FINISH_S = 30.0  # longer than any ticket waits: each ends by itself, at the latest with its wire
-IDLE_S = 0.005  # longest sleep of the command channel between two looks at what waits
-RECEIVE_BUFFER = 16 * PACKET_BYTES  # holds what comes in a cycle, repeated and late ones too
-MOST_DATAGRAMS = 64  # read per cycle: a flood must not hold up the stream
+FINISH_S = 30.0  # longer than any request waits: each ends by itself, at the latest with its wire
+IDLE_S = 0.005  # longest sleep of the command channel between two polls
+RECEIVE_BUFFER = (
+    16 * PACKET_BYTES
+)  # space for the datagrams of a cycle, including repeated and late ones
+MOST_DATAGRAMS = 64  # read per cycle: a flood must not delay the stream
 STOP_LINE = encode_request(R3Request("STOP")) + b"\r"
 OPEN_LINE = encode_request(R3Request("OPEN=", "TOUCHDOWNSTOP")) + b"\r"
 
 
 class SocketLinks:
-    """``now_s`` is the bench clock, in step with ``time.monotonic``."""
+    """Links over sockets; ``now_s`` is the bench clock, synchronous with ``time.monotonic``."""
 
     def __init__(self, settings: MelfaSettings, now_s: Callable[[], float]) -> None:
         self._settings, self._now_s = settings, now_s
@@ -139,13 +141,13 @@ class SocketLinks:
 
     @property
     def bad_replies(self) -> int:
-        """Replies of the command channel that could not be read."""
+        """Number of invalid replies of the command channel."""
         return self._client.bad_replies
 
-    # -- life -------------------------------------------------------------------------------------
+    # -- open and close ---------------------------------------------------------------------------
 
     def open(self, cycle: CycleFunction, lost: Callable[[Fault], None]) -> None:
-        """Connect both channels and start their owners; raises ``FaultError``."""
+        """Connect both channels and start their threads; raises ``FaultError``."""
         self.close()
         host, r3 = self._settings.host, self._settings.r3
         self._claim = ControllerLock(host, r3.port)
@@ -188,28 +190,30 @@ class SocketLinks:
     # -- commands ---------------------------------------------------------------------------------
 
     def ask(self, request: R3Request, timeout_s: float) -> PendingRequest:
-        """Send a request in its turn."""
+        """Queue a request."""
         return self._client.ask(request, timeout_s)
 
     def finish(self, ticket: PendingRequest) -> None:
-        """Wait until the ticket has ended; it gives up by itself."""
+        """Wait until the request is done; it fails by itself after its time limit."""
         ticket.wait(FINISH_S)
 
     def watch_anew(self) -> None:
-        """Count ``times`` from the next cycle on."""
+        """Restart the count of ``times`` from the next cycle on."""
         self.times = CycleTimes(realtime=self.times.realtime)
         self._anew.set()
 
     def pause(self, seconds: float) -> None:
-        """Let time pass; ends early when the wires close."""
+        """Sleep; ends early when the wires close."""
         self._stop.wait(seconds)
 
     def pace(self, running: bool) -> None:
-        """Say whether a program of the controller runs."""
+        """Set True while a controller program runs."""
         self._client.paced = running
 
     def stop_now(self, packet: bytes) -> None:
-        """Send STOP on its own lane and ``packet`` on the stream, from the caller's thread."""
+        """Send STOP on its own connection and ``packet`` on the stream, from the caller's
+        thread.
+        """
         lane, stream = self._lane, self._stream
         if stream is not None:
             with contextlib.suppress(OSError):
@@ -218,7 +222,7 @@ class SocketLinks:
             if lane is not None:
                 lane.send(STOP_LINE)
         except OSError:
-            # The lane is gone or full: STOP goes before all else on the other channel.
+            # The connection is gone or full: send STOP first on the other channel.
             self._client.ask(R3Request("STOP"))
 
     def _own_commands(
@@ -254,7 +258,7 @@ class SocketLinks:
         try:
             self._keep_time(wire, cycle)
         finally:
-            # Also where a program error ends the loop: nothing may move without its owner.
+            # Also after a program error: nothing may move without this thread.
             if not self._stop.is_set():
                 self.stop_now(END)
                 lost(link_fault("The real-time stream has ended by an error of this program."))
@@ -264,7 +268,7 @@ class SocketLinks:
         deadline_s = time.monotonic() + CYCLE_S
         self.times = times = CycleTimes(realtime=realtime)
         while not self._stop.is_set():
-            # One wake-up a cycle: a reply that comes in between is of no use before the next.
+            # One wake-up per cycle: a reply in between is not used before the next.
             self._stop.wait(deadline_s - time.monotonic())
             came = _waiting(wire)
             over_s = time.monotonic() - deadline_s
@@ -274,7 +278,7 @@ class SocketLinks:
             self.times = times = times.after(over_s)
             packet = cycle(self._now_s(), tuple(came))
             if packet is not None:
-                # A full buffer or an absent host is a lost packet: the ladder counts it.
+                # A full buffer or a missing host is a lost packet, which the silence ladder counts.
                 with contextlib.suppress(OSError):
                     wire.send(packet)
             missed = int(max(time.monotonic() - deadline_s, 0.0) / CYCLE_S)
@@ -289,7 +293,7 @@ def _connected(host: str, port: int) -> socket.socket:
 
 
 def _waiting(wire: socket.socket) -> list[bytes]:
-    """Return the datagrams that have come, oldest first."""
+    """Return the received datagrams, oldest first."""
     came: list[bytes] = []
     for _ in range(MOST_DATAGRAMS):
         try:
@@ -297,6 +301,6 @@ def _waiting(wire: socket.socket) -> list[bytes]:
         except BlockingIOError:
             break
         except OSError:
-            # An ICMP refusal while the controller's program does not listen yet.
+            # ICMP refusal before the controller's program listens.
             continue
     return came

@@ -1,10 +1,10 @@
-"""Real-time stream of a MELFA arm as a pure state machine: ``step(now, inbox) -> outbox``.
+"""Real-time stream of a MELFA arm as a state machine: ``step(now, inbox) -> outbox``.
 
-Called once per cycle; it reads no clock and no socket. Start: packets without a command until a
-reply comes, then the replied position for ten cycles, then motion. Every command is checked before
-it goes out, and runs ahead of the last echoed one by three cycles of travel at most. Replies count
-if they are whole, finite, plausible and newer than the last. Missing replies are counted in cycles
-and in time, so that a stall of this program is noticed like one of the link.
+Called once per cycle; it reads no clock and no socket. Start: packets without a command until the
+first reply, then the replied position for ten cycles, then motion. Every command is checked before
+it is sent, and leads the last echoed one by at most three cycles of travel. Replies are accepted if
+they are complete, finite, plausible and newer than the last. Missing replies are counted in cycles
+and in time, so that a stall of this program is detected like one of the link.
 """
 
 from __future__ import annotations
@@ -61,20 +61,20 @@ from touchdown.backend.devices.streamed import (
 )
 
 COMMAND_JOINTS, FEEDBACK_JOINTS = 2, 8
-# Wanted in every reply: joints commanded, measured, filtered, and currents.
+# Monitor types of every reply: joints commanded, measured, filtered, and currents.
 MONITORS = (COMMAND_JOINTS, FEEDBACK_JOINTS, 5, 11)
-TURN_RAD = 10.0  # no joint of any arm reads more
+TURN_RAD = 10.0  # limit of a plausible joint angle
 _HALF = 1 << 31
 _WRAP = 1 << 32
 
 
 @dataclass(slots=True)
 class DatagramCounts:
-    """What became of the datagrams since the stream began."""
+    """Counts of datagrams since the start of the stream."""
 
     accepted: int = 0
     refused: int = 0  # wrong size, type, numbers
-    repeated: int = 0  # the counter of the last accepted one again
+    repeated: int = 0  # same counter as the last accepted one
     old: int = 0  # overtaken by a newer one
     skipped: int = 0  # counters that never came
 
@@ -89,14 +89,14 @@ class AcceptedReply:
 
 
 class ReplyFilter:
-    """Takes datagrams, keeps the newest, counts the others."""
+    """Accepts the newest valid datagram and counts the others."""
 
     def __init__(self) -> None:
         self.counts = DatagramCounts()
         self._counter: int | None = None
 
     def take(self, datagrams: Iterable[bytes]) -> AcceptedReply | None:
-        """Return the newest acceptable echo among ``datagrams`` and all before, None if none."""
+        """Return the newest acceptable echo so far, None without one."""
         newest: AcceptedReply | None = None
         for data in datagrams:
             told = _acceptable(data)
@@ -122,7 +122,7 @@ class ReplyFilter:
 
 
 def _acceptable(data: bytes) -> tuple[int, AcceptedReply] | None:
-    """Return counter and echo of one datagram, None if it cannot be meant."""
+    """Return counter and echo of one datagram, None if it is invalid."""
     try:
         reply = decode_mxt_reply(data)
     except ProtocolError:
@@ -139,12 +139,12 @@ def _acceptable(data: bytes) -> tuple[int, AcceptedReply] | None:
 
 
 class SilenceLevel(IntEnum):
-    """How far the silence has gone; the higher the worse."""
+    """Level of a silence, increasing."""
 
     GO = 0
-    STAND = 1  # the command stands: nothing is extrapolated
-    HOLD = 2  # stand still from zero speed; goes on by itself when replies return. A press is void.
-    FAULT = 3  # latched: end of stream, stop by the command channel
+    STAND = 1  # the command is kept, not extrapolated
+    HOLD = 2  # stand still; continues by itself with the replies. A press is void.
+    FAULT = 3  # latched: end the stream, stop by the command channel
 
 
 STAND_CYCLES = 2
@@ -153,8 +153,8 @@ FAULT_CYCLES = 29
 
 
 def silence_level(missed: int, silent_s: float, cycle_s: float) -> SilenceLevel:
-    """Return the rung for ``missed`` replies in a row and ``silent_s`` since the last accepted."""
-    # The tolerance keeps a cycle that ends exactly now from counting as not yet over.
+    """Return the level for ``missed`` replies in a row and ``silent_s`` since the last accepted."""
+    # The tolerance counts a cycle that ends exactly now.
     cycles = max(missed, int(silent_s / cycle_s + 1e-6))
     if cycles >= FAULT_CYCLES:
         return SilenceLevel.FAULT
@@ -167,9 +167,9 @@ HELD_CYCLES = 10
 END_PACKETS = 3
 LEAD_CYCLES = 3
 LEAST_LEAD_MM_S = 20.0
-# A hand that leans more at the start is not moved: that is no place this program left it in.
+# A hand that leans more at the start is not moved: this program never leaves it so.
 TILT_RAD = math.radians(20.0)
-# A step over so many times what the speed allows is cut; more such in a row are a fault.
+# A step above this multiple of the speed limit is reduced; more in a row than this are a fault.
 OVERSIZE, STORM_CYCLES = 2.0, 10
 LEAST_LEAD_RAD_S = math.radians(5.0)
 END = encode_mxt_request(MxtRequest(MxtCommand.END))
@@ -177,7 +177,7 @@ NO_TIME, NO_FORCE = np.empty(0), np.empty((0, 3))
 
 
 class Phase(Enum):
-    """Where the stream is in its life."""
+    """Phase of the stream."""
 
     IDLE = "idle"
     OPENING = "opening"
@@ -188,7 +188,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class StreamInput:
-    """What came since the last step: datagrams, and wrench samples (n,), (n, 3) of force."""
+    """Input since the last step: datagrams, and wrench samples (n,), (n, 3) of force."""
 
     datagrams: tuple[bytes, ...] = ()
     t_s: FloatArray = field(default_factory=lambda: NO_TIME)
@@ -197,7 +197,7 @@ class StreamInput:
 
 @dataclass(frozen=True, slots=True)
 class StreamOutput:
-    """What goes out: one packet or none; where ``G`` was measured (3,); a fault that latches."""
+    """Output of a step: one packet or none, measured position of ``G`` (3,), latched fault."""
 
     packet: bytes | None = None
     pose_mm: FloatArray | None = None
@@ -205,13 +205,13 @@ class StreamOutput:
 
 
 class StreamCore:
-    """One stream at a time. Not thread-safe: its owner locks."""
+    """State machine of the stream; not thread-safe."""
 
     def __init__(self, settings: MelfaSettings, placing: MelfaPlacement) -> None:
         self._settings, self._placing = settings, placing
         self.phase = Phase.IDLE
         self.replies = ReplyFilter()
-        self.holds = 0  # how often the ladder has held the arm since the stream began
+        self.holds = 0  # number of holds since the start of the stream
         self.sent_rad = np.zeros(6)  # (6,) joints of the last command
         self.program: MotionProgram | JointProgram | None = None
         self._restart(0.0)
@@ -223,31 +223,30 @@ class StreamCore:
         self.missed = 0  # cycles in a row without an accepted reply
         self._begun_s = self._heard_s = now_s
         self._echo_mm = np.zeros(3)
-        self.measured_mm = np.zeros(3)  # (3,) place of ``G`` as last measured
-        self.command_mm = np.zeros(3)  # (3,) commanded place of ``G`` in the bench
+        self.measured_mm = np.zeros(3)  # (3,) last measured position of ``G``
+        self.command_mm = np.zeros(3)  # (3,) commanded position of ``G`` in the bench frame
         self.turn: FloatArray = IDENTITY_ROTATION  # (3, 3) commanded turn of the hand
-        self.measured_rad = np.zeros(6)  # (6,) joints as last measured
+        self.measured_rad = np.zeros(6)  # (6,) last measured joints
         self._echo_rad = np.zeros(6)
         self._rest()
         self._holding = False
         self._oversize = 0
 
     def _rest(self) -> None:
-        """Take note that the command stands still."""
+        """Handle a standing command."""
         self.velocity_mm_s, self._turning_rad_s = np.zeros(3), np.zeros(3)
         self._joints_rad_s = np.zeros(6)
 
-    # -- orders -----------------------------------------------------------------------------------
+    # -- commands ---------------------------------------------------------------------------------
 
     def begin(self, now_s: float) -> None:
-        """Ask for the stream; the program of the controller must be running."""
+        """Start the stream; the controller program must be running."""
         self._restart(now_s)
         self.phase = Phase.OPENING
 
     def run(self, program: MotionProgram | JointProgram) -> None:
-        """Take ``program`` in place of any other from the next cycle on.
-
-        One whose stream STOP has just ended ends with it: it must not wait for the next stream.
+        """Replace the active program from the next cycle on. After a STOP the program ends at once:
+        it must not wait for the next stream.
         """
         if self.phase in (Phase.IDLE, Phase.ENDING):
             program.motion.end(STOPPED)
@@ -257,7 +256,7 @@ class StreamCore:
         self.program = program
 
     def halt(self) -> None:
-        """Brake and stand still; the stream goes on."""
+        """Brake to standstill; the stream continues."""
         if self.program is not None:
             self.program.motion.end(STOPPED)
             self.program = self._braking(CommandedMotion({}))
@@ -270,17 +269,17 @@ class StreamCore:
         return RotationJogProgram(motion, (self.velocity_mm_s, self._turning_rad_s))
 
     def stop(self, fault: Fault = STOPPED) -> None:
-        """End the stream at once: nothing but end packets goes out from here."""
+        """End the stream at once: only end packets follow."""
         if self.program is not None:
             self.program.motion.end(fault)
             self.program = None
         if self.phase is not Phase.IDLE:
             self.phase, self._left = Phase.ENDING, END_PACKETS
 
-    # -- one cycle --------------------------------------------------------------------------------
+    # -- cycle ------------------------------------------------------------------------------------
 
     def step(self, now_s: float, inbox: StreamInput) -> StreamOutput:
-        """Take what came, return what goes out; never raises."""
+        """Process the input and return the output; never raises."""
         if self.phase in (Phase.IDLE, Phase.ENDING):
             return self._quiet()
         echo = self.replies.take(inbox.datagrams)
@@ -290,7 +289,7 @@ class StreamCore:
         if echo is None:
             self.missed += 1
         else:
-            # A reply that comes a cycle after the last one has not been silent at all.
+            # A reply one cycle after the last one is not a silence.
             silent_s -= CYCLE_S
             self.missed = 0
             self._hear(now_s, echo)
@@ -327,7 +326,7 @@ class StreamCore:
         turn = self._placing.turn(echo.command_rad)
         if not tilt_rad(turn) <= TILT_RAD:
             return self._fail(tilted_fault(math.degrees(tilt_rad(turn))))
-        # The first command is the position that the controller itself has replied.
+        # The first command is the position replied by the controller.
         self.sent_rad = echo.command_rad
         self.turn = (
             IDENTITY_ROTATION
@@ -396,7 +395,7 @@ class StreamCore:
     def _next_place(
         self, program: MotionProgram, felt: CycleInput
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return place, turn and joints of the next command of a program that moves the hand."""
+        """Return position, turn and joints of the next command of a hand program."""
         wanted_mm = program.next_mm(felt)
         most_mm = OVERSIZE * CYCLE_S * max(program.speed_mm_s, LEAST_LEAD_MM_S)
         well = bool(np.linalg.norm(wanted_mm - self.command_mm) <= most_mm)
@@ -408,7 +407,7 @@ class StreamCore:
             turn = self.turn
         joints = self._placing.joints(command_mm, self.sent_rad, turn)
         if turn is not self.turn and self._ahead_rad(joints) > self._lead_rad(program):
-            # It stands, turn and all, until the replies have caught up.
+            # Stand, including the turn, until the replies have caught up.
             program.still()
             return self.command_mm, self.turn, self.sent_rad
         return command_mm, turn, joints
@@ -416,7 +415,7 @@ class StreamCore:
     def _next_joints(
         self, program: JointProgram, felt: CycleInput
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return place, turn and joints of the next command of a program that drives joints."""
+        """Return position, turn and joints of the next command of a joint program."""
         joints = program.next_rad(felt)
         if self._ahead_rad(joints) > self._lead_rad(program):
             program.still()
@@ -427,7 +426,7 @@ class StreamCore:
         return float(np.abs(joints_rad - self._echo_rad).max())
 
     def _lead_rad(self, program: MotionProgram | JointProgram) -> float:
-        """Return how far a joint may run ahead: three cycles; a turn may swing joints faster."""
+        """Return the permitted lead of a joint: three cycles; turns move joints faster."""
         if isinstance(program, JointTravelProgram | JointJogProgram):
             return LEAD_CYCLES * CYCLE_S * max(program.speed_rad_s, LEAST_LEAD_RAD_S)
         return LEAD_CYCLES * float((STEPS_RAD * self._settings.mxt.step_fraction).max())
@@ -438,7 +437,7 @@ class StreamCore:
         far_mm = math.hypot(*ahead.tolist())
         if far_mm <= lead_mm:
             return wanted_mm
-        # Standing is always allowed: a limit that pulled back would be a motion of its own.
+        # Standing is always permitted: pulling back would be a motion.
         cut = self._echo_mm + ahead * (lead_mm / far_mm)
         here_mm = float(np.linalg.norm(self.command_mm - self._echo_mm))
         return self.command_mm if here_mm > lead_mm else np.asarray(cut)

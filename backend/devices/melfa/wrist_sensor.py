@@ -1,7 +1,7 @@
-"""Driver of the force sense of a MELFA controller by its real-time monitor.
+"""Driver of the force sensor of a MELFA controller through its real-time monitor.
 
-UDP, one packet per cycle. The number of its data type is in the controller's manual alone
-(BFP-A3379 3.4.6): a setting without default.
+UDP, one packet per cycle. The number of its data type is only in the controller's manual (BFP-A3379
+3.4.6): a setting without default.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ COUNTER_TURN = 1 << 32
 
 
 class MelfaWrenchDriver:
-    """Old and doubled packets are dropped by their counter; a gap counts as lost."""
+    """Old and repeated packets are dropped by their counter; a gap counts as lost."""
 
     baud = 0
     chunk = PACKET_BYTES
@@ -63,7 +63,7 @@ class MelfaWrenchDriver:
         return f"udp://{settings.melfa.host}:{settings.melfa.monitor.port}"
 
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
-        """End a stream that may still run, start one, and see that it carries the force."""
+        """End an old stream, start one, and wait for the force."""
         self.stop(link)
         pause(cancel, SETTLE_S)
         link.drain()
@@ -98,11 +98,11 @@ class MelfaWrenchDriver:
 
     @property
     def refusals(self) -> FrameErrors:
-        """Datagrams that were none."""
+        """Counts of invalid datagrams."""
         return FrameErrors(self._bad, self._bad_in_a_row, self._discarded)
 
     def stop(self, link: SensorLink) -> None:
-        """Three times: a datagram may be lost."""
+        """Stop the stream; sent three times, because a datagram may be lost."""
         for _ in range(3):
             link.write(realtime_protocol.encode_monitor_request(MonitorRequest(END)))
 
@@ -110,7 +110,7 @@ class MelfaWrenchDriver:
         return True if self._reply(data) is not None else None
 
     def _reply(self, data: bytes) -> MonitorReply | None:
-        """Return what one datagram says, if it carries the force and nothing else."""
+        """Return the reply of one datagram, if it contains only the force."""
         if not data:
             return None
         try:

@@ -50,7 +50,7 @@ class Sensor(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """Codes of ``SPEED_HZ`` and ``FILTER_HZ``; ``zero`` 0, or 255 to set the sensor's own zero."""
+    """Codes of ``SPEED_HZ`` and ``FILTER_HZ``; ``zero`` is 0, or 255 to tare the sensor."""
 
     speed: int
     filter: int
@@ -59,7 +59,7 @@ class Config:
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """Answer to a configuration; ``status`` 0 is good."""
+    """Answer to a configuration; ``status`` 0 is success."""
 
     status: int
 
@@ -89,16 +89,16 @@ class OptoforceFrame:
 
     @property
     def several(self) -> bool:
-        """Whether several sensors report."""
+        """True if several sensors report."""
         return bool(self.status >> 3 & 1)
 
     @property
     def sensor_number(self) -> int:
-        """Which sensor reports."""
+        """Number of the reporting sensor."""
         return self.status & 7
 
     def scaled(self, counts_at_capacity: Sequence[float], capacity: Sequence[float]) -> list[float]:
-        """Return N (N·m) per axis, by the data sheet of the very sensor."""
+        """Return N (N·m) per axis, by the sensor's data sheet."""
         triples = zip(self.counts, counts_at_capacity, capacity, strict=True)
         return [count / full * load for count, full, load in triples]
 
@@ -148,12 +148,12 @@ def decode(frame: bytes) -> OptoforceMessage:
 
 
 def incoming() -> FrameStream[OptoforceMessage]:
-    """Return the decoder of what the sensor sends."""
+    """Return the decoder of the sensor's messages."""
     return FrameStream(_take)
 
 
 def requests() -> FrameStream[Config]:
-    """Return the decoder of what the sensor is sent."""
+    """Return the decoder of configurations."""
     return FrameStream(_take_request)
 
 
@@ -164,7 +164,7 @@ def _summed(frame: bytes) -> bytes:
 
 
 def _length(data: bytes, at: int) -> int | None:
-    """Return how long the frame at ``at`` is; 0 if none starts there, None if not known yet."""
+    """Return the length of the frame at ``at``; 0 if none starts there, None if unknown yet."""
     head = data[at : at + 4]
     if head == _ACK:
         return 7

@@ -1,9 +1,9 @@
 """Driver of a Universal Robots arm: straight moves, jogging, compliant presses by servo cycles.
 
-One thread owns the control interface, which takes one caller at a time. STOP uses a connection of
-its own and waits neither for that thread nor for its lock; the script is sent again before the next
-motion. If this program dies, the controller's watchdog stops the arm. ``ServoCore`` is one cycle
-without wire or clock: measured pose in, next command out. The hand stays level.
+One thread owns the control interface, which allows one caller at a time. STOP uses a separate
+connection and waits neither for that thread nor for its lock; the script is sent again before the
+next motion. If this program dies, the controller's watchdog stops the arm. ``ServoCore`` is one
+cycle without wire or clock, from the measured pose to the next command. The hand stays level.
 """
 
 from __future__ import annotations
@@ -73,35 +73,37 @@ from touchdown.backend.devices.ur.rtde import (
 )
 
 M_PER_MM = 1e-3
-# How far the arm may stay behind: this long at its speed, and a little more.
+# Permitted lag of the arm: this time at its speed, plus a distance.
 LEAD_S, LEAD_MM = 0.25, 2.0
-STEP_MM = 1.5  # no command of one cycle is farther from the last; at 125 Hz that is 187 mm/s
+STEP_MM = 1.5  # largest step of one cycle; at 125 Hz that is 187 mm/s
 
 
 class UrPlacement:
-    """Between bench (mm) and base (m): origin and turn of the bench in the base of the arm."""
+    """Transform between bench (mm) and base (m): origin and turn of the bench in the arm's base."""
 
     def __init__(self, settings: UrSettings) -> None:
         self._origin_mm = np.array(settings.origin_mm)
         self._turn = rotation_from_vector(np.array([0.0, 0.0, math.radians(settings.yaw_deg)]))
 
     def pivot_mm(self, pose: FloatArray) -> FloatArray:
-        """Return ``G`` (3,) in the bench of a pose (6,) in the base."""
+        """Return ``G`` (3,) in the bench frame for a pose (6,) in the base."""
         return np.asarray(self._turn.T @ (pose[:3] / M_PER_MM - self._origin_mm))
 
     def pose(self, pivot_mm: FloatArray, rotation: FloatArray) -> list[float]:
-        """Return the pose (6,) in the base that has ``G`` there, hand turned by ``rotation``."""
+        """Return the pose (6,) in the base with ``G`` at this position and the hand turned by
+        ``rotation``.
+        """
         place = M_PER_MM * (self._origin_mm + self._turn @ pivot_mm)
         return [*place.tolist(), *rotation.tolist()]
 
 
 def lean_rad(rotation: FloatArray) -> float:
-    """Return by how much a hand with this rotation vector (3,) leans from straight down."""
+    """Return the angle between the hand with this rotation vector (3,) and straight down, rad."""
     return math.acos(max(-1.0, min(1.0, -float(rotation_from_vector(rotation)[2, 2]))))
 
 
 class ServoCore:
-    """Program under way and command; the owner calls ``step`` once a cycle."""
+    """Active program and command; the owner calls ``step`` once per cycle."""
 
     def __init__(self) -> None:
         self.program: MotionProgram | None = None
@@ -109,30 +111,30 @@ class ServoCore:
         self._velocity_mm_s = np.zeros(3)
 
     def begin(self, measured_mm: FloatArray) -> None:
-        """Stand where the arm is."""
+        """Start at the measured position."""
         self.program = None
         self.command_mm, self.measured_mm = measured_mm.copy(), measured_mm.copy()
         self._velocity_mm_s = np.zeros(3)
 
     @property
     def moving(self) -> bool:
-        """Whether a motion has begun and not ended."""
+        """True while a motion is active."""
         return self.program is not None and not self.program.motion.done
 
     def run(self, program: MotionProgram) -> None:
-        """Take the place of whatever goes on."""
+        """Replace the active program."""
         if self.program is not None:
             self.program.motion.end(REPLACED)
         self.program = program
 
     def halt(self) -> None:
-        """Brake from the present speed, and stand."""
+        """Brake from the present speed to standstill."""
         if self.program is not None:
             self.program.motion.end(STOPPED)
             self.program = JogProgram(CommandedMotion({}), self._velocity_mm_s)
 
     def end(self, fault: Fault) -> None:
-        """Stop at once; the command is where the arm is."""
+        """Stop at once; the command becomes the measured position."""
         if self.program is not None:
             self.program.motion.end(fault)
         self.begin(self.measured_mm)
@@ -140,9 +142,8 @@ class ServoCore:
     def step(
         self, now_s: float, cycle_s: float, measured_mm: FloatArray, samples: Samples
     ) -> FloatArray:
-        """Return the command (3,) of this cycle; raises ``FaultError`` for one that may not go out.
-
-        ``samples``: wrench since the last cycle, untared.
+        """Return the command (3,) of this cycle; raises ``FaultError`` if it is not permitted.
+        ``samples``: untared wrench since the last cycle.
         """
         self.measured_mm = measured_mm
         if self.program is None:
@@ -183,7 +184,7 @@ def _behind_fault(behind_mm: float) -> Fault:
 
 
 def link_fault(what: str) -> Fault:
-    """Return the fault of a connection that is not, or no longer, there."""
+    """Return the fault of a missing or lost connection."""
     return Fault(
         "UR-LINK",
         what,
@@ -194,7 +195,7 @@ def link_fault(what: str) -> Fault:
 
 
 def robot_fault(what: str, code: str = "UR-STOPPED") -> Fault:
-    """Return the fault that the robot itself tells of."""
+    """Return the fault that the robot reports."""
     return Fault(
         code,
         f"{what}.",
@@ -216,7 +217,7 @@ def leaning_fault(degrees: float) -> Fault:
 
 
 def words_of(robot: Interfaces | None, fault: Fault | None, *, moving: bool) -> ArmStatus:
-    """Return the status words; ``robot`` is None while there is no connection."""
+    """Return the status; ``robot`` is None without a connection."""
     if robot is None:
         return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
     mode = RobotMode.MOVING if moving else RobotMode.READY
@@ -234,7 +235,7 @@ NO_TURNS = "this arm does not turn its hand"
 
 
 class LevelHand:
-    """The part of an arm that turns nothing: all of it raises ``ValueError``."""
+    """Turn and joint methods of an arm that cannot turn: all raise ``ValueError``."""
 
     rotates = False
     joint_limits_rad: tuple[tuple[float, float], ...] = ()
@@ -265,14 +266,14 @@ SILENT_S = 0.1
 
 
 class RobotWatch:
-    """Of one connection from ``now_s`` on; ``late``: cycles without news."""
+    """Watchdog of one connection from ``now_s`` on; ``late``: cycles without new data."""
 
     def __init__(self, now_s: float) -> None:
         self._told_s, self._told_at_s = -math.inf, now_s
         self.late = 0
 
     def has_news(self, receive: Receive, now_s: float) -> bool:
-        """Return whether the robot's own clock has gone on since the last cycle."""
+        """Return True if the robot's clock has advanced since the last cycle."""
         told_s = receive.getTimestamp()
         if told_s == self._told_s:
             self.late += 1
@@ -281,7 +282,7 @@ class RobotWatch:
         return True
 
     def require_healthy(self, receive: Receive, now_s: float) -> None:
-        """Raise ``FaultError`` for silence, and for what the robot tells of itself."""
+        """Raise ``FaultError`` for silence and for faults of the robot."""
         if now_s - self._told_at_s > SILENT_S or not receive.isConnected():
             raise FaultError(link_fault("The robot tells nothing any more."))
         if receive.isEmergencyStopped():
@@ -293,12 +294,12 @@ class RobotWatch:
 BRAKE_M_S2 = 2.0
 SERVO_ON_S = 30.0
 LOOK_S = 0.05
-SETTLE_S = 1.0  # a stop that was asked for is answered within this, or nothing moves
+SETTLE_S = 1.0  # limit for the answer to a stop; without it nothing moves
 AXES = ("x_mm", "y_mm", "z_mm")
 
 
 class UrArm(LevelHand):
-    """``wrench``: the untared samples of the wrist sensor, in the axes of the bench."""
+    """Driver of the arm; ``wrench``: untared samples of the wrist sensor in bench axes."""
 
     name = ARM
 
@@ -313,7 +314,7 @@ class UrArm(LevelHand):
         self._settings, self._now_s, self._open = settings, now_s, open_with
         self._wrench, self._cursor = wrench, 0
         self._measured = PositionRecord(now_s, poses)
-        # Measured position of ``G``, mm in the bench, once per cycle.
+        # Measured position of ``G``, mm in the bench frame, once per cycle.
         self.poses = self._measured.poses
         self._placing, self._cycle_s = UrPlacement(settings), 1.0 / settings.rate_hz
         self._orders = StreamedOrders(
@@ -335,8 +336,8 @@ class UrArm(LevelHand):
         self._servoing = False
         self._watch = RobotWatch(-math.inf)
         self.steps = ConnectionSteps()
-        self.state = DeviceState.CLOSED  # where the connection is in its life
-        self.identity: Identity | None = None  # known once connected
+        self.state = DeviceState.CLOSED  # state of the connection
+        self.identity: Identity | None = None  # None before the first connection
         self.fault: Fault | None = None
 
     # -- connection -------------------------------------------------------------------------------
@@ -347,13 +348,13 @@ class UrArm(LevelHand):
         return self._measured.health(self._watch.late)
 
     def describe(self) -> Mapping[str, str | float]:
-        """Return model, commanded place, and cycles without news."""
+        """Return model, commanded position, and cycles without new data."""
         place = dict(zip(AXES, self._core.command_mm.tolist(), strict=True))
         model = self.identity.model if self.identity else "Universal Robots"
         return {"kind": model, **place, "late": self._watch.late}
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Connect, take the place of the arm, and begin the servo cycles; nothing moves."""
+        """Connect, read the position of the arm, and start the servo cycles; nothing moves."""
         if self.state is DeviceState.READY:
             return
         self.close()
@@ -369,14 +370,14 @@ class UrArm(LevelHand):
         self.state = DeviceState.READY
 
     def close(self) -> None:
-        """Brake, end the script; the gripper stays as it is."""
+        """Brake and end the script; the gripper does not move."""
         with self._lock:
             self._core.end(STOPPED)
         self._drop()
         self.state = DeviceState.CLOSED
 
     def servo(self, on: bool) -> None:
-        """Switch the motors over the dashboard; on takes seconds."""
+        """Switch the servo motors by the dashboard; on takes seconds."""
         robot = self._require_link()
         if not on:
             with self._lock:
@@ -435,7 +436,7 @@ class UrArm(LevelHand):
         self._thread.start()
 
     def _run(self, ends: threading.Event) -> None:
-        """Keep the rate; a cycle that comes late is not made up for."""
+        """Run cycles at the rate; late cycles are skipped."""
         due_s = self._now_s()
         while not ends.is_set():
             self.cycle(self._now_s())
@@ -456,10 +457,10 @@ class UrArm(LevelHand):
             robot.control.stopScript()
             robot.close()
 
-    # -- one cycle, on the thread that owns the control interface ---------------------------------
+    # -- cycle, on the thread that owns the control interface -------------------------------------
 
     def cycle(self, now_s: float) -> None:
-        """Measure, decide, command; a fault stops the arm and is latched."""
+        """Measure and command; a fault stops the arm and is latched."""
         if (robot := self._robot) is None:
             return
         with self._lock:
@@ -475,7 +476,7 @@ class UrArm(LevelHand):
 
     def _fail(self, robot: Interfaces, error: FaultError | RuntimeError) -> None:
         if self._stop_asked.is_set():
-            # The stop has overtaken this cycle: what the controller refused is what was stopped.
+            # A stop came during this cycle: it is the reason of the controller's refusal.
             self._take_stop(robot)
         elif isinstance(error, FaultError):
             self._latch(robot, error.fault)
@@ -483,14 +484,14 @@ class UrArm(LevelHand):
             self._latch(robot, link_fault(f"The robot does not answer: {error}."))
 
     def _take_stop(self, robot: Interfaces) -> None:
-        """Take note, with the lock held, that STOP has gone out."""
+        """Handle a sent STOP; the caller holds the lock."""
         self._stop_asked.clear()
         self._retreat_asked.clear()
         self._core.end(STOPPED)
         self._servoing, self._script_ended = False, True
 
     def _look(self, robot: Interfaces, now_s: float) -> None:
-        """Take what the robot tells; raise the fault that it tells of."""
+        """Read the state of the robot; raise its fault."""
         if self._watch.has_news(robot.receive, now_s):
             self._core.measured_mm = self._place_mm(robot)
             self._measured.put(now_s, self._core.measured_mm)
@@ -533,12 +534,12 @@ class UrArm(LevelHand):
         try:
             self._still(robot)
         except RuntimeError:
-            return  # nobody hears it: the watchdog of the controller stops the arm
+            return  # no connection: the watchdog of the controller stops the arm
 
     # -- state ------------------------------------------------------------------------------------
 
     def status(self) -> ArmStatus:
-        """Return the status words."""
+        """Return the status."""
         return words_of(self._robot, self.fault, moving=self._core.moving)
 
     def pose(self, max_age_s: float) -> Pose:
@@ -550,7 +551,9 @@ class UrArm(LevelHand):
     def move_to(
         self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S
     ) -> CommandedMotion:
-        """Move straight to ``target``; ValueError for a turn or a senseless number."""
+        """Move on a straight line to ``target``; raises ``ValueError`` for a turn or an invalid
+        number.
+        """
         goal = np.array([target.x_mm, target.y_mm, target.z_mm])
         if not (np.isfinite(goal).all() and 0.0 < speed_mm_s < math.inf):
             raise ValueError("target and speed must be finite, the speed positive")
@@ -569,7 +572,7 @@ class UrArm(LevelHand):
     def jog(
         self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL
     ) -> CommandedMotion:
-        """Follow a velocity for ``for_s``; a renewal goes on without a jerk."""
+        """Move at a velocity for ``for_s``; a renewal continues smoothly."""
         velocity = np.array(velocity_mm_s)
         if not (np.isfinite(velocity).all() and 0.0 < for_s < math.inf):
             raise ValueError("velocity and time must be finite, the time positive")
@@ -579,27 +582,26 @@ class UrArm(LevelHand):
             return self._orders.follow(self._core, velocity, self._now_s() + for_s)
 
     def press(self, command: PressCommand) -> ArmPress:
-        """Press compliantly from here straight down."""
+        """Press compliantly, straight down."""
         self._require_ready()
         before = air_before(self._wrench, self._now_s())
         with self._lock:
             return self._orders.press(self._core, command, before)
 
     def unload(self, force_n: float, speed_mm_s: float) -> CommandedMotion:
-        """Rise until the press force is ``force_n``."""
+        """Lift until the press force is ``force_n``."""
         self._require_ready()
         with self._lock:
             return self._orders.unload(self._core, force_n, speed_mm_s)
 
     def halt(self) -> None:
-        """Brake and stand still, ready for the next motion."""
+        """Brake to standstill, ready for the next motion."""
         with self._lock:
             self._core.halt()
 
     def retreat(self) -> None:
-        """Draw back from what the arm touches, from the next cycle on; what cannot move is stopped.
-
-        Waits for no lock: the thread of the cycles may hold it while the robot is slow to answer.
+        """Retreat from the contact from the next cycle on; an arm that cannot move is stopped.
+        Takes no lock: the thread of the cycles may hold it while the robot is slow to answer.
         """
         if self.state is not DeviceState.READY or self._script_ended or self._stop_asked.is_set():
             self.stop()
@@ -609,7 +611,7 @@ class UrArm(LevelHand):
             program.motion.end(STOPPED)
 
     def stop(self) -> None:
-        """Stop on a connection of its own; in every state, from any thread, waiting for nothing."""
+        """Stop on a separate connection; in every state, from any thread, without waiting."""
         self._stops += 1
         self._stop_asked.set()
         if (lane := self._lane) is not None:
@@ -629,7 +631,7 @@ class UrArm(LevelHand):
         if self._lane is not None and not self._lane.settle(SETTLE_S):
             raise FaultError(link_fault("The robot does not answer to STOP."))
         with self._lock:
-            if self._stops != stops:  # it came after the order: it is not to be forgotten
+            if self._stops != stops:  # a stop came after the command
                 raise FaultError(STOPPED)
             if self._stop_asked.is_set():
                 self._take_stop(robot)

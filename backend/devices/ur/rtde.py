@@ -1,6 +1,6 @@
 """Connections to a Universal Robots arm through ``ur_rtde``: control, stop, wrist wrench.
 
-Units: metres, rotation vectors in rad, seconds. STOP has a connection of its own and waits for no
+Units: metres, rotation vectors in rad, seconds. STOP has a separate connection and waits for no
 other. The wrist sensor has one as well; its samples are numbered by the robot's time stamps.
 Source: API reference of ur_rtde 1.6 (sdurobotics.gitlab.io/ur_rtde).
 """
@@ -31,17 +31,19 @@ from touchdown.backend.devices.protocols import ARM, Identity
 
 
 class Stopper(Protocol):
-    """``dashboard_client.DashboardClient``, of which this lane alone makes use."""
+    """``dashboard_client.DashboardClient``, as used by ``StopConnection``."""
 
     def stop(self) -> None:
-        """End the script on the controller, which brakes the arm; ``RuntimeError`` if none runs."""
+        """End the script on the controller, which brakes the arm; raises ``RuntimeError`` if
+        none runs.
+        """
 
     def disconnect(self) -> None:
         """Close."""
 
 
 class StopConnection:
-    """One thread that owns one connection to the dashboard."""
+    """Thread with a connection to the dashboard."""
 
     def __init__(self, stopper: Stopper) -> None:
         self._stopper = stopper
@@ -51,16 +53,16 @@ class StopConnection:
         threading.Thread(target=self._run, name="ur-stop", daemon=True).start()
 
     def press(self) -> None:
-        """Ask for a stop; returns at once."""
+        """Request a stop; returns at once."""
         self._settled.clear()
         self._asked.set()
 
     def settle(self, limit_s: float) -> bool:
-        """Wait until every stop that was asked for has been answered; return whether it has."""
+        """Wait until every requested stop is answered; return False after the time limit."""
         return self._settled.wait(limit_s)
 
     def close(self) -> None:
-        """End the thread and its connection; waits for nothing."""
+        """End the thread and its connection; does not wait."""
         self._ends = True
         self._asked.set()
 
@@ -70,7 +72,7 @@ class StopConnection:
             self._asked.clear()
             if self._ends and self._settled.is_set():
                 break
-            # No script to end is no failure: the arm stands.
+            # Without a script there is nothing to stop: the arm stands.
             with contextlib.suppress(RuntimeError):
                 self._stopper.stop()
             if not self._asked.is_set():
@@ -97,28 +99,28 @@ class Control(Protocol):
         gain: float,
         /,
     ) -> bool:
-        """Go to a pose in base axes within ``time``, smoothly; for one cycle."""
+        """Move to a pose in base axes within ``time``; command of one cycle."""
 
     def servoStop(self, a: float = 10.0) -> bool:  # noqa: N802
         """Brake with ``a`` m/s² and leave servo mode."""
 
     def setTcp(self, offset: Sequence[float], /) -> bool:  # noqa: N802
-        """Set the tool: from the flange to the point that poses are told of."""
+        """Set the tool: transform from the flange to the point of all poses."""
 
     def isPoseWithinSafetyLimits(self, pose: Sequence[float], /) -> bool:  # noqa: N802
-        """Whether a pose can be reached within the robot's own safety planes."""
+        """Return True if a pose is within the robot's own safety planes."""
 
     def isProgramRunning(self) -> bool:  # noqa: N802
-        """Whether the script that obeys this interface runs on the controller."""
+        """Return True while the script of this interface runs on the controller."""
 
     def reuploadScript(self) -> bool:  # noqa: N802
-        """Start that script again."""
+        """Restart the script."""
 
     def setWatchdog(self, min_frequency: float = 10.0) -> bool:  # noqa: N802
-        """Let the controller stop by itself if it hears less often than this, Hz."""
+        """Make the controller stop if ``kickWatchdog`` is called less often than this, Hz."""
 
     def kickWatchdog(self) -> bool:  # noqa: N802
-        """Let it hear."""
+        """Reset the watchdog."""
 
     def stopScript(self) -> None:  # noqa: N802
         """End the script on the controller."""
@@ -143,7 +145,7 @@ class Receive(Protocol):
         """1 normal, 2 reduced; others are stops."""
 
     def isEmergencyStopped(self) -> bool:  # noqa: N802
-        """Whether an emergency stop is pressed."""
+        """Return True while an emergency stop is pressed."""
 
     def getSpeedScaling(self) -> float:  # noqa: N802
         """Share of every commanded speed, by the slider of the teach pendant."""
@@ -198,7 +200,7 @@ class Interfaces:
             interface.disconnect()
 
 
-# (host, cycles per second) -> its connections; raises ``RuntimeError`` as the package does.
+# (host, cycles per second) -> connections; raises ``RuntimeError`` like the package.
 OpenRobot = Callable[[str, float], Interfaces]
 
 
@@ -218,7 +220,7 @@ def open_robot(host: str, rate_hz: float) -> Interfaces:
 
 
 def identity_of(dashboard: Dashboard, host: str) -> Identity:
-    """Return who the robot says it is; ``host`` stands for a number that it does not tell."""
+    """Return the identity of the robot; ``host`` replaces a missing serial number."""
     number = dashboard.getSerialNumber() or host
     return Identity(
         "Universal Robots", dashboard.getRobotModel(), number, dashboard.polyscopeVersion()
@@ -236,15 +238,15 @@ MISSING = Fault(
 
 SCHEME = "rtde://"
 SAMPLE = struct.Struct("<7d")  # time of the robot, s; forces, N; torques, N·m
-POLLS_PER_PERIOD = 4  # the connection is looked at so often within one period of the robot
+POLLS_PER_PERIOD = 4  # polls of the connection per period of the robot
 START_S = 1.0
 
 
 class WrenchSource(Protocol):
-    """What of ``rtde_receive.RTDEReceiveInterface`` this sensor needs."""
+    """``rtde_receive.RTDEReceiveInterface``, as used by this sensor."""
 
     def getFtRawWrench(self) -> Sequence[float]:  # noqa: N802
-        """Return forces in N and torques in N·m, flange axes, with all that hangs on it."""
+        """Return forces in N and torques in N·m, flange axes, including the payload."""
 
     def getTimestamp(self) -> float:  # noqa: N802
         """Return the time since the controller was started, s."""
@@ -257,14 +259,16 @@ class WrenchSource(Protocol):
 
 
 class RtdeLink:
-    """Hands out each new sample once, as ``SAMPLE``; ``OSError`` as any other link."""
+    """Link that returns each new sample once, as ``SAMPLE``; raises ``OSError`` like other
+    links.
+    """
 
     def __init__(self, source: WrenchSource, period_s: float) -> None:
         self._source, self._look_s = source, period_s / POLLS_PER_PERIOD
         self._told_s, self._never = -math.inf, threading.Event()
 
     def read(self, limit_s: float) -> bytes:
-        """Return the sample that the robot told last, nothing if that is no new one."""
+        """Return the newest sample, empty if it is not new."""
         end_s = time.monotonic() + limit_s
         while not (data := self._new()) and time.monotonic() < end_s:
             self._never.wait(self._look_s)
@@ -283,10 +287,10 @@ class RtdeLink:
             raise ConnectionAbortedError(f"the robot tells no wrench ({error})") from error
 
     def write(self, data: bytes) -> None:
-        """Nothing: the robot is not asked."""
+        """Do nothing: the robot needs no request."""
 
     def drain(self) -> None:
-        """Nothing waits: only the newest is ever handed out."""
+        """Do nothing: only the newest sample is returned."""
 
     def close(self) -> None:
         """Close."""
@@ -294,7 +298,7 @@ class RtdeLink:
 
 
 def open_source(host: str, rate_hz: float) -> WrenchSource:
-    """Connect through ``ur_rtde``; ``OSError`` without the package, ``RuntimeError`` as it does."""
+    """Connect through ``ur_rtde``; raises ``OSError`` without the package, or ``RuntimeError``."""
     try:
         receive = importlib.import_module("rtde_receive").RTDEReceiveInterface
     except ImportError as error:
@@ -313,7 +317,7 @@ def open_rtde(settings: HardwareSettings, address: str) -> SensorLink:
 
 
 class UrWrenchDriver:
-    """A gap in the stamps of the robot counts as lost samples."""
+    """A gap in the robot's time stamps counts as lost samples."""
 
     baud = 0
     chunk = SAMPLE.size
@@ -343,7 +347,7 @@ class UrWrenchDriver:
         return SensorDescription(identity, self._rated, self._period_s, numbered=True)
 
     def take(self, data: bytes) -> list[WrenchReading]:
-        """Return the sample; one with a number that is none is refused."""
+        """Return the sample; rejected if a number is not finite."""
         if not data:
             return []
         told_s, *values = SAMPLE.unpack(data)
@@ -360,8 +364,8 @@ class UrWrenchDriver:
 
     @property
     def refusals(self) -> FrameErrors:
-        """Samples that were none."""
+        """Counts of invalid samples."""
         return FrameErrors(self._bad, self._bad_in_a_row, self._bad * SAMPLE.size)
 
     def stop(self, link: SensorLink) -> None:
-        """Nothing: the robot tells it in any case."""
+        """Do nothing: the robot always sends."""

@@ -1,0 +1,163 @@
+"""Command line: ``touchdown <verb>``.
+
+Exit codes: 0 done, 1 the run failed or the piece fell, 2 bad input, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+from collections.abc import Sequence
+from typing import NoReturn, Protocol, cast
+
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core import FaultError, InputError, RefusedError, TouchdownError
+
+# Help line of each verb. Its module is imported on use.
+VERBS = {
+    "app": "open the window",
+    "stack": "place a piece by touch on the simulated bench or on a lab's devices",
+    "demo": "stack three pieces without a screen and leave a report",
+    "calibrate": "measure payload, board, tool, wrist and cameras, or show how they stand",
+    "collect": "collect labelled probes into a dataset",
+    "dataset": "show, check, back up, rebuild and merge datasets",
+    "export": "hand episodes and labels on in a format that others read",
+    "import": "bring episodes or labels in from a format that others write",
+    "replay": "play a recorded run again",
+    "simulate": "write labelled episodes of the simulated bench",
+    "train": "train a contact-patch model",
+    "models": "simulate, train and measure the models that ship",
+    "evaluate": "measure a contact-patch model",
+    "experiment": "measure the paper's three tables on the simulated bench",
+    "track": "track the gel's markers in an image, video or folder",
+    "bench": "check a lab file, write a new one, or connect its devices once",
+    "emulate": "emulate a device over its real wire: arm, gripper, wrist sensor, camera",
+    "settings": "show the settings of the method, or write them to a file",
+    "doctor": "check this computer, each finding with its fix",
+}
+
+# Verbs whose module has another name.
+_MODULES = {
+    "import": "import_",
+    "doctor": "doctor.command",
+    "experiment": "experiment.command",
+}
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class Verb(Protocol):
+    """Interface of the module of a verb."""
+
+    NAME: str
+    HELP: str
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the verb's arguments."""
+
+    def run(self, args: argparse.Namespace, screen: VerbOutput) -> int:
+        """Run the verb; return the exit code."""
+
+
+class Parser(argparse.ArgumentParser):
+    """Argument parser that reports bad input as ``InputError``."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise ``InputError`` instead of printing the usage and exiting."""
+        raise InputError(
+            f"{message[:1].upper()}{message[1:]}.", self.prog, f"See '{self.prog} --help'."
+        )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb; ``argv`` without the name of the program (default: ``sys.argv``)."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _dispatch(words)
+    except InputError as error:
+        _complain(words, error.what, error.where, error.fix)
+        return BAD_INPUT
+    except FaultError as error:
+        fault = error.fault
+        _complain(words, f"{fault.what} {fault.consequence}", fault.code, fault.next_step)
+        return FAILED
+    except RefusedError as error:
+        fix = error.next_step or "Put that right, then run the command again."
+        _complain(words, error.what, error.reason, fix)
+        return FAILED
+    except TouchdownError as error:
+        _complain(words, str(error), type(error).__name__, "")
+        return FAILED
+    except KeyboardInterrupt:
+        sys.stderr.write("Interrupted.\n")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader of the pipe (head, less) has closed it.
+        sys.stderr.close()
+        return DONE
+
+
+def _dispatch(words: list[str]) -> int:
+    front = _front()
+    if not words or words[0].startswith("-"):
+        front.parse_args(words)
+        front.print_help()
+        return BAD_INPUT
+    name, rest = words[0], words[1:]
+    if name not in VERBS:
+        known = ", ".join(VERBS)
+        raise InputError(f"There is no verb '{name}'.", "touchdown", f"Use one of: {known}.")
+    verb = cast("Verb", importlib.import_module(module_of(name)))
+    parser = Parser(prog=f"touchdown {name}", description=VERBS[name], allow_abbrev=False)
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object and nothing else"
+    )
+    verb.add_arguments(parser)
+    args, unknown = parser.parse_known_args(rest)
+    if hasattr(args, "handed_on"):
+        args.handed_on = unknown
+    elif unknown:
+        parser.error(f"unknown argument: {' '.join(unknown)}")
+    return verb.run(args, VerbOutput(json=args.json))
+
+
+def module_of(verb: str) -> str:
+    """Return the module of a verb."""
+    name = _MODULES.get(verb, verb)
+    return f"touchdown.backend.cli.{name}"
+
+
+def _front() -> Parser:
+    width = max(map(len, VERBS)) + 2
+    lines = "\n".join(f"  {name:<{width}}{text}" for name, text in VERBS.items())
+    front = Parser(
+        prog="touchdown",
+        usage="touchdown [-h] [--version] <verb> [arguments]",
+        description="Feel how a grasped piece rests before letting it go.",
+        epilog=f"verbs:\n{lines}\n\n'touchdown <verb> --help' tells more.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    front.add_argument("--version", action="version", version=f"touchdown {_version()}")
+    return front
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("touchdown")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+def _complain(words: list[str], what: str, where: str, fix: str) -> None:
+    if "--json" in words:
+        body = {"error": {"what": what, "where": where, "fix": fix}}
+        sys.stderr.write(json.dumps(body) + "\n")
+        return
+    sys.stderr.write(f"touchdown: {what}\n  where: {where}\n")
+    if fix:
+        sys.stderr.write(f"  fix:   {fix}\n")

@@ -15,10 +15,10 @@ HELP = "open the window"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     window = _window().parser()
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    # The window reads its own arguments; its list of them ends this help.
+    # The window parses its own arguments; their list is appended to the help.
     parser.epilog = "the window's own arguments:\n\n" + window.format_help()
     parser.set_defaults(handed_on=[])
 
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def open_window(arguments: list[str]) -> int:
-    """Hand over to the window; returns its exit code, ``InputError`` if Qt is not installed."""
+    """Start the window; return its exit code. Raises ``InputError`` if Qt is not installed."""
     if find_spec("PySide6") is None:
         raise InputError(
             "The window needs Qt, which is not installed.",
@@ -41,7 +41,7 @@ def open_window(arguments: list[str]) -> int:
 
 
 def _refuse_bad_words(arguments: list[str]) -> None:
-    """Raise ``InputError``, as every verb does, before the window's parser leaves the program."""
+    """Raise ``InputError`` for arguments that the window's parser refuses."""
     parser = _window().parser()
     parser.exit_on_error = False
     try:
@@ -59,5 +59,5 @@ def _refuse_bad_words(arguments: list[str]) -> None:
 
 
 def _window() -> ModuleType:
-    # The backend knows nothing of the window (import contract): this one door opens by name.
+    # By name, because the import contract forbids an import of the window.
     return importlib.import_module("touchdown.app.__main__")

@@ -29,15 +29,14 @@ if TYPE_CHECKING:
 NAME = "bench"
 HELP = "check a lab file, write a new one, or connect its devices once"
 JSON_VERSION = 1
-WATCHED_S = 3.0
-"""How long the sensors are watched for the report on their time."""
+WATCHED_S = 3.0  # duration of the timing report of the sensors
 TEMPLATE = "lab.toml"
+# keys of a new file without a usable default
 FILLED_IN = ("ft.address", "gelsight.left.serial", "gelsight.right.serial")
-"""What a new file has no usable value for."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     parser.add_argument("file", type=Path, help="lab file (TOML)")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--new", action="store_true", help="write a new one to fill in")
@@ -49,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Check, write or connect; 1 if a device does not answer."""
+    """Check, write or connect; return 1 if a device does not answer."""
     if args.new:
         _write_template(args.file)
         screen.say(f"Fill in {args.file}, then: touchdown bench {args.file}")
@@ -58,7 +57,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     lab = load_lab(args.file)
     if args.connect:
         return _connect(args.file, screen)
-    # Imported here: a new file is written without it.
+    # Imported here: not needed to write a new file.
     from touchdown.backend.devices import refuse_unknown_drivers
 
     refuse_unknown_drivers(lab.settings, str(args.file))
@@ -107,7 +106,7 @@ def _devices(settings: LabSettings) -> dict[str, str]:
 
 
 def placeholders(settings: LabSettings) -> list[str]:
-    """Return the keys whose made-up default still stands, and those that were never filled in."""
+    """Return the keys with a default placeholder, and those that are still empty."""
     usual = LabSettings(version=1, name="usual", kind="hardware")
     made_up = [key for key in PLACEHOLDERS if _at(settings, key) == _at(usual, key)]
     return [*(key for key in FILLED_IN if _is_blank(_at(settings, key))), *made_up]
@@ -167,7 +166,7 @@ def _connect(file: Path, screen: VerbOutput) -> int:
 
 
 def _watched(session: Session) -> list[SensorTiming]:
-    """Return how the sensors go together in time while everything stands."""
+    """Return the timing of the sensors relative to each other while the bench stands still."""
     from touchdown.backend.rig import measure_timing
 
     raw = session.raw
@@ -201,7 +200,7 @@ def _frames_s(frames: Stream[TactileFrame], t_s: float) -> FloatArray:
 def _timing_table(timings: Sequence[SensorTiming]) -> Table:
     table = Table(title=f"Time, {WATCHED_S:.0f} s at rest, all on this computer's clock")
     table.add_column("sensor", min_width=len("tactile_right"))
-    # Short words: a terminal of 80 columns would cut the last figure, which is then another one.
+    # Short texts: a terminal with 80 columns would cut the last number.
     for column in ("samples", "Hz", "interval\n\N{PLUS-MINUS SIGN}ms, 99 %", "longest\nms",
                    "age\nms", "age ms,\n99 %"):  # fmt: skip
         table.add_column(column, justify="right", no_wrap=True)
@@ -212,7 +211,7 @@ def _timing_table(timings: Sequence[SensorTiming]) -> Table:
 
 
 def _as_number(value: str | float) -> str | float | None:
-    """Return ``value`` as JSON has it: None for NaN."""
+    """Return ``value`` for JSON: None for NaN."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

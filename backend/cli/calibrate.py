@@ -61,7 +61,7 @@ TITLES: dict[str, str] = {kind.what: kind.title for kind in CALIBRATION_KINDS.va
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments of this verb."""
+    """Add the arguments."""
     parser.add_argument(
         "what", choices=(*CALIBRATION_NAMES, "status"), help="what to measure, or 'status'"
     )
@@ -93,9 +93,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Measure; 0 if the result is acceptable (and kept, with --accept), else 1.
+    """Measure; return 0 if the result is acceptable (and stored, with --accept), else 1.
 
-    Status: 0 if all calibrations hold.
+    Status: return 0 if all calibrations are valid.
     """
     if not args.pitch > 0:
         raise InputError("The pitch must be positive.", "--pitch", "Give it in mm, such as 1.9.")
@@ -124,7 +124,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 class _CalibrationProgress:
-    """What the run told so far, and the bar that follows it."""
+    """Events of the run so far, and its progress bar."""
 
     def __init__(self, screen: VerbOutput, bars: ExitStack, session: Session) -> None:
         self._screen, self._bars, self._session = screen, bars, session
@@ -134,7 +134,7 @@ class _CalibrationProgress:
         self.faults: list[str] = []
 
     def take(self, fact: Event) -> None:
-        """Take one fact."""
+        """Handle one event."""
         if isinstance(fact, Progress):
             if self._advance is None:
                 bar = self._screen.progress("Calibrating", fact.total)
@@ -271,10 +271,10 @@ def _store_of(args: argparse.Namespace) -> CalibrationStore:
 
 
 def _where_words(args: argparse.Namespace, *, at_lab: bool) -> str:
-    """Return the arguments that a command over the same bench needs, as a shell takes them.
+    """Return the arguments that a command for the same bench needs, quoted for a shell.
 
-    On a lab's bench the gripper has to be homed whenever it was switched on: the jaws are empty
-    at the start of every calibration, so ``--home`` is always right there.
+    On a real bench the gripper must be homed after power-on. The gripper is empty at the start of
+    every calibration, so ``--home`` is always safe.
     """
     words = ["--bench", args.bench] if args.bench is not None else []
     words += ["--home"] if at_lab else []
@@ -293,7 +293,7 @@ def _where_words(args: argparse.Namespace, *, at_lab: bool) -> str:
 
 @contextmanager
 def _session(args: argparse.Namespace, screen: VerbOutput) -> Iterator[Session]:
-    """Open a session on the bench that was asked for; closed in the end."""
+    """Open a session on the selected bench; close it at the end."""
     from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
     from touchdown.backend.runs import RecordingOptions
 
@@ -301,7 +301,7 @@ def _session(args: argparse.Namespace, screen: VerbOutput) -> Iterator[Session]:
     if args.bench is not None and is_lab_file(Path(args.bench)):
         from touchdown.backend.bench import LabChoice
 
-        # Gels that were changed on purpose must be connected to be calibrated.
+        # A new gel must be connected to be calibrated.
         choice = LabChoice(Path(args.bench), any_gels=args.what == "camera")
         home, override = args.home, args.override
         with open_lab_bench(choice, keep, None, screen, home=home, override=override) as session:

@@ -55,12 +55,11 @@ NAME = "collect"
 HELP = "collect labelled probes into a dataset"
 JSON_VERSION = 1
 BOTTOM = "circle15"
-LISTED = 12
-"""So many findings are printed; ``--json`` has all of them."""
+LISTED = 12  # printed findings; ``--json`` contains all
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments of this verb."""
+    """Add the arguments."""
     add_scene_arguments(parser, BOTTOM, "bottom piece")
     parser.add_argument("--count", type=int, default=20, help="probes to collect (default: 20)")
     parser.add_argument("--pattern", choices=("random", "grid", "adaptive"), default="random")
@@ -104,7 +103,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Collect; 0 if every probe of the plan is there or was left out on purpose, else 1."""
+    """Collect; return 0 if every probe of the plan was recorded or skipped on purpose, else 1."""
     # Imported here so that `touchdown --help` starts without SQLite and scipy.
     from touchdown.backend.annotations import Dataset
 
@@ -117,7 +116,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if not lab:
         refuse_lab_arguments(args)
     fill_in_scene(args, BOTTOM)
-    # No jig is taught on a lab's bench: the operator hands the piece over.
+    # A real bench has no jig: the operator hands the piece over.
     args.hand_over |= lab
     if args.hand_over and screen.json:
         raise InputError(
@@ -130,7 +129,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             screen.say(notice)
         with _session(args, screen, lab=lab) as session:
             session.dataset = dataset
-            # The bar begins with the campaign: bad words are refused before anything is said.
+            # The bar starts with the campaign, after the arguments are checked.
             with ExitStack() as bars, ctrl_c_cancels(session.engine.cancel):
                 told = _CollectionProgress(screen, bars, session)
                 session.events.subscribe(told.take)
@@ -139,7 +138,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 class _CollectionProgress:
-    """What the run told so far, and the bar that follows it."""
+    """Events of the run so far, and its progress bar."""
 
     def __init__(self, screen: VerbOutput, bars: ExitStack, session: Session) -> None:
         self._screen, self._bars, self._confirm = screen, bars, session.answer
@@ -151,7 +150,7 @@ class _CollectionProgress:
         self.faults: list[str] = []
 
     def take(self, fact: Event) -> None:
-        """Take one fact."""
+        """Handle one event."""
         if isinstance(fact, CampaignBegan):
             self._begin(fact)
         elif isinstance(fact, ProbeCollected):
@@ -175,7 +174,7 @@ class _CollectionProgress:
             self.ended = fact
 
     def _asked(self, fact: HandOverAwaited | MountingAwaited) -> None:
-        """Ask on standard input; its end is a no: nobody is there to hold or to fit anything."""
+        """Ask on standard input; end of file means no."""
         if isinstance(fact, MountingAwaited):
             self._screen.say(
                 f"  {mounting_question(fact)} Type y if so; Enter alone: it is as it was."
@@ -186,7 +185,7 @@ class _CollectionProgress:
             self._confirm(sys.stdin.readline() != "")
 
     def _begin(self, fact: CampaignBegan) -> None:
-        """Begin the bar with the first mounting; it goes on with the others."""
+        """Start the progress bar with the first mounting."""
         self.began = fact
         if self.advance is None:
             bar = self._screen.progress("Collecting", fact.total)
@@ -194,7 +193,7 @@ class _CollectionProgress:
         self._move(fact.done, fact.total, "")
 
     def _paused(self, fault: Fault) -> None:
-        """Wait for the operator; where nobody can answer the campaign ends, to be resumed later."""
+        """Wait for the operator; without one the campaign ends and can be resumed."""
         if wait_for_disk_space(fault, self._screen, "campaign"):
             self._engine.resume()
         else:
@@ -306,7 +305,7 @@ def _report(
 
 
 def coverage_text(seen: Coverage) -> str:
-    """Return counts per bin as lines of text, y up; a point is a hole, a blank cannot be probed."""
+    """Return the counts per bin as text, y up; a dot is an empty bin."""
     possible = int(seen.possible.sum())
     lines = [f"Covered {possible - seen.holes} of {possible} bins of {seen.bin_mm:g} mm:"]
     for row in range(len(seen.counts) - 1, -1, -1):

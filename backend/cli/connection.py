@@ -1,6 +1,4 @@
-"""Connection of a verb to a lab's devices: arguments, progress of each device, and the operator's
-answers.
-"""
+"""Connection of a verb to real devices: arguments, progress of each device, operator prompts."""
 
 from __future__ import annotations
 
@@ -41,14 +39,12 @@ if TYPE_CHECKING:
 
 
 POLL_S = 0.05
-PIECE = "pot"
-"""Held on a bench whose file names none."""
-START_OVERRIDE = 10
-"""Percent of every speed in air, unless --override says otherwise."""
+PIECE = "pot"  # default for a lab file without a piece
+START_OVERRIDE = 10  # default of --override: percent of every speed in air
 
 
 def add_lab_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what only a lab's devices need."""
+    """Add the arguments for real devices."""
     parser.add_argument(
         "--home", action="store_true", help="with a lab file: home the empty gripper first"
     )
@@ -62,14 +58,14 @@ def add_lab_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser, bottom: str, of_bottom: str) -> None:
-    """Declare what stands on the bench; ``name_scene`` fills in what was left out."""
+    """Add the arguments of the scene; ``fill_in_scene`` sets the defaults."""
     at_lab = "with a lab file what it names"
     parser.add_argument("--piece", help=f"grasped piece (default: {PIECE}; {at_lab})")
     parser.add_argument("--bottom", help=f"{of_bottom} (default: {bottom}; {at_lab})")
 
 
 def fill_in_scene(args: argparse.Namespace, bottom: str) -> None:
-    """Fill in piece and bottom where they were left out: a lab file says what stands there.
+    """Set missing piece and bottom from the lab file.
 
     Raises ``InputError`` for a lab file that cannot be read.
     """
@@ -82,14 +78,14 @@ def fill_in_scene(args: argparse.Namespace, bottom: str) -> None:
 
 
 def refuse_lab_arguments(args: argparse.Namespace) -> None:
-    """Raise ``InputError`` where they are given without a lab file."""
+    """Raise ``InputError`` for arguments that need a lab file."""
     for flag, given in (("--home", args.home), ("--override", args.override)):
         if given:
             raise InputError("Only devices need that.", flag, "Name a lab file with --bench.")
 
 
 def refuse_simulated_arguments(args: argparse.Namespace) -> None:
-    """Raise ``InputError`` where they are given with a lab file."""
+    """Raise ``InputError`` for arguments of the simulation given with a lab file."""
     for name in ("preset", "inject", "emulated"):
         if getattr(args, name, None):
             raise InputError("That is of the simulated bench.", f"--{name}", "Leave it out here.")
@@ -98,7 +94,7 @@ def refuse_simulated_arguments(args: argparse.Namespace) -> None:
 def lab_choice(args: argparse.Namespace) -> LabChoice:
     """Return the lab of ``--bench``, for a campaign.
 
-    Raises ``InputError`` for what only simulations have.
+    Raises ``InputError`` for arguments of the simulation.
     """
     from touchdown.backend.bench import LabChoice
 
@@ -117,16 +113,16 @@ def open_lab_bench(
     home: bool,
     override: int | None = None,
 ) -> Iterator[Session]:
-    """Open a session on the devices of a lab file and connect all; closed in the end.
+    """Open a session on the devices of a lab file and connect all; close it at the end.
 
-    Raises what ``lab_session`` does, and ``FaultError`` naming the first device that failed.
+    Raises the errors of ``lab_session``, and ``FaultError`` for the first device that failed.
     """
     from touchdown.backend.bench import lab_session
     from touchdown.backend.learning import ModelRegistry
 
     registry = ModelRegistry(models_folder())
     with ExitStack() as rest:
-        # Before there are threads: all of them inherit it.
+        # Before the first thread, so that all threads inherit it.
         rest.enter_context(raised_priority())
         session = lab_session(choice, keep=keep, method=method, registry=registry)
         rest.callback(session.close)
@@ -146,7 +142,7 @@ def open_lab_bench(
 def report_devices(
     connection: BenchConnection, say: Callable[[str], None], names: Container[str] | None = None
 ) -> None:
-    """Say each device (of ``names``) as it becomes ready or fails, until the work is done."""
+    """Print each device (of ``names``) as it becomes ready or fails, until the task is done."""
     said: dict[str, str] = {}
     working = True
     while working:
@@ -161,7 +157,7 @@ def report_devices(
 
 
 def line_text(line: DeviceStatus) -> str:
-    """Return one line of a device for people."""
+    """Return the line of a device for people."""
     from touchdown.backend.devices import CONNECTION_STEPS
 
     if line.fault is not None:
@@ -175,7 +171,7 @@ def line_text(line: DeviceStatus) -> str:
 
 
 def ask_yes_no_in_thread(answer: Callable[[bool], None]) -> None:
-    """Answer by a line of standard input, while the bench goes on; its end is a no."""
+    """Answer by a line of standard input without blocking the bench; end of file means no."""
 
     def read() -> None:
         line = sys.stdin.readline()
@@ -194,7 +190,7 @@ OUTCOME_HELP = "s: stands, f: fell, d: disturbed, v and why: void. Enter: as pro
 
 
 def answer_prompt(fact: Event, session: Session, screen: VerbOutput) -> None:
-    """Ask what ``fact`` wants to know; the bench goes on meanwhile, and STOP stays possible."""
+    """Print the question of an event and answer it; bench and STOP stay responsive."""
     if isinstance(fact, SetUpAwaited):
         screen.say(f"  {scene_to_set_message(fact)} Enter: it is set. Ctrl-D: not today.")
         _read_line_in_thread(lambda line: session.answer(line != ""))
@@ -204,7 +200,7 @@ def answer_prompt(fact: Event, session: Session, screen: VerbOutput) -> None:
     elif isinstance(fact, OutcomeAwaited):
         screen.say(f"  {outcome_question(fact)} {OUTCOME_HELP}")
         _read_line_in_thread(lambda line: _judge(line, fact, session, screen))
-    # Devices cannot be left alone until somebody answers: there the run ends.
+    # Real devices are not left unattended: the run ends.
     elif isinstance(fact, Paused) and wait_for_disk_space(
         fact.fault, screen, "run", waits=session.simulated
     ):
@@ -212,7 +208,7 @@ def answer_prompt(fact: Event, session: Session, screen: VerbOutput) -> None:
 
 
 def wait_for_disk_space(fault: Fault, screen: VerbOutput, what: str, *, waits: bool = True) -> bool:
-    """Say what paused ``what`` and wait for its operator; False where nobody can answer."""
+    """Print the reason of a pause and wait for the operator; False without one."""
     screen.say(f"  {fault.what} {fault.consequence}")
     if screen.json or not waits:
         return False
@@ -221,7 +217,7 @@ def wait_for_disk_space(fault: Fault, screen: VerbOutput, what: str, *, waits: b
 
 
 def parse_outcome(line: str, proposed: OutcomeAwaited) -> tuple[Outcome, str] | None:
-    """Return what a line says, None where it says nothing; a void trial needs its reason."""
+    """Return the outcome in a line, None if there is none; a void trial needs a reason."""
     word, _, reason = line.strip().partition(" ")
     if not word:
         reason = proposed.why if proposed.proposed is Outcome.ABORTED else ""
@@ -244,7 +240,7 @@ def _judge(line: str, fact: OutcomeAwaited, session: Session, screen: VerbOutput
 
 
 def _read_line_in_thread(take: Callable[[str], None]) -> None:
-    """Give the next line of standard input to ``take``: "" at its end."""
+    """Pass the next line of standard input to ``take``; "" at end of file."""
 
     def read() -> None:
         take(sys.stdin.readline())

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from touchdown.backend.annotations import ConsistencyProblem
 
 
-# What a catalogue needs is imported where it is used, so that `touchdown --help` starts quickly.
+# Imports of the catalogue are local, so that `touchdown --help` starts quickly.
 
 
 def examine_only(folder: Path, screen: VerbOutput) -> int:
-    """Report what is out of order, changing nothing; 1 if anything is."""
+    """Report findings without changes; return 1 if there are any."""
     from touchdown.backend.annotations import Dataset, check_dataset, list_backups
 
     with Dataset.open(folder, create=False, write=False) as dataset:
@@ -36,7 +36,7 @@ def examine_only(folder: Path, screen: VerbOutput) -> int:
 
 
 def verify(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
-    """Read every file, check every label operation, and note what is damaged; 1 if anything is."""
+    """Read every file, check every label operation, and record damage; return 1 if there is any."""
     from touchdown.backend.annotations import Dataset, NotWritableError, check_dataset, reconcile
 
     try:
@@ -65,7 +65,7 @@ def backup(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
 
 
 def restore(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
-    """Go back to a copy of the catalogue; later labels come back from the journal."""
+    """Restore a backup; later labels are read back from the journal."""
     from touchdown.backend.annotations import Dataset, WriterLock, restore_backup
 
     if args.other is None:
@@ -87,7 +87,7 @@ def restore(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
 
 
 def rebuild(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
-    """Make the catalogue anew from files, packs and journal; 1 if it differs from the old one."""
+    """Rebuild the catalogue from files, packs and journal; return 1 if it differs."""
     from touchdown.backend.annotations import rebuild_dataset as make_anew
 
     result = make_anew(folder, replace=args.replace)
@@ -176,7 +176,7 @@ def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
 
 
 def merge(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
-    """Bring in labels and episodes of another copy of the dataset."""
+    """Merge labels and episodes of another copy of the dataset."""
     from touchdown.backend.annotations import Dataset
 
     if args.other is None:
@@ -208,7 +208,7 @@ ACTIONS: dict[str, DatasetAction] = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     lines = "; ".join(f"{name}: {(act.__doc__ or '')[:-1]}" for name, act in ACTIONS.items())
     parser.add_argument("action", nargs="?", choices=ACTIONS, default="status", help=lines)
     parser.add_argument(
@@ -222,7 +222,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Do one action; returns its exit code."""
+    """Run one action; return its exit code."""
     if args.other is not None and args.action not in ("restore", "merge"):
         raise InputError(
             f"'{args.action}' takes no file.", str(args.other), "Name the dataset by --dataset."

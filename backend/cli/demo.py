@@ -17,13 +17,13 @@ SHOWN = (("pot", "short"), ("barrel", "long"), ("mushroom", "short"))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments of this verb."""
+    """Add the arguments."""
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", default="output/demo", metavar="DIR", help="folder of the report")
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Stack pot, barrel and mushroom; 0 if all three were placed."""
+    """Stack pot, barrel and mushroom; return 0 if all three were placed."""
     # Imported here so that `touchdown doctor` starts without torch.
     from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
     from touchdown.backend.experiments import write_run_report
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def _with_signals(fact: Event, folder: Path | None) -> Event:
-    """Return ``fact`` with the signals of its episode read back, where it tells of one."""
+    """Return ``fact`` with the recorded signals if it is a recorded episode."""
     from touchdown.backend.episodes import read_episode
 
     if not isinstance(fact, EpisodeRecorded) or folder is None or not fact.path:

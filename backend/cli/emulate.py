@@ -1,7 +1,7 @@
 """``touchdown emulate``: emulate a device over its real wire.
 
-While it serves, faults are typed as ``[device] kind [seconds]``, and ``clear`` ends them. A sensor
-that slows down needs its rate (``slow=300 5`` for 300 samples a second), one that drifts its drift
+During the emulation faults are typed as ``[device] kind [seconds]``, and ``clear`` ends them. A
+slow sensor needs its rate (``slow=300 5`` for 300 samples a second), a drifting one its drift
 (``drift=0.05 60`` for 0.05 N a second).
 """
 
@@ -60,7 +60,7 @@ USAGE = (
 
 
 class FaultPrompt:
-    """Lines of ``source`` as they are typed; a source that cannot be waited on gives none."""
+    """Prompt for faults on ``source``; ignored if the source cannot be polled."""
 
     def __init__(self, fronts: Sequence[DeviceServer], source: TextIO | None = None) -> None:
         self._fronts, self._typed = fronts, b""
@@ -74,19 +74,19 @@ class FaultPrompt:
 
     @property
     def listens(self) -> bool:
-        """Whether anything can still be typed."""
+        """True until the end of ``source``."""
         return self._source is not None
 
     def take(self, limit_s: float) -> str:
-        """Wait for a line, ``limit_s`` at most; return what it did, or why it did nothing."""
-        # Lines that came at once wait here: in a buffer of the source no select would see them.
+        """Wait for a line for at most ``limit_s``; return the reply."""
+        # Lines that arrived together: select does not see the buffer of the source.
         if b"\n" not in self._typed and self._source is not None:
             if not select.select([self._source], [], [], limit_s)[0]:
                 return ""
             data = os.read(self._source.fileno(), CHUNK)
             self._typed += data
             if not data:
-                self._source = None  # its end: nobody types any more
+                self._source = None  # end of file
         line, ended, rest = self._typed.partition(b"\n")
         if not ended and self._source is not None:
             return ""
@@ -94,7 +94,7 @@ class FaultPrompt:
         return self.obey(line.decode(errors="replace"))
 
     def obey(self, line: str) -> str:
-        """Do what a line says; return a sentence."""
+        """Run the command of a line; return the reply."""
         words = line.split()
         if not words:
             return ""
@@ -126,7 +126,7 @@ BENCH = "bench"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     parser.add_argument(
         "kind", choices=[*emulated_makes(), BENCH], help="which device, or all of a bench"
     )
@@ -177,19 +177,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _whole(text: str) -> Path:
-    """Return a path that also leads there from elsewhere: a bench file is read anywhere."""
+    """Return an absolute path; a bench file may be read from another folder."""
     return Path(text).absolute()
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Serve until Ctrl-C or the end of the time; then say what went over the wire."""
+    """Serve until Ctrl-C or the end of the time; then print the statistics of the wires."""
     if args.for_s is not None and not 0 < args.for_s < float("inf"):
         raise InputError("The time is not above zero.", "--for", "Give seconds.")
     with ExitStack() as rest:
         if args.kind == BENCH and args.folder is None and args.lab_file is not None:
             args.folder = Path(rest.enter_context(tempfile.TemporaryDirectory(prefix="bench-")))
         if args.kind == BENCH:
-            # Threads of one interpreter wait for each other: none may wait for other programs.
+            # The threads share one interpreter lock, so none may be delayed by other programs.
             rest.enter_context(round_robin_priority(EMULATOR_PRIORITY))
         world, emulation = _bench(args) if args.kind == BENCH else (None, _device(args))
         return _serve(args, screen, world, emulation)
@@ -246,14 +246,14 @@ def _device(args: argparse.Namespace) -> Emulation:
 
 
 def _bench(args: argparse.Namespace) -> tuple[EmulatedScene, Emulation]:
-    """Make a whole bench and write its bench file."""
+    """Build a whole bench and write its bench file."""
     if args.folder is None:
         raise InputError(
             "An emulated bench needs a folder or a lab file.",
             "--folder",
             "Name a folder, or write its lab file with --lab-file.",
         )
-    # Imported here: the other devices start without what a scene needs.
+    # Imported here: single devices do not need a scene.
     from touchdown.backend.bench import SimulatedBenchChoice, make_scene
 
     settings = SimulatedBenchChoice(preset=args.preset).settings()
@@ -279,7 +279,7 @@ def _plan(args: argparse.Namespace) -> FaultPlan:
 def _watch(
     emulation: Emulation, end: threading.Event, for_s: float | None, screen: VerbOutput
 ) -> None:
-    """Show what goes over the wires until the end."""
+    """Show the traffic of the wires until the end."""
     end_s = float("inf") if for_s is None else time.monotonic() + for_s
     typed = FaultPrompt(emulation.fronts)
     with screen.status() as show:
@@ -292,7 +292,7 @@ def _watch(
 
 
 def _table(fronts: Sequence[DeviceServer]) -> Table:
-    """Return what went over each wire so far, and which faults are on."""
+    """Return the traffic of each wire and the active faults."""
     table = Table()
     table.add_column("wire")
     for column in ("clients", "bytes in", "bytes out"):

@@ -23,7 +23,7 @@ JSON_VERSION = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     parser.add_argument("model", type=Path, help="model file (.safetensors)")
     parser.add_argument(
         "data", type=Path, help="a dataset, or the folder that 'touchdown simulate --out' wrote"
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Evaluate and show the scores per bottom; returns 0."""
+    """Evaluate and print the scores per bottom; return 0."""
     # Imported here so that `touchdown --help` starts without torch.
     from touchdown.backend.learning import (
         ModelRegistry,
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def score_table(title: str, scores: dict[str, EvaluationScores], trained_on: set[str]) -> Table:
-    """Return the table of scores; bottoms never seen in training are marked."""
+    """Return the table of scores; bottoms that are not in the training data are marked."""
     table = Table(title=title, caption="n = 1; 95 % Wilson interval of the stability accuracy")
     for column in ("bottom", "episodes", "IoU %", "points right %", "stable right %",
                    "base rate %", "unsafe %"):  # fmt: skip

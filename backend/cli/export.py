@@ -1,4 +1,4 @@
-"""``touchdown export``: write episodes and labels in a format of other programs."""
+"""``touchdown export``: write episodes and labels in the format of another program."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ JSON_VERSION = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     parser.add_argument("format", choices=EXPORTS, help="what to write")
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
     parser.add_argument("--out", metavar="DIR", required=True, help="new folder to write")
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Export; 0 when the folder is complete."""
+    """Export; return 0 if the folder is complete."""
     # Imported here so that `touchdown --help` starts without SQLite and OpenCV.
     from touchdown.backend.exchange import export
 

@@ -1,4 +1,4 @@
-"""``touchdown import``: read episodes or labels from a format of other programs."""
+"""``touchdown import``: read episodes or labels from the format of another program."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LOG = "jsonl"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     parser.add_argument(
         "format", choices=(*EPISODES, *LABELS, LOG),
         help="lerobot, robomimic: new episodes; coco, csv: labels of episodes that are here; "
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Import; 0 if all that was found is here then, else 1."""
+    """Import; return 0 if everything was imported or already present, else 1."""
     # Imported here so that `touchdown --help` starts without SQLite and OpenCV.
     from touchdown.backend.annotations import Dataset
 
@@ -138,7 +138,7 @@ def _log(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> int:
 
 
 def _named(backup: Path | None, screen: VerbOutput) -> str:
-    """Say where the catalogue is as it was before the import, "" where nothing was to be kept."""
+    """Return a sentence with the path of the catalogue backup; "" without one."""
     if backup is None:
         return ""
     screen.say(f"The catalogue as it was before is in {backup}.")

@@ -17,12 +17,12 @@ HELP = "simulate, train and measure the models that ship"
 JSON_VERSION = 1
 TRAINING_BOTTOMS = "circle15,circle25,square15"
 UNSEEN_BOTTOMS = "short,long,hex20,rect12x28"
+# Test episodes have other seeds than training episodes, so they share no grip.
 TEST_SEED_OFFSET = 1_000_000
-"""Test episodes come from other seeds than any training, so that no grip is shared."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     parser.add_argument("--pieces", default="pot,mushroom,barrel", help="separated by commas")
     parser.add_argument(
         "--pieces-dir", type=Path, metavar="DIR", help="folder with further piece files"
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Make every model; 0 when all are written."""
+    """Make every model; return 0 if all are written."""
     began_s = time.monotonic()
     answer: dict[str, object] = {}
     for piece in [name for name in args.pieces.split(",") if name]:
@@ -95,7 +95,7 @@ def _make(
 
 
 def _do(verb: ModuleType, words: list[object], screen: VerbOutput) -> None:
-    """Run another verb; its own JSON object is dropped, its words for people are shown."""
+    """Run another verb without its JSON object."""
     parser = argparse.ArgumentParser(prog=f"touchdown {verb.NAME}", allow_abbrev=False)
     verb.add_arguments(parser)
     inner = VerbOutput(json=True, stream=io.StringIO()) if screen.json else screen

@@ -1,7 +1,7 @@
 """Output of a verb: tables and progress bars for people, one JSON object for scripts.
 
-Also the two terminal courtesies that verbs share: Ctrl-C cancels a moving bench once before it
-interrupts, and a template never overwrites an existing file.
+Also shared by verbs: the first Ctrl-C cancels a run before the second interrupts it, and
+``write_new`` never overwrites a file.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ class VerbOutput:
     def __init__(self, *, json: bool = False, stream: TextIO | None = None) -> None:
         self.json = json
         self._stream = sys.stdout if stream is None else stream
-        # Without mark-up: "[CAMERA-STALE]" in a message or a table cell is text, never a tag.
+        # No mark-up: "[CAMERA-STALE]" in a message or a table cell is text.
         self._console = Console(
             file=self._stream, quiet=json, highlight=False, markup=False, soft_wrap=True
         )
         self._answered = False
 
     def say(self, text: str) -> None:
-        """Print a plain sentence for people."""
+        """Print a sentence for people."""
         self._console.print(text)
 
     def show(self, renderable: RenderableType) -> None:
@@ -67,10 +67,9 @@ class VerbOutput:
 
     @contextmanager
     def progress(self, title: str, total: int | None) -> Iterator[AdvanceFunction]:
-        """Show a bar with count, elapsed time and ETA; yields ``advance(done, text, total)``.
+        """Show a bar with count, elapsed time and ETA; yield ``advance(done, text, total)``.
 
-        ``done`` is the absolute number of steps completed; ``total`` None means unknown, until a
-        later call tells it.
+        ``done``: absolute number of completed steps; ``total``: None if unknown until a later call.
         """
         bar = Progress(
             TextColumn("{task.description}", markup=False),
@@ -95,7 +94,7 @@ class VerbOutput:
 
     @contextmanager
     def status(self) -> Iterator[Callable[[RenderableType], None]]:
-        """Show something that changes; yields what sets it. Silent unless on a terminal."""
+        """Show changing content; yield its setter. Silent unless on a terminal."""
         if self.json or not self._console.is_terminal:
             yield lambda shown: None
             return
@@ -105,7 +104,7 @@ class VerbOutput:
     def result(self, mapping: Mapping[str, object]) -> None:
         """With ``json``: print ``mapping`` as the one JSON object; RuntimeError the second time.
 
-        Numbers that JSON does not know (NaN, infinities) become null.
+        NaN and infinities become null.
         """
         if not self.json:
             return
@@ -131,7 +130,7 @@ def _plain(value: object) -> object:
 
 @contextmanager
 def ctrl_c_cancels(cancel: Callable[[], None]) -> Iterator[None]:
-    """Let the first Ctrl-C end the run in an orderly way; the second one interrupts."""
+    """Call ``cancel`` at the first Ctrl-C; the second one interrupts."""
 
     def once(_signal: int, _frame: FrameType | None) -> None:
         signal.signal(signal.SIGINT, before)
@@ -148,7 +147,7 @@ def ctrl_c_cancels(cancel: Callable[[], None]) -> Iterator[None]:
 
 
 def write_new(path: Path, text: str) -> None:
-    """Write ``text``; ``InputError`` if ``path`` exists or cannot be written."""
+    """Write a new file; ``InputError`` if ``path`` exists or cannot be written."""
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)

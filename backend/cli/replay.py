@@ -17,7 +17,7 @@ JSON_VERSION = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments of this verb."""
+    """Add the arguments."""
     parser.add_argument("run", metavar="RUN", help="folder of a run, its name, or 'latest'")
     parser.add_argument("--runs", metavar="DIR", help="folder for runs (default: data folder)")
     parser.add_argument("--app", action="store_true", help="replay in the window")
@@ -38,7 +38,7 @@ def find_run(name: str, runs: Path) -> Path:
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Replay; 0 if the journal could be read to its end."""
+    """Replay; return 0 if the log could be read to its end."""
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
     folder = find_run(args.run, runs)
     if args.app:

@@ -18,8 +18,7 @@ HELP = "show the settings of the method, or write them to a file"
 JSON_VERSION = 1
 # Tables that 0.1.0 wrote for strategies that are gone.
 REMOVED_TABLES = {"looking", "outlines", "pressure"}
-OF_THE_RUN = {"strategy", "mode"}
-"""Chosen with each run, so not in the file."""
+OF_THE_RUN = {"strategy", "mode"}  # arguments of each run, not stored in the file
 HEAD = """\
 # Settings of the method for `touchdown stack --method`; what is left out keeps its default.
 # Reasons: docs/method-choices.md.
@@ -27,7 +26,7 @@ HEAD = """\
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     parser.add_argument(
         "--method", type=Path, metavar="FILE", help="show these settings instead of the defaults"
     )
@@ -35,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Show, and write where asked; returns 0."""
+    """Print the settings and write them if required; return 0."""
     settings = load_method(args.method) if args.method else StackSettings()
     groups = settings.model_dump(mode="json", exclude=OF_THE_RUN)
     if args.write:
@@ -53,7 +52,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def load_method(path: Path) -> StackSettings:
-    """Read the settings of ``path``; raises ``InputError`` naming file and key."""
+    """Return the settings of the file ``path``; ``InputError`` names file and key."""
     content = read_toml(path)
     content = {key: value for key, value in content.items() if key not in REMOVED_TABLES}
     for key in sorted(OF_THE_RUN & content.keys()):
@@ -73,5 +72,5 @@ def as_toml(settings: StackSettings) -> str:
 def _lines(settings: StackSettings) -> Iterator[str]:
     for group, values in settings.model_dump(mode="json", exclude=OF_THE_RUN).items():
         yield f"\n[{group}]\n"
-        # JSON and TOML write numbers, texts, flags and lists of them alike.
+        # Numbers, strings, booleans and lists have the same syntax in JSON and TOML.
         yield from (f"{key} = {json.dumps(value)}\n" for key, value in values.items())

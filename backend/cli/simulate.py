@@ -18,7 +18,7 @@ HELP = "write labelled episodes of the simulated bench"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments of this verb."""
+    """Add the arguments."""
     parser.add_argument("--piece", default="pot", help="grasped piece (default: pot)")
     parser.add_argument(
         "--bottoms",
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def _plans(args: argparse.Namespace) -> list[tuple[BatchPlan, dict[str, object]]]:
-    """Return for each pair the plan and the label entries that all its episodes share."""
+    """Return for each pair the plan and the label fields common to all its episodes."""
     catalogue = load_pieces(Path(args.pieces) if args.pieces else None)
     settings = load_simulation(Path(args.bench) if args.bench else None, args.preset)
     piece = catalogue.top(args.piece)
@@ -109,7 +109,7 @@ def _grip_height(piece: Piece) -> float:
 
 
 def _check_folder(out: Path) -> None:
-    """Refuse a folder in which two data sets would be mixed."""
+    """Raise ``InputError`` for a folder with another data set."""
     if out.exists() and not out.is_dir():
         raise InputError("This is a file, not a folder.", str(out), "Name a new folder.")
     if out.is_dir() and any(out.rglob("*.mcap")):
@@ -119,7 +119,7 @@ def _check_folder(out: Path) -> None:
 
 
 def _make_folder(out: Path) -> None:
-    """Make the folder before anything is simulated for it."""
+    """Create the folder before the simulation."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

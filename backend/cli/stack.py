@@ -56,12 +56,11 @@ HELP = "stack a piece on the simulated bench or on a lab's devices, headless"
 JSON_VERSION = 1
 BOTTOM = "short"
 COLUMNS = ("outcome", "probes", "excess", "margin mm", "reason")
-INPUT_CODE = "INPUT"
-"""Bad input is told once, by the command line itself."""
+INPUT_CODE = "INPUT"  # code of bad input, which the command line reports itself
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments of this verb."""
+    """Add the arguments."""
     add_scene_arguments(
         parser, BOTTOM, "support, bottom-up and joined by + for a tower, such as short+long"
     )
@@ -109,7 +108,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Run all trials; 0 if every piece was placed, else 1."""
+    """Run all trials; return 0 if every piece was placed, else 1."""
     if args.emulated and args.inject:
         raise InputError(
             "Emulated devices suffer by a fault plan.", "--inject", "See 'touchdown emulate'."
@@ -174,7 +173,7 @@ def _request(args: argparse.Namespace, mode: DecisionMode) -> StackRequest:
 
 
 def _method(args: argparse.Namespace, request: StackRequest) -> StackSettings | None:
-    """Return the settings with what was entered of the tower; raises ``InputError``."""
+    """Return the settings with the entered tower; raises ``InputError``."""
     from touchdown.backend.config import StackSettings, TowerSettings
 
     method = load_method(args.method) if args.method else None
@@ -199,7 +198,7 @@ def _session(
     args: argparse.Namespace,
     screen: VerbOutput,
 ) -> Iterator[Session]:
-    """Open a session on the simulated, emulated or real bench; close it in the end."""
+    """Open a session on the simulated, emulated or real bench; close it at the end."""
     from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
     from touchdown.backend.calibration import CalibrationStore
     from touchdown.backend.learning import ModelRegistry
@@ -235,7 +234,7 @@ def _ask(fact: Event, session: Session, screen: VerbOutput) -> None:
 
 
 def narrate(fact: Event, screen: VerbOutput, bench: str = "simulated bench") -> None:
-    """Say one fact in words, if it is one for people."""
+    """Print an event for people, if it has a text."""
     if isinstance(fact, TrialStarted):
         screen.say(f"Trial {fact.trial}, seed {fact.seed} ({bench})")
     elif isinstance(fact, Said | Noticed):
@@ -256,7 +255,7 @@ def narrate(fact: Event, screen: VerbOutput, bench: str = "simulated bench") -> 
 def trial_table(
     trials: Sequence[TrialFinished], pieces: Sequence[str] = (), bench: str = "simulated"
 ) -> Table:
-    """Return the closing table of a run; ``pieces``: a first column, one per trial."""
+    """Return the result table of a run; ``pieces``: a first column, one per trial."""
     placed = sum(t.outcome is Outcome.PLACED for t in trials)
     table = Table(title=f"{placed} of {len(trials)} placed ({bench})")
     for column in (*(("piece",) if pieces else ()), "seed", *COLUMNS):
@@ -294,5 +293,5 @@ def _result(args: argparse.Namespace, result: RunResult, session: Session) -> di
 
 
 def _finite(value: float | None) -> float | None:
-    """Return None for "nothing supports it" (-inf): JSON has no infinity."""
+    """Return None for -inf (no support), which JSON cannot represent."""
     return value if value is not None and math.isfinite(value) else None

@@ -47,7 +47,7 @@ _REST_FIX = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     parser.add_argument("file", type=Path, help="image, video or folder of images")
     parser.add_argument("--grid", default=_GRID, help="rows x columns of the gel (only 7x9)")
     parser.add_argument(
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             "--grid",
             f"The model takes {_GRID} markers; use a {_GRID} large-dot gel.",
         )
-    # What OpenCV writes by itself would stand beside the error that names file and fix.
+    # Suppress messages of OpenCV; the error names file and fix.
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     if args.template and not args.reference:
         raise InputError(
@@ -97,15 +97,15 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def track_images(path: Path, reference: TactileReference | None = None) -> Iterator[TrackedImage]:
-    """Yield the pictures of ``path`` with their markers; see ``track_frames``."""
+    """Yield the images of ``path`` with their markers; see ``track_frames``."""
     return track_frames(read_pictures(path), reference, str(path))
 
 
 def rest_reference(path: Path, template: Path | None = None) -> TactileReference:
-    """Return the mean marker places over the first ten pictures of ``path`` that show all 63.
+    """Return the mean marker positions over the first ten images of ``path`` with all 63 markers.
 
-    ``template``: no-contact pictures of this very sensor, else the shape of the gel that ships.
-    Raises ``InputError`` if the gel moves or is in contact.
+    ``template``: no-contact images of this sensor; default is the shape of the shipped gel. Raises
+    ``InputError`` if the gel moves or is in contact.
     """
     whole = complete_fields(read_pictures(path), str(path))
     if template is None:

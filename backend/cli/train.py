@@ -21,7 +21,7 @@ JSON_VERSION = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     _add_data(parser)
     _add_training(parser, TrainingSettings())
     parser.add_argument(
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_device(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--device``."""
+    """Add the argument ``--device``."""
     parser.add_argument(
         "--device",
         choices=("auto", "cpu", "cuda"),
@@ -108,7 +108,7 @@ def _add_training(parser: argparse.ArgumentParser, defaults: TrainingSettings) -
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Train; 0 when the model is written. Ctrl-C keeps the finished epochs for ``--resume``."""
+    """Train; return 0 if the model is written. Ctrl-C keeps finished epochs for ``--resume``."""
     # Imported here so that `touchdown --help` starts without torch.
     from touchdown.backend.learning import (
         TrainingCancelled,

@@ -1,7 +1,8 @@
-"""``touchdown doctor``: check this computer, a lab's devices or a dataset, and name the fix of each
-finding.
+"""``touchdown doctor``: check this computer, the devices of a lab file or a dataset, with a fix for
+each finding.
 
-Nothing heavy is imported in this process: packages are examined by their metadata or in a child.
+Heavy packages are not imported in this process; they are examined by their metadata or in a child
+process.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ from touchdown.backend.core import InputError
 
 @dataclass(frozen=True, slots=True)
 class DoctorCheck:
-    """What was looked at and found.
+    """Result of one check.
 
-    ``ok`` is False only for what stops Touchdown from working; something optional that is absent
-    is ``ok`` with a ``fix`` that says how to get it. ``fix`` is empty if there is nothing to do.
+    ``ok`` is False only for a finding that stops Touchdown from working. A missing optional part is
+    ``ok`` with a ``fix`` that says how to get it. ``fix`` is empty if nothing is to be done.
     """
 
     name: str
@@ -46,7 +47,7 @@ class DoctorCheck:
 
     @property
     def word(self) -> str:
-        """OK, NOTE (optional thing absent) or FAIL."""
+        """OK, NOTE (optional part missing) or FAIL."""
         if not self.ok:
             return "FAIL"
         return "NOTE" if self.fix else "OK"
@@ -61,7 +62,7 @@ PIECES = ("pot", "mushroom", "barrel")
 
 
 def check_display() -> DoctorCheck:
-    """Look for a display server that a window can use."""
+    """Check for a display server."""
     if not sys.platform.startswith("linux"):
         return DoctorCheck("display", True, "native")
     wayland, x11 = os.environ.get("WAYLAND_DISPLAY"), os.environ.get("DISPLAY")
@@ -76,7 +77,7 @@ def check_display() -> DoctorCheck:
 
 
 def check_cameras(folder: Path = CAMERAS) -> DoctorCheck:
-    """Look for tactile cameras by their stable names (index 0; index 1 is metadata)."""
+    """Check for tactile cameras by their stable names (index 0; index 1 is metadata)."""
     found = sorted(path.name for path in folder.glob("*-index0")) if folder.is_dir() else []
     if found:
         return DoctorCheck("cameras", True, ", ".join(found))
@@ -89,7 +90,7 @@ def check_cameras(folder: Path = CAMERAS) -> DoctorCheck:
 
 
 def check_serial_ports() -> DoctorCheck:
-    """Look for serial ports, for a force/torque sensor."""
+    """Check for serial ports of a force/torque sensor."""
     from serial.tools import list_ports
 
     found = [f"{port.device} ({port.description})" for port in list_ports.comports()]
@@ -104,7 +105,7 @@ def check_serial_ports() -> DoctorCheck:
 
 
 def check_processors() -> DoctorCheck:
-    """Count the processors that this process may use."""
+    """Count the processors available to this process."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     if usable is not None and usable >= 2:
         return DoctorCheck("processors", True, f"{usable} usable")
@@ -112,7 +113,7 @@ def check_processors() -> DoctorCheck:
 
 
 def check_data_folder(folder: Path | None = None) -> DoctorCheck:
-    """Write to the operator's data folder."""
+    """Check that the data folder can be written."""
     if folder is None:
         folder = _data_folder()
     try:
@@ -127,7 +128,7 @@ def check_data_folder(folder: Path | None = None) -> DoctorCheck:
 
 
 def check_disk(folder: Path | None = None) -> DoctorCheck:
-    """Look for room for data where the data folder is (or will be)."""
+    """Check the free space of the data folder."""
     place = folder or _data_folder()
     while not place.exists():
         place = place.parent
@@ -138,7 +139,7 @@ def check_disk(folder: Path | None = None) -> DoctorCheck:
 
 
 def check_models(folder: Traversable | None = None) -> DoctorCheck:
-    """Look for the shipped models, one per piece."""
+    """Check the shipped models, one per piece."""
     models = files("touchdown.resources").joinpath("models") if folder is None else folder
     entries = models.iterdir() if models.is_dir() else ()
     shipped = sorted(entry.name for entry in entries if entry.name.endswith(".safetensors"))
@@ -176,7 +177,7 @@ BUSY = "Nothing may be wrong: this computer was too busy to tell. Close what els
 
 
 def installed(name: str) -> str | None:
-    """Return the installed version of distribution ``name``, or None."""
+    """Return the installed version of the distribution ``name``, or None."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -184,17 +185,17 @@ def installed(name: str) -> str | None:
 
 
 def check_python() -> DoctorCheck:
-    """Look for CPython 3.11 or newer."""
+    """Check for CPython 3.11 or newer."""
     found = f"{platform.python_implementation()} {platform.python_version()}"
     ok = sys.version_info >= (3, 11) and platform.python_implementation() == "CPython"
     return DoctorCheck("python", ok, found, "" if ok else "Install CPython 3.11, 3.12 or 3.13.")
 
 
 def qt_pair_fault(qt: str, python: tuple[int, int]) -> str:
-    """Return what is wrong with this PySide6 version on this CPython, or an empty text.
+    """Return the defect of this PySide6 version on this CPython, or "".
 
     6.9.1 draws no pyqtgraph curves (pyqtgraph issue 3326); 6.12.0 loses references to True, False
-    and None on CPython below 3.12 and aborts; below 6.8 nothing was tried.
+    and None on CPython below 3.12 and aborts; versions below 6.8 are untested.
     """
     numbers = tuple(int(part) for part in qt.split(".")[:3] if part.isdigit())
     if numbers == (6, 9, 1):
@@ -207,7 +208,7 @@ def qt_pair_fault(qt: str, python: tuple[int, int]) -> str:
 
 
 def check_qt_versions() -> DoctorCheck:
-    """Look for PySide6-Essentials alone, in a version that works with this interpreter."""
+    """Check for PySide6-Essentials without Addons, in a working version."""
     qt = installed("PySide6-Essentials")
     if qt is None:
         return DoctorCheck("qt", False, "PySide6-Essentials is not installed", QT_INSTALL)
@@ -230,7 +231,7 @@ def check_qt_versions() -> DoctorCheck:
 
 
 def check_qt_libraries() -> DoctorCheck:
-    """Look for the system libraries of Qt's platform plugins."""
+    """Check the system libraries of Qt's platform plugins."""
     missing = missing_libraries()
     if not missing:
         return DoctorCheck("qt libraries", True, "complete")
@@ -240,7 +241,7 @@ def check_qt_libraries() -> DoctorCheck:
 
 
 def check_qt_platform() -> DoctorCheck:
-    """Start Qt without a display (offscreen), in a child process because a failure aborts."""
+    """Start Qt offscreen in a child process, because a failure aborts."""
     code = (
         "from PySide6.QtWidgets import QApplication\n"
         "import sys\n"
@@ -256,7 +257,7 @@ def check_qt_platform() -> DoctorCheck:
 
 
 def check_opencv() -> DoctorCheck:
-    """Look for the headless OpenCV alone: others bring a second Qt into the process."""
+    """Check for headless OpenCV only; other builds bring a second Qt into the process."""
     name = "opencv-contrib-python-headless"
     others = [
         other
@@ -272,7 +273,7 @@ def check_opencv() -> DoctorCheck:
 
 
 def check_torch() -> DoctorCheck:
-    """Ask torch for version, threads and device, in a child process (its import is slow)."""
+    """Read version, threads and device of torch in a child process; its import is slow."""
     if installed("torch") is None:
         return DoctorCheck(
             "torch", False, "not installed", "pip install torch (the CPU build will do)"
@@ -295,7 +296,7 @@ def check_torch() -> DoctorCheck:
 
 
 def check_others() -> DoctorCheck:
-    """Look for the other required packages, and the optional judge."""
+    """Check the other required packages."""
     required = (
         "pyqtgraph",
         "numpy",
@@ -315,7 +316,7 @@ def check_others() -> DoctorCheck:
 
 
 def check_mujoco() -> DoctorCheck:
-    """Look for MuJoCo (second judge and fall animation, optional)."""
+    """Check for MuJoCo (optional second judge and fall animation)."""
     found = installed("mujoco-core") or installed("mujoco")
     if found:
         return DoctorCheck("mujoco", True, found)
@@ -329,7 +330,7 @@ def _unanswered(name: str) -> DoctorCheck:
 
 
 def _child(code: str, extra: dict[str, str]) -> subprocess.CompletedProcess[str] | None:
-    """Run ``code`` in an interpreter of its own; None if it has not ended within the limit."""
+    """Run ``code`` in another interpreter; None if it exceeds the time limit."""
     try:
         return subprocess.run(
             [sys.executable, "-c", code],
@@ -347,7 +348,7 @@ DEVICES = ("force_torque", "tactile_left", "tactile_right", "gripper", "arm")
 
 
 def lab_checks(path: Path) -> Iterator[Callable[[], DoctorCheck]]:
-    """Yield the looks at a lab file; raises ``InputError`` where it cannot be read."""
+    """Yield the checks of a lab file; raises ``InputError`` if it cannot be read."""
     from touchdown.backend.config import load_lab
     from touchdown.backend.rig import examine_devices
 
@@ -419,7 +420,7 @@ COLOURS = {"OK": "green", "NOTE": "yellow", "FAIL": "bold red"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     parser.add_argument(
         "--bench", type=Path, metavar="FILE", help="ask the devices of a lab file instead"
     )
@@ -433,7 +434,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Print all findings; returns 1 if one of them stops Touchdown from working."""
+    """Print all findings; return 1 if one of them stops Touchdown from working."""
     # Imported here so that the check does not load what it checks (OpenCV).
     from touchdown.backend.cli.dataset import examine_only
     from touchdown.backend.runs import dataset_folder
@@ -459,7 +460,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def findings_table(checks: list[DoctorCheck]) -> Table:
-    """Return the table for people."""
+    """Return the table of findings."""
     table = Table(title="touchdown doctor", show_lines=False)
     for column in ("", "check", "found", "what to do"):
         table.add_column(column, overflow="fold")
@@ -474,5 +475,5 @@ def _run_check(look: CheckFunction) -> DoctorCheck:
     try:
         return look()
     except (ImportError, OSError) as error:
-        # A damaged installation is what doctor is for: it must not end there.
+        # Doctor must run on a damaged installation.
         return DoctorCheck(name, False, f"cannot be examined: {error}", "make setup")

@@ -1,7 +1,7 @@
-"""System libraries of Qt on Linux that are missing, with the Debian packages that bring them.
+"""Missing system libraries of Qt on Linux and the Debian packages that provide them.
 
 Run as a module (``python -m touchdown.backend.cli.doctor.qt_libraries``) it prints the missing
-packages in one line; the set-up script uses it, so that script and doctor share one table.
+packages in one line for the set-up script.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from pathlib import Path
 PLUGINS = ("libqoffscreen.so", "libqxcb.so")
 LIBRARIES = ("libQt6Gui.so.6", "libQt6Widgets.so.6", "libQt6OpenGL.so.6", "libQt6Svg.so.6")
 
+# Shared-object name to Debian 12 / Ubuntu 22.04 package; newer releases provide the old names
+# (libglib2.0-0 is provided by libglib2.0-0t64). Read with ldd from Qt 6.11.3.
 PACKAGES = {
     "libGL.so.1": "libgl1",
     "libEGL.so.1": "libegl1",
@@ -42,24 +44,22 @@ PACKAGES = {
     "libxcb-xfixes.so.0": "libxcb-xfixes0",
     "libxcb-xkb.so.1": "libxcb-xkb1",
 }
-"""Shared-object name to Debian 12 / Ubuntu 22.04 package; newer releases keep the old names as
-provided names (libglib2.0-0 is provided by libglib2.0-0t64). Read with ldd from Qt 6.11.3."""
 
 
 def missing_in(report: str) -> list[str]:
-    """Return the shared objects that an ``ldd`` report calls "not found", in order, each once."""
+    """Return the shared objects that ``ldd`` reports as "not found", without duplicates."""
     names = (line.split("=>")[0].strip() for line in report.splitlines() if "not found" in line)
-    # "version `GLIBC_2.34' not found" concerns a library that is there: no package cures it.
+    # "version `GLIBC_2.34' not found" is about an installed library.
     return list(dict.fromkeys(name for name in names if ".so" in name and ":" not in name))
 
 
 def packages_for(libraries: Iterable[str]) -> list[str]:
-    """Return the Debian packages of ``libraries``, each once; unknown libraries are left out."""
+    """Return the Debian packages of ``libraries``; unknown libraries are left out."""
     return list(dict.fromkeys(PACKAGES[name] for name in libraries if name in PACKAGES))
 
 
 def qt_files() -> list[Path]:
-    """Return the installed Qt files whose dependencies count; empty if Qt is not installed."""
+    """Return the installed Qt files whose dependencies are checked; empty without Qt."""
     spec = importlib.util.find_spec("PySide6")
     if spec is None or not spec.submodule_search_locations:
         return []

@@ -1,1 +1,1 @@
-"""backend/cli/experiment."""
+"""Verb ``experiment``."""

@@ -1,6 +1,4 @@
-"""``touchdown experiment``: the paper's tables, strategies beyond it, learned fusion, and their
-reports on the simulated bench.
-"""
+"""``touchdown experiment``: the paper's tables, other strategies, learned fusion, reports."""
 
 from __future__ import annotations
 
@@ -30,7 +28,7 @@ Json = dict[str, Any]
 
 
 def add_report_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments of ``report`` and ``gap``."""
     report = parser.add_argument_group("report")
     report.add_argument("--tables", type=Path, metavar="JSON", help="the tables.json whose page is "
                         "written anew, beside it (default: that of --out)")  # fmt: skip
@@ -41,7 +39,7 @@ def add_report_arguments(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def report_write_errors(where: Path) -> Iterator[None]:
-    """Turn a disk that refuses into ``InputError``; files are as they were, or whole."""
+    """Turn write errors into ``InputError``; files stay as they were or are complete."""
     try:
         yield
     except OSError as error:
@@ -53,7 +51,7 @@ def report_write_errors(where: Path) -> Iterator[None]:
 
 
 def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
-    """Write the page, and the comparisons into the JSON; raises ``InputError`` for a bad file."""
+    """Render the page and store the comparisons; raises ``InputError`` for a bad file."""
     from touchdown.backend.experiments import DATA, rewrite_tables
 
     file = args.tables or args.out / DATA
@@ -64,9 +62,9 @@ def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
 
 
 def tables_to_compare(file: Path | None) -> Json | None:
-    """Return the content of a tables.json that others are held against, None without one.
+    """Return the content of the tables.json to compare with, None without one.
 
-    Read before the first job: a wrong file is told at once. Raises ``InputError``.
+    Read before the first job, to report a wrong file early. Raises ``InputError``.
     """
     from touchdown.backend.experiments import read_report
 
@@ -74,7 +72,9 @@ def tables_to_compare(file: Path | None) -> Json | None:
 
 
 def compare_tables(answer: Json, other: Json, file: Path, screen: VerbOutput) -> None:
-    """Tell which 95 % intervals of ``answer`` miss the values of ``other``, read from ``file``."""
+    """Print the cells of ``answer`` whose interval misses the value of ``other``, read from
+    ``file``.
+    """
     from touchdown.backend.experiments import CONTENT_ERRORS, compare_intervals
 
     try:
@@ -92,9 +92,9 @@ KEPT, TABLE = "gap.json", "gap.md"
 
 
 def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
-    """Print the shares over all files of ``--beyond``, and leave them in ``--out``.
+    """Print the oracle shares over all files of ``--beyond`` and write them to ``--out``.
 
-    Raises ``InputError`` for files that cannot be held together, or hold no paper or no ceiling.
+    Raises ``InputError`` for files that do not match, or lack the paper or an oracle.
     """
     # Imported here so that `touchdown --help` starts without torch.
     from touchdown.backend.core import write_atomically
@@ -136,12 +136,12 @@ def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
 
 
 ABLATIONS = ("wrench", "fields", "others", "mirrors")
+# runs the unfinished jobs, given the effort of each; returns the ids of failed jobs
 RunJobs = Callable[[list["JobSpec"], Callable[["JobSpec"], int]], list[str]]
-"""Does the jobs that are not done, given the effort of each; returns the ids of the failed."""
 
 
 def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments of ``fused``."""
     fused = parser.add_argument_group("fused")
     fused.add_argument("--parts", type=int, default=100, help="jobs of 240 sequences of five "
                        "probes (default: %(default)s)")  # fmt: skip
@@ -163,9 +163,9 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
 def train_fused(
     args: argparse.Namespace, screen: VerbOutput, store: JobStore, done: RunJobs
 ) -> dict[str, Any]:
-    """Make the network; copies it with its card to the folder of the experiment when it is there.
+    """Train the network; copy it with its card to the folder of the experiment when it is done.
 
-    Raises ``InputError`` for counts with which nothing can be held out or trained.
+    Raises ``InputError`` for counts that leave no training or held-out data.
     """
     # Imported here so that `touchdown --help` starts without torch.
     from touchdown.backend.config import load_simulation
@@ -214,7 +214,7 @@ def train_fused(
 
 
 def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[dict[str, Any]]:
-    """Show and return what would have come of the finished trials under every rule."""
+    """Print and return the outcomes of the finished trials under every rule."""
     from touchdown.backend.experiments import threshold_counts
 
     trials = [t for spec in asked if store.has(spec.id) for t in store.result(spec.id)["trials"]]
@@ -233,7 +233,7 @@ EXECUTORS = ("serial", "local", "dask")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     parser.add_argument(
         "what",
         choices=("tables", "report", "beyond", "gap", "fused", *EVALUATIONS),
@@ -310,7 +310,7 @@ def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Do all jobs that are not done, then write the page; 0 when no job failed."""
+    """Run all unfinished jobs, then write the page; return 0 if no job failed."""
     if args.workers < 1:
         raise InputError("--workers must be at least 1.", "--workers", "Give a positive number.")
     if args.what in ("report", "gap"):
@@ -370,7 +370,7 @@ def _run_jobs(
     screen: VerbOutput,
     store: JobStore,
 ) -> list[str]:
-    """Do what is not done of all jobs, or of one shard; return the ids of those that failed."""
+    """Run the unfinished jobs, or those of one shard; return the ids of failed jobs."""
     from touchdown.backend.jobs import independent_jobs, parse_shard, run_campaign, shard_of
 
     part = jobs
@@ -393,7 +393,7 @@ def _run_jobs(
 
 
 def _run_beyond(args: argparse.Namespace, screen: VerbOutput, store: JobStore) -> int:
-    """Compare strategies; writes ``beyond.json`` with all that is finished by now."""
+    """Compare strategies; write ``beyond.json`` with all finished results."""
     from touchdown.backend.experiments import comparison_tables, write_comparison
 
     plan = _comparison_of(args, store)
@@ -453,7 +453,7 @@ def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyCompari
 
 
 def _named(text: str, known: tuple[str, ...], where: str) -> tuple[str, ...]:
-    """Return the names in a text with commas; raises ``InputError`` for one that is not known."""
+    """Return the names in a comma-separated text; raises ``InputError`` for an unknown one."""
     names = tuple(text.split(","))
     if unknown := [name for name in names if name not in known]:
         raise InputError(f"'{unknown[0]}' is not known.", where, f"Name some of {','.join(known)}.")
@@ -517,7 +517,7 @@ def _folder(out: Path) -> Path:
 
 
 def _name(spec: JobSpec) -> str:
-    """Say in words which job this is."""
+    """Return a short description of a job."""
     p = spec.params
     over = "+".join(p["bottoms"]) if "bottoms" in p else p.get("bottom", "")
     training = p.get("training", {}).get("modality", "")

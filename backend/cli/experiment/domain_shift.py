@@ -1,6 +1,4 @@
-"""``touchdown experiment elsewhere`` and ``sensitivity``: existing models and strategies on other
-benches.
-"""
+"""``touchdown experiment elsewhere`` and ``sensitivity``: existing models on other benches."""
 
 from __future__ import annotations
 
@@ -21,13 +19,13 @@ if TYPE_CHECKING:
 
 
 EVALUATIONS = ("elsewhere", "sensitivity")
+# runs the unfinished jobs, given the effort of each; returns the ids of failed jobs
 RunJobs: TypeAlias = Callable[[list["JobSpec"], Callable[["JobSpec"], int]], list[str]]
-"""Does the jobs that are not done, given the effort of each; returns the ids of the failed."""
 Json: TypeAlias = dict[str, Any]
 
 
 def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments of ``elsewhere`` and ``sensitivity``."""
     asked = parser.add_argument_group("elsewhere, sensitivity")
     asked.add_argument("--groups", type=int, default=20, help="of three probes, in each cell "
                        "(default: %(default)s)")  # fmt: skip
@@ -47,10 +45,10 @@ def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
 def run_evaluation(
     args: argparse.Namespace, screen: VerbOutput, store: JobStore, done: RunJobs
 ) -> Json:
-    """Do ``args.what``, a name of ``ASKED``; leaves a JSON file, and a page of the sensitivity.
+    """Run ``args.what``, one of ``EVALUATIONS``; write a JSON file, and a page for the sensitivity.
 
-    Raises ``InputError`` for counts that ask nothing, for names that are not known, and where the
-    second world needs an engine that is missing.
+    Raises ``InputError`` for counts without work, for unknown names, and if the second world lacks
+    its engine.
     """
     # Imported here so that `touchdown --help` starts without torch.
     from touchdown.backend.config import load_simulation
@@ -160,7 +158,7 @@ def _sensitivity(
 
 
 def _trained(args: argparse.Namespace, bench: SimulationSettings) -> tuple[RandomisedTraining, ...]:
-    """Return the trainings that are asked for; raises ``InputError`` for unknown collections."""
+    """Return the required trainings; raises ``InputError`` for unknown collections."""
     from typing import get_args
 
     from touchdown.backend.experiments import CollectionKind, RandomisedTraining, program_version
@@ -186,7 +184,7 @@ def _trained(args: argparse.Namespace, bench: SimulationSettings) -> tuple[Rando
 def _keep(
     folder: Path, trained: Sequence[RandomisedTraining], store: JobStore, screen: VerbOutput
 ) -> None:
-    """Write what was trained, each in a folder of its own for ``--models``."""
+    """Write the trained models, each to its own folder for ``--models``."""
     from touchdown.backend.experiments import load_model
     from touchdown.backend.learning import save_half_precision
 

@@ -25,9 +25,9 @@ from PySide6.QtWidgets import QApplication
 from tests.picture_files import PictureFiles, run_reporting
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
-from touchdown.backend.__main__ import main as touchdown
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.bench.session import Session
+from touchdown.backend.cli.command_line import main as touchdown
 from touchdown.backend.config.method import TrainingSettings
 from touchdown.backend.learning.training_runs import RecordedTraining, TrainingRequest
 from touchdown.backend.runs.recorder import RecordingOptions

@@ -8,10 +8,10 @@ import pytest
 
 from tests.backend.catalogue.conftest import context_for, small_episode
 from tests.backend.catalogue.test_packs_in_datasets import write_pack
-from touchdown.backend.__main__ import main
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.training_set import LabelChoice, is_dataset, load_training_set
 from touchdown.backend.annotations.values import Label
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.episodes.training_rows import TrainingRows, load_rows, patch_hex
 from touchdown.backend.geometry.pieces import load_pieces

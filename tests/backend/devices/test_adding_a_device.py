@@ -12,8 +12,8 @@ import pytest
 
 from tests.backend.devices import test_force_torque_contract as contract
 from touchdown.backend import devices
-from touchdown.backend.__main__ import main
 from touchdown.backend.bench.emulator_registry import bench_toml, emulate
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices import registry

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.simulation import SpreadSettings, load_simulation
 from touchdown.backend.experiments.document import report_page
 from touchdown.backend.experiments.domain_shift import format_drop, format_interval, press_scores

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
 from touchdown.backend.core.values import ContactPatch
 from touchdown.backend.experiments import oracle

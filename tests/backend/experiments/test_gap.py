@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.experiments.comparison import (
     merged_oracle_shares,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
 from touchdown.backend.experiments.domain_shift import (
     LAW_FACTORS,

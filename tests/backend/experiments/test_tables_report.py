@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.experiments.document import Report, ReportSection, ReportTable, report_page
 from touchdown.backend.experiments.results import read_report, report_of

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tests.backend.learning.test_learning import SMALL, rows
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.learning.training import (
     Trainer,

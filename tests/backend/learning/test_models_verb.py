@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.learning.checkpoint import load_checkpoint
 from touchdown.backend.placement.estimator import Estimator

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from touchdown.backend.__main__ import main
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.training_set import load_training_set
 from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.bench_description import BenchDescription, describe_simulation
 from touchdown.backend.config.simulation import SimulationSettings
 from touchdown.backend.core.values import Episode, EpisodeQuality

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.geometry.outlines import face_points
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.learning.checkpoint import load_checkpoint

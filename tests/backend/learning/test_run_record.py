@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from tests.backend.catalogue.test_packs_in_datasets import write_pack
-from touchdown.backend.__main__ import main
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.run_tracking import RunInfo
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.method import TrainingSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.learning.checkpoint import load_card

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from touchdown.backend.__main__ import main
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.learning.checkpoint import load_card
 from touchdown.backend.learning.fitting import evaluate

@@ -15,7 +15,8 @@ from shapely.geometry import Point, Polygon, box
 
 from touchdown.backend.config.method import StackSettings
 from touchdown.backend.core.values import ContactPatch
-from touchdown.backend.placement.strategies import XY, GraspedPiece, PaperStrategy, ProbeObservation
+from touchdown.backend.placement.strategies import GraspedPiece, PaperStrategy, ProbeObservation
+from touchdown.backend.placement.support_tower import XY
 
 FACE_RADIUS_MM = {"mushroom": 12.7, "barrel": 10.6, "pot": 7.5, "mug": 10.0}
 COM_MM = {"mug": (1.7, -0.9)}

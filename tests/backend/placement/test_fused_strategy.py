@@ -28,7 +28,6 @@ from touchdown.backend.learning.fused.features import GraspedFace, wrench_at_sen
 from touchdown.backend.learning.fused.inference import InsetDistribution
 from touchdown.backend.placement.strategies import (
     FARTHEST_MM,
-    XY,
     FusedStrategy,
     GraspedPiece,
     PaperStrategy,
@@ -38,7 +37,7 @@ from touchdown.backend.placement.strategies import (
     deepest_shift,
     make_strategy,
 )
-from touchdown.backend.placement.support_tower import SupportTower
+from touchdown.backend.placement.support_tower import XY, SupportTower
 from touchdown.backend.simulation.batch import BatchedTrials, TrialPresses
 from touchdown.backend.simulation.scene import Scene
 

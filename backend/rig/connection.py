@@ -48,7 +48,7 @@ def require_serial(device: Device, serial: str) -> None:
             "OTHER-DEVICE",
             f"Serial number {now.serial} answers instead of {serial}.",
             "The connection was closed again.",
-            "Put the device back into its place, or start anew with the other one.",
+            "Put the device back into its place, or restart with the other one.",
             device.name,
         )
     )

@@ -137,7 +137,7 @@ class SwingDetector:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew."""
+        """Reset the detector."""
         self._turns.clear()
         self._rising: bool | None = None
         self._low_n, self._high_n = math.inf, -math.inf

@@ -151,7 +151,7 @@ class Receive(Protocol):
         """Share of every commanded speed, by the slider of the teach pendant."""
 
     def isConnected(self) -> bool:  # noqa: N802
-        """Whether data still comes."""
+        """Return True while data arrives."""
 
     def disconnect(self) -> None:
         """Close."""
@@ -252,7 +252,7 @@ class WrenchSource(Protocol):
         """Return the time since the controller was started, s."""
 
     def isConnected(self) -> bool:  # noqa: N802
-        """Whether data still comes."""
+        """Return True while data arrives."""
 
     def disconnect(self) -> None:
         """Close."""

@@ -105,7 +105,7 @@ def _make_dataset(folder: Path) -> None:
                 for person, by_um in (("Ann", 180), ("Bo", -120)):
                     said = Label(x_um + by_um * (seed % 3), y_um - by_um, 0, 300)
                     dataset.labels.opinion(
-                        person, uuid, said, looked=AnswerContext(5200 + 90 * seed)
+                        person, uuid, said, context=AnswerContext(5200 + 90 * seed)
                     )
 
 

@@ -35,7 +35,7 @@ class LabelDecisions:
             return
         if session.queue in REVIEWING and now.edit.base.state != "draft" and not now.edit.changed:
             labels, uuid, looked = self._on.book, now.item.entry.uuid, self._on.looked()
-            await self._on.saving.save(lambda: labels.approve(session.person, uuid, looked=looked))
+            await self._on.saving.save(lambda: labels.approve(session.person, uuid, context=looked))
             self._on.go_on()
             return
         model = now.item.model
@@ -52,7 +52,7 @@ class LabelDecisions:
         uuid, edit, looked = now.item.entry.uuid, now.edit, self._on.looked()
         source = edit.source if edit.changed else None
         await self._on.saving.save(
-            lambda: book.of(uuid).accept(person, uuid, edit.label, source=source, looked=looked)
+            lambda: book.of(uuid).accept(person, uuid, edit.label, source=source, context=looked)
         )
         self._on.go_on()
 
@@ -68,7 +68,7 @@ class LabelDecisions:
         uuid, label, verdict = now.item.entry.uuid, now.edit.label, now.verdict
         looked = self._on.looked()
         await self._on.saving.save(
-            lambda: book.opinion(person, uuid, label, verdict=verdict, looked=looked)
+            lambda: book.opinion(person, uuid, label, verdict=verdict, context=looked)
         )
         self._on.walk.answered.add(uuid)
         self._on.go_on()
@@ -87,7 +87,7 @@ class LabelDecisions:
     def _reject(self, reason: str) -> None:
         self._with_present(
             lambda person, uuid: self._on.shown.of(uuid).reject(
-                person, uuid, reason, looked=self._on.looked()
+                person, uuid, reason, context=self._on.looked()
             ),
             go_on=True,
         )

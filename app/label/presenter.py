@@ -462,8 +462,10 @@ def group_findings(findings: Sequence[QualityIssue]) -> list[FindingGroup]:
 
 def health_text(health: QualityReport, kinds: int, at: datetime) -> str:
     """Return how many episodes were checked and the number of findings."""
-    whole = f"{health.looked:,}" + (f" of {health.count:,}" if health.looked < health.count else "")
-    noun = "episode was" if health.looked == 1 else "episodes were"
+    whole = f"{health.examined:,}" + (
+        f" of {health.count:,}" if health.examined < health.count else ""
+    )
+    noun = "episode was" if health.examined == 1 else "episodes were"
     found = {0: "no problems were found", 1: "1 kind of finding"}.get(
         kinds, f"{kinds} kinds of findings"
     )

@@ -113,7 +113,7 @@ class TrainingThread:
         while not self._over.wait(POLL_INTERVAL_S):
             with self._lock:
                 training, cancelled = self._training, self._cancelled
-            number = None if training is None else training.number
+            number = None if training is None else training.pid
             if number is None:
                 continue
             watch = watch or ProcessStallDetector(number)

@@ -180,9 +180,15 @@ class _ControlItems:
         verdict: Verdict | None = None,
     ) -> Revision:
         head = self.head(uuid)
-        said = self._said(person, uuid, label, source, verdict, self._after("set", uuid, person))
-        same = (said.label, said.source, said.verdict) == (head.label, head.source, head.verdict)
-        return head if same and head.state == "draft" else self._add("label.set", said)
+        revision = self._revision(
+            person, uuid, label, source, verdict, self._after("set", uuid, person)
+        )
+        same = (revision.label, revision.source, revision.verdict) == (
+            head.label,
+            head.source,
+            head.verdict,
+        )
+        return head if same and head.state == "draft" else self._add("label.set", revision)
 
     def accept(
         self,
@@ -191,29 +197,29 @@ class _ControlItems:
         label: Label,
         *,
         source: Source | None = None,
-        looked: AnswerContext | None = None,
+        context: AnswerContext | None = None,
     ) -> Revision:
         state = None
         if label != self.head(uuid).label:
             state = self._after("set", uuid, person)
         state = self._after("accept", uuid, person, state)
-        said = self._said(person, uuid, label, source, None, state)
-        return self._add("label.accept_next", said, looked)
+        revision = self._revision(person, uuid, label, source, None, state)
+        return self._add("label.accept_next", revision, context)
 
     def reject(
-        self, person: str, uuid: str, reason: str, *, looked: AnswerContext | None = None
+        self, person: str, uuid: str, reason: str, *, context: AnswerContext | None = None
     ) -> Revision:
         state = self._after("reject", uuid, person)
-        said = self._said(person, uuid, self.head(uuid).label, None, None, state)
-        return self._add("reject", replace(said, reason=reason), looked)
+        revision = self._revision(person, uuid, self.head(uuid).label, None, None, state)
+        return self._add("reject", replace(revision, reason=reason), context)
 
     def take_over(self, person: str, uuid: str) -> Revision:
-        head, standing = self.head(uuid), self._standing(uuid)
-        review.check_open(standing)
-        if head.state not in ("draft", "rejected") or person in standing.authors:
+        head, status = self.head(uuid), self._review_status(uuid)
+        review.check_open(status)
+        if head.state not in ("draft", "rejected") or person in status.authors:
             raise RefusedError("nothing to take over", "This is no draft of another person.")
         return self._add(
-            "label.take_over", self._said(person, uuid, head.label, None, None, "draft")
+            "label.take_over", self._revision(person, uuid, head.label, None, None, "draft")
         )
 
     def restore_revision(self, person: str, uuid: str, rev_uuid: str) -> Revision:
@@ -223,7 +229,7 @@ class _ControlItems:
         raise InputError("The revision is of another episode.", rev_uuid, "Look at its history")
 
     def skip(self, person: str, uuid: str) -> None:
-        review.check_open(self._standing(uuid))
+        review.check_open(self._review_status(uuid))
         if not self.now(uuid).skipped:
             self._mark(person, "skip", uuid, skipped=True)
 
@@ -237,7 +243,7 @@ class _ControlItems:
         begun = ControlItemStep(shown.recorded, beside=shown.beside)
         return [begun, *self._book.control_item_steps(self.person, uuid)]
 
-    def _standing(self, uuid: str, state: LabelState | None = None) -> ReviewStatus:
+    def _review_status(self, uuid: str, state: LabelState | None = None) -> ReviewStatus:
         steps = self._steps(uuid)
         head, nodes = steps[-1].version, [_node(steps[0], "record")]
         for step in steps:
@@ -250,9 +256,9 @@ class _ControlItems:
         self, action: Action, uuid: str, person: str, state: LabelState | None = None
     ) -> LabelState:
         """Return the state an ordinary label would get; raises ``RefusedError`` as it would."""
-        return review.state_after(action, self._standing(uuid, state), person)
+        return review.state_after(action, self._review_status(uuid, state), person)
 
-    def _said(
+    def _revision(
         self,
         person: str,
         uuid: str,
@@ -269,9 +275,9 @@ class _ControlItems:
             at_ns=time.time_ns(),
         )  # fmt: skip
 
-    def _add(self, verb: str, version: Revision, looked: AnswerContext | None = None) -> Revision:
+    def _add(self, verb: str, version: Revision, context: AnswerContext | None = None) -> Revision:
         step = replace(self.now(version.episode), version=version, copy_of=None)
-        self._book.record_control_item_step(version.person, verb, step, looked=looked)
+        self._book.record_control_item_step(version.person, verb, step, context=context)
         return self.head(version.episode)
 
     def _mark(self, person: str, verb: str, uuid: str, **what: Any) -> None:

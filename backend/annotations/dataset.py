@@ -431,10 +431,10 @@ Progress = Callable[[int, int], bool]  # called with (done, total) after each ep
 
 @dataclass(frozen=True, slots=True)
 class QualityReport:
-    """``findings`` of the ``looked`` examined episodes, out of ``count``."""
+    """``findings`` of the ``examined`` examined episodes, out of ``count``."""
 
     findings: tuple[QualityIssue, ...]
-    looked: int
+    examined: int
     count: int
 
 
@@ -445,23 +445,23 @@ def check_dataset_quality(dataset: Dataset, progress: Progress) -> QualityReport
     """
     entries = [entry for entry in dataset.episodes() if entry.file_state == "complete"]
     pairs: dict[tuple[str, str], list[ExaminedEpisode]] = defaultdict(list)
-    found, looked = list(_divided(dataset, entries)), 0
+    found, examined = list(_divided(dataset, entries)), 0
     for entry, seen in iter_observations(dataset, entries):
-        looked += 1
+        examined += 1
         if isinstance(seen, InputError):
             found.append(QualityIssue("unreadable", (entry.uuid,), seen.what))
         else:
             offset_mm = dataset.labels.head(entry.uuid).label.offset_mm
             pair = pairs[entry.piece, entry.bottom]
             pair.append(ExaminedEpisode(entry.uuid, seen, offset_mm, entry.quality))
-        if not progress(looked, len(entries)):
+        if not progress(examined, len(entries)):
             break
     for names, rows in pairs.items():
         uuids = tuple(row.uuid for row in rows)
         for issue in check_quality(rows):
             text = f"{names[0]} on {names[1]}: {issue.text}"
             found.append(issue if issue.episodes else QualityIssue(issue.kind, uuids, text))
-    return QualityReport(tuple(found), looked, len(entries))
+    return QualityReport(tuple(found), examined, len(entries))
 
 
 def iter_observations(

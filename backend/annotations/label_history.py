@@ -295,19 +295,16 @@ def _following(parent: Revision, said: Revision) -> dict[str, Any]:
 
 def _renumber(connection: sqlite3.Connection, draft: OperationDraft) -> None:
     revs, copies = draft.revs, draft.copies
-    revs.sort(key=lambda rev: _order(connection, copies[rev["rev_uuid"]]))
+    sql = "SELECT o.lamport, o.site FROM label_rev r JOIN op o USING (op_uuid) WHERE r.rev_uuid = ?"
+
+    def order(rev: Mapping[str, Any]) -> tuple[int, str, str]:
+        source = copies[rev["rev_uuid"]]
+        return (*connection.execute(sql, (source,)).fetchone(), source)
+
+    revs.sort(key=order)
     draft.revs, draft.copies = [], {}
     for rev in revs:
         draft.add_copy({**rev, "rev_uuid": uuid7()}, copies[rev["rev_uuid"]])
-
-
-def _order(connection: sqlite3.Connection, rev_uuid: str) -> tuple[int, str, str]:
-    row = connection.execute(
-        "SELECT o.lamport, o.site, r.rev_uuid FROM label_rev r JOIN op o USING (op_uuid)"
-        " WHERE r.rev_uuid = ?",
-        (rev_uuid,),
-    ).fetchone()
-    return int(row[0]), str(row[1]), str(row[2])
 
 
 def _unmark(

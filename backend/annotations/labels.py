@@ -130,11 +130,11 @@ def preview_bulk_change(
     rows, refused = [], []
     for uuid in dict.fromkeys(uuids):
         try:
-            standing = read_review_status(connection, uuid)
-            review.check_open(standing)
+            status = read_review_status(connection, uuid)
+            review.check_open(status)
             head = _head(connection, uuid)
             if isinstance(change, SetState):
-                rows.append(_set_state(head, standing, change, person, four_eyes))
+                rows.append(_set_state(head, status, change, person, four_eyes))
             else:
                 rows.append(_corrected(head, change))
         except RefusedError as error:
@@ -153,11 +153,11 @@ def fill_bulk_draft(
     """Add the previewed changes to ``draft``; raises ``RefusedError`` if a label changed since."""
     changed = []
     for row in wanted.rows:
-        head, standing = _head(connection, row.episode), read_review_status(connection, row.episode)
-        if head.rev_uuid != row.before.rev_uuid or standing.conflict or standing.deleted:
+        head, status = _head(connection, row.episode), read_review_status(connection, row.episode)
+        if head.rev_uuid != row.before.rev_uuid or status.conflict or status.deleted:
             changed.append(head)
         elif isinstance(wanted.change, SetState):
-            review.state_after(wanted.change.action, standing, person, four_eyes=four_eyes)
+            review.state_after(wanted.change.action, status, person, four_eyes=four_eyes)
     if changed:
         raise RefusedError(
             "changed since the preview",
@@ -183,11 +183,11 @@ def _head(connection: sqlite3.Connection, uuid: str) -> Revision:
 
 
 def _set_state(
-    head: Revision, standing: ReviewStatus, change: SetState, person: str, four_eyes: bool
+    head: Revision, status: ReviewStatus, change: SetState, person: str, four_eyes: bool
 ) -> BulkChangeRow:
     if change.action == "reject" and not change.reason.strip():
         raise InputError("A rejection needs a reason.", "reason", "Say why in a few words.")
-    state = review.state_after(change.action, standing, person, four_eyes=four_eyes)
+    state = review.state_after(change.action, status, person, four_eyes=four_eyes)
     return BulkChangeRow(head, LabelContent.of(head), state)
 
 
@@ -257,8 +257,8 @@ class LabelStore(LabelReader):
         None: unchanged. A draft or rejected label of another person has to be taken over first.
         """
         with self._act(person, "label.set") as (connection, draft, name):
-            head, standing = _look(connection, uuid)
-            state = review.state_after("set", standing, name)
+            head, status = _head_and_status(connection, uuid)
+            state = review.state_after("set", status, name)
             wanted = _edited(head, label, source, verdict, note)
             if wanted != head or head.state not in ("draft", state):
                 draft.revs.append(_following(head, wanted, state))
@@ -272,42 +272,42 @@ class LabelStore(LabelReader):
         *,
         source: Source | None = None,
         verdict: Verdict | None = None,
-        looked: AnswerContext | None = None,
+        context: AnswerContext | None = None,
     ) -> Revision:
         """Submit a draft for review; a differing ``label`` is set in the same operation."""
-        with self._act(person, "label.accept_next", looked) as (connection, draft, name):
-            head, standing = _look(connection, uuid)
+        with self._act(person, "label.accept_next", context) as (connection, draft, name):
+            head, status = _head_and_status(connection, uuid)
             wanted = _edited(head, label or head.label, source, verdict, None)
             if wanted.label != head.label:
-                edited = review.state_after("set", standing, name)
-                standing = replace(standing, state=edited)
-            state = review.state_after("accept", standing, name)
+                edited = review.state_after("set", status, name)
+                status = replace(status, state=edited)
+            state = review.state_after("accept", status, name)
             draft.revs.append(_following(head, wanted, state))
         return self.head(uuid)
 
     def take_over(self, person: str, uuid: str) -> Revision:
         """Turn a draft or rejected label of another person into a draft of ``person``."""
         with self._act(person, "label.take_over") as (connection, draft, name):
-            head, standing = _look(connection, uuid)
-            review.check_open(standing)
-            if head.state not in ("draft", "rejected") or name in standing.authors:
+            head, status = _head_and_status(connection, uuid)
+            review.check_open(status)
+            if head.state not in ("draft", "rejected") or name in status.authors:
                 raise RefusedError("nothing to take over", "This is no draft of another person.")
             draft.revs.append(_following(head, head, "draft"))
         return self.head(uuid)
 
-    def approve(self, person: str, uuid: str, *, looked: AnswerContext | None = None) -> Revision:
+    def approve(self, person: str, uuid: str, *, context: AnswerContext | None = None) -> Revision:
         """Approve a submitted label (or a changed one that was approved before)."""
-        return self._review(person, uuid, "approve", None, looked)
+        return self._review(person, uuid, "approve", None, context)
 
     def reject(
-        self, person: str, uuid: str, reason: str, *, looked: AnswerContext | None = None
+        self, person: str, uuid: str, reason: str, *, context: AnswerContext | None = None
     ) -> Revision:
         """Reject a label with a reason; it returns to its author."""
         if not reason.strip():
             raise InputError(
                 "A rejection needs a reason.", uuid, f"For instance: {', '.join(REJECT_REASONS)}."
             )
-        return self._review(person, uuid, "reject", reason.strip(), looked)
+        return self._review(person, uuid, "reject", reason.strip(), context)
 
     def _review(
         self,
@@ -315,11 +315,11 @@ class LabelStore(LabelReader):
         uuid: str,
         action: Action,
         reason: str | None,
-        looked: AnswerContext | None,
+        context: AnswerContext | None,
     ) -> Revision:
-        with self._act(person, action, looked) as (connection, draft, name):
-            head, standing = _look(connection, uuid)
-            state = review.state_after(action, standing, name, four_eyes=self.four_eyes)
+        with self._act(person, action, context) as (connection, draft, name):
+            head, status = _head_and_status(connection, uuid)
+            state = review.state_after(action, status, name, four_eyes=self.four_eyes)
             draft.revs.append(_following(head, replace(head, reason=reason), state))
             done = {"rev_uuid": head.rev_uuid, "decision": state, "reason": reason}
             draft.reviews.append(done)
@@ -349,21 +349,21 @@ class LabelStore(LabelReader):
         label: Label,
         *,
         verdict: Verdict | None = None,
-        looked: AnswerContext | None = None,
+        context: AnswerContext | None = None,
     ) -> None:
         """Store an answer of ``person`` for agreement figures; no label changes.
 
         The latest answer counts. An opinion cannot be undone.
         """
-        with self._act(person, "label.opinion", looked) as (connection, draft, _):
+        with self._act(person, "label.opinion", context) as (connection, draft, _):
             read_review_status(connection, uuid)
             draft.opinions.append({"episode": uuid, "verdict": verdict} | asdict(label))
 
     def record_control_item_step(
-        self, person: str, verb: str, step: ControlItemStep, *, looked: AnswerContext | None = None
+        self, person: str, verb: str, step: ControlItemStep, *, context: AnswerContext | None = None
     ) -> None:
         """Store a step on a control item; it can be undone but changes no label."""
-        with self._act(person, verb, looked) as (connection, draft, _):
+        with self._act(person, verb, context) as (connection, draft, _):
             read_review_status(connection, step.version.episode)
             operation_log.add_step(draft, step)
 
@@ -420,9 +420,9 @@ class LabelStore(LabelReader):
     def _mark(self, person: str, verb: str, uuid: str, name: str, *,
               present: bool, note: str = "") -> None:  # fmt: skip
         with self._act(person, verb) as (connection, draft, _):
-            standing = read_review_status(connection, uuid)
-            if standing.deleted and name != DELETED:
-                review.check_open(standing)
+            status = read_review_status(connection, uuid)
+            if status.deleted and name != DELETED:
+                review.check_open(status)
             mark = read_mark(connection, uuid, name, present=present, note=note)
             if mark["present"] != mark["was"] or mark["note"] != mark["was_note"]:
                 draft.marks.append(mark)
@@ -499,12 +499,12 @@ class LabelStore(LabelReader):
 
     @contextmanager
     def _act(
-        self, person: str, verb: str, looked: AnswerContext | None = None
+        self, person: str, verb: str, context: AnswerContext | None = None
     ) -> Iterator[tuple[sqlite3.Connection, OperationDraft, str]]:
         """Collect a draft and commit it as one operation; an empty draft writes nothing."""
         name, draft = check_person(person), OperationDraft()
-        if looked is not None:
-            draft.extra = {"seen_ms": looked.seen_ms, "blind": looked.blind}
+        if context is not None:
+            draft.extra = {"seen_ms": context.seen_ms, "blind": context.blind}
         with self._lock:
             operation = None
             with self.commit() as connection:
@@ -528,10 +528,10 @@ class LabelStore(LabelReader):
             stacks.apply(operation.op_uuid, operation.verb, operation.target_op)
 
 
-def _look(connection: sqlite3.Connection, uuid: str) -> tuple[Revision, ReviewStatus]:
-    standing = read_review_status(connection, uuid)
+def _head_and_status(connection: sqlite3.Connection, uuid: str) -> tuple[Revision, ReviewStatus]:
+    status = read_review_status(connection, uuid)
     row = connection.execute("SELECT rev_uuid FROM label_head WHERE episode = ?", (uuid,))
-    return read_revision(connection, row.fetchone()[0]), standing
+    return read_revision(connection, row.fetchone()[0]), status
 
 
 def _edited(head: Revision, label: Label, source: Source | None, verdict: Verdict | None,

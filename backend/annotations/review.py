@@ -246,22 +246,22 @@ def check_person(person: str) -> str:
 
 
 def state_after(
-    action: Action, standing: ReviewStatus, person: str, *, four_eyes: bool = True
+    action: Action, status: ReviewStatus, person: str, *, four_eyes: bool = True
 ) -> LabelState:
     """Return the state after ``action``; raises ``RefusedError`` with the reason."""
-    check_open(standing)
+    check_open(status)
     if action == "set":
-        return _set(standing, person)
+        return _set(status, person)
     if action == "accept":
-        return _accept(standing)
-    return _review(action, standing, person, four_eyes)
+        return _accept(status)
+    return _review(action, status, person, four_eyes)
 
 
-def check_open(standing: ReviewStatus) -> None:
+def check_open(status: ReviewStatus) -> None:
     """Raise ``RefusedError`` if the episode is deleted or in conflict."""
-    if standing.deleted:
+    if status.deleted:
         raise RefusedError("deleted", "The episode is deleted: restore it first.")
-    if standing.conflict:
+    if status.conflict:
         raise RefusedError("conflict", "It has two labels since a merge: resolve that first.")
 
 
@@ -271,40 +271,40 @@ def check_other_author(authors: Sequence[str], person: str) -> None:
         raise RefusedError("four eyes", f"{person} wrote it: another person has to review it.")
 
 
-def _set(standing: ReviewStatus, person: str) -> LabelState:
-    if standing.state == "submitted":
+def _set(status: ReviewStatus, person: str) -> LabelState:
+    if status.state == "submitted":
         raise RefusedError(
             "waits for review",
             "It waits for review: undo the submission, or let the reviewer reject it.",
         )
-    own = not standing.authors or person in standing.authors
-    if standing.state in ("draft", "rejected") and not own:
-        names = " and ".join(standing.authors)
+    own = not status.authors or person in status.authors
+    if status.state in ("draft", "rejected") and not own:
+        names = " and ".join(status.authors)
         raise RefusedError("another's work", f"This is the work of {names}: take it over first.")
     return "draft"
 
 
-def _accept(standing: ReviewStatus) -> LabelState:
-    if standing.state != "draft":
+def _accept(status: ReviewStatus) -> LabelState:
+    if status.state != "draft":
         reasons = {
             "unlabelled": "There is no offset yet: set one.",
             "submitted": "It waits for review already.",
             "approved": "It is approved already.",
             "rejected": "It was rejected: change it first.",
         }
-        raise RefusedError(f"is {standing.state}", reasons.get(standing.state, standing.state))
+        raise RefusedError(f"is {status.state}", reasons.get(status.state, status.state))
     return "submitted"
 
 
-def _review(action: Action, standing: ReviewStatus, person: str, four_eyes: bool) -> LabelState:
-    state = standing.state
+def _review(action: Action, status: ReviewStatus, person: str, four_eyes: bool) -> LabelState:
+    state = status.state
     if action == "reject" and state in ("unlabelled", "draft"):
         # The labeller rejects the episode itself; nothing was submitted for review.
         return "rejected"
-    if state != "submitted" and not (state == "draft" and standing.approved_before):
+    if state != "submitted" and not (state == "draft" and status.approved_before):
         raise RefusedError(f"is {state}", _NOT_SUBMITTED[state])
     if four_eyes:
-        check_other_author(standing.authors, person)
+        check_other_author(status.authors, person)
     return "approved" if action == "approve" else "rejected"
 
 

@@ -103,9 +103,8 @@ def read_foreign(
         listener = threading.Thread(target=_listen, args=(child.stdout, lines), daemon=True)
         listener.start()
         try:
-            if not (
-                yield from _episodes(lines, source, ReaderDeadline(child.pid, source, deadline_s))
-            ):
+            deadline = ReaderDeadline(child.pid, source, deadline_s)
+            if not (yield from _episodes(lines, source, deadline)):
                 raise _crashed(source, said)
         finally:
             child.kill()
@@ -124,11 +123,8 @@ class ReaderDeadline:
     """Deadline for output of the reader process ``number``, extended while it uses the CPU."""
 
     def __init__(self, number: int, source: Path, deadline_s: float) -> None:
-        self._watch, self._source, self._deadline_s = (
-            ProcessStallDetector(number),
-            source,
-            deadline_s,
-        )
+        self._watch = ProcessStallDetector(number)
+        self._source, self._deadline_s = source, deadline_s
 
     def line(self, lines: queue.Queue[bytes]) -> bytes:
         """Return the next line; raises ``InputError`` after the deadline."""

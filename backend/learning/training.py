@@ -14,7 +14,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -395,32 +395,24 @@ def load_training_state(path: Path, trainer: Trainer, data: str) -> None:
     Data and settings must be the same: the learning rate depends on the number of epochs.
     """
     try:
-        facts, tensors = _read(path)
+        with safe_open(str(path), framework="pt") as file:
+            header = file.metadata() or {}
+            if header.get("format") != FORMAT:
+                raise ValueError("foreign file")
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        facts = json.loads(header["facts"])
         settings = TrainingSettings.model_validate(facts["settings"])
         if settings != trainer.settings or facts["data"] != data:
             raise InputError("The saved training used other data or settings.", str(path), FIX)
-        _restore(trainer, tensors)
+        trainer.model.load_state_dict(_under("model.", tensors))
+        trainer.best_state = _under("best.", tensors)
+        count = len(trainer.optimiser.moments)
+        trainer.optimiser.take_up(_under(f"adam.{n}.", tensors) for n in range(count))
         trainer.done, trainer.best_epoch = int(facts["done"]), int(facts["best_epoch"])
         trainer.best_loss = float(facts["best_loss"])
         trainer.best_figures = (float(facts["best_figures"][0]), float(facts["best_figures"][1]))
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
         raise InputError("There is no usable training to resume.", str(path), FIX) from error
-
-
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    with safe_open(str(path), framework="pt") as file:
-        header = file.metadata() or {}
-        if header.get("format") != FORMAT:
-            raise ValueError("foreign file")
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    return json.loads(header["facts"]), tensors
-
-
-def _restore(trainer: Trainer, tensors: dict[str, Tensor]) -> None:
-    trainer.model.load_state_dict(_under("model.", tensors))
-    trainer.best_state = _under("best.", tensors)
-    count = len(trainer.optimiser.moments)
-    trainer.optimiser.take_up(_under(f"adam.{n}.", tensors) for n in range(count))
 
 
 def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -82,7 +82,7 @@ class TrainingProcess:
         self._send(job.model_dump_json())
 
     @property
-    def number(self) -> int:
+    def pid(self) -> int:
         """Process id."""
         return self._child.pid
 
@@ -499,18 +499,18 @@ def record_training(job: TrainingJob, say: Callable[[str], None]) -> Iterator[Ac
 class TrainingRequest:
     """Training on the episodes of ``piece`` in ``data``; ``labels``: labels of a dataset to use.
 
-    ``goes_on``: unfinished run with the same data and settings, to continue from its epochs.
+    ``resumed_run``: unfinished run with the same data and settings, to continue from its epochs.
     """
 
     data: Path
     piece: str
     settings: TrainingSettings
     labels: LabelChoice = "approved"
-    goes_on: TrainingRun | None = None
+    resumed_run: TrainingRun | None = None
 
     def params(self) -> dict[str, Any]:
         """Return the parameters of the run, JSON-ready."""
-        resumed = {} if self.goes_on is None else {"resumed": self.goes_on.uuid}
+        resumed = {} if self.resumed_run is None else {"resumed": self.resumed_run.uuid}
         kept = {"piece": self.piece, "labels": self.labels, **self.settings.model_dump(mode="json")}
         return kept | resumed
 
@@ -550,10 +550,10 @@ class RecordedTraining:
         return self._run.folder
 
     @property
-    def number(self) -> int | None:
+    def pid(self) -> int | None:
         """Process id of the child, None if there is none."""
         with self._lock:
-            return None if self._child is None else self._child.number
+            return None if self._child is None else self._child.pid
 
     def reports(
         self,
@@ -598,16 +598,16 @@ class RecordedTraining:
 
     def _job(self) -> TrainingJob:
         request, out = self._request, self._run.folder / MODEL
-        if request.goes_on is not None:
-            shutil.copyfile(request.goes_on.folder / RESUME, self._run.folder / RESUME)
-            _copy_curves(self._run, request.goes_on)
+        if request.resumed_run is not None:
+            shutil.copyfile(request.resumed_run.folder / RESUME, self._run.folder / RESUME)
+            _copy_curves(self._run, request.resumed_run)
         return TrainingJob(
             data=request.data,
             piece=request.piece,
             out=out,
             settings=request.settings,
             labels=request.labels,
-            resume=request.goes_on is not None,
+            resume=request.resumed_run is not None,
             keep=self._run.folder,
         )
 

@@ -110,8 +110,10 @@ def displacement_doubt(felt: FloatArray, offsets_mm: FloatArray) -> FloatArray:
         return np.full(count, np.nan)
     error = felt - _expected_without_own(offsets_mm, felt)
     expected = _smooth(offsets_mm, felt, np.random.default_rng(0))
-    near = _nearest(offsets_mm, min(NEAR, count - 1))
-    shifts = _shifts_mm()
+    near = np.asarray(cKDTree(offsets_mm).query(offsets_mm, k=min(NEAR, count - 1) + 1)[1])[:, 1:]
+    turn = 2 * np.pi * np.arange(TURNS) / TURNS
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    shifts = np.concatenate([np.zeros((1, 2)), *(by * ring for by in SHIFTS_MM)])
     found = np.empty(count)
     for k in range(count):
         middle, scale, inverse = _scatter(error[near[k]])
@@ -120,11 +122,6 @@ def displacement_doubt(felt: FloatArray, offsets_mm: FloatArray) -> FloatArray:
         distance = np.einsum("ij,jk,ik->i", apart, inverse, apart)
         found[k] = distance[0] - distance.min()
     return found
-
-
-def _nearest(at_mm: FloatArray, count: int) -> NDArray[np.intp]:
-    found = np.asarray(cKDTree(at_mm).query(at_mm, k=count + 1)[1], dtype=np.intp)
-    return found[:, 1:]
 
 
 def _principal_components(probability: FloatArray) -> FloatArray:
@@ -183,13 +180,6 @@ def _scatter(error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     z = np.clip((error - middle) / scale, -3.0, 3.0)
     covariance = np.cov(z.T) + SHRINK * np.eye(error.shape[1])
     return middle, scale, np.asarray(np.linalg.inv(covariance), dtype=np.float64)
-
-
-def _shifts_mm() -> FloatArray:
-    """Return the candidate shifts (m, 2); the first one is zero."""
-    turn = 2 * np.pi * np.arange(TURNS) / TURNS
-    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return np.concatenate([np.zeros((1, 2)), *(by * ring for by in SHIFTS_MM)])
 
 
 SETTLED_TICKS = 5  # ticks at the end of a press, where the load is constant (0.5 s)

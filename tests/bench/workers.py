@@ -423,7 +423,7 @@ def trainings_without_memory() -> list[Figure]:
                     for report in training.reports():
                         epochs += isinstance(report, TrainingEpoch)
                         if epochs == 1 and isinstance(report, TrainingEpoch):
-                            strike(training.number)
+                            strike(training.pid)
             except FaultError as error:
                 code = error.fault.code
                 said.append(error.fault.what)

@@ -21,14 +21,14 @@ def test_opinions_are_compared_and_change_no_label(dataset: Dataset, record: Rec
     for k, uuid in enumerate(uuids):
         verdict = "stable" if k < 2 else "unstable"
         labels.accept("ann", uuid, Label(2000 * k + SHIFTS_UM[k], -1000 * k + 1, 0, 50),
-                      verdict=verdict, looked=AnswerContext(4000 + 1000 * k))  # fmt: skip
+                      verdict=verdict, context=AnswerContext(4000 + 1000 * k))  # fmt: skip
         labels.approve("cleo", uuid)
     before, chain = contents(dataset), len(labels.log(limit=1000))
     for k, uuid in enumerate(uuids):
         verdict = "stable" if k < 3 else "unstable"
         labels.opinion("bob", uuid, Label(999, 999, 0, 50))
         labels.opinion("bob", uuid, Label(2000 * k, -1000 * k, 0, 50), verdict=verdict,
-                       looked=AnswerContext(90_000, blind=True))  # fmt: skip
+                       context=AnswerContext(90_000, blind=True))  # fmt: skip
     assert contents(dataset) == before
     assert len(labels.log(limit=1000)) == chain + 10
     assert not labels.can_undo("bob")
@@ -69,10 +69,10 @@ def test_labels_made_blind_are_held_against_those_made_with_the_model_in_sight(
     uuids = [record(1000 * k, 0).uuid for k in range(5)]
     for k, uuid in enumerate(uuids):
         shown = Label(1000 * k, 0, 0, 50)
-        dataset.labels.opinion("ann", uuid, shown, looked=AnswerContext(2000, blind=False))
+        dataset.labels.opinion("ann", uuid, shown, context=AnswerContext(2000, blind=False))
         if k < 4:
             blind = Label(1000 * k + SHIFTS_UM[k], 500, 0, 50)
-            dataset.labels.opinion("bob", uuid, blind, looked=AnswerContext(2000, blind=True))
+            dataset.labels.opinion("bob", uuid, blind, context=AnswerContext(2000, blind=True))
     found = suggestion_bias(dataset.database, ["ann", "bob"])
     assert found.episodes == 4
     assert found.x_mm.mean == pytest.approx(sum(SHIFTS_UM[:4]) / 4e3)

@@ -69,9 +69,9 @@ def test_each_fault_is_listed(dataset: Dataset, filled: dict[str, str]) -> None:
     found = {(finding.kind, finding.episodes) for finding in health.findings}
     assert found >= {(kind, (uuid,)) for kind, uuid in filled.items()}
     assert {episodes for _, episodes in found} == {(uuid,) for uuid in filled.values()}
-    assert (health.looked, health.count) == (30, 30)
+    assert (health.examined, health.count) == (30, 30)
     early = check_dataset_quality(dataset, lambda done, _: done < 3)
-    assert (early.looked, early.count) == (3, 30)
+    assert (early.examined, early.count) == (3, 30)
 
 
 def test_a_damaged_file_is_a_finding(dataset: Dataset, filled: dict[str, str]) -> None:

@@ -225,9 +225,9 @@ def test_what_is_decided_is_an_opinion_that_undo_withdraws(
     near, far, none = (gold_of(record, dataset, x) for x in (1000, 2000, 3000))
     plain = record(4000, 0).uuid
     book, labels = sitting(dataset, near, far, none), dataset.labels
-    book.of(near).accept("ann", near, Label(1600, 0, 0, 50), looked=AnswerContext(3000))
+    book.of(near).accept("ann", near, Label(1600, 0, 0, 50), context=AnswerContext(3000))
     book.of(plain).accept("ann", plain, Label(4000, 0, 0, 50))
-    book.of(far).accept("ann", far, Label(2800, 0, 0, 50), looked=AnswerContext(5000))
+    book.of(far).accept("ann", far, Label(2800, 0, 0, 50), context=AnswerContext(5000))
     book.of(none).reject("ann", none, "tilt")
     found = compare_with_control_items(dataset.database, dataset.geometry, "ann")
     assert found.episodes == 3
@@ -259,7 +259,7 @@ def test_deleting_what_was_answered_and_taking_that_back_keeps_the_answer(
 ) -> None:
     gold = gold_of(record, dataset)
     book = sitting(dataset, gold)
-    book.of(gold).accept("ann", gold, Label(1600, 0, 0, 50), looked=AnswerContext(3000))
+    book.of(gold).accept("ann", gold, Label(1600, 0, 0, 50), context=AnswerContext(3000))
     book.of(gold).delete("ann", gold, "torn gel")
     assert math.isnan(compare_with_control_items(dataset.database, dataset.geometry, "ann").rms_mm)
     dataset.labels.undo("ann")

@@ -94,11 +94,11 @@ def test_the_way_of_a_label_from_the_campaign_to_approval(dataset: Dataset, reco
     labels, uuid = dataset.labels, record().uuid
     assert labels.head(uuid).source == "commanded"
     assert labels.set("ann", uuid, MOVED).source == "human"
-    accepted = labels.accept("ann", uuid, looked=AnswerContext(4200))
+    accepted = labels.accept("ann", uuid, context=AnswerContext(4200))
     assert (accepted.state, accepted.source, accepted.label) == ("submitted", "human", MOVED)
     with pytest.raises(RefusedError, match="another person"):
         labels.approve("ann", uuid)
-    approved = labels.approve("bob", uuid, looked=AnswerContext(900, blind=True))
+    approved = labels.approve("bob", uuid, context=AnswerContext(900, blind=True))
     assert labels.counting(uuid) == approved
     edited = labels.set("ann", uuid, Label(0, 0, 0, 100))
     assert edited.state == "draft"

@@ -125,7 +125,7 @@ class Watched:
         self.pump(lambda: len(presenter._epochs_s) >= 1)
         assert presenter.thread is not None
         assert presenter.thread._training is not None
-        number = presenter.thread._training.number
+        number = presenter.thread._training.pid
         assert number is not None
         return number
 

@@ -39,11 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("file", type=Path, help="lab file (TOML)")
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--new", action="store_true", help="write a new one to fill in")
+    what.add_argument("--new", action="store_true", help="write a new file to fill in")
     what.add_argument(
         "--connect",
         action="store_true",
-        help="connect all devices, tell who answers, disconnect; the arm is switched on and stands",
+        help="connect all devices, list the answers, disconnect; the arm is switched on and stands",
     )
 
 
@@ -78,7 +78,7 @@ def _show(lab: Lab, screen: VerbOutput) -> None:
     screen.show(table)
     made_up = placeholders(settings)
     if made_up and settings.kind == "hardware":
-        screen.say(f"Still made up, put in the lab's own numbers: {', '.join(made_up)}.")
+        screen.say(f"Placeholders, enter the values of the lab: {', '.join(made_up)}.")
     screen.result(
         {
             "version": JSON_VERSION,

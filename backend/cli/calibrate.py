@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 
 NAME = "calibrate"
-HELP = "measure and accept calibrations, or show how they stand"
+HELP = "measure and accept calibrations, or show their status"
 JSON_VERSION = 1
 BOTTOM = "square15"
 ORIGIN, PITCH_MM = (0.0, 0.0), 1.9
@@ -65,18 +65,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "what", choices=(*CALIBRATION_NAMES, "status"), help="what to measure, or 'status'"
     )
-    parser.add_argument("--accept", action="store_true", help="keep the result if it is acceptable")
+    parser.add_argument(
+        "--accept", action="store_true", help="store the result if it is acceptable"
+    )
     add_scene_arguments(parser, BOTTOM, "board or bottom")
     parser.add_argument(
         "--origin", type=float, nargs=2, default=ORIGIN, metavar=("X", "Y"),
         help="centre of the bottom in the frame of the arm, mm (default: 0 0)",
     )  # fmt: skip
     parser.add_argument(
-        "--pitch", type=float, default=PITCH_MM, metavar="MM", help="of the dots (default: 1.9)"
+        "--pitch",
+        type=float,
+        default=PITCH_MM,
+        metavar="MM",
+        help="pitch of the dots (default: 1.9)",
     )
     parser.add_argument(
         "--hand-over", action="store_true",
-        help="hand the piece to the gripper, where there is no jig; Enter confirms",
+        help="hand the piece to the gripper if there is no jig; Enter confirms",
     )  # fmt: skip
     parser.add_argument("--person", help="who accepts (default: the account's name)")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated bench")
@@ -109,7 +115,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     fill_in_scene(args, BOTTOM)
     if args.hand_over and screen.json:
         raise InputError(
-            "Nobody would see when to hold the piece.", "--hand-over", "Leave out --json."
+            "With --json the prompt for the piece is not shown.", "--hand-over", "Leave out --json."
         )
     request = CalibrateRequest(
         what, args.piece, args.bottom, args.seed, (args.origin[0], args.origin[1]),
@@ -187,9 +193,9 @@ def _report(
 
 def _verdict(found: CalibrationMeasured) -> str:
     if found.acceptable:
-        return "Acceptable; nothing is kept without --accept."
+        return "Acceptable; not stored without --accept."
     if found.obstacle:
-        return "Not acceptable as the bench is set."
+        return "Not acceptable with the present settings of the bench."
     said = format_residual(found.residual, found.limit, found.unit)
     return f"Not acceptable: the residual is {said}."
 

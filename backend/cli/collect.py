@@ -84,12 +84,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--hand-over", action="store_true",
-        help="hand the piece to the gripper, where there is no jig; Enter confirms",
+        help="hand the piece to the gripper if there is no jig; Enter confirms",
     )  # fmt: skip
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
     parser.add_argument("--person", help="who collects (default: the account's name)")
     parser.add_argument(
-        "--resume", action="store_true", help="go on with the newest campaign, by its own plan"
+        "--resume", action="store_true", help="resume the newest campaign with its plan"
     )
     parser.add_argument(
         "--bench", metavar="FILE", help="lab file, or settings of the simulated bench (TOML)"
@@ -120,7 +120,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     args.hand_over |= lab
     if args.hand_over and screen.json:
         raise InputError(
-            "Nobody would see when to hold the piece.", "--hand-over", "Leave out --json."
+            "With --json the prompt for the piece is not shown.", "--hand-over", "Leave out --json."
         )
     folder = Path(args.dataset) if args.dataset else dataset_folder()
     person = args.person or getpass.getuser()
@@ -176,9 +176,7 @@ class _CollectionProgress:
     def _asked(self, fact: HandOverAwaited | MountingAwaited) -> None:
         """Ask on standard input; end of file means no."""
         if isinstance(fact, MountingAwaited):
-            self._screen.say(
-                f"  {mounting_question(fact)} Type y if so; Enter alone: it is as it was."
-            )
+            self._screen.say(f"  {mounting_question(fact)} Type y for yes; Enter: no.")
             self._confirm(sys.stdin.readline().strip().lower() in ("y", "yes"))
         else:
             self._screen.say(f"  {hand_over_message(fact)} Enter confirms.")
@@ -240,7 +238,7 @@ def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> Collect
     campaign = newest_campaign(dataset.folder) if args.resume else ""
     if campaign is None:
         raise InputError(
-            "No campaign was ever begun here.", str(dataset.folder), "Collect without --resume."
+            "This dataset has no campaign.", str(dataset.folder), "Collect without --resume."
         )
     return CollectRequest(
         piece=args.piece,
@@ -277,8 +275,8 @@ def _report(
     left = len(campaign.todo(entries))
     done = campaign.count - left - len(campaign.skipped)
     screen.say(told.ended.reason)
-    more = f"; --resume goes on with the other {left}." if left else "."
-    screen.say(f"{done} of {campaign.count} probes are there{more}")
+    more = f"; --resume continues with the other {left}." if left else "."
+    screen.say(f"{done} of {campaign.count} probes are done{more}")
     screen.say(coverage_text(seen))
     _say_findings(findings, screen)
     screen.say(f"Dataset {dataset.folder}, campaign {campaign.uuid}")
@@ -319,11 +317,11 @@ def coverage_text(seen: Coverage) -> str:
 
 def _say_findings(findings: list[QualityIssue], screen: VerbOutput) -> None:
     if not findings:
-        screen.say("Health: nothing looks wrong.")
+        screen.say("Health: no findings.")
         return
     screen.say(f"Health: {len(findings)} findings.")
     for finding in findings[:LISTED]:
         names = " ".join(finding.episodes)
         screen.say(f"  {finding.kind}: {finding.text} {names}".rstrip())
     if len(findings) > LISTED:
-        screen.say(f"  ... and {len(findings) - LISTED} more (--json has them all)")
+        screen.say(f"  ... and {len(findings) - LISTED} more (--json lists all)")

@@ -19,17 +19,17 @@ from touchdown.backend.core import FaultError, InputError, RefusedError, Touchdo
 VERBS = {
     "app": "open the window",
     "stack": "place a piece by touch on the simulated bench or on a lab's devices",
-    "demo": "stack three pieces without a screen and leave a report",
-    "calibrate": "measure payload, board, tool, wrist and cameras, or show how they stand",
+    "demo": "stack three pieces without a window and write a report",
+    "calibrate": "calibrate payload, board, tool, wrist and cameras, or show the status",
     "collect": "collect labelled probes into a dataset",
     "dataset": "show, check, back up, rebuild and merge datasets",
-    "export": "hand episodes and labels on in a format that others read",
-    "import": "bring episodes or labels in from a format that others write",
-    "replay": "play a recorded run again",
+    "export": "export episodes and labels to the format of another program",
+    "import": "import episodes or labels from the format of another program",
+    "replay": "replay a recorded run",
     "simulate": "write labelled episodes of the simulated bench",
     "train": "train a contact-patch model",
-    "models": "simulate, train and measure the models that ship",
-    "evaluate": "measure a contact-patch model",
+    "models": "simulate, train and evaluate the shipped models",
+    "evaluate": "evaluate a contact-patch model",
     "experiment": "measure the paper's three tables on the simulated bench",
     "track": "track the gel's markers in an image, video or folder",
     "bench": "check a lab file, write a new one, or connect its devices once",
@@ -84,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _complain(words, f"{fault.what} {fault.consequence}", fault.code, fault.next_step)
         return FAILED
     except RefusedError as error:
-        fix = error.next_step or "Put that right, then run the command again."
+        fix = error.next_step or "Correct this and run the command again."
         _complain(words, error.what, error.reason, fix)
         return FAILED
     except TouchdownError as error:
@@ -135,8 +135,8 @@ def _front() -> Parser:
     front = Parser(
         prog="touchdown",
         usage="touchdown [-h] [--version] <verb> [arguments]",
-        description="Feel how a grasped piece rests before letting it go.",
-        epilog=f"verbs:\n{lines}\n\n'touchdown <verb> --help' tells more.",
+        description="Probe how a grasped piece rests before it is released.",
+        epilog=f"verbs:\n{lines}\n\n'touchdown <verb> --help' lists the arguments.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )

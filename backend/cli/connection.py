@@ -81,14 +81,18 @@ def refuse_lab_arguments(args: argparse.Namespace) -> None:
     """Raise ``InputError`` for arguments that need a lab file."""
     for flag, given in (("--home", args.home), ("--override", args.override)):
         if given:
-            raise InputError("Only devices need that.", flag, "Name a lab file with --bench.")
+            raise InputError(
+                "This argument is for real devices only.", flag, "Name a lab file with --bench."
+            )
 
 
 def refuse_simulated_arguments(args: argparse.Namespace) -> None:
     """Raise ``InputError`` for arguments of the simulation given with a lab file."""
     for name in ("preset", "inject", "emulated"):
         if getattr(args, name, None):
-            raise InputError("That is of the simulated bench.", f"--{name}", "Leave it out here.")
+            raise InputError(
+                "This argument is for the simulated bench only.", f"--{name}", "Leave it out."
+            )
 
 
 def lab_choice(args: argparse.Namespace) -> LabChoice:
@@ -186,13 +190,13 @@ OUTCOME_KEYS = {
     "d": Outcome.KNOCKED_OVER,
     "v": Outcome.ABORTED,
 }
-OUTCOME_HELP = "s: stands, f: fell, d: disturbed, v and why: void. Enter: as proposed."
+OUTCOME_HELP = "s: stands, f: fell, d: disturbed, v and reason: void. Enter: as proposed."
 
 
 def answer_prompt(fact: Event, session: Session, screen: VerbOutput) -> None:
     """Print the question of an event and answer it; bench and STOP stay responsive."""
     if isinstance(fact, SetUpAwaited):
-        screen.say(f"  {scene_to_set_message(fact)} Enter: it is set. Ctrl-D: not today.")
+        screen.say(f"  {scene_to_set_message(fact)} Enter: ready. Ctrl-D: end the run.")
         _read_line_in_thread(lambda line: session.answer(line != ""))
     elif isinstance(fact, HandOverAwaited):
         screen.say(f"  {hand_over_message(fact)} Enter confirms.")
@@ -212,7 +216,7 @@ def wait_for_disk_space(fault: Fault, screen: VerbOutput, what: str, *, waits: b
     screen.say(f"  {fault.what} {fault.consequence}")
     if screen.json or not waits:
         return False
-    screen.say(f"  Make room on this disk, then press Enter. Ctrl-D ends the {what}.")
+    screen.say(f"  Free space on this disk, then press Enter. Ctrl-D ends the {what}.")
     return sys.stdin.readline() != ""
 
 
@@ -236,7 +240,7 @@ def _judge(line: str, fact: OutcomeAwaited, session: Session, screen: VerbOutput
             return
         screen.say(f"  {OUTCOME_HELP}")
         line = sys.stdin.readline()
-    session.prompt.see(Outcome.ABORTED, "nobody said what became of the piece")
+    session.prompt.see(Outcome.ABORTED, "no outcome was entered")
 
 
 def _read_line_in_thread(take: Callable[[str], None]) -> None:

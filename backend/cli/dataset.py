@@ -47,7 +47,7 @@ def verify(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     except NotWritableError as error:
         with Dataset.open(folder, create=False, write=False) as dataset:
             found, count = list(check_dataset(dataset.parts, whole=True)), len(dataset.episodes())
-        screen.say(f"{error.what} It is looked at only; nothing is noted there.")
+        screen.say(f"{error.what} It is only read; nothing is recorded there.")
         return _report(found, screen, {"dataset": str(folder), "episodes": count, "noted": False})
     screen.say(f"{count} episodes read.")
     return _report(found, screen, {"dataset": str(folder), "episodes": count, "noted": True})
@@ -79,7 +79,7 @@ def restore(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
         lock.release()
     with Dataset.open(folder, create=False) as dataset:
         notices = dataset.notices
-    for line in (*notices, f"Restored from {args.other}; the former catalogue: {aside}."):
+    for line in (*notices, f"Restored from {args.other}; the previous catalogue: {aside}."):
         screen.say(line)
     answer = {"dataset": str(folder), "restored": str(args.other), "former": str(aside)}
     screen.result({**answer, "notices": list(notices)})
@@ -101,11 +101,11 @@ def rebuild(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     for notice in result.notices:
         screen.say(notice)
     if not result.old_readable:
-        screen.say("The old catalogue could not be read: nothing to compare with.")
+        screen.say("The old catalogue could not be read for a comparison.")
     else:
-        screen.say("Both say the same." if result.equal else "They differ.")
+        screen.say("Both are equal." if result.equal else "They differ.")
     if result.replaced:
-        screen.say("The new one is in its place; the old one is in quarantine.")
+        screen.say("The new catalogue is in use; the old one is in quarantine.")
     screen.result(
         {
             "dataset": str(folder), "rows": result.rows, "only_old": result.only_old,
@@ -216,9 +216,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
     parser.add_argument("--person", help="who merges (default: the account's name)")
-    parser.add_argument(
-        "--replace", action="store_true", help="rebuild: put the new catalogue in its place"
-    )
+    parser.add_argument("--replace", action="store_true", help="rebuild: replace the catalogue")
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:

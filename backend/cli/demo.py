@@ -12,7 +12,7 @@ from touchdown.backend.core import EpisodeRecorded, Event, Outcome, TrialFinishe
 from touchdown.backend.runs import StackRequest
 
 NAME = "demo"
-HELP = "stack three pieces headless and leave an HTML report"
+HELP = "stack three pieces headless and write an HTML report"
 SHOWN = (("pot", "short"), ("barrel", "long"), ("mushroom", "short"))
 
 
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     ends = [end for _, end in ended]
     screen.show(trial_table(ends, [piece for piece, _ in ended]))
     screen.say(f"Report: {report}")
-    screen.say(f"Play it again: touchdown replay latest --runs {out / 'runs'}")
+    screen.say(f"Replay: touchdown replay latest --runs {out / 'runs'}")
     placed = sum(end.outcome is Outcome.PLACED for end in ends)
     screen.result({"version": 1, "placed": placed, "trials": len(SHOWN), "report": str(report)})
     return 0 if placed == len(SHOWN) else 1

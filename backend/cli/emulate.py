@@ -54,9 +54,7 @@ from touchdown.backend.runs import SceneChoice
 
 CLEAR = "clear"
 CHUNK = 4096
-USAGE = (
-    "Type a fault and Enter: [device] kind [seconds], slow=Hz, drift=N/s; 'clear' ends all faults."
-)
+USAGE = "Type a fault and Enter: [device] kind [seconds], slow=Hz, drift=N/s; 'clear' ends all."
 
 
 class FaultPrompt:
@@ -127,29 +125,25 @@ BENCH = "bench"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument(
-        "kind", choices=[*emulated_makes(), BENCH], help="which device, or all of a bench"
-    )
+    parser.add_argument("kind", choices=[*emulated_makes(), BENCH], help="device, or a whole bench")
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
     parser.add_argument("--port", type=_port, help="port (default: a free one)")
     parser.add_argument(
         "--tty", type=_whole, metavar="LINK", help="name for the serial port of a wrist sensor"
     )
-    parser.add_argument(
-        "--faults", type=Path, metavar="FILE", help="fault plan in TOML: what goes wrong, and when"
-    )
+    parser.add_argument("--faults", type=Path, metavar="FILE", help="fault plan (TOML)")
     parser.add_argument(
         "--load",
         type=_wrench,
         metavar="Fx,Fy,Fz,Tx,Ty,Tz",
-        help="what a wrist sensor feels, N and N·m (default: a swaying gripper)",
+        help="wrench on a wrist sensor, N and N·m (default: a swaying gripper)",
     )
     parser.add_argument(
         "--part", type=float, default=20.0, metavar="MM", help="piece between the jaws; 0: none"
     )
     parser.add_argument("--text", action="store_true", help="a gripper with its text protocol")
     parser.add_argument(
-        "--folder", type=_whole, metavar="DIR", help="where an emulated camera is found"
+        "--folder", type=_whole, metavar="DIR", help="folder of the emulated camera"
     )
     parser.add_argument("--finger", choices=FINGERS, default="left", help="which camera")
     parser.add_argument("--serial", default=SERIAL, help="number of the camera")
@@ -163,13 +157,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of a bench: write the lab file that leads to it; see 'touchdown app --bench'",
     )
     parser.add_argument("--piece", default="pot", help="of a bench: the grasped piece")
-    parser.add_argument("--bottom", default="short", help="of a bench: what it is put on")
+    parser.add_argument("--bottom", default="short", help="of a bench: the bottom")
     parser.add_argument("--preset", default="mixed", help="of a bench: nuisances")
     parser.add_argument("--seed", type=int, default=1, help="of a bench")
     parser.add_argument(
         "--jig",
         action="store_true",
-        help="of a bench: with an operator, who has the piece in a jig and hands it over again",
+        help="of a bench: with an operator who hands the piece over from a jig",
     )
     parser.add_argument(
         "--for", type=float, dest="for_s", metavar="S", help="end after this time (default: Ctrl-C)"
@@ -184,7 +178,7 @@ def _whole(text: str) -> Path:
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Serve until Ctrl-C or the end of the time; then print the statistics of the wires."""
     if args.for_s is not None and not 0 < args.for_s < float("inf"):
-        raise InputError("The time is not above zero.", "--for", "Give seconds.")
+        raise InputError("The time must be positive.", "--for", "Give seconds.")
     with ExitStack() as rest:
         if args.kind == BENCH and args.folder is None and args.lab_file is not None:
             args.folder = Path(rest.enter_context(tempfile.TemporaryDirectory(prefix="bench-")))
@@ -220,7 +214,7 @@ def _serve(
     front = emulation.fronts[0]
     seen = None if world is None else world.driver_observations()
     if seen is not None:
-        screen.say(f"What the devices saw of their driver: {seen}.")
+        screen.say(f"Recorded by the devices: {seen}.")
     screen.result(
         {
             "version": 1,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 NAME = "evaluate"
-HELP = "measure a contact-patch model"
+HELP = "evaluate a contact-patch model"
 JSON_VERSION = 1
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 NAME = "export"
-HELP = "hand episodes and labels on in a format that others read"
+HELP = "export episodes and labels to the format of another program"
 JSON_VERSION = 1
 
 
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--held-out", type=float, default=0.2, metavar="SHARE",
-        help="share kept from training, in whole series or mountings (default: 0.2)",
+        help="held-out share, in whole series or mountings (default: 0.2)",
     )  # fmt: skip
     parser.add_argument(
         "--tables", action="store_true",
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="which series are held out")
     parser.add_argument(
         "--divide-series", action="store_true",
-        help="let a pair of one series be on both sides, by grips; the manifest says so",
+        help="split a pair with a single series by grips; noted in the manifest",
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 NAME = "import"
-HELP = "bring episodes or labels in from a format that others write"
+HELP = "import episodes or labels from the format of another program"
 JSON_VERSION = 1
 EPISODES = ("lerobot", "robomimic")
 LABELS = ("coco", "csv")
@@ -36,9 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--person", metavar="NAME",
         help="whose labels these are (without: 'measured', entered by the account's name)",
     )  # fmt: skip
-    parser.add_argument("--piece", help="grasped piece, where the file does not say")
-    parser.add_argument("--bottom", help="bottom, where the file does not say")
-    parser.add_argument("--check", action="store_true", help="tell what would be done, and stop")
+    parser.add_argument("--piece", help="grasped piece, if the file has none")
+    parser.add_argument("--bottom", help="bottom, if the file has none")
+    parser.add_argument(
+        "--check", action="store_true", help="print the changes without making them"
+    )
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
@@ -67,7 +69,7 @@ def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: Ve
     wanted = EpisodeImport(dataset, args.format, args.source, wish)
     with screen.progress("Reading", wanted.total) as advance:
         survey = wanted.survey(advance)
-    screen.say(f"{survey.found} episodes found, {survey.here} of them are here already.")
+    screen.say(f"{survey.found} episodes found, {survey.here} of them are present already.")
     for why, count in survey.problems:
         screen.say(f"  {count} cannot be mapped: {why}.")
     for loss in survey.losses:
@@ -141,5 +143,5 @@ def _named(backup: Path | None, screen: VerbOutput) -> str:
     """Return a sentence with the path of the catalogue backup; "" without one."""
     if backup is None:
         return ""
-    screen.say(f"The catalogue as it was before is in {backup}.")
+    screen.say(f"The previous catalogue is in {backup}.")
     return str(backup)

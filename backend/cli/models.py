@@ -13,7 +13,7 @@ from touchdown.backend.cli import evaluate, simulate, train
 from touchdown.backend.cli.output import VerbOutput
 
 NAME = "models"
-HELP = "simulate, train and measure the models that ship"
+HELP = "simulate, train and evaluate the shipped models"
 JSON_VERSION = 1
 TRAINING_BOTTOMS = "circle15,circle25,square15"
 UNSEEN_BOTTOMS = "short,long,hex20,rect12x28"

@@ -12,7 +12,7 @@ from touchdown.backend.runs import EVENT_LOG_NAME as JOURNAL
 from touchdown.backend.runs import data_folder, read_events
 
 NAME = "replay"
-HELP = "play a recorded run again"
+HELP = "replay a recorded run"
 JSON_VERSION = 1
 
 
@@ -31,7 +31,7 @@ def find_run(name: str, runs: Path) -> Path:
         found = sorted(folder for folder in runs.glob("*") if (folder / JOURNAL).is_file())
         if found:
             return found[-1]
-        raise InputError("There is no run yet.", str(runs), "Start one with `touchdown stack`.")
+        raise InputError("There are no runs.", str(runs), "Start one with `touchdown stack`.")
     if (runs / name).is_dir():
         return runs / name
     raise InputError("There is no such run.", name, f"Name a folder, or one of those in {runs}.")
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         narrate(fact, screen)
     screen.show(trial_table(trials))
     if ending is None:
-        screen.say("The journal ends before the run did: the program was interrupted.")
+        screen.say("The journal is incomplete: the program was interrupted.")
     screen.result(_result(folder, head, ending, trials, counts))
     return 0
 

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the pack files")
     parser.add_argument(
-        "--probes-per-grip", type=int, default=50, help="1: everything is drawn for every probe"
+        "--probes-per-grip", type=int, default=50, help="1: a new grip for every probe"
     )
     parser.add_argument("--grips-per-mounting", type=int, default=10)
     parser.add_argument("--preset", help="mixed (default), quiet, hard, off or realistic")

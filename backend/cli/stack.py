@@ -104,14 +104,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
     parser.add_argument("--runs", metavar="DIR", help="folder for runs (default: data folder)")
-    parser.add_argument("--no-episodes", action="store_true", help="keep the journal only")
+    parser.add_argument("--no-episodes", action="store_true", help="store the journal only")
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Run all trials; return 0 if every piece was placed, else 1."""
     if args.emulated and args.inject:
         raise InputError(
-            "Emulated devices suffer by a fault plan.", "--inject", "See 'touchdown emulate'."
+            "Disturbances of emulated devices need a fault plan.",
+            "--inject",
+            "See 'touchdown emulate'.",
         )
     # Imported here so that `touchdown doctor` starts without torch.
     from touchdown.backend.bench import SimulatedBenchChoice
@@ -123,11 +125,17 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if not lab:
         refuse_lab_arguments(args)
         if any(args.origin):
-            raise InputError("Only devices need that.", "--origin", "Name a lab file with --bench.")
+            raise InputError(
+                "This argument is for real devices only.",
+                "--origin",
+                "Name a lab file with --bench.",
+            )
     fill_in_scene(args, BOTTOM)
     mode: DecisionMode = args.mode or ("approve" if lab else "auto")
     if mode != "auto" and screen.json:
-        raise InputError("Nobody would see what to approve.", "--mode", "Leave out --json.")
+        raise InputError(
+            "With --json the moves to approve are not shown.", "--mode", "Leave out --json."
+        )
     if lab and screen.json:
         raise InputError("Trials on devices ask their operator.", "--json", "Leave it out.")
     request = _request(args, mode)

@@ -159,7 +159,7 @@ def _summarise(path: Path, tracked: list[TrackedImage], screen: VerbOutput) -> N
         "lost": _share(state, MarkerState.LOST),
         "largest displacement": f"{moved.max():.2f} px",
         "lowest frame quality": f"{min(field.quality for field in fields):.2f}",
-        "time per frame, median": f"{np.median([item.ms for item in tracked]):.2f} ms",
+        "median time per frame": f"{np.median([item.ms for item in tracked]):.2f} ms",
     }
     for name, value in rows.items():
         table.add_row(name, value)

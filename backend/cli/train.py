@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, help="model file (default: <piece>.safetensors in the present folder)"
     )
     parser.add_argument(
-        "--resume", action="store_true", help="go on with an interrupted training of the same model"
+        "--resume", action="store_true", help="resume an interrupted training of the same model"
     )
 
 
@@ -45,8 +45,7 @@ def add_device(parser: argparse.ArgumentParser) -> None:
         "--device",
         choices=("auto", "cpu", "cuda"),
         default="auto",
-        help="what trains: the graphics processor if torch finds one, or the one that is named "
-        "(default: %(default)s)",
+        help="cpu, cuda, or auto: a graphics processor if torch finds one (default: %(default)s)",
     )
 
 
@@ -75,13 +74,13 @@ def _add_training(parser: argparse.ArgumentParser, defaults: TrainingSettings) -
         "--modality",
         choices=("FT", "Tac", "FT+Tac"),
         default=defaults.modality,
-        help="what the model sees: wrench, markers or both (default: %(default)s)",
+        help="inputs of the model: wrench, markers or both (default: %(default)s)",
     )
     parser.add_argument(
         "--epochs",
         type=int,
         default=defaults.epochs,
-        help="passes over the training episodes; the best is kept (default: %(default)s)",
+        help="epochs; the best weights are kept (default: %(default)s)",
     )
     parser.add_argument(
         "--batch", type=int, default=defaults.batch, help="episodes a step (default: %(default)s)"
@@ -96,7 +95,7 @@ def _add_training(parser: argparse.ArgumentParser, defaults: TrainingSettings) -
         "--seed",
         type=int,
         default=defaults.seed,
-        help="of first weights, order and split (default: %(default)s)",
+        help="of initial weights, order and split (default: %(default)s)",
     )
     parser.add_argument(
         "--precision",
@@ -161,7 +160,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
                     screen.say(_finished(report))
                     answer |= report.model_dump(mode="json", exclude={"kind"})
                 case TrainingCancelled():
-                    screen.say(f"Cancelled after epoch {report.done}; go on with --resume.")
+                    screen.say(f"Cancelled after epoch {report.done}; continue with --resume.")
                     answer |= {"cancelled": True, "done": report.done}
 
         run_id = run_training(job, show, screen.say)

@@ -82,11 +82,13 @@ def merged_oracle_shares(stored: Sequence[tuple[str, Mapping[str, Any]]]) -> lis
     answers: dict[Cell, dict[int, Json]] = {}
     benches = {answer["bench_sha256"] for _, answer in stored}
     if len(benches) > 1:
-        raise InputError("They were made on different benches.", "--beyond", "Name those of one.")
+        raise InputError(
+            "The files belong to different benches.", "--beyond", "Name files of one bench."
+        )
     for name, answer in stored:
         for mine, more in ((trials, parse_trials(answer)), (answers, parse_verdicts(answer))):
             for cell in sorted(mine.keys() & more.keys()):
-                what = f"{' '.join(cell)} stands in another of the files too."
+                what = f"{' '.join(cell)} is in two of the files."
                 raise InputError(what, name, "Name one file for each strategy and cell.")
             mine.update(more)  # type: ignore[arg-type]
     return oracle_shares(trials, answers)
@@ -234,7 +236,7 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
         statics = answer["statics"]
         found.append(
             ReportTable.of_texts(
-                "Would it stand at the place of the first probe? Balanced, %",
+                "Stability at the place of the first probe: balanced accuracy, %",
                 (
                     "strategy",
                     "groups",
@@ -247,7 +249,7 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
         )
         found.append(
             ReportTable.of_texts(
-                "Do the maps keep their promise? Covered cells",
+                "Calibration of the maps, covered cells",
                 (
                     "strategy",
                     *(f"ECE, n = {n}" for n in RELIABLE_AFTER),
@@ -264,7 +266,7 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
 def oracle_share_table(rows: Sequence[Json]) -> ReportTable:
     """Return the table of the oracle shares."""
     return ReportTable.of_texts(
-        "Share of the way from paper to ceiling, what all three did; 95 % intervals over seeds",
+        "Share of the improvement from paper to ceiling, common trials; 95 % intervals",
         ("strategy", "of", "n", "paper %", "own %", "ceiling %", "share %"),
         (_oracle_share_row(row) for row in rows),
     )
@@ -342,8 +344,8 @@ def comparison_report(answer: Mapping[str, Any]) -> Report:
         for n, chart in pooled["reliability"].items()
     ]
     if charts:
-        legend = "Covered cells, 15 bins of equal mass. Along: promised. Up: came true."
-        parts.append(reliability_gallery("Promised and true", legend, charts))
+        legend = "Covered cells, 15 bins of equal mass. Horizontal: predicted. Vertical: observed."
+        parts.append(reliability_gallery("Calibration", legend, charts))
     return Report(
         "Touchdown: strategies beyond the paper",
         (f"Bench {answer['bench_sha256'][:16]}, program {answer['code']}.",),

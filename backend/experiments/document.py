@@ -152,20 +152,20 @@ DATA_URL_PREFIX = "data:image/png;base64,"
 def check_svg(svg: str) -> str:
     """Return ``svg`` if it is one element without scripts and references; raises ValueError."""
     if "<!" in svg or "<?" in svg:
-        raise ValueError("a drawing declares something")
+        raise ValueError("a drawing contains a declaration")
     try:
         root = ElementTree.fromstring(svg)  # noqa: S314 - without declarations nothing can swell
     except ElementTree.ParseError as error:
         raise ValueError(f"a drawing is damaged: {error}") from error
     if root.tag != "svg":
-        raise ValueError("a drawing is no svg element")
+        raise ValueError("a drawing is not an svg element")
     for element in root.iter():
         if element.tag not in SVG_ELEMENTS:
-            raise ValueError(f"a drawing holds '{element.tag}'")
+            raise ValueError(f"a drawing contains '{element.tag}'")
         for name, value in element.attrib.items():
             loads = name.endswith("href") and not value.startswith(DATA_URL_PREFIX)
             if name.startswith("on") or loads or "url(" in value:
-                raise ValueError(f"a drawing does more than draw: '{name}'")
+                raise ValueError(f"a drawing has a forbidden attribute '{name}'")
     return svg
 
 

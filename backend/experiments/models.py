@@ -53,7 +53,7 @@ def _adopted(store: JobStore, folder: Path) -> dict[tuple[str, str], str]:
         key = (card.piece, names[0])
         if key in found:
             raise InputError(
-                f"Two models answer for {' '.join(key)}.", str(path), "Leave one of them."
+                f"There are two models for {' '.join(key)}.", str(path), "Remove one of them."
             )
         found[key] = _adopt(store, path, card.weights_sha256)
     if not found:

@@ -257,9 +257,9 @@ def _oracle_share_section(rows: Sequence[JsonMapping]) -> ReportSection | None:
         for row in rows
     )
     columns = tuple((name, "") for name in ("n", "paper, %", "own, %", "ceiling, %", "share, %"))
-    text = "From the paper's strategy to a ceiling, over what all three did."
+    text = "From the paper's strategy to a ceiling, on trials common to all three."
     return ReportSection(
-        "Share of the way to the ceiling", (text,), (ReportTable("", columns, lines),)
+        "Share of the improvement up to the ceiling", (text,), (ReportTable("", columns, lines),)
     )
 
 
@@ -282,10 +282,8 @@ def _strategy_reliability(answers: Iterable[JsonMapping]) -> ReportSection | Non
     ]
     if not charts:
         return None
-    text = "Covered cells, 15 bins of equal mass. Along: promised. Up: came true."
-    return ReportSection(
-        "Promised and true, by strategy", (text,), (reliability_gallery("", "", charts),)
-    )
+    text = "Covered cells, 15 bins of equal mass. Horizontal: predicted. Vertical: observed."
+    return ReportSection("Calibration by strategy", (text,), (reliability_gallery("", "", charts),))
 
 
 def _strategy_columns(names: Sequence[str]) -> tuple[tuple[str, str], ...]:
@@ -357,7 +355,7 @@ def _table2(rows: Sequence[JsonMapping]) -> ReportSection:
     )
     title = "Right, %, on a sample with as many stable as unstable places"
     grid = ReportTable(title, _table_columns(rows[0]["cells"], "pooled"), tuple(lines), note)
-    return ReportSection("Table 2: would it stand?", (), (grid,))
+    return ReportSection("Table 2: stability", (), (grid,))
 
 
 def _table3(rows: Sequence[JsonMapping]) -> ReportSection:
@@ -448,10 +446,10 @@ def _reliability(charts: Sequence[JsonMapping]) -> ReportSection | None:
     ]
     text = (
         "Belief after three probes against the true support, over all covered cells, 15 bins of "
-        "equal mass. Along: promised. Up: came true."
+        "equal mass. Horizontal: predicted. Vertical: observed."
     )
     return ReportSection(
-        "Do the probabilities keep their promise?", (text,), (reliability_gallery("", "", drawn),)
+        "Calibration of the probabilities", (text,), (reliability_gallery("", "", drawn),)
     )
 
 
@@ -471,14 +469,14 @@ def _distribution(twins: JsonMapping | None) -> ReportSection | None:
     )
     pairs = (_ambiguous_pair(number, pair, twins) for number, pair in enumerate(twins["pairs"], 1))
     alike = (
-        "Pairs below: presses that feel alike and are not, the nearest signals among all pairs "
-        "whose patches hardly overlap."
+        "Pairs below: presses with similar signals and different patches, nearest among all "
+        "pairs with little overlap."
     )
     text = (
         "Over the commanded displacement. Tilt of the board, errors of the grasp and slip make "
         "them uneven about the middle."
     )
-    title = f"What the data look like ({twins['piece'].title()} on {twins['bottom']})"
+    title = f"Signals ({twins['piece'].title()} on {twins['bottom']})"
     return ReportSection(title, (text, alike), (PictureGallery("Signals", maps), *pairs))
 
 
@@ -519,7 +517,7 @@ def _film_section(films: Sequence[JsonMapping]) -> ReportSection | None:
             for number, probe in enumerate(film["probes"], 1)
         )
         strips.append(PictureGallery(film["title"], probes, end=film["end"]))
-    return ReportSection("How the belief grew", (legend,), tuple(strips))
+    return ReportSection("Belief maps by probe", (legend,), tuple(strips))
 
 
 MAX_BYTES = 64 * 2**20  # a full report has about 1 MB
@@ -561,10 +559,10 @@ def _read(file: Path, wanted: tuple[str, ...], fix: str) -> Json:
         what = f"It cannot be read: {error.strerror or error}."
         raise InputError(what, str(file), fix) from error
     except (ValueError, RecursionError) as error:
-        raise InputError("It is no JSON, or damaged.", str(file), fix) from error
+        raise InputError("It is not JSON, or damaged.", str(file), fix) from error
     said = found.get("format") if isinstance(found, dict) else None
     if said not in wanted:
-        what = f"It says to be '{said}' and not '{wanted[-1]}'." if said else "It is no report."
+        what = f"Its format is '{said}' and not '{wanted[-1]}'." if said else "It is not a report."
         raise InputError(what, str(file), fix)
     return dict(found)
 
@@ -601,7 +599,7 @@ def rewrite_tables(file: Path, compared: Sequence[Path]) -> Path:
     for path in compared:
         answer = read_beyond(path)
         if answer["bench_sha256"] != found["bench_sha256"]:
-            raise InputError("It was made on another bench.", str(path), f"Leave it out of {file}.")
+            raise InputError("It belongs to another bench.", str(path), f"Leave it out of {file}.")
         answers.append(answer)
     if answers:
         found["beyond"] = answers

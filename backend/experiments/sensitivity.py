@@ -167,7 +167,7 @@ def sensitivity_report(answer: JsonMapping) -> Report:
     )
     charts = tuple(ReportPicture(_chart(n)) for n in answer["nuisances"] if n["at"])
     parts = (PictureGallery("", charts), sensitivity_table(answer))
-    title = "Touchdown: what each nuisance of the bench costs"
+    title = "Touchdown: sensitivity to each nuisance of the bench"
     return Report(title, (about,), (ReportSection("", (), parts),))
 
 

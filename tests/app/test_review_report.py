@@ -110,8 +110,8 @@ def test_pictures_come_after_the_part_and_not_into_another(review, qtbot):
     open_report(review, qtbot, FULL)
     sheet = review.reports.sheet
     titles = [section.title for section in review.reports.report.sections]
-    sheet.parts.setCurrentRow(titles.index("How the belief grew"))
-    sheet.parts.setCurrentRow(titles.index("Do the probabilities keep their promise?"))
+    sheet.parts.setCurrentRow(titles.index("Belief maps by probe"))
+    sheet.parts.setCurrentRow(titles.index("Calibration of the probabilities"))
     qtbot.waitUntil(lambda: not review.reader.busy, timeout=60_000)
     cards = sheet.room.widget().findChildren(PictureCard)
     assert len(cards) == 6

@@ -38,7 +38,7 @@ def served(tmp_path):
     # Emulated devices are known by their place below the folder for temporary files.
     with tempfile.TemporaryDirectory() as room:
         child = subprocess.Popen(
-            [sys.executable, "-m", "backend", *words, "--for", "600", "--json"],
+            [sys.executable, "-m", "touchdown", *words, "--for", "600", "--json"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             text=True,

@@ -71,7 +71,7 @@ def check_display() -> DoctorCheck:
     return DoctorCheck(
         "display",
         True,
-        "none: no window can open here",
+        "none: no window can be opened",
         "Work without one ('make demo', 'touchdown stack'), or log in to a desktop.",
     )
 
@@ -122,7 +122,7 @@ def check_data_folder(folder: Path | None = None) -> DoctorCheck:
             file.write(b"touchdown")
     except OSError as error:
         reason = error.strerror or "not writable"
-        fix = "Name another folder in TOUCHDOWN_DATA, or give yourself the right to write."
+        fix = "Name another folder in TOUCHDOWN_DATA, or change its permissions."
         return DoctorCheck("data folder", False, f"{folder}: {reason}", fix)
     return DoctorCheck("data folder", True, str(folder))
 
@@ -134,7 +134,7 @@ def check_disk(folder: Path | None = None) -> DoctorCheck:
         place = place.parent
     free_gb = shutil.disk_usage(place).free / 1e9
     ok = free_gb >= LEAST_FREE_GB
-    fix = "" if ok else f"Make room: at least {LEAST_FREE_GB:.0f} GB, or set TOUCHDOWN_DATA."
+    fix = "" if ok else f"Free space: at least {LEAST_FREE_GB:.0f} GB, or set TOUCHDOWN_DATA."
     return DoctorCheck("disk", ok, f"{free_gb:.1f} GB free at {place}", fix)
 
 
@@ -173,7 +173,7 @@ def _data_folder() -> Path:
 
 QT_INSTALL = 'pip install --force-reinstall "PySide6-Essentials>=6.8,!=6.9.1,<6.12"'
 CHILD_LIMIT_S = 60
-BUSY = "Nothing may be wrong: this computer was too busy to tell. Close what else runs, ask again."
+BUSY = "The computer was too busy for this check. Close other programs and repeat."
 
 
 def installed(name: str) -> str | None:
@@ -370,7 +370,7 @@ def _check_placeholders(path: Path) -> DoctorCheck:
     names = placeholders(settings) if settings.kind == "hardware" else []
     if not names:
         return DoctorCheck("made up", True, "nothing")
-    return DoctorCheck("made up", True, ", ".join(names), "Put in the lab's own numbers.")
+    return DoctorCheck("made up", True, ", ".join(names), "Enter the values of the lab.")
 
 
 def _check_fingers(path: Path) -> DoctorCheck:
@@ -379,9 +379,7 @@ def _check_fingers(path: Path) -> DoctorCheck:
 
     told = find_camera_conflicts(load_lab(path))
     if not told:
-        return DoctorCheck(
-            "cameras", True, "at the fingers that the lab file names, as far as is known"
-        )
+        return DoctorCheck("cameras", True, "at the fingers of the lab file, as far as known")
     what, _, fix = next(iter(told.values())).partition(". ")
     return DoctorCheck("cameras", True, what, f"{fix}.")
 
@@ -422,14 +420,14 @@ COLOURS = {"OK": "green", "NOTE": "yellow", "FAIL": "bold red"}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument(
-        "--bench", type=Path, metavar="FILE", help="ask the devices of a lab file instead"
+        "--bench", type=Path, metavar="FILE", help="check the devices of a lab file instead"
     )
     parser.add_argument(
         "--dataset",
         nargs="?",
         const="",
         metavar="DIR",
-        help="check a dataset instead, changing nothing (default: the one in the data folder)",
+        help="check a dataset instead, without changes (default: the one in the data folder)",
     )
 
 
@@ -452,7 +450,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             advance(len(checks), checks[-1].name)
     screen.show(findings_table(checks))
     failed = [check for check in checks if not check.ok]
-    screen.say("Everything that is needed is here." if not failed else f"{len(failed)} to fix.")
+    screen.say("Everything required is present." if not failed else f"{len(failed)} to fix.")
     screen.result(
         {"checks": [{"name": c.name, "ok": c.ok, "detail": c.detail, "fix": c.fix} for c in checks]}
     )

@@ -110,9 +110,9 @@ def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
     rows = merged_oracle_shares(stored)
     if not rows:
         raise InputError(
-            "The files hold no seeds of paper, ceiling and another strategy.",
+            "The files have no seeds common to paper, ceiling and another strategy.",
             "--beyond",
-            "Name each beyond.json that one of them stands in.",
+            "Name the beyond.json of each.",
         )
     sheet = oracle_share_table(rows)
     screen.table(sheet.title, *sheet.texts())
@@ -201,7 +201,7 @@ def train_fused(
         weights = store.folder(training) / WEIGHTS
         for made_there, wanted in ((card_path(weights), card_path(out)), (weights, out)):
             write_atomically(wanted, made_there.read_bytes())
-        screen.say(f"The network lies in {out}.")
+        screen.say(f"The network is in {out}.")
     missing = sum(not store.has(spec.id) for spec in [*jobs, *asked])
     return {
         "file": str(out) if made else None,
@@ -257,7 +257,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("output/experiment"),
         metavar="DIR",
-        help="page, JSON and jobs; an interrupted experiment goes on there (default: %(default)s)",
+        help="folder of page, JSON and jobs; resumes there (default: %(default)s)",
     )
     parser.add_argument(
         "--preset", default="bench-v1", help="preset of the bench (default: %(default)s)"
@@ -284,7 +284,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="processes of the local executor (default: %(default)s)",
     )
     parser.add_argument("--cluster", metavar="ADDRESS", help="scheduler of the executor dask")
-    parser.add_argument("--shard", metavar="i/n", help="do every n-th job only, for batch queues")
+    parser.add_argument("--shard", metavar="i/n", help="run every n-th job only, for batch queues")
     _add_beyond_arguments(parser)
     add_evaluation_arguments(parser)
     add_fused_arguments(parser)
@@ -305,7 +305,7 @@ def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
     beyond.add_argument("--entry-sigma", type=float, default=1.0, metavar="MM", help="how well the "
                         "operator knows where the upper bottom of a tower stands "
                         "(default: %(default)s)")  # fmt: skip
-    beyond.add_argument("--no-entry", action="store_true", help="nobody tells strategies of the "
+    beyond.add_argument("--no-entry", action="store_true", help="do not give strategies the "
                         "lower bottom")  # fmt: skip
 
 
@@ -480,9 +480,13 @@ def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
         )
     scale = SCALES[args.scale]
     if args.keep_models and not scale.probes:
-        raise InputError("--quick trains no models.", "--keep-models", "Leave it out, or --full.")
+        raise InputError(
+            "--quick trains no models.", "--keep-models", "Leave it out, or use --full."
+        )
     if args.models and scale.probes:
-        raise InputError("--full trains its own models.", "--models", "Leave it out, or --quick.")
+        raise InputError(
+            "--full trains its own models.", "--models", "Leave it out, or use --quick."
+        )
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     models = {}
     if not scale.probes:

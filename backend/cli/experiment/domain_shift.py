@@ -55,7 +55,7 @@ def run_evaluation(
 
     if args.groups < 1 or args.trials < 0:
         raise InputError(
-            "There is nothing to press.", "--groups, --trials", "Give a positive number of groups."
+            "The counts give no presses.", "--groups, --trials", "Give a positive number of groups."
         )
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     sources = _models(args, bench, store)
@@ -82,7 +82,7 @@ def _elsewhere(
     import_mujoco()
     if args.first < 0 or args.epochs < 1 or args.probes < 10:
         raise InputError(
-            "No group has such a number, or nothing is trained.",
+            "A number is out of range.",
             "--first, --epochs, --probes",
             "Give --first 0 or more, --epochs 1 or more, --probes 10 or more.",
         )
@@ -212,7 +212,7 @@ def _models(args: argparse.Namespace, bench: SimulationSettings, store: JobStore
     for name, names in known:
         if name not in names:
             raise InputError(
-                f"'{name}' cannot be asked.",
+                f"'{name}' is not available.",
                 "--pieces, --bottoms, --strategies",
                 f"Name one piece, or some of {','.join(names)}.",
             )

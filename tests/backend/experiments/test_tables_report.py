@@ -146,16 +146,16 @@ def test_the_published_report_is_what_its_data_give_and_names_a_job_for_every_ce
     assert len(cells) == 36 + 30 + 15
     assert all(re.fullmatch("[0-9a-f]{32}", cell["job"]) and cell["seed"] for cell in cells)
     titles = [section.title for section in report.sections]
-    assert {"Table 3 by strategy", "Table 2 by strategy", "How the belief grew"} <= set(titles)
+    assert {"Table 3 by strategy", "Table 2 by strategy", "Belief maps by probe"} <= set(titles)
 
 
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (b"\x00\xff{", "no JSON"),
-        (b"[" * 100_000, "no JSON"),
-        (b"[]", "no report"),
-        (b'{"format": "touchdown-beyond/2"}', "says to be 'touchdown-beyond/2'"),
+        (b"\x00\xff{", "not JSON"),
+        (b"[" * 100_000, "not JSON"),
+        (b"[]", "not a report"),
+        (b'{"format": "touchdown-beyond/2"}', "format is 'touchdown-beyond/2'"),
         (b'{"format": "touchdown-tables/1"}', "damaged .KeyError"),
     ],
 )

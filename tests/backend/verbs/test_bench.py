@@ -31,7 +31,7 @@ def test_a_new_file_is_read_back_with_what_is_still_made_up(lab, capsys):
     blank = {"ft.address", "gelsight.left.serial", "gelsight.right.serial"}
     assert {"melfa.mxt.error_overspeed"} | blank <= set(told["placeholders"])
     assert main(["bench", str(lab)]) == 0
-    assert "put in the lab's own numbers" in capsys.readouterr().out
+    assert "enter the values of the lab" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

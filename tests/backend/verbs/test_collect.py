@@ -15,7 +15,7 @@ from touchdown.backend.geometry.outlines import circle
 
 
 @pytest.mark.slow
-def test_a_campaign_is_collected_and_gone_on_with(tmp_path, capsys) -> None:
+def test_a_campaign_is_collected_and_resumed(tmp_path, capsys) -> None:
     bench = tmp_path / "bench.toml"
     bench.write_text(f'preset = "quiet"\n[tactile]\nrate_hz = {RATE_HZ}\n', "utf-8")
     words = ["--dataset", str(tmp_path / "ds"), "--runs", str(tmp_path / "runs")]
@@ -28,7 +28,7 @@ def test_a_campaign_is_collected_and_gone_on_with(tmp_path, capsys) -> None:
     assert (first["collected"], first["count"], first["simulated"]) == (1, 2, True)
     assert main(["collect", "--resume", "--person", "bob", *words]) == 0
     second = capsys.readouterr().out
-    for said in (first["campaign"], "2 of 2 probes are there.", "nothing looks wrong"):
+    for said in (first["campaign"], "2 of 2 probes are done.", "no findings"):
         assert said in second
     with Dataset.open(tmp_path / "ds", write=False) as dataset:
         assert [entry.person for entry in dataset.episodes()] == ["ann", "bob"]
@@ -44,7 +44,7 @@ def test_a_campaign_is_collected_and_gone_on_with(tmp_path, capsys) -> None:
         (["--piece", "cup"], "no piece 'cup'"),
         (["--probes-per-grip", "0"], "--probes-per-grip must be at least 1"),
         (["--preset", "calm"], "no preset 'calm'"),
-        (["--hand-over", "--json"], "Nobody would see"),
+        (["--hand-over", "--json"], "With --json the prompt"),
     ],
 )
 def test_bad_input_is_one_clear_error(words, said, tmp_path, capsys) -> None:
@@ -55,13 +55,13 @@ def test_bad_input_is_one_clear_error(words, said, tmp_path, capsys) -> None:
     assert err.count("\n") <= 3
 
 
-def test_there_must_be_something_to_go_on_with(tmp_path, capsys) -> None:
+def test_resume_needs_a_campaign(tmp_path, capsys) -> None:
     where = ["--dataset", str(tmp_path / "ds")]
     assert main(["collect", "--resume", *where]) == 2
     assert "no dataset" in capsys.readouterr().err
     Dataset.open(tmp_path / "ds").close()
     assert main(["collect", "--resume", *where]) == 2
-    assert "No campaign was ever begun" in capsys.readouterr().err
+    assert "has no campaign" in capsys.readouterr().err
 
 
 def test_coverage_is_drawn_with_y_up() -> None:

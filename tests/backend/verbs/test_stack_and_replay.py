@@ -119,7 +119,7 @@ def test_a_run_killed_in_the_middle_replays_to_its_last_fact(
     tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs = tmp_path / "runs"
-    command = [sys.executable, "-m", "backend", "stack", "--trials", "50", "--runs", str(runs)]
+    command = [sys.executable, "-m", "touchdown", "stack", "--trials", "50", "--runs", str(runs)]
     command += ["--bench", bench]
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ) as child:
         assert child.stdout is not None
@@ -156,7 +156,7 @@ def test_ctrl_c_lifts_tells_the_result_and_closes_the_journal(
     tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs = tmp_path / "runs"
-    command = [sys.executable, "-m", "backend", "stack", "--trials", "50", "--runs", str(runs)]
+    command = [sys.executable, "-m", "touchdown", "stack", "--trials", "50", "--runs", str(runs)]
     command += ["--bench", bench]
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ) as child:
         assert child.stdout is not None

@@ -98,7 +98,7 @@ def emulate(choice: EmulationChoice) -> Emulation:
             film = recorded(choice.film) if choice.film else sheared_gel(choice.finger)
             choice = replace(choice, pictures=film)
     try:
-        emulation: Emulation = make.load(make.emulator)(choice, Faults(device, choice.faults))
+        emulation: Emulation = make.load_emulator()(choice, Faults(device, choice.faults))
     except OSError as error:
         where = str(choice.tty) if choice.tty else f"{choice.host}:{choice.port or 0}"
         raise InputError(

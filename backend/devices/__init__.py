@@ -9,7 +9,6 @@ if TYPE_CHECKING:
         discovery,
         factories,
         guarded_devices,
-        identification,
         interlock,
         jog,
         protocols,

@@ -62,8 +62,6 @@ from .protocols import Vector as Vector
 from .protocols import replaced_fault as replaced_fault
 from .protocols import servo_off_fault as servo_off_fault
 from .protocols import stopped_fault as stopped_fault
-from .registry import DeviceKind as DeviceKind
-from .registry import Make as Make
 from .registry import emulated_makes as emulated_makes
 from .registry import refuse_unknown_drivers as refuse_unknown_drivers
 from .supervision import NAMES as NAMES
@@ -98,7 +96,6 @@ __all__ = [
     "ConnectionSteps",
     "DegradedDevice",
     "Device",
-    "DeviceKind",
     "DeviceState",
     "ForceTorqueSensor",
     "Frame",
@@ -117,7 +114,6 @@ __all__ = [
     "JogSurroundings",
     "Joints",
     "Limits",
-    "Make",
     "Motion",
     "PressCommand",
     "ReleaseAuthorisation",

@@ -24,7 +24,7 @@ from touchdown.backend.devices.interlock import (
     JigEvidence,
     ReleaseAuthorisation,
     ReleaseEvidence,
-    falls_mm,
+    distance_to_limit_mm,
     jig_refusal,
     refuse_forced,
     refuse_outside,
@@ -32,8 +32,8 @@ from touchdown.backend.devices.interlock import (
     refuse_turning,
     refuse_unknown,
     release_refusal,
-    room_mm,
-    room_rad,
+    turn_to_limit_rad,
+    turned_descent_mm,
 )
 from touchdown.backend.devices.protocols import (
     STILL,
@@ -179,16 +179,16 @@ class GuardedArm(_Guarded):
             lock = self._interlock
             recovering, degraded = lock.recovering, lock.degraded
             refuse_forced(self._press_n(), way, limits, recovering=recovering, degraded=degraded)
-            left_mm = room_mm(here, way, limits)
+            left_mm = distance_to_limit_mm(here, way, limits)
             if z < 0:
-                left_mm = min(left_mm, falls_mm(here, self._surface_mm(), limits) / -z)
+                left_mm = min(left_mm, turned_descent_mm(here, self._surface_mm(), limits) / -z)
             if not left_mm > 0:
                 raise RefusedError("LIMIT", "The arm is at the edge of its workspace.")
         if not turning:
             return self._arm.jog(velocity_mm_s, for_s)
         self._refuse_turning_jog(here, turning)
         rx, ry, rz = (part / turning for part in turn_rad_s)
-        if not room_rad(here, (rx, ry, rz), limits) > 0:
+        if not turn_to_limit_rad(here, (rx, ry, rz), limits) > 0:
             raise RefusedError("LIMIT", "The hand leans as far as it may.")
         return self._arm.jog(velocity_mm_s, for_s, turn_rad_s)
 

@@ -62,7 +62,7 @@ def load_signatures() -> tuple[ProtocolSignature, ...]:
 
 @cache
 def _load(makes: tuple[registry.Make, ...]) -> tuple[ProtocolSignature, ...]:
-    found = [s for make in makes if make.signatures for s in make.load(make.signatures)]
+    found = [signature for make in makes for signature in make.load_signatures()]
     return tuple(sorted(found, key=lambda signature: signature.least))
 
 

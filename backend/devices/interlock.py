@@ -371,7 +371,7 @@ def travelled_mm(places_mm: FloatArray) -> float:
 Direction = tuple[float, float, float]
 
 
-def room_mm(pose: Pose, way: Direction, limits: Limits) -> float:
+def distance_to_limit_mm(pose: Pose, way: Direction, limits: Limits) -> float:
     """Return the distance of ``G`` to the edge of the workspace along ``way``, mm; 0 outside."""
     across = way[0] ** 2 + way[1] ** 2
     inside = limits.reach_mm**2 - pose.x_mm**2 - pose.y_mm**2
@@ -507,7 +507,7 @@ def refuse_place(pose: Pose, surface_mm: float, limits: Limits) -> None:
         refuse_turning(pose, surface_mm, 0.0, limits)
 
 
-def room_rad(pose: Pose, axis: Direction, limits: Limits) -> float:
+def turn_to_limit_rad(pose: Pose, axis: Direction, limits: Limits) -> float:
     """Return the turn of the hand about ``axis`` (unit, bench frame) to its limit, rad. At most
     half a turn.
     """
@@ -515,7 +515,7 @@ def room_rad(pose: Pose, axis: Direction, limits: Limits) -> float:
     return min(room, math.pi)
 
 
-def falls_mm(pose: Pose, surface_mm: float, limits: Limits) -> float:
+def turned_descent_mm(pose: Pose, surface_mm: float, limits: Limits) -> float:
     """Return the distance a turned hand may go down, mm; only the soft limit holds an unturned
     one.
     """

@@ -33,13 +33,13 @@ from touchdown.backend.devices.interlock import (
     LEASE_S,
     Direction,
     Interlock,
-    falls_mm,
+    distance_to_limit_mm,
     fastest_mm_s,
     refuse_forced,
     refuse_place,
     refuse_turning,
-    room_mm,
-    room_rad,
+    turn_to_limit_rad,
+    turned_descent_mm,
 )
 from touchdown.backend.devices.protocols import STILL, Motion, RobotMode
 from touchdown.backend.devices.streamed import ACCELERATION_MM_S2, ACCELERATION_RAD_S2
@@ -99,7 +99,7 @@ def signed_name(axis: Axis, signed: float) -> str:
     return f"{'+' if signed > 0 else chr(0x2212)}{axis.upper()}"
 
 
-def amount(axis: Axis, value: float) -> str:
+def distance_text(axis: Axis, value: float) -> str:
     """Return a distance as text: mm along an axis, degrees of a turn."""
     return f"{math.degrees(value):.1f}\N{DEGREE SIGN}" if turns(axis) else f"{value:.1f} mm"
 
@@ -173,10 +173,10 @@ class JogPermission:
             return self._joint_left(axis, 1 if signed > 0 else -1)
         way = self.way(axis, frame, signed)
         if turns(axis):
-            return room_rad(here, way, limits)
-        room = room_mm(here, way, limits)
+            return turn_to_limit_rad(here, way, limits)
+        room = distance_to_limit_mm(here, way, limits)
         if way[2] < 0.0:
-            room = min(room, falls_mm(here, self._around.surface_mm(), limits) / -way[2])
+            room = min(room, turned_descent_mm(here, self._around.surface_mm(), limits) / -way[2])
         return room
 
     def rooms(self, frame: Frame) -> dict[str, JogRange]:
@@ -209,9 +209,9 @@ class JogPermission:
             speed, slow = (speed, slow) if most == speed else (most, "the hand at its top speed")
         left = self.left(axis, frame, signed)
         if left / REPEAT_S < speed:
-            speed, slow = left / REPEAT_S, f"{amount(axis, left)} to the limit"
+            speed, slow = left / REPEAT_S, f"{distance_text(axis, left)} to the limit"
         if not speed >= min(asked * interlock.override, CREEP_RAD_S):
-            raise RefusedError("LIMIT", left_words(axis, frame, signed, left))
+            raise RefusedError("LIMIT", range_text(axis, frame, signed, left))
         return speed, slow
 
     def joint_most(self, axis: Axis, signed: float) -> float:
@@ -247,7 +247,7 @@ class JogPermission:
         if left_mm / REPEAT_S < speed:
             speed, slow = left_mm / REPEAT_S, f"{left_mm:.1f} mm to the limit"
         if not speed >= min(asked * override, CREEP_MM_S):
-            raise RefusedError("LIMIT", left_words(axis, frame, signed, left_mm))
+            raise RefusedError("LIMIT", range_text(axis, frame, signed, left_mm))
         return speed, slow
 
     def _joint_left(self, axis: Axis, sign: int) -> float:
@@ -283,10 +283,10 @@ class JogPermission:
         return True
 
 
-def left_words(axis: Axis, frame: Frame, signed: float, left: float) -> str:
+def range_text(axis: Axis, frame: Frame, signed: float, left: float) -> str:
     """Return the refusal text of a step that exceeds the range."""
     name = signed_name(axis, signed)
-    return f"{name} ({frame}): {amount(axis, left)} left to the soft limit."
+    return f"{name} ({frame}): {distance_text(axis, left)} left to the soft limit."
 
 
 def _added(first: tuple[float, ...], second: tuple[float, ...]) -> tuple[float, ...]:
@@ -400,7 +400,7 @@ class Jog:
         permit.refuse(axis, frame, distance)
         left = permit.left(axis, frame, distance)
         if abs(distance) > left:
-            raise RefusedError("LIMIT", left_words(axis, frame, distance, left))
+            raise RefusedError("LIMIT", range_text(axis, frame, distance, left))
         self._interlock.renew_lease(self._around.now_s())
         going = _JogStep(axis, frame, distance)
         self._step = (self._stepped(going, abs(speed)), going)
@@ -430,7 +430,7 @@ class Jog:
         try:
             silent_s = max(silent_s, self._around.now_s() - order.sent_s)
             if silent_s > LEASE_S:
-                raise RefusedError("JOG-LEASE", _silence_words(silent_s, self._late_s))
+                raise RefusedError("JOG-LEASE", _silence_reason(silent_s, self._late_s))
             self._refuse_if_taken()
             self._refuse_failed()
             speed, slow = self._permit.speed(order.axis, order.frame, order.speed)
@@ -546,7 +546,7 @@ def _braking_s(axis: Axis, speed: float) -> float:
     return speed / acceleration + SETTLE_S
 
 
-def _silence_words(silent_s: float, late_s: float) -> str:
+def _silence_reason(silent_s: float, late_s: float) -> str:
     """Return the reason of an expired lease: the window hangs, or the whole computer is busy."""
     said = f"The jog ended: nothing renewed it for {1e3 * silent_s:.0f} ms."
     if late_s > LATE_S:

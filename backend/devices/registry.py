@@ -22,7 +22,7 @@ DeviceKind = Literal["force_torque", "gripper", "arm", "tactile"]
 
 @dataclass(frozen=True, slots=True)
 class Make:
-    """One make of device; the other names are exports of its folder ``backend/devices/<name>``.
+    """One make of device in the folder ``backend/devices/<name>``.
 
     Parameters
     ----------
@@ -31,11 +31,12 @@ class Make:
     name
         Name of the folder, and of the driver in lab files.
     driver
-        Callable that returns the driver.
+        Callable that returns the driver, in ``driver.py`` or given as ``"module:name"``.
     emulator
-        Callable ``(choice, faults) -> Emulation``, empty if there is none.
+        Callable ``(choice, faults) -> Emulation`` in ``emulator.py``, empty if there is none.
     signatures
-        Sequence of ``ProtocolSignature``, empty if the device cannot be identified by its bytes.
+        Sequence of ``ProtocolSignature`` in ``protocol.py`` or given as ``"module:name"``, empty if
+        the device cannot be identified by its bytes.
     emulated_as
         Name for ``touchdown emulate`` where one folder holds two kinds of device.
 
@@ -48,21 +49,41 @@ class Make:
     signatures: str = ""
     emulated_as: str = ""
 
-    def load(self, export: str) -> Any:
-        """Return an export of the make's folder."""
-        return getattr(importlib.import_module(f"{__package__}.{self.name}"), export)
+    def load_driver(self) -> Any:
+        """Return the callable that returns the driver."""
+        return self._load("driver", self.driver)
+
+    def load_emulator(self) -> Any:
+        """Return the callable that returns the emulation."""
+        return self._load("emulator", self.emulator)
+
+    def load_signatures(self) -> Any:
+        """Return the protocol signatures, empty if there are none."""
+        return self._load("protocol", self.signatures) if self.signatures else ()
+
+    def _load(self, module: str, place: str) -> Any:
+        given, _, name = place.rpartition(":")
+        return getattr(
+            importlib.import_module(f"{__package__}.{self.name}.{given or module}"), name
+        )
 
 
 MAKES: tuple[Make, ...] = (
-    Make("gripper", "wsg", "make_wsg", "emulate_wsg", "SIGNATURES"),
+    Make("gripper", "wsg", "make_wsg", "emulate_wsg", "gcl:SIGNATURES"),
     Make("force_torque", "dynpick", "DynpickDriver", "emulate_dynpick", "SIGNATURES"),
     Make("force_torque", "leptrino", "LeptrinoDriver", "emulate_leptrino", "SIGNATURES"),
     Make("force_torque", "ft300", "Ft300Driver", "emulate_ft300", "SIGNATURES"),
     Make("force_torque", "bota", "BotaDriver", "emulate_bota", "SIGNATURES"),
     Make("force_torque", "optoforce", "OptoforceDriver", "emulate_optoforce", "SIGNATURES"),
     Make("force_torque", "netft", "NetFtDriver", "emulate_netft"),
-    Make("force_torque", "melfa", "MelfaWrenchDriver", "emulate_monitor", emulated_as="monitor"),
-    Make("force_torque", "ur", "UrWrenchDriver"),
+    Make(
+        "force_torque",
+        "melfa",
+        "wrist_sensor:MelfaWrenchDriver",
+        "emulate_monitor",
+        emulated_as="monitor",
+    ),
+    Make("force_torque", "ur", "rtde:UrWrenchDriver"),
     Make("arm", "melfa", "make_melfa", "emulate_melfa"),
     Make("arm", "ur", "make_ur"),
     Make("tactile", "gelsight", "make_gelsight", "emulate_gelsight"),
@@ -90,7 +111,7 @@ def load_driver(kind: DeviceKind, settings: HardwareSettings) -> Any:
     name, where = driver_name(kind, settings), DRIVER_KEYS[kind]
     for make in MAKES:
         if (make.kind, make.name) == (kind, name):
-            return make.load(make.driver)
+            return make.load_driver()
     offered = {point.name: point for point in entry_points(group=f"touchdown.{kind}")}
     if name not in offered:
         raise unknown_driver_error(name, where, driver_names(kind))

@@ -124,7 +124,7 @@ LEAST_MM, MOST_MM = -1.0, 1000.0  # possible widths
 
 
 @runtime_checkable
-class ReportsGripOrders(Protocol):
+class ReportsGripCommands(Protocol):
     """A gripper that reports its commands: number of grips, and opening since the last one."""
 
     grips: int
@@ -138,7 +138,7 @@ class GripMonitor:
         self._gripper = gripper
         # Checked once: it takes as long as the rest of a step.
         asked: object = gripper
-        self._ordered = asked if isinstance(asked, ReportsGripOrders) else None
+        self._ordered = asked if isinstance(asked, ReportsGripCommands) else None
         self._grips = 0
         self._since_s: float | None = None
         self._width_mm = self._force_n = 0.0
@@ -169,17 +169,19 @@ class GripMonitor:
             return None
         if not status.holding:
             self._since_s = None
-            return _lost("The gripper holds no piece any more, and nobody opened it.")
+            return _lost_fault("The gripper holds no piece any more, and nobody opened it.")
         if now_s - self._since_s <= STANDS_S:
             self._width_mm, self._force_n, self._weak_s = status.width_mm, status.force_n, None
             return None
         if self._weak(status.force_n, now_s):
             self._since_s = None
-            return _lost(f"The grip force fell from {self._force_n:.1f} to {status.force_n:.1f} N.")
+            return _lost_fault(
+                f"The grip force fell from {self._force_n:.1f} to {status.force_n:.1f} N."
+            )
         moved_mm = status.width_mm - self._width_mm
         if not abs(moved_mm) <= MOVED_MM:
             self._since_s = None
-            return _lost(f"The jaws moved by {moved_mm:+.1f} mm while they held the piece.")
+            return _lost_fault(f"The jaws moved by {moved_mm:+.1f} mm while they held the piece.")
         return None
 
     def _weak(self, force_n: float, now_s: float) -> bool:
@@ -202,7 +204,7 @@ class GripMonitor:
         return ordered.letting_go
 
 
-def _lost(what: str) -> Fault:
+def _lost_fault(what: str) -> Fault:
     return Fault(
         "PIECE-LOST",
         what,
@@ -407,7 +409,7 @@ class Supervision:
             elif now_s - last_s > LATE_SHARE[device] * limit_s:
                 late.append(DegradedDevice(device, "silent", last_s))
             if now_s - last_s > limit_s and not self._is_explained(device):
-                self._interlock.raise_fault(_stale(device, now_s - last_s))
+                self._interlock.raise_fault(_stale_fault(device, now_s - last_s))
         late.extend(self._check_grip(now_s))
         self._show(tuple(late), now_s)
 
@@ -420,7 +422,7 @@ class Supervision:
             return []
         last_s = max(self._begun_s, min(now_s - gripper.health.age_s, self._grip.seen_s))
         if now_s - last_s > GRIP_LOST_S:
-            self._interlock.raise_fault(_stale("gripper", now_s - last_s))
+            self._interlock.raise_fault(_stale_fault("gripper", now_s - last_s))
         return [DegradedDevice("gripper", "silent", last_s)] if now_s - last_s > GRIP_LATE_S else []
 
     def _show(self, late: tuple[DegradedDevice, ...], now_s: float) -> None:
@@ -428,7 +430,7 @@ class Supervision:
         self._interlock.degraded = late[0].what(now_s) if late else ""
 
 
-def _stale(device: str, age_s: float) -> Fault:
+def _stale_fault(device: str, age_s: float) -> Fault:
     """Return the fault of a sensor whose newest valid sample is ``age_s`` old."""
     if device == "force_torque":
         what = f"No valid force/torque sample for {age_s:.1f} s."

@@ -19,7 +19,6 @@ from .serving import BenchTables as BenchTables
 from .serving import Emulation as Emulation
 from .serving import EmulationChoice as EmulationChoice
 from .serving import PictureFunction as PictureFunction
-from .serving import StreamingSensor as StreamingSensor
 from .serving import WrenchFunction as WrenchFunction
 from .serving import serve_serial as serve_serial
 
@@ -38,7 +37,6 @@ __all__ = [
     "PictureFunction",
     "PtyServer",
     "SampleSchedule",
-    "StreamingSensor",
     "TcpServer",
     "UdpServer",
     "WrenchFunction",

@@ -67,7 +67,7 @@ class ReservedFile:
             return
         try:
             _fill(self._descriptor, content)
-            _name(self._descriptor, path)
+            _link_file(self._descriptor, path)
         finally:
             self.give_back()
         sync_folder(path.parent)
@@ -85,7 +85,7 @@ def _fill(descriptor: int, content: bytes) -> None:
     os.fsync(descriptor)
 
 
-def _name(descriptor: int, path: Path) -> None:
+def _link_file(descriptor: int, path: Path) -> None:
     """Give the unnamed file its name; raises ``FileExistsError`` if it is taken."""
     folder = os.open(path.parent, os.O_RDONLY)
     try:
@@ -126,7 +126,7 @@ class FlightRecorder:
         number = sum(1 for _ in folder.glob("flight-*.jsonl")) + 1
         if number > MOST_FILES:
             return
-        content = "".join(lines(memory, fact.t_s, fact.fault)).encode()
+        content = "".join(recording_lines(memory, fact.t_s, fact.fault)).encode()
         try:
             self._reserve.write(folder / f"flight-{number}.jsonl", content)
         except OSError:
@@ -136,7 +136,7 @@ class FlightRecorder:
         self._reserve.take(folder, RESERVED_BYTES)
 
 
-def lines(memory: SharedMemory, t_s: float, fault: Fault) -> Iterator[str]:
+def recording_lines(memory: SharedMemory, t_s: float, fault: Fault) -> Iterator[str]:
     """Yield the lines of a recording: a header, then all records in order of time."""
     head = {"fault": asdict(fault), "t_s": t_s, "round": TRACE_NAMES, "wrench": NAMES}
     yield json.dumps(head, ensure_ascii=False) + "\n"

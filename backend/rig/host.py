@@ -36,16 +36,16 @@ from touchdown.backend.rig.messages import (
     Row,
     arm_row,
     error_row,
-    failed,
     fault_row,
     gripper_row,
+    inspector_row,
+    program_fault,
     sensor_row,
-    slow_row,
 )
 from touchdown.backend.rig.safety import (
     JAWS,
     MOVES,
-    DriverOrders,
+    DriverCommands,
     Failsafe,
     FailsafeInput,
     FailsafeOutput,
@@ -145,7 +145,7 @@ class RigHost:
         self._core = Failsafe(now_s(), limits)
         self._lock = threading.RLock()
         self._showing, self._noting = threading.Lock(), threading.Lock()
-        self._orders = DriverOrders(devices.arm, devices.gripper, self._may_open)
+        self._orders = DriverCommands(devices.arm, devices.gripper, self._may_open)
         self._motions = _Motions()
         self._cancel = threading.Event()
         self._gone = False
@@ -166,7 +166,7 @@ class RigHost:
             try:
                 out = self._core.step(now_s, self._inbox())
             except Exception as error:  # noqa: BLE001 - whatever it is, the arm must not go on
-                fault = self._core.latch(failed(f"{type(error).__name__}: {error}"))
+                fault = self._core.latch(program_fault(f"{type(error).__name__}: {error}"))
                 out = FailsafeOutput(stop=True, fault=fault, why=fault)
             self._act(now_s, out)
         self._tell_motions()
@@ -247,7 +247,7 @@ class RigHost:
     def _show(self, now_s: float, *, slow: bool) -> None:
         with self._showing:
             if slow or not self._slow:
-                self._slow = {n: slow_row(d, now_s) for n, d in self.devices.named().items()}
+                self._slow = {n: inspector_row(d, now_s) for n, d in self.devices.named().items()}
             rows = {
                 "arm": arm_row(self.devices.arm),
                 "gripper": gripper_row(self.devices.gripper, self._homing),
@@ -440,5 +440,5 @@ def _fault_of(motion: Motion) -> Fault | None:
     except FaultError as error:
         return error.fault
     except TouchdownError as error:
-        return failed(str(error))
+        return program_fault(str(error))
     return None

@@ -201,7 +201,7 @@ SIZE = (
 
 def make() -> tuple[SharedMemory, Path]:
     """Return new memory and its file for this user only; ``drop`` the file once attached."""
-    _sweep(_folder())
+    _delete_stale_files(_folder())
     folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=_folder()))
     path = folder / FILE
     with path.open("w+b") as file:
@@ -229,7 +229,7 @@ def _folder() -> Path:
     return shared if usable else Path(tempfile.gettempdir())
 
 
-def _sweep(folder: Path) -> None:
+def _delete_stale_files(folder: Path) -> None:
     """Delete files of programs that were killed while starting."""
     for found in folder.glob(f"{PREFIX}*-*"):
         number = found.name.removeprefix(PREFIX).split("-")[0]

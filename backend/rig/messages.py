@@ -128,10 +128,10 @@ def read_error(row: Message) -> Exception:
             return StaleSampleError(row["text"])
         case "value":
             return ValueError(row["text"])
-    return FaultError(failed(row["text"]))
+    return FaultError(program_fault(row["text"]))
 
 
-def failed(what: str) -> Fault:
+def program_fault(what: str) -> Fault:
     """Return the fault of a program error inside the rig."""
     return Fault(
         "RIG-ERROR",
@@ -199,7 +199,7 @@ def sensor_row(sensor: ForceTorqueSensor) -> Row:
     return {**device_row(sensor), "rated": sensor.rated.tolist(), "slow_since_s": slow_s}
 
 
-def slow_row(device: Device, now_s: float) -> Row:
+def inspector_row(device: Device, now_s: float) -> Row:
     """Return the slowly changing fields: identity, health with its time, fields of the
     inspector.
     """

@@ -197,7 +197,7 @@ JAWS = frozenset({"gripper.grip", "gripper.open_to", "gripper.open_held"})
 
 
 @dataclass(frozen=True, slots=True)
-class DriverOrders:
+class DriverCommands:
     """Commands of arm and gripper; ``open_held`` checks the release conditions first."""
 
     arm: Arm

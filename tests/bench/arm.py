@@ -35,7 +35,7 @@ from tests.bench.registry import Figure, figure
 from tests.busy_computer import STARVED
 from touchdown.backend.core.faults import Fault, FaultError, RefusedError
 from touchdown.backend.core.values import FloatArray, Pose
-from touchdown.backend.devices.melfa.driver import MelfaOrders
+from touchdown.backend.devices.melfa.driver import MelfaPrograms
 from touchdown.backend.devices.melfa.emulated_channels import EmulatedCommands
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
@@ -86,7 +86,7 @@ class Bench:
         self.served = Served(TroubledFront, self._felt, stiffness_mode=mode)
         device = self.served.arm._device
         self.front, self.controller = self.served.arm, device.controller
-        self._placing = MelfaOrders(self.served.settings.melfa).placing
+        self._placing = MelfaPrograms(self.served.settings.melfa).placing
         self._start_rad = self.controller.joints.true_rad.copy()
         self._joints, self._place_mm = self._start_rad, np.array([0.0, 0.0, ABOVE_MM])
         self.controller.felt = lambda: np.array([0.0, 0.0, self.push_n(), 0.0, 0.0, 0.0])

@@ -11,7 +11,7 @@ from touchdown.backend.config import HardwareSettings
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.bota.protocol import (
     SINC_STEP_S,
-    Boot,
+    BotaBoot,
     BotaFrame,
     BotaReply,
     BotaRequest,
@@ -59,7 +59,7 @@ class BotaDriver:
             nonlocal frames
             for message in self._decoder.feed(data):
                 frames += isinstance(message, BotaFrame)
-                if isinstance(message, Boot):
+                if isinstance(message, BotaBoot):
                     return True
             return True if frames >= 2 else None
 

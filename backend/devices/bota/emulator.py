@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.bota.protocol import (
     SINC_STEP_S,
-    Boot,
+    BotaBoot,
     BotaFrame,
     BotaReply,
     BotaRequest,
@@ -71,7 +71,7 @@ class EmulatedBota:
             return b""
         self._booted = True
         self.pace.begin(now_s, self._period_s)
-        return protocol.encode(Boot())
+        return protocol.encode(BotaBoot())
 
     @property
     def _period_s(self) -> float:

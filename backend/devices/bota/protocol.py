@@ -75,7 +75,7 @@ class BotaReply:
 
 
 @dataclass(frozen=True, slots=True)
-class Boot:
+class BotaBoot:
     """The sensor has started."""
 
 
@@ -87,7 +87,7 @@ class BotaRequest:
     arguments: tuple[int, ...] = ()
 
 
-BotaMessage = BotaFrame | BotaReply | Boot
+BotaMessage = BotaFrame | BotaReply | BotaBoot
 
 
 def encode(message: BotaMessage | BotaRequest) -> bytes:
@@ -99,7 +99,7 @@ def encode(message: BotaMessage | BotaRequest) -> bytes:
         except (struct.error, OverflowError) as error:
             raise ProtocolError("range", "bota frame", 1) from error
         return bytes((HEADER,)) + body + struct.pack("<H", crc16_x25(body))
-    if isinstance(message, Boot):
+    if isinstance(message, BotaBoot):
         return _BOOT
     if isinstance(message, BotaReply):
         text = f"r,0,{message.command},{message.code}".encode("ascii", "replace")
@@ -154,7 +154,7 @@ def _take(data: bytes, at: int) -> FrameStep[BotaMessage] | None:
 
 def _take_text(data: bytes, at: int) -> FrameStep[BotaMessage] | None:
     if data.startswith(_BOOT, at):
-        return FrameStep(len(_BOOT), Boot())
+        return FrameStep(len(_BOOT), BotaBoot())
     if found := _REPLY.match(data, at):
         return FrameStep(len(found[0]), BotaReply(found[1].decode(), int(found[2])))
     return None
@@ -182,5 +182,7 @@ def _take_request(data: bytes, at: int) -> FrameStep[BotaRequest] | None:
 
 
 SIGNATURES = (
-    ProtocolSignature("bota", "a Bota force/torque sensor", b"", incoming, (Boot, BotaFrame), 2),
+    ProtocolSignature(
+        "bota", "a Bota force/torque sensor", b"", incoming, (BotaBoot, BotaFrame), 2
+    ),
 )

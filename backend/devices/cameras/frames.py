@@ -120,7 +120,7 @@ def size_px(picture: bytes) -> tuple[int, int]:
     raise ProtocolError("header", "jpeg picture")
 
 
-def tables(picture: bytes) -> bytes:
+def decoding_segments(picture: bytes) -> bytes:
     """Return the segments needed for decoding, without comments and vendor data. Pictures of one
     camera have few such headers, so that one wrong bit makes a new one.
     """
@@ -176,7 +176,7 @@ def _ends_early(picture: ImageArray) -> bool:
     return bool((picture[-1, -LAST_PX:] == MISSING).all())
 
 
-def fit(picture: ImageArray, crop_fraction: float, mirror: str) -> ImageArray:
+def fit_picture(picture: ImageArray, crop_fraction: float, mirror: str) -> ImageArray:
     """Return (240, 320, 3): cropped by ``crop_fraction`` on each side, scaled, mirrored. Raises
     ``ProtocolError`` if the result is not 4:3.
     """
@@ -249,7 +249,7 @@ class PictureFilter:
         crop = self._settings.crop_fraction if crop is None else crop
         try:
             whole = decode(content, crop) if isinstance(content, bytes) else content
-            return fit(whole, crop, self._own.mirror)
+            return fit_picture(whole, crop, self._own.mirror)
         except ProtocolError:
             return None
 
@@ -257,7 +257,7 @@ class PictureFilter:
         """Return True if this header is the first or known; a new one is accepted at its second
         occurrence. Cameras that adapt their compression use some dozens of headers.
         """
-        header = tables(content)
+        header = decoding_segments(content)
         known = not self._headers or header in self._headers
         self._headers.pop(header, None)
         self._headers[header] = None

@@ -6,9 +6,7 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from touchdown.backend.devices.dynpick import (
-        driver,
         emulator,
-        protocol,
     )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -25,10 +25,10 @@ from touchdown.backend.devices.ft300.protocol import (
     STREAM_REGISTER,
     Ft300Sample,
     ModbusWritten,
-    Read,
-    Registers,
+    ReadRegisters,
+    RegisterValues,
     StreamStop,
-    WriteMany,
+    WriteRegisters,
 )
 from touchdown.backend.devices.protocols import Identity
 
@@ -57,7 +57,7 @@ class Ft300Driver:
         self._decoder.reset()
         serial = self._text(link, cancel, SERIAL_REGISTER, SERIAL_WORDS)
         firmware = self._text(link, cancel, FIRMWARE_REGISTER, FIRMWARE_WORDS)
-        request = protocol.encode(WriteMany(STREAM_REGISTER, (STREAM_ON,)))
+        request = protocol.encode(WriteRegisters(STREAM_REGISTER, (STREAM_ON,)))
         ask(link, cancel, request, self._started, limit_s=0.5)
         self._seen_bad = self._decoder.bad_frames
         return SensorDescription(Identity("Robotiq", "FT300", serial, firmware), RATED, PERIOD_S)
@@ -90,11 +90,13 @@ class Ft300Driver:
         return True if any(isinstance(m, ModbusWritten | Ft300Sample) for m in messages) else None
 
     def _text(self, link: SensorLink, cancel: threading.Event, register: int, words: int) -> str:
-        def find(data: bytes) -> Registers | None:
-            messages = (m for m in self._decoder.feed(data) if isinstance(m, Registers))
+        def find(data: bytes) -> RegisterValues | None:
+            messages = (m for m in self._decoder.feed(data) if isinstance(m, RegisterValues))
             return next((m for m in messages if len(m.values) == words), None)
 
-        found = ask(link, cancel, protocol.encode(Read(register, words)), find, limit_s=0.5)
+        found = ask(
+            link, cancel, protocol.encode(ReadRegisters(register, words)), find, limit_s=0.5
+        )
         content = b"".join(value.to_bytes(2, "big") for value in found.values)
         text = content.decode("ascii", "replace").strip("\x00 ")
         return text if text.isprintable() and text else content.hex()

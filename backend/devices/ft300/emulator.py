@@ -20,11 +20,11 @@ from touchdown.backend.devices.ft300.protocol import (
     Ft300Sample,
     ModbusRefusal,
     ModbusWritten,
-    Read,
-    Registers,
+    ReadRegisters,
+    RegisterValues,
     StreamStop,
-    WriteMany,
-    WriteOne,
+    WriteRegister,
+    WriteRegisters,
 )
 from touchdown.backend.emulation import (
     Emulation,
@@ -69,14 +69,16 @@ class EmulatedFt300:
             return None
         if self.pace.running:
             return None
-        if isinstance(request, Read):
+        if isinstance(request, ReadRegisters):
             return self._registers(now_s, request)
-        wanted = request.value if isinstance(request, WriteOne) else request.values[0]
+        wanted = request.value if isinstance(request, WriteRegister) else request.values[0]
         if request.register == STREAM_REGISTER and wanted == STREAM_ON:
             self.pace.begin(now_s, PERIOD_S)
-        return ModbusWritten(request.register, 1) if isinstance(request, WriteMany) else request
+        return (
+            ModbusWritten(request.register, 1) if isinstance(request, WriteRegisters) else request
+        )
 
-    def _registers(self, now_s: float, request: Read) -> Registers | ModbusRefusal:
+    def _registers(self, now_s: float, request: ReadRegisters) -> RegisterValues | ModbusRefusal:
         counts = [count & 0xFFFF for count in self._sample(now_s).counts]
         blocks = {
             WRENCH_REGISTER: counts,
@@ -87,7 +89,7 @@ class EmulatedFt300:
         block = blocks.get(request.register, [])
         if not 0 < request.count <= len(block):
             return ModbusRefusal(_READ, BAD_REGISTER)
-        return Registers(tuple(block[: request.count]))
+        return RegisterValues(tuple(block[: request.count]))
 
     def _sample(self, now_s: float) -> Ft300Sample:
         per_unit = (100, 100, 100, 1000, 1000, 1000)

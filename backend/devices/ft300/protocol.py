@@ -47,7 +47,7 @@ class Ft300Sample:
 
 
 @dataclass(frozen=True, slots=True)
-class Read:
+class ReadRegisters:
     """Request for ``count`` registers."""
 
     register: int
@@ -55,7 +55,7 @@ class Read:
 
 
 @dataclass(frozen=True, slots=True)
-class Registers:
+class RegisterValues:
     """Values of registers, unsigned."""
 
     values: tuple[int, ...]
@@ -67,7 +67,7 @@ class Registers:
 
 
 @dataclass(frozen=True, slots=True)
-class WriteOne:
+class WriteRegister:
     """Request to write one register; its answer is the same frame."""
 
     register: int
@@ -75,7 +75,7 @@ class WriteOne:
 
 
 @dataclass(frozen=True, slots=True)
-class WriteMany:
+class WriteRegisters:
     """Request to write several registers."""
 
     register: int
@@ -103,8 +103,8 @@ class StreamStop:
     """Bytes of FFh, which end the stream."""
 
 
-Ft300Request = Read | WriteOne | WriteMany | StreamStop
-Ft300Message = Ft300Sample | Registers | WriteOne | ModbusWritten | ModbusRefusal
+Ft300Request = ReadRegisters | WriteRegister | WriteRegisters | StreamStop
+Ft300Message = Ft300Sample | RegisterValues | WriteRegister | ModbusWritten | ModbusRefusal
 
 
 def encode(message: Ft300Request | Ft300Message) -> bytes:
@@ -118,18 +118,18 @@ def encode(message: Ft300Request | Ft300Message) -> bytes:
     return body + struct.pack("<H", crc16_modbus(body))
 
 
-def _body(message: Read | WriteOne | WriteMany | Ft300Message) -> bytes:
+def _body(message: ReadRegisters | WriteRegister | WriteRegisters | Ft300Message) -> bytes:
     match message:
         case Ft300Sample(counts):
             return STREAM_HEADER + struct.pack("<6h", *counts)
-        case Read(register, count):
+        case ReadRegisters(register, count):
             return struct.pack(">BBHH", SLAVE, _READ, register, count)
-        case WriteOne(register, value):
+        case WriteRegister(register, value):
             return struct.pack(">BBHH", SLAVE, _WRITE_ONE, register, value)
-        case WriteMany(register, values):
+        case WriteRegisters(register, values):
             n = len(values)
             return struct.pack(f">BBHHB{n}H", SLAVE, _WRITE_MANY, register, n, 2 * n, *values)
-        case Registers(values):
+        case RegisterValues(values):
             n = len(values)
             return struct.pack(f">BBB{n}H", SLAVE, _READ, 2 * n, *values)
         case ModbusWritten(register, count):
@@ -189,11 +189,13 @@ def _incoming(frame: bytes) -> Ft300Message:
     if body[:2] == STREAM_HEADER:
         return Ft300Sample(struct.unpack("<6h", body[2:]))
     if body[1] == _READ:
-        return Registers(struct.unpack(f">{body[2] // 2}H", body[3:]))
+        return RegisterValues(struct.unpack(f">{body[2] // 2}H", body[3:]))
     if body[1] & 0x80:
         return ModbusRefusal(body[1] & 0x7F, body[2])
     register, value = struct.unpack(">HH", body[2:])
-    return WriteOne(register, value) if body[1] == _WRITE_ONE else ModbusWritten(register, value)
+    return (
+        WriteRegister(register, value) if body[1] == _WRITE_ONE else ModbusWritten(register, value)
+    )
 
 
 def _take(data: bytes, at: int) -> FrameStep[Ft300Message] | None:
@@ -245,18 +247,18 @@ def _take_stop(data: bytes, at: int) -> FrameStep[Ft300Request] | None:
 def _request(body: bytes) -> Ft300Request:
     register, value = struct.unpack(">HH", body[2:6])
     if body[1] == _READ:
-        return Read(register, value)
+        return ReadRegisters(register, value)
     if body[1] == _WRITE_ONE:
-        return WriteOne(register, value)
-    return WriteMany(register, struct.unpack(f">{value}H", body[7:]))
+        return WriteRegister(register, value)
+    return WriteRegisters(register, struct.unpack(f">{value}H", body[7:]))
 
 
 SIGNATURES = (
     ProtocolSignature(
         "ft300",
         "a Robotiq FT300 force/torque sensor",
-        encode(Read(FIRMWARE_REGISTER, 3)),
+        encode(ReadRegisters(FIRMWARE_REGISTER, 3)),
         incoming,
-        (Registers, Ft300Sample),
+        (RegisterValues, Ft300Sample),
     ),
 )

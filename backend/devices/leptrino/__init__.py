@@ -1,14 +1,1 @@
 """Leptrino sensor."""
-
-from typing import TYPE_CHECKING
-
-import lazy_loader
-
-if TYPE_CHECKING:
-    from touchdown.backend.devices.leptrino import (
-        driver,
-        emulator,
-        protocol,
-    )
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

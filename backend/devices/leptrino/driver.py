@@ -20,20 +20,20 @@ from touchdown.backend.devices.force_torque import (
 from touchdown.backend.devices.leptrino import protocol
 from touchdown.backend.devices.leptrino.protocol import (
     CLIP,
-    Filter,
-    Info,
+    FilterSetting,
     LeptrinoCommand,
     LeptrinoSample,
     LeptrinoStatus,
     Packet,
-    Plain,
-    Rated,
+    PlainFrame,
+    RatedLoads,
+    SensorInfo,
 )
 from touchdown.backend.devices.protocols import Identity
 
 RATE_HZ = 1000.0
 SETTLE_S = 0.05
-AnswerT = TypeVar("AnswerT", Info, Rated, Plain, Filter)
+AnswerT = TypeVar("AnswerT", SensorInfo, RatedLoads, PlainFrame, FilterSetting)
 
 
 class LeptrinoDriver:
@@ -51,13 +51,13 @@ class LeptrinoDriver:
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
         """Stop twice, read identity and rated loads, start the stream."""
         for _ in range(2):
-            link.write(protocol.encode(Plain(LeptrinoCommand.STOP)))
+            link.write(protocol.encode(PlainFrame(LeptrinoCommand.STOP)))
             pause(cancel, SETTLE_S)
         link.drain()
         self._decoder.reset()
-        info = self._ask(link, cancel, LeptrinoCommand.INFO, Info)
-        self._rated = self._ask(link, cancel, LeptrinoCommand.RATED, Rated).loads
-        self._ask(link, cancel, LeptrinoCommand.START, Plain)
+        info = self._ask(link, cancel, LeptrinoCommand.INFO, SensorInfo)
+        self._rated = self._ask(link, cancel, LeptrinoCommand.RATED, RatedLoads).loads
+        self._ask(link, cancel, LeptrinoCommand.START, PlainFrame)
         self._seen_bad = self._decoder.bad_frames
         identity = Identity("Leptrino", info.model, info.serial, info.firmware)
         return SensorDescription(identity, self._rated, 1.0 / self._rate_hz)
@@ -80,7 +80,7 @@ class LeptrinoDriver:
 
     def stop(self, link: SensorLink) -> None:
         """End the stream."""
-        link.write(protocol.encode(Plain(LeptrinoCommand.STOP)))
+        link.write(protocol.encode(PlainFrame(LeptrinoCommand.STOP)))
 
     def _ask(
         self,
@@ -95,7 +95,7 @@ class LeptrinoDriver:
                     return packet
             return None
 
-        return ask(link, cancel, protocol.encode(Plain(command)), find)
+        return ask(link, cancel, protocol.encode(PlainFrame(command)), find)
 
     def _reading(self, sample: LeptrinoSample, missed: int) -> WrenchReading:
         overload = (
@@ -108,4 +108,4 @@ class LeptrinoDriver:
 
 
 def _answers(packet: Packet, command: LeptrinoCommand) -> bool:
-    return not isinstance(packet, Plain) or (packet.command == command and packet.code == 0)
+    return not isinstance(packet, PlainFrame) or (packet.command == command and packet.code == 0)

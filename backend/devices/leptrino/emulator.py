@@ -14,15 +14,15 @@ from touchdown.backend.devices.leptrino.protocol import (
     CLIP,
     ETX,
     FULL_SCALE,
-    Filter,
-    Info,
+    FilterSetting,
     LeptrinoCommand,
+    LeptrinoNak,
     LeptrinoSample,
     LeptrinoStatus,
-    Nak,
     Packet,
-    Plain,
-    Rated,
+    PlainFrame,
+    RatedLoads,
+    SensorInfo,
 )
 from touchdown.backend.emulation import (
     Emulation,
@@ -34,7 +34,7 @@ from touchdown.backend.emulation import (
 )
 
 RATED = (250.0, 250.0, 250.0, 6.0, 6.0, 6.0)
-INFO = Info("PFS080YA501A6", "00012345", "1.13")
+INFO = SensorInfo("PFS080YA501A6", "00012345", "1.13")
 PERIOD_S = 0.001
 LENGTH, UNDEFINED, VALUE = 1, 2, 3  # result codes of refused commands
 FILTERS = 4
@@ -75,22 +75,22 @@ class EmulatedLeptrino:
         if command == LeptrinoCommand.INFO:
             return INFO
         if command == LeptrinoCommand.RATED:
-            return Rated(self._rated)
+            return RatedLoads(self._rated)
         if command == LeptrinoCommand.READ:
             return self._sample(now_s, LeptrinoCommand.READ)
         if command == LeptrinoCommand.GET_FILTER:
-            return Filter(LeptrinoCommand.GET_FILTER, 0)
+            return FilterSetting(LeptrinoCommand.GET_FILTER, 0)
         if command == LeptrinoCommand.START:
             self.pace.begin(now_s + PERIOD_S, PERIOD_S)
         elif command == LeptrinoCommand.STOP:
             self.pace.end()
         elif command != LeptrinoCommand.SET_FILTER:
-            return Plain(command or 0, UNDEFINED)
-        elif not isinstance(packet, Filter):
-            return Plain(command, LENGTH)
+            return PlainFrame(command or 0, UNDEFINED)
+        elif not isinstance(packet, FilterSetting):
+            return PlainFrame(command, LENGTH)
         elif packet.index >= FILTERS:
-            return Plain(command, VALUE)
-        return Plain(command)
+            return PlainFrame(command, VALUE)
+        return PlainFrame(command)
 
     def _sample(self, now_s: float, command: LeptrinoCommand) -> LeptrinoSample:
         pairs = zip(self._wrench(now_s), self._rated, strict=True)
@@ -104,7 +104,7 @@ def _refusal(data: bytes) -> Packet:
     found = _FRAME.search(data)
     content = b"" if found is None else found[1].replace(b"\x10\x10", b"\x10")
     whole = found is not None and len(content) >= 3 and xor8(content) ^ ETX == found[2][0]
-    return Plain(content[2], LENGTH) if whole else Nak()
+    return PlainFrame(content[2], LENGTH) if whole else LeptrinoNak()
 
 
 def emulate_leptrino(choice: EmulationChoice, faults: Faults) -> Emulation:

@@ -48,7 +48,7 @@ class LeptrinoStatus(IntFlag):
 
 
 @dataclass(frozen=True, slots=True)
-class Plain:
+class PlainFrame:
     """A request without content, its acknowledgement, or a refusal (``code`` not 0).
 
     Codes: 1 length, 2 undefined command, 3 value, 4 state.
@@ -59,7 +59,7 @@ class Plain:
 
 
 @dataclass(frozen=True, slots=True)
-class Info:
+class SensorInfo:
     """Identity of the sensor; ``rate`` from newer firmware only."""
 
     model: str
@@ -69,14 +69,14 @@ class Info:
 
 
 @dataclass(frozen=True, slots=True)
-class Rated:
+class RatedLoads:
     """Rated load per axis, N and N·m."""
 
     loads: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Filter:
+class FilterSetting:
     """Filter setting: 0 off, 1 10 Hz, 2 100 Hz, 3 200 Hz."""
 
     command: int
@@ -99,16 +99,16 @@ class LeptrinoSample:
 
 
 @dataclass(frozen=True, slots=True)
-class Nak:
+class LeptrinoNak:
     """The last frame had a wrong check and must be repeated."""
 
 
-Packet = Plain | Info | Rated | Filter | LeptrinoSample | Nak
+Packet = PlainFrame | SensorInfo | RatedLoads | FilterSetting | LeptrinoSample | LeptrinoNak
 
 
 def encode(packet: Packet) -> bytes:
     """Return the frame with byte stuffing and check."""
-    if isinstance(packet, Nak):
+    if isinstance(packet, LeptrinoNak):
         return bytes((DLE, NAK_BYTE))
     try:
         command, code, body = _content(packet)
@@ -121,18 +121,20 @@ def encode(packet: Packet) -> bytes:
     return b"\x10\x02" + stuffed + b"\x10\x03" + bytes((xor8(data) ^ ETX,))
 
 
-def _content(packet: Plain | Info | Rated | Filter | LeptrinoSample) -> tuple[int, int, bytes]:
-    if isinstance(packet, Plain):
+def _content(
+    packet: PlainFrame | SensorInfo | RatedLoads | FilterSetting | LeptrinoSample,
+) -> tuple[int, int, bytes]:
+    if isinstance(packet, PlainFrame):
         return packet.command, packet.code, b""
-    if isinstance(packet, Info):
+    if isinstance(packet, SensorInfo):
         parts = ((packet.model, 16), (packet.serial, 8), (packet.firmware, 4))
         text = "".join(part.ljust(width) for part, width in parts) + packet.rate
         if len(text) not in (28, 34) or not text.isascii():
             raise ProtocolError("text", "leptrino info", 4)
         return LeptrinoCommand.INFO, 0, text.encode("ascii")
-    if isinstance(packet, Rated):
+    if isinstance(packet, RatedLoads):
         return LeptrinoCommand.RATED, 0, struct.pack("<6f", *packet.loads)
-    if isinstance(packet, Filter):
+    if isinstance(packet, FilterSetting):
         return packet.command, 0, struct.pack("<B3x", packet.index)
     body = struct.pack("<6hHBx", *packet.counts, packet.reserve, packet.status)
     return packet.command, 0, body
@@ -161,7 +163,7 @@ def _take(data: bytes, at: int) -> FrameStep[Packet] | None:
     if at + 1 == len(data):
         return None
     if data[at + 1] == NAK_BYTE:
-        return FrameStep(2, Nak())
+        return FrameStep(2, LeptrinoNak())
     if data[at + 1] != STX:
         return FrameStep(2)  # a pair of 10h is content of a lost frame, never a start
     return _take_frame(data, at)
@@ -206,7 +208,7 @@ def _unpack(data: bytes, check: int) -> Packet:
         raise ProtocolError("length", "leptrino frame")
     command, code, body = data[2], data[3], data[4:]
     if not body:
-        return Plain(command, code)
+        return PlainFrame(command, code)
     try:
         if code == 0:
             return _body(command, body)
@@ -221,13 +223,13 @@ def _body(command: int, body: bytes) -> Packet:
         model, serial, firmware = (
             part.rstrip(" ") for part in (text[:16], text[16:24], text[24:28])
         )
-        return Info(model, serial, firmware, text[28:])
+        return SensorInfo(model, serial, firmware, text[28:])
     if command == LeptrinoCommand.RATED:
-        return Rated(_finite(struct.unpack("<6f", body)))
+        return RatedLoads(_finite(struct.unpack("<6f", body)))
     if command in (LeptrinoCommand.GET_FILTER, LeptrinoCommand.SET_FILTER):
         index, *zeros = struct.unpack("<4B", body)
         if not any(zeros):
-            return Filter(command, index)
+            return FilterSetting(command, index)
     if command in (LeptrinoCommand.READ, LeptrinoCommand.START):
         *counts, reserve, status, zero = struct.unpack("<6hHBB", body)
         if not zero:
@@ -245,8 +247,8 @@ SIGNATURES = (
     ProtocolSignature(
         "leptrino",
         "a Leptrino force/torque sensor",
-        encode(Plain(LeptrinoCommand.INFO)),
+        encode(PlainFrame(LeptrinoCommand.INFO)),
         packets,
-        (Info, LeptrinoSample),
+        (SensorInfo, LeptrinoSample),
     ),
 )

@@ -1,12 +1,1 @@
 """Cameras of LeRobot as a plug-in."""
-
-from typing import TYPE_CHECKING
-
-import lazy_loader
-
-if TYPE_CHECKING:
-    from touchdown.backend.devices.lerobot import (
-        driver,
-    )
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

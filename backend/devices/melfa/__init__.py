@@ -7,13 +7,10 @@ import lazy_loader
 if TYPE_CHECKING:
     from touchdown.backend.devices.melfa import (
         driver,
-        emulated_channels,
         emulated_controller,
         emulator,
         force_program,
         kinematics,
-        sockets,
-        wrist_sensor,
     )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

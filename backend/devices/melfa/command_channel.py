@@ -322,7 +322,7 @@ WARN_S, REFUSE_S = HOLD_CYCLES * CYCLE_S, FAULT_CYCLES * CYCLE_S
 LOOK_S = 0.1
 
 
-def notice_of_idle_check(
+def idle_check_notice(
     wires: ControllerLinks, settings: MelfaSettings, go_on: Callable[[], None]
 ) -> str:
     """Measure cycles for ``settings.idle_check_s``; return a notice for the operator, or "". Raises
@@ -405,7 +405,7 @@ class Console:
             self._reset_alarm()
             self._require_no_error()
             self._require_time_limit()
-            self.notice = notice_of_idle_check(self._wires, self._settings, self._go_on)
+            self.notice = idle_check_notice(self._wires, self._settings, self._go_on)
             self._go_on()
             self.servo_on()
             self._go_on()

@@ -65,14 +65,14 @@ from touchdown.backend.devices.streamed import (
     PositionRecord,
     RotationJogProgram,
     RotationTravelProgram,
-    StreamedOrders,
+    StreamedPrograms,
     TravelProgram,
     air_before,
-    jogging,
+    jog_motion,
 )
 
 
-class MelfaOrders:
+class MelfaPrograms:
     """Creates programs for one arm; ``level``: those of every streamed arm."""
 
     def __init__(self, settings: MelfaSettings) -> None:
@@ -82,7 +82,7 @@ class MelfaOrders:
             math.radians(settings.hand_deg),
             settings.tool_mm,
         )
-        self.level = StreamedOrders(
+        self.level = StreamedPrograms(
             LoopDelays(
                 CYCLE_S,
                 arm_lag_s=1e-3 * settings.arm_lag_ms,
@@ -121,7 +121,7 @@ class MelfaOrders:
         program = core.program
         self.level.leave()
         if not isinstance(program, RotationJogProgram) or program.motion.done:
-            program = RotationJogProgram(jogging(velocity_mm_s, turn_rad_s))
+            program = RotationJogProgram(jog_motion(velocity_mm_s, turn_rad_s))
             core.run(program)
         program.renew(velocity_mm_s, turn_rad_s, until_s)
         return program.motion
@@ -153,7 +153,7 @@ class MelfaOrders:
 PHASES = {phase: float(place) for place, phase in enumerate(Phase)}
 
 
-def words_of(
+def arm_status(
     device: DeviceState, state: ControllerState | None, fault: Fault | None, *, moving: bool
 ) -> ArmStatus:
     """Return the status; ``state`` is the last report of the controller."""
@@ -175,7 +175,7 @@ def words_of(
     return ArmStatus(mode, safety, override, error)
 
 
-def trace_of(core: StreamCore, orders: MelfaOrders) -> tuple[float, ...]:
+def trace_values(core: StreamCore, orders: MelfaPrograms) -> tuple[float, ...]:
     """Return the values of ``TRACE``; the caller holds the lock of the stream."""
     return (
         *core.command_mm.tolist(),
@@ -192,7 +192,7 @@ def trace_of(core: StreamCore, orders: MelfaOrders) -> tuple[float, ...]:
     )
 
 
-def raw_fields(
+def inspector_fields(
     core: StreamCore, wires: ControllerLinks, settings: MelfaSettings, console: Console
 ) -> Mapping[str, str | float]:
     """Return the inspector fields; ``command_mm`` is of ``G`` in the bench frame."""
@@ -245,7 +245,7 @@ class MelfaArm:
         self._measured = PositionRecord(now_s, poses)
         # Measured position of ``G``, mm in the bench frame, once per cycle.
         self.poses = self._measured.poses
-        self._orders, self.steps = MelfaOrders(settings), ConnectionSteps()
+        self._orders, self.steps = MelfaPrograms(settings), ConnectionSteps()
         self._core = StreamCore(settings, self._orders.placing)
         self._watch: ControllerPoller | None = None
         self._stopped = threading.Event()
@@ -269,7 +269,7 @@ class MelfaArm:
 
     def describe(self) -> Mapping[str, str | float]:
         """Return the commanded position and the counts of the link."""
-        return raw_fields(self._core, self._wires, self._settings, self._console)
+        return inspector_fields(self._core, self._wires, self._settings, self._console)
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
         """Connect up to an open stream; ``timeout_s`` is the minimum time limit of each step."""
@@ -416,7 +416,7 @@ class MelfaArm:
         """Return the status."""
         state = None if self._watch is None else self._watch.state
         moving = self._force.under_way or self._orders.under_way(self._core)
-        return words_of(self.state, state, self.fault, moving=moving)
+        return arm_status(self.state, state, self.fault, moving=moving)
 
     @property
     def press_n(self) -> float:
@@ -426,7 +426,7 @@ class MelfaArm:
     def trace(self) -> tuple[float, ...]:
         """Return the present values, in the order of ``TRACE_NAMES``."""
         with self._lock:
-            return trace_of(self._core, self._orders)
+            return trace_values(self._core, self._orders)
 
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""

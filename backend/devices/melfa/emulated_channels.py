@@ -40,6 +40,7 @@ from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,
     MONITOR_KINDS,
     START,
+    AxisValues,
     Block,
     BlockKind,
     DataTypes,
@@ -48,7 +49,6 @@ from touchdown.backend.devices.melfa.realtime_protocol import (
     MxtCommand,
     MxtReply,
     MxtRequest,
-    Values,
     decode_mxt_request,
     encode_mxt_reply,
     kind_of,
@@ -143,9 +143,9 @@ class EmulatedStream:
 
     def _joints(self, target: Block) -> FloatArray | None:
         near = self._controller.joints.command_rad
-        if isinstance(target, Values) and target.kind is BlockKind.JOINT:
+        if isinstance(target, AxisValues) and target.kind is BlockKind.JOINT:
             return np.array(target.axes[:6])
-        if isinstance(target, Values) and target.kind is BlockKind.PULSE:
+        if isinstance(target, AxisValues) and target.kind is BlockKind.PULSE:
             return np.array(target.axes[:6]) / PULSES_PER_RAD
         if isinstance(target, MelfaPose):
             frame = np.eye(4)
@@ -176,7 +176,7 @@ class EmulatedStream:
             return None
         if kind is BlockKind.CURRENT:
             amount = joints.currents().round().astype(int).tolist()
-            return Values(kind, (*amount, 0, 0))
+            return AxisValues(kind, (*amount, 0, 0))
         sources: tuple[Callable[[], FloatArray], ...] = (
             lambda: joints.command_rad + self.jump_rad,
             lambda: joints.filtered_rad,
@@ -189,8 +189,8 @@ class EmulatedStream:
             return MelfaPose((*frame[:3, 3].tolist(), *turned, 0.0, 0.0), *FLAGS)
         if kind is BlockKind.PULSE:
             pulses = (angles * PULSES_PER_RAD).round().astype(int).tolist()
-            return Values(kind, (*pulses, 0, 0))
-        return Values(kind, (*angles.tolist(), 0.0, 0.0))
+            return AxisValues(kind, (*pulses, 0, 0))
+        return AxisValues(kind, (*angles.tolist(), 0.0, 0.0))
 
 
 # A request without an end is complete after this silence; the second segment of a split request
@@ -515,4 +515,4 @@ class EmulatedMonitor:
     def _block(self, now_s: float, number: int) -> Block:
         if number != self._force:
             return None
-        return Values(BlockKind.FORCE, tuple(self._wrench(now_s)))
+        return AxisValues(BlockKind.FORCE, tuple(self._wrench(now_s)))

@@ -33,9 +33,9 @@ from touchdown.backend.devices.streamed import (
     TRIPPED,
     UNFELT,
     UNLOAD_MM,
-    no_contact,
-    not_unloaded,
-    told_of,
+    no_contact_fault,
+    not_unloaded_fault,
+    press_fields,
 )
 
 # Time the program waits for the next command, and the delay of a command.
@@ -127,9 +127,9 @@ class ControllerPress:
         if not now_s - self._felt_s <= OLD_S:
             return UNFELT
         if not running:
-            return ENDED if self.touched else no_contact(self._command.max_travel_mm)
+            return ENDED if self.touched else no_contact_fault(self._command.max_travel_mm)
         if now_s > self._ends_s:
-            return LATE if self._unloading is None else not_unloaded(self._press_n)
+            return LATE if self._unloading is None else not_unloaded_fault(self._press_n)
         return None
 
     def _feel(self, t_s: FloatArray, force_n: FloatArray) -> bool:
@@ -235,7 +235,7 @@ class ForceProgram:
             }
         )
         before = air()
-        motion = ArmPress({**told_of(command), "damping_n_s_mm": self._settings.fsc.damping})
+        motion = ArmPress({**press_fields(command), "damping_n_s_mm": self._settings.fsc.damping})
         self._press = ControllerPress(motion, command, before, self._settings.probe_margin_s)
         return motion
 

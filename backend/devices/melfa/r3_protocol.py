@@ -247,7 +247,7 @@ def read_axes(answer: str) -> AxisReading:
 
 
 @dataclass(frozen=True, slots=True)
-class Position:
+class PositionVariable:
     """A position variable: six numbers (mm and deg, or N and N·m) and two flags."""
 
     name: str
@@ -270,7 +270,7 @@ class Position:
 
 
 @dataclass(frozen=True, slots=True)
-class Number:
+class NumberVariable:
     """A number variable."""
 
     name: str
@@ -284,18 +284,18 @@ class Number:
         )
 
 
-def read_variable(answer: str) -> Position | Number:
+def read_variable(answer: str) -> PositionVariable | NumberVariable:
     """Return the variable of an answer to VAL; raises ``ProtocolError``."""
     found = _VARIABLE_ASSIGNMENT.fullmatch(answer)
     if found is None:
         raise ProtocolError("fields", "r3 variable")
     place = _POSITION.fullmatch(found[2])
     if place is None:
-        return Number(found[1], number(found[2]))
+        return NumberVariable(found[1], number(found[2]))
     numbers = tuple(map(number, place[1].split(",")))
     if len(numbers) != 6:
         raise ProtocolError("fields", "r3 variable", len(found[1]) + 1)
-    return Position(found[1], numbers, (int(place[2]), int(place[3])))
+    return PositionVariable(found[1], numbers, (int(place[2]), int(place[3])))
 
 
 def number(text: str) -> float:

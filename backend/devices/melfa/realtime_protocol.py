@@ -47,7 +47,7 @@ class MelfaPose:
 
 
 @dataclass(frozen=True, slots=True)
-class Values:
+class AxisValues:
     """Eight joints (rad), pulses, currents (%), plain numbers, or six of force (N, N·m)."""
 
     kind: BlockKind
@@ -74,7 +74,7 @@ class RobotMonitor:
     cycle_counter: int
 
 
-Block = MelfaPose | Values | RobotMonitor | None
+Block = MelfaPose | AxisValues | RobotMonitor | None
 
 _LAYOUTS = {
     BlockKind.JOINT: _FLOATS,
@@ -91,7 +91,7 @@ def kind_of(block: Block) -> BlockKind:
         return BlockKind.NONE
     if isinstance(block, MelfaPose):
         return BlockKind.POSE
-    return block.kind if isinstance(block, Values) else BlockKind.ROBMON
+    return block.kind if isinstance(block, AxisValues) else BlockKind.ROBMON
 
 
 def encode_block(block: Block) -> bytes:
@@ -107,7 +107,7 @@ def _pack(block: Block) -> bytes:
         return bytes(BLOCK_BYTES)
     if isinstance(block, MelfaPose):
         return _POSE.pack(*_finite(block.axes), block.flag1, block.flag2)
-    if isinstance(block, Values):
+    if isinstance(block, AxisValues):
         return _LAYOUTS[block.kind].pack(*_finite(block.axes))
     numbers = (
         block.speed_feedback_mm_s,
@@ -141,7 +141,7 @@ def _unpack(kind: BlockKind, data: bytes) -> Block:
         *axes, flag1, flag2 = _POSE.unpack(data)
         return MelfaPose(_finite(tuple(axes)), flag1, flag2)
     if kind is not BlockKind.ROBMON:
-        return Values(kind, _finite(_LAYOUTS[kind].unpack(data)))
+        return AxisValues(kind, _finite(_LAYOUTS[kind].unpack(data)))
     *numbers, accelerating, step, name, tenths, counter = _ROBMON.unpack(data)
     program = name.rstrip(b"\x00")
     if not program.isascii() or b"\x00" in program:

@@ -44,18 +44,18 @@ class ControllerLock:
         name = re.sub(r"[^A-Za-z0-9.-]", "_", host)
         folder = Path(tempfile.gettempdir())
         self._path = folder / f"{PREFIX}{name}-{port}{SUFFIX}"
-        _sweep(folder, self._path)
+        _delete_unlocked_files(folder, self._path)
         try:
-            self._descriptor = _lock_patiently(self._path)
+            self._descriptor = _lock_with_retries(self._path)
         except OSError as error:
-            raise FaultError(taken_fault(f"{host}:{port}")) from error
+            raise FaultError(controller_in_use_fault(f"{host}:{port}")) from error
 
     def close(self) -> None:
         """Release the lock."""
-        _take_away(self._descriptor, self._path)
+        _delete_file(self._descriptor, self._path)
 
 
-def _lock_patiently(path: Path) -> int:
+def _lock_with_retries(path: Path) -> int:
     for _ in range(TRIES - 1):
         try:
             return _lock(path)
@@ -80,14 +80,14 @@ def _is_there(descriptor: int, path: Path) -> bool:
         return False
 
 
-def _take_away(descriptor: int, path: Path) -> None:
+def _delete_file(descriptor: int, path: Path) -> None:
     if os.name == "posix":
         # Delete before unlocking: a waiting program finds it deleted and creates a new one.
         path.unlink(missing_ok=True)
     os.close(descriptor)
 
 
-def _sweep(folder: Path, wanted: Path) -> None:
+def _delete_unlocked_files(folder: Path, wanted: Path) -> None:
     """Delete unlocked files."""
     if os.name != "posix":
         return
@@ -98,10 +98,10 @@ def _sweep(folder: Path, wanted: Path) -> None:
             descriptor = _lock(found)
         except OSError:
             continue
-        _take_away(descriptor, found)
+        _delete_file(descriptor, found)
 
 
-def taken_fault(address: str) -> Fault:
+def controller_in_use_fault(address: str) -> Fault:
     """Return the fault of a controller that is used by another program on this computer."""
     return Fault(
         "ARM-TAKEN",
@@ -270,7 +270,7 @@ class SocketLinks:
         while not self._stop.is_set():
             # One wake-up per cycle: a reply in between is not used before the next.
             self._stop.wait(deadline_s - time.monotonic())
-            came = _waiting(wire)
+            came = _received_datagrams(wire)
             over_s = time.monotonic() - deadline_s
             if self._anew.is_set():
                 times = CycleTimes(realtime=realtime)
@@ -292,7 +292,7 @@ def _connected(host: str, port: int) -> socket.socket:
     return wire
 
 
-def _waiting(wire: socket.socket) -> list[bytes]:
+def _received_datagrams(wire: socket.socket) -> list[bytes]:
     """Return the received datagrams, oldest first."""
     came: list[bytes] = []
     for _ in range(MOST_DATAGRAMS):

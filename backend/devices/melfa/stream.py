@@ -42,10 +42,10 @@ from touchdown.backend.devices.melfa.kinematics import (
 )
 from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,
+    AxisValues,
     BlockKind,
     MxtCommand,
     MxtRequest,
-    Values,
     decode_mxt_reply,
     encode_mxt_request,
 )
@@ -130,8 +130,8 @@ def _acceptable(data: bytes) -> tuple[int, AcceptedReply] | None:
     if reply.monitors != MONITORS:
         return None
     command, feedback = reply.blocks[0], reply.blocks[1]
-    assert isinstance(command, Values)
-    assert isinstance(feedback, Values)
+    assert isinstance(command, AxisValues)
+    assert isinstance(feedback, AxisValues)
     wanted, found = command.axes[:6], feedback.axes[:6]
     if not all(-TURN_RAD <= angle <= TURN_RAD for angle in (*wanted, *found)):
         return None
@@ -444,7 +444,7 @@ class StreamCore:
 
     def _packet(self) -> bytes:
         self._counter += 1
-        target = Values(BlockKind.JOINT, (*self.sent_rad.tolist(), 0.0, 0.0))
+        target = AxisValues(BlockKind.JOINT, (*self.sent_rad.tolist(), 0.0, 0.0))
         return encode_mxt_request(MxtRequest(MxtCommand.MOVE, target, MONITORS, self._counter))
 
     def _fail(self, fault: Fault) -> StreamOutput:

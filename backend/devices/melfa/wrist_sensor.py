@@ -25,10 +25,10 @@ from touchdown.backend.devices.melfa.realtime_protocol import (
     END,
     PACKET_BYTES,
     START,
+    AxisValues,
     BlockKind,
     MonitorReply,
     MonitorRequest,
-    Values,
 )
 from touchdown.backend.devices.protocols import Identity
 
@@ -91,7 +91,7 @@ class MelfaWrenchDriver:
             missed = step - 1
         self._last = reply.counter
         block = reply.blocks[0]
-        assert isinstance(block, Values)
+        assert isinstance(block, AxisValues)
         pairs = zip(block.axes, self._rated, strict=True)
         overload = any(abs(value) >= rated for value, rated in pairs)
         return [WrenchReading(wrench_of(block.axes), missed, overload)]

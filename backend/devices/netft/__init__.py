@@ -1,13 +1,1 @@
 """ATI Net F/T sensor."""
-
-from typing import TYPE_CHECKING
-
-import lazy_loader
-
-if TYPE_CHECKING:
-    from touchdown.backend.devices.netft import (
-        driver,
-        emulator,
-    )
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

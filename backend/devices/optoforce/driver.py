@@ -18,7 +18,12 @@ from touchdown.backend.devices.force_torque import (
     ask,
 )
 from touchdown.backend.devices.optoforce import protocol
-from touchdown.backend.devices.optoforce.protocol import SPEED_HZ, Ack, Config, OptoforceFrame
+from touchdown.backend.devices.optoforce.protocol import (
+    SPEED_HZ,
+    OptoforceAck,
+    OptoforceConfig,
+    OptoforceFrame,
+)
 from touchdown.backend.devices.protocols import Identity
 
 COUNT_TURN = 1 << 16
@@ -48,10 +53,10 @@ class OptoforceDriver:
         """Set the full rate without filter; the acknowledgement may come between frames."""
         link.drain()
 
-        def find(data: bytes) -> Ack | None:
-            return next((m for m in self._decoder.feed(data) if isinstance(m, Ack)), None)
+        def find(data: bytes) -> OptoforceAck | None:
+            return next((m for m in self._decoder.feed(data) if isinstance(m, OptoforceAck)), None)
 
-        ack = ask(link, cancel, protocol.encode(Config(SPEED, NO_FILTER)), find)
+        ack = ask(link, cancel, protocol.encode(OptoforceConfig(SPEED, NO_FILTER)), find)
         if ack.status != 0:
             raise NotAnsweredError(f"The sensor refuses its configuration ({ack.status})")
         self._last = None
@@ -72,7 +77,7 @@ class OptoforceDriver:
 
     def stop(self, link: SensorLink) -> None:
         """Stop the stream."""
-        link.write(protocol.encode(Config(0, NO_FILTER)))
+        link.write(protocol.encode(OptoforceConfig(0, NO_FILTER)))
 
     def _is_old(self, frame: OptoforceFrame) -> bool:
         """Return True if the frame is overtaken or repeated."""

@@ -11,8 +11,8 @@ from touchdown.backend.devices.optoforce import protocol
 from touchdown.backend.devices.optoforce.protocol import (
     SPEED_HZ,
     ZERO_NOW,
-    Ack,
-    Config,
+    OptoforceAck,
+    OptoforceConfig,
     OptoforceFrame,
 )
 from touchdown.backend.emulation import (
@@ -64,16 +64,16 @@ class EmulatedOptoforce:
     def closed(self, now_s: float) -> None:
         """Do nothing: a sensor on a serial line does not notice."""
 
-    def _answer(self, now_s: float, request: Config) -> bytes:
+    def _answer(self, now_s: float, request: OptoforceConfig) -> bytes:
         if request.speed not in SPEED_HZ or request.filter not in protocol.FILTER_HZ:
-            return protocol.encode(Ack(BAD_CONFIG))
+            return protocol.encode(OptoforceAck(BAD_CONFIG))
         self._zero = self._raw(now_s) if request.zero == ZERO_NOW else (0,) * 6
         rate_hz = SPEED_HZ[request.speed]
         if rate_hz:
             self.pace.begin(now_s, 1.0 / rate_hz)
         else:
             self.pace.end()
-        return protocol.encode(Ack(0))
+        return protocol.encode(OptoforceAck(0))
 
     def _raw(self, now_s: float) -> tuple[int, ...]:
         pairs = zip(self._wrench(now_s), self._per_unit, strict=True)

@@ -40,7 +40,7 @@ class AcquisitionFault(IntEnum):
     COMMUNICATION = 2
 
 
-class Sensor(IntEnum):
+class SensorFault(IntEnum):
     """Fault of the sensor, bits 12 to 10 of the status."""
 
     NOT_DETECTED = 1
@@ -49,7 +49,7 @@ class Sensor(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Config:
+class OptoforceConfig:
     """Codes of ``SPEED_HZ`` and ``FILTER_HZ``; ``zero`` is 0, or 255 to tare the sensor."""
 
     speed: int
@@ -58,7 +58,7 @@ class Config:
 
 
 @dataclass(frozen=True, slots=True)
-class Ack:
+class OptoforceAck:
     """Answer to a configuration; ``status`` 0 is success."""
 
     status: int
@@ -107,10 +107,10 @@ class OptoforceFrame:
         return wrench_of(self.scaled(counts_at_capacity, capacity))
 
 
-OptoforceMessage = OptoforceFrame | Ack
+OptoforceMessage = OptoforceFrame | OptoforceAck
 
 
-def encode(message: OptoforceMessage | Config) -> bytes:
+def encode(message: OptoforceMessage | OptoforceConfig) -> bytes:
     """Return the bytes of any message of this protocol."""
     try:
         body = _body(message)
@@ -119,10 +119,10 @@ def encode(message: OptoforceMessage | Config) -> bytes:
     return body + struct.pack(">H", sum16(body))
 
 
-def _body(message: OptoforceMessage | Config) -> bytes:
-    if isinstance(message, Config):
+def _body(message: OptoforceMessage | OptoforceConfig) -> bytes:
+    if isinstance(message, OptoforceConfig):
         return _CONFIG + bytes((message.speed, message.filter, message.zero))
-    if isinstance(message, Ack):
+    if isinstance(message, OptoforceAck):
         return _ACK + bytes((message.status,))
     kind = {axes: code for code, axes in _AXES.items()}.get(len(message.counts))
     if kind is None:
@@ -142,7 +142,7 @@ def decode(frame: bytes) -> OptoforceMessage:
         raise ProtocolError("length", "optoforce frame", len(frame))
     body = _summed(frame)
     if body[:4] == _ACK:
-        return Ack(body[4])
+        return OptoforceAck(body[4])
     count, status, *counts = struct.unpack(f">HH{_AXES[body[3]]}h", body[4:])
     return OptoforceFrame(count, status, tuple(counts))
 
@@ -152,7 +152,7 @@ def incoming() -> FrameStream[OptoforceMessage]:
     return FrameStream(_take)
 
 
-def requests() -> FrameStream[Config]:
+def requests() -> FrameStream[OptoforceConfig]:
     """Return the decoder of configurations."""
     return FrameStream(_take_request)
 
@@ -185,14 +185,14 @@ def _take(data: bytes, at: int) -> FrameStep[OptoforceMessage] | None:
         return FrameStep(1, refused=True)
 
 
-def _take_request(data: bytes, at: int) -> FrameStep[Config] | None:
+def _take_request(data: bytes, at: int) -> FrameStep[OptoforceConfig] | None:
     head = data[at : at + 4]
     if not _CONFIG.startswith(head):
         return noise_until(data, at, b"\xaa")
     if len(data) - at < 9:
         return None
     try:
-        return FrameStep(9, Config(*_summed(data[at : at + 9])[4:]))
+        return FrameStep(9, OptoforceConfig(*_summed(data[at : at + 9])[4:]))
     except ProtocolError:
         return FrameStep(1, refused=True)
 

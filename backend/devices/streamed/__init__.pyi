@@ -3,11 +3,11 @@ from .arm import NOT_PRESSING as NOT_PRESSING
 from .arm import TRIPPED as TRIPPED
 from .arm import UNFELT as UNFELT
 from .arm import PositionRecord as PositionRecord
-from .arm import StreamedOrders as StreamedOrders
+from .arm import StreamedPrograms as StreamedPrograms
 from .arm import air_before as air_before
-from .arm import jogging as jogging
-from .arm import no_contact as no_contact
-from .arm import told_of as told_of
+from .arm import jog_motion as jog_motion
+from .arm import no_contact_fault as no_contact_fault
+from .arm import press_fields as press_fields
 from .compliance import OLD_S as OLD_S
 from .compliance import TRIP_AT_ONCE_N as TRIP_AT_ONCE_N
 from .compliance import TRIP_N as TRIP_N
@@ -24,7 +24,7 @@ from .motion_programs import MotionProgram as MotionProgram
 from .motion_programs import RotationJogProgram as RotationJogProgram
 from .motion_programs import RotationTravelProgram as RotationTravelProgram
 from .motion_programs import TravelProgram as TravelProgram
-from .motion_programs import not_unloaded as not_unloaded
+from .motion_programs import not_unloaded_fault as not_unloaded_fault
 
 __all__ = [
     "ACCELERATION_MM_S2",
@@ -47,11 +47,11 @@ __all__ = [
     "PositionRecord",
     "RotationJogProgram",
     "RotationTravelProgram",
-    "StreamedOrders",
+    "StreamedPrograms",
     "TravelProgram",
     "air_before",
-    "jogging",
-    "no_contact",
-    "not_unloaded",
-    "told_of",
+    "jog_motion",
+    "no_contact_fault",
+    "not_unloaded_fault",
+    "press_fields",
 ]

@@ -223,7 +223,7 @@ class PressProgram:
         after[2] -= self._speed_mm_s * felt.cycle_s
         assert self._start_z_mm is not None
         if self._start_z_mm - after[2] > command.max_travel_mm:
-            self.motion.end(no_contact(command.max_travel_mm))
+            self.motion.end(no_contact_fault(command.max_travel_mm))
             return felt.command_mm
         return after
 
@@ -251,7 +251,7 @@ class PressProgram:
         if found_n_mm is None or found_n_mm <= DESIGN_N_MM:
             return
         if found_n_mm > STIFF_N_MM:
-            self._draw_back(comply, _too_stiff(found_n_mm))
+            self._draw_back(comply, _too_stiff_fault(found_n_mm))
         elif not comply.swinging:
             comply.law = admittance_law(self._loop, self._command.stiffness_n_mm, STIFF_N_MM)
 
@@ -288,7 +288,7 @@ class PressProgram:
         comply.reference_mm[2] = min(z_mm, self._rise_to_mm)
 
 
-def no_contact(travel_mm: float) -> Fault:
+def no_contact_fault(travel_mm: float) -> Fault:
     """Return the fault of a descent without contact."""
     return Fault(
         "NO-CONTACT",
@@ -299,7 +299,7 @@ def no_contact(travel_mm: float) -> Fault:
     )
 
 
-def _too_stiff(found_n_mm: float) -> Fault:
+def _too_stiff_fault(found_n_mm: float) -> Fault:
     return Fault(
         "CONTACT-STIFF",
         f"The contact has {found_n_mm:.0f} N/mm: there is no gel in the path.",
@@ -351,7 +351,7 @@ class ProgramRunner(Protocol):
         """Replace the active program by ``program``."""
 
 
-class StreamedOrders:
+class StreamedPrograms:
     """Creates programs; keeps the contact of the last press until the arm leaves it."""
 
     def __init__(self, loop: LoopDelays) -> None:
@@ -376,7 +376,7 @@ class StreamedOrders:
         self.leave()
         program = core.program
         if not isinstance(program, JogProgram) or program.motion.done:
-            program = JogProgram(jogging(velocity_mm_s))
+            program = JogProgram(jog_motion(velocity_mm_s))
             core.run(program)
         program.renew(velocity_mm_s, until_s)
         return program.motion
@@ -395,7 +395,7 @@ class StreamedOrders:
                 f"{command.approach_mm_s:.1f} mm/s: a contact could reach {TRIP_N:.0f} N over "
                 f"{fastest:.1f} mm/s.",
             )
-        motion = ArmPress({**told_of(command), "damping_n_s_mm": law.damping})
+        motion = ArmPress({**press_fields(command), "damping_n_s_mm": law.damping})
         self._press = PressProgram(motion, command, law, self.loop, before)
         core.run(self._press)
         return motion
@@ -421,7 +421,7 @@ class StreamedOrders:
         return None if self._press is None else self._press.compliance
 
 
-def jogging(velocity_mm_s: FloatArray, turn_rad_s: FloatArray | None = None) -> CommandedMotion:
+def jog_motion(velocity_mm_s: FloatArray, turn_rad_s: FloatArray | None = None) -> CommandedMotion:
     """Return the motion of a jog with velocity (3,) and turn (3,)."""
     turn = np.zeros(3) if turn_rad_s is None else turn_rad_s
     values = [*velocity_mm_s.tolist(), *turn.tolist()]
@@ -439,7 +439,7 @@ def air_before(wrench: SampleStream, now_s: float) -> tuple[FloatArray, FloatArr
     return air.t_s[finite], air.values[finite, :3]
 
 
-def told_of(command: PressCommand) -> dict[str, float]:
+def press_fields(command: PressCommand) -> dict[str, float]:
     """Return the values of a press command by name."""
     return {
         "depth_mm": command.depth_mm,

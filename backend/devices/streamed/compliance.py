@@ -109,7 +109,9 @@ def deflect(law: AdmittanceLaw, give: Deflection, force_n: FloatArray) -> Deflec
     return Deflection(d, v, g)
 
 
-def cut_back(give: Deflection, reference_mm: FloatArray, command_mm: FloatArray) -> Deflection:
+def limit_deflection(
+    give: Deflection, reference_mm: FloatArray, command_mm: FloatArray
+) -> Deflection:
     """Return the state after the lead limit reduced the command to ``command_mm``."""
     return replace(give, d_mm=command_mm - reference_mm, v_mm_s=np.zeros(3))
 
@@ -128,7 +130,7 @@ APART_N = 1.0
 WINDOW_DELAYS = 10.0
 
 
-class SwingDetector:
+class OscillationDetector:
     """Detects oscillation by turning points of the force, ``APART_N`` apart, in ten loop delays."""
 
     def __init__(self, delay_s: float) -> None:
@@ -186,7 +188,7 @@ class Compliance:
         self._loop = loop
         self.law = law  # may be replaced in contact: the deflection stays
         self._give = AT_REST
-        self._swing = SwingDetector(loop.delay_s)
+        self._swing = OscillationDetector(loop.delay_s)
         self._air_n = air_n.copy()
         self._moved_n = np.zeros(3) if moved_n is None else moved_n.copy()
         self._felt_n, self._felt_s = np.full(3, math.nan), -math.inf
@@ -241,7 +243,7 @@ class Compliance:
 
     def cut(self, command_mm: FloatArray) -> None:
         """Handle a command reduced by the lead limit."""
-        self._give = cut_back(self._give, self.reference_mm, command_mm)
+        self._give = limit_deflection(self._give, self.reference_mm, command_mm)
 
     def rebase(self, command_mm: FloatArray) -> None:
         """Continue from a command that was changed elsewhere."""

@@ -77,13 +77,13 @@ class MotionProgram(Protocol):
         """Handle a standstill: restart from zero speed."""
 
 
-def eased_mm_s(speed_mm_s: float, most_mm_s: float, left_mm: float, cycle_s: float) -> float:
+def limit_speed_mm_s(speed_mm_s: float, most_mm_s: float, left_mm: float, cycle_s: float) -> float:
     """Return the speed of the next cycle: up by the acceleration, and down in time for the end."""
     faster = speed_mm_s + ACCELERATION_MM_S2 * cycle_s
-    return min(faster, most_mm_s, braked(ACCELERATION_MM_S2, left_mm, cycle_s))
+    return min(faster, most_mm_s, braking_speed_mm_s(ACCELERATION_MM_S2, left_mm, cycle_s))
 
 
-def braked(acceleration: float, left: float, cycle_s: float) -> float:
+def braking_speed_mm_s(acceleration: float, left: float, cycle_s: float) -> float:
     """Return the highest speed from which whole cycles of braking end within ``left``."""
     a_t = acceleration * cycle_s
     # Whole cycles of braking from v cover v (v + a T) / 2 a: solved for v.
@@ -105,7 +105,7 @@ class TravelProgram:
         """Return the next point of the line."""
         way = self._target_mm - felt.command_mm
         left_mm = float(np.linalg.norm(way))
-        speed = eased_mm_s(self._now_mm_s, self.speed_mm_s, left_mm, felt.cycle_s)
+        speed = limit_speed_mm_s(self._now_mm_s, self.speed_mm_s, left_mm, felt.cycle_s)
         step_mm = speed * felt.cycle_s
         if left_mm - step_mm <= 1e-4:
             self._now_mm_s = 0.0
@@ -198,7 +198,7 @@ class UnloadProgram:
         if math.isfinite(press_n):
             comply.reference_mm[2] += self.speed_mm_s * felt.cycle_s
         if comply.reference_mm[2] - self._start_mm > UNLOAD_MM:
-            self.motion.end(not_unloaded(press_n))
+            self.motion.end(not_unloaded_fault(press_n))
             return felt.command_mm
         return comply.command_mm(felt.now_s)
 
@@ -210,7 +210,7 @@ class UnloadProgram:
         """Nothing: the law has its own speed."""
 
 
-def not_unloaded(press_n: float) -> Fault:
+def not_unloaded_fault(press_n: float) -> Fault:
     """Return the fault of a lift that did not reduce the force."""
     return Fault(
         "NOT-UNLOADED",
@@ -225,7 +225,7 @@ ACCELERATION_RAD_S2 = 2.0
 ARRIVED_RAD = 2e-5
 
 
-def eased(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
+def limit_change(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
     """Return the next velocity towards ``wanted``, changed by at most ``most``."""
     change = wanted - now
     size = float(np.linalg.norm(change))
@@ -258,7 +258,9 @@ class RotationTravelProgram:
         # In seconds at full speed, so that both motions end together.
         left_s = max(left_mm / self.speed_mm_s, left_rad / self.speed_rad_s)
         per_s = min(ACCELERATION_MM_S2 / self.speed_mm_s, ACCELERATION_RAD_S2 / self.speed_rad_s)
-        pace = min(self._pace + per_s * felt.cycle_s, 1.0, braked(per_s, left_s, felt.cycle_s))
+        pace = min(
+            self._pace + per_s * felt.cycle_s, 1.0, braking_speed_mm_s(per_s, left_s, felt.cycle_s)
+        )
         if left_s - pace * felt.cycle_s <= 1e-6:
             self._pace = 0.0
             self.turn = self._target_turn
@@ -314,8 +316,12 @@ class RotationJogProgram:
         velocity, turning, until_s = self._asked
         over, rest = felt.now_s >= until_s, np.zeros(3)
         cycle_s = felt.cycle_s
-        self._mm_s = eased(self._mm_s, rest if over else velocity, ACCELERATION_MM_S2 * cycle_s)
-        self._rad_s = eased(self._rad_s, rest if over else turning, ACCELERATION_RAD_S2 * cycle_s)
+        self._mm_s = limit_change(
+            self._mm_s, rest if over else velocity, ACCELERATION_MM_S2 * cycle_s
+        )
+        self._rad_s = limit_change(
+            self._rad_s, rest if over else turning, ACCELERATION_RAD_S2 * cycle_s
+        )
         if over and not self._mm_s.any() and not self._rad_s.any():
             self.motion.end()
         self.turn = rotation_from_vector(self._rad_s * cycle_s) @ felt.turn
@@ -346,7 +352,7 @@ class JointTravelProgram:
         speed = min(
             self._now_rad_s + ACCELERATION_RAD_S2 * felt.cycle_s,
             self.speed_rad_s,
-            braked(ACCELERATION_RAD_S2, left, felt.cycle_s),
+            braking_speed_mm_s(ACCELERATION_RAD_S2, left, felt.cycle_s),
         )
         if left - speed * felt.cycle_s <= 1e-7:
             self._now_rad_s = 0.0
@@ -384,7 +390,7 @@ class JointJogProgram:
         """Return the next joints (6,)."""
         over = felt.now_s >= self._until_s
         wanted = np.zeros(6) if over else self._asked_rad_s
-        self._now_rad_s = eased(self._now_rad_s, wanted, ACCELERATION_RAD_S2 * felt.cycle_s)
+        self._now_rad_s = limit_change(self._now_rad_s, wanted, ACCELERATION_RAD_S2 * felt.cycle_s)
         if over and not self._now_rad_s.any():
             self.motion.end()
         return np.asarray(felt.sent_rad + self._now_rad_s * felt.cycle_s)

@@ -56,7 +56,7 @@ from touchdown.backend.devices.streamed import (
     LoopDelays,
     MotionProgram,
     PositionRecord,
-    StreamedOrders,
+    StreamedPrograms,
     TravelProgram,
     air_before,
 )
@@ -64,10 +64,10 @@ from touchdown.backend.devices.ur.rtde import (
     NORMAL,
     REDUCED,
     RUNNING,
-    Interfaces,
     OpenRobot,
-    Receive,
+    ReceiveInterface,
     StopConnection,
+    UrConnections,
     identity_of,
     open_robot,
 )
@@ -216,7 +216,7 @@ def leaning_fault(degrees: float) -> Fault:
     )
 
 
-def words_of(robot: Interfaces | None, fault: Fault | None, *, moving: bool) -> ArmStatus:
+def arm_status(robot: UrConnections | None, fault: Fault | None, *, moving: bool) -> ArmStatus:
     """Return the status; ``robot`` is None without a connection."""
     if robot is None:
         return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
@@ -265,14 +265,14 @@ class LevelHand:
 SILENT_S = 0.1
 
 
-class RobotWatch:
+class RobotWatchdog:
     """Watchdog of one connection from ``now_s`` on; ``late``: cycles without new data."""
 
     def __init__(self, now_s: float) -> None:
         self._told_s, self._told_at_s = -math.inf, now_s
         self.late = 0
 
-    def has_news(self, receive: Receive, now_s: float) -> bool:
+    def has_news(self, receive: ReceiveInterface, now_s: float) -> bool:
         """Return True if the robot's clock has advanced since the last cycle."""
         told_s = receive.getTimestamp()
         if told_s == self._told_s:
@@ -281,7 +281,7 @@ class RobotWatch:
         self._told_s, self._told_at_s = told_s, now_s
         return True
 
-    def require_healthy(self, receive: Receive, now_s: float) -> None:
+    def require_healthy(self, receive: ReceiveInterface, now_s: float) -> None:
         """Raise ``FaultError`` for silence and for faults of the robot."""
         if now_s - self._told_at_s > SILENT_S or not receive.isConnected():
             raise FaultError(link_fault("The robot tells nothing any more."))
@@ -317,7 +317,7 @@ class UrArm(LevelHand):
         # Measured position of ``G``, mm in the bench frame, once per cycle.
         self.poses = self._measured.poses
         self._placing, self._cycle_s = UrPlacement(settings), 1.0 / settings.rate_hz
-        self._orders = StreamedOrders(
+        self._orders = StreamedPrograms(
             LoopDelays(
                 self._cycle_s,
                 arm_lag_s=1e-3 * settings.arm_lag_ms,
@@ -325,7 +325,7 @@ class UrArm(LevelHand):
             )
         )
         self._core = ServoCore()
-        self._robot: Interfaces | None = None
+        self._robot: UrConnections | None = None
         self._rotation = np.zeros(3)
         self._lock = threading.Lock()
         self._stop_asked, self._ends, self._stops = threading.Event(), threading.Event(), 0
@@ -334,7 +334,7 @@ class UrArm(LevelHand):
         self._lane: StopConnection | None = None
         self._script_ended = False
         self._servoing = False
-        self._watch = RobotWatch(-math.inf)
+        self._watch = RobotWatchdog(-math.inf)
         self.steps = ConnectionSteps()
         self.state = DeviceState.CLOSED  # state of the connection
         self.identity: Identity | None = None  # None before the first connection
@@ -395,7 +395,7 @@ class UrArm(LevelHand):
         with self._lock:
             self._send_script(robot)
 
-    def _send_script(self, robot: Interfaces) -> None:
+    def _send_script(self, robot: UrConnections) -> None:
         robot.control.reuploadScript()
         robot.control.setWatchdog(self._settings.watchdog_hz)
         self._core.begin(self._place_mm(robot))
@@ -417,7 +417,7 @@ class UrArm(LevelHand):
         self.steps.reached("configure")
         self._cursor = self._wrench.count
         self._measured.begin()
-        self._watch = RobotWatch(self._now_s())
+        self._watch = RobotWatchdog(self._now_s())
         self._stop_asked.clear()
         self._retreat_asked.clear()
         self._script_ended = False
@@ -474,7 +474,7 @@ class UrArm(LevelHand):
             except (FaultError, RuntimeError) as error:
                 self._fail(robot, error)
 
-    def _fail(self, robot: Interfaces, error: FaultError | RuntimeError) -> None:
+    def _fail(self, robot: UrConnections, error: FaultError | RuntimeError) -> None:
         if self._stop_asked.is_set():
             # A stop came during this cycle: it is the reason of the controller's refusal.
             self._take_stop(robot)
@@ -483,14 +483,14 @@ class UrArm(LevelHand):
         else:
             self._latch(robot, link_fault(f"The robot does not answer: {error}."))
 
-    def _take_stop(self, robot: Interfaces) -> None:
+    def _take_stop(self, robot: UrConnections) -> None:
         """Handle a sent STOP; the caller holds the lock."""
         self._stop_asked.clear()
         self._retreat_asked.clear()
         self._core.end(STOPPED)
         self._servoing, self._script_ended = False, True
 
-    def _look(self, robot: Interfaces, now_s: float) -> None:
+    def _look(self, robot: UrConnections, now_s: float) -> None:
         """Read the state of the robot; raise its fault."""
         if self._watch.has_news(robot.receive, now_s):
             self._core.measured_mm = self._place_mm(robot)
@@ -498,7 +498,7 @@ class UrArm(LevelHand):
         if self.fault is None:
             self._watch.require_healthy(robot.receive, now_s)
 
-    def _command(self, robot: Interfaces, now_s: float) -> None:
+    def _command(self, robot: UrConnections, now_s: float) -> None:
         samples = self._wrench.since(self._cursor)
         self._cursor = samples.cursor
         if self._retreat_asked.is_set():
@@ -518,15 +518,15 @@ class UrArm(LevelHand):
         ):
             raise FaultError(robot_fault("The robot refuses a servo command"))
 
-    def _place_mm(self, robot: Interfaces) -> FloatArray:
+    def _place_mm(self, robot: UrConnections) -> FloatArray:
         return self._placing.pivot_mm(np.array(robot.receive.getActualTCPPose()))
 
-    def _still(self, robot: Interfaces) -> None:
+    def _still(self, robot: UrConnections) -> None:
         if self._servoing:
             self._servoing = False
             robot.control.servoStop(BRAKE_M_S2)
 
-    def _latch(self, robot: Interfaces, fault: Fault) -> None:
+    def _latch(self, robot: UrConnections, fault: Fault) -> None:
         self._core.end(fault)
         self.fault = self.fault or fault
         if self.state is DeviceState.READY:
@@ -540,7 +540,7 @@ class UrArm(LevelHand):
 
     def status(self) -> ArmStatus:
         """Return the status."""
-        return words_of(self._robot, self.fault, moving=self._core.moving)
+        return arm_status(self._robot, self.fault, moving=self._core.moving)
 
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""
@@ -619,12 +619,12 @@ class UrArm(LevelHand):
         if (program := self._core.program) is not None:
             program.motion.end(STOPPED)
 
-    def _require_link(self) -> Interfaces:
+    def _require_link(self) -> UrConnections:
         if self._robot is None or self.state is not DeviceState.READY:
             raise FaultError(self.fault or NOT_CONNECTED)
         return self._robot
 
-    def _require_ready(self) -> Interfaces:
+    def _require_ready(self) -> UrConnections:
         stops, robot = self._stops, self._require_link()
         if robot.receive.getRobotMode() != RUNNING:
             raise FaultError(servo_off_fault(ARM))

@@ -86,7 +86,7 @@ class StopConnection:
 RUNNING, NORMAL, REDUCED = 7, 1, 2  # robot mode, and the two safety modes in which the arm may move
 
 
-class Control(Protocol):
+class ControlInterface(Protocol):
     """``rtde_control.RTDEControlInterface``: one caller at a time."""
 
     def servoL(  # noqa: N802
@@ -129,7 +129,7 @@ class Control(Protocol):
         """Close."""
 
 
-class Receive(Protocol):
+class ReceiveInterface(Protocol):
     """``rtde_receive.RTDEReceiveInterface``."""
 
     def getActualTCPPose(self) -> Sequence[float]:  # noqa: N802
@@ -157,7 +157,7 @@ class Receive(Protocol):
         """Close."""
 
 
-class Dashboard(Protocol):
+class DashboardInterface(Protocol):
     """``dashboard_client.DashboardClient``: power and brakes."""
 
     def connect(self, timeout_ms: int = 2000) -> None:
@@ -186,12 +186,12 @@ class Dashboard(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Interfaces:
+class UrConnections:
     """The connections of one robot; ``stopper`` carries STOP alone."""
 
-    control: Control
-    receive: Receive
-    dashboard: Dashboard
+    control: ControlInterface
+    receive: ReceiveInterface
+    dashboard: DashboardInterface
     stopper: Stopper
 
     def close(self) -> None:
@@ -201,10 +201,10 @@ class Interfaces:
 
 
 # (host, cycles per second) -> connections; raises ``RuntimeError`` like the package.
-OpenRobot = Callable[[str, float], Interfaces]
+OpenRobot = Callable[[str, float], UrConnections]
 
 
-def open_robot(host: str, rate_hz: float) -> Interfaces:
+def open_robot(host: str, rate_hz: float) -> UrConnections:
     """Connect through ``ur_rtde``; raises ``FaultError`` without the package, ``RuntimeError``."""
     try:
         dashboards = [
@@ -216,10 +216,10 @@ def open_robot(host: str, rate_hz: float) -> Interfaces:
         raise FaultError(MISSING) from error
     for dashboard in dashboards:
         dashboard.connect()
-    return Interfaces(control(host, rate_hz), receive(host, rate_hz), *dashboards)
+    return UrConnections(control(host, rate_hz), receive(host, rate_hz), *dashboards)
 
 
-def identity_of(dashboard: Dashboard, host: str) -> Identity:
+def identity_of(dashboard: DashboardInterface, host: str) -> Identity:
     """Return the identity of the robot; ``host`` replaces a missing serial number."""
     number = dashboard.getSerialNumber() or host
     return Identity(

@@ -6,10 +6,7 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from touchdown.backend.devices.wsg import (
-        driver,
         emulator,
-        gcl,
-        protocol,
     )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

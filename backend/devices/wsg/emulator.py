@@ -16,12 +16,12 @@ from touchdown.backend.config import WsgSettings
 from touchdown.backend.devices.framing import LineStream, ProtocolError
 from touchdown.backend.devices.wsg import gcl, protocol
 from touchdown.backend.devices.wsg.gcl import (
-    Assignment,
-    Call,
-    Failure,
     GclAnswer,
+    GclAssignment,
+    GclCall,
+    GclError,
     GclLine,
-    Query,
+    GclQuery,
     Scalar,
 )
 from touchdown.backend.devices.wsg.protocol import (
@@ -466,34 +466,34 @@ class EmulatedGcl:
                 known = name in COMMANDS
                 wrong = WsgStatus.CMD_FORMAT_ERROR if known else WsgStatus.CMD_UNKNOWN
                 return [self._ended(name, wrong, "ACK")]
-            case Query(name):
+            case GclQuery(name):
                 return self._query(now_s, name)
-            case Assignment(name, value) if name in KEPT:
+            case GclAssignment(name, value) if name in KEPT:
                 self._verbose = bool(value) if name == "VERBOSE" else self._verbose
                 self._kept[name] = asked
                 return [asked]
-            case Call("AUTOSEND", (str(name), int(period_ms), bool(third))) if name in READINGS:
+            case GclCall("AUTOSEND", (str(name), int(period_ms), bool(third))) if name in READINGS:
                 self._auto[name] = AutoSend(period_ms / 1000, third, now_s)
                 return [GclAnswer("ACK", "AUTOSEND")]
-            case Call(name) if name in ORDERS:
+            case GclCall(name) if name in ORDERS:
                 if name == "BYE":
                     self._auto.clear()
                 status = self._ask(now_s, ORDERS[name]).status
                 return [self._ended(name, status, "ACK")]
-            case Call(name, arguments) if name in MOTIONS:
+            case GclCall(name, arguments) if name in MOTIONS:
                 return self._move(now_s, name, arguments)
-            case Call(name) | Assignment(name):
+            case GclCall(name) | GclAssignment(name):
                 return self._answer(now_s, UnknownLine(name.partition("[")[0]))
         return []
 
     def _query(self, now_s: float, name: str) -> list[GclLine]:
         if name in SELVES:
-            return [Assignment(name, SELVES[name])]
+            return [GclAssignment(name, SELVES[name])]
         if name in KEPT:
-            return [self._kept.get(name, Assignment(name, '""' if name == "TAG" else 0))]
+            return [self._kept.get(name, GclAssignment(name, '""' if name == "TAG" else 0))]
         if name == "GRIPSTATS":
             counts = self._ask(now_s, STATISTICS).values
-            return [Assignment(name, tuple(map(int, counts)))]
+            return [GclAssignment(name, tuple(map(int, counts)))]
         if name.startswith("SYSFLAGS"):
             return [
                 self._flags(name, self._ask(now_s, WsgRequest(WsgCommand.SYSTEM_STATE, (0, 0))))
@@ -511,8 +511,8 @@ class EmulatedGcl:
             return self._ended("SYSFLAGS", told.status or WsgStatus.CMD_FORMAT_ERROR, "ACK")
         word = int(told.values[0])
         if name == "SYSFLAGS":
-            return Assignment(name, tuple(word >> bit & 1 for bit in range(FLAGS)))
-        return Assignment(name, word >> int(name[9:-1]) & 1)
+            return GclAssignment(name, tuple(word >> bit & 1 for bit in range(FLAGS)))
+        return GclAssignment(name, word >> int(name[9:-1]) & 1)
 
     def _reading(self, now_s: float, name: str) -> GclLine:
         command = READINGS[name]
@@ -523,7 +523,7 @@ class EmulatedGcl:
     def _value(self, name: str, told: WsgReply, read: Callable[[Number], float]) -> GclLine:
         if not told.values:
             return self._ended(name.partition("[")[0], told.status, "ACK")
-        return Assignment(name, read(told.values[0]))
+        return GclAssignment(name, read(told.values[0]))
 
     def _move(self, now_s: float, name: str, arguments: tuple[Scalar, ...]) -> list[GclLine]:
         numbers = [float(value) for value in arguments if not isinstance(value, str)]
@@ -574,7 +574,7 @@ class EmulatedGcl:
             return GclAnswer(good, name)
         text = WsgStatus(status).name.lower().replace("_", " ") if self._verbose else ""
         # A name as long as a line leaves no space for the rest of the answer.
-        return Failure(name[:LONGEST_NAME], int(status), text)
+        return GclError(name[:LONGEST_NAME], int(status), text)
 
 
 def _read(content: bytes) -> GclLine | UnknownLine:

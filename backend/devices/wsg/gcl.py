@@ -46,7 +46,7 @@ Scalar: TypeAlias = float | int | str | bool
 
 
 @dataclass(frozen=True, slots=True)
-class Call:
+class GclCall:
     """``COMMAND(arguments)``; a text argument is quoted."""
 
     command: str
@@ -54,14 +54,14 @@ class Call:
 
 
 @dataclass(frozen=True, slots=True)
-class Query:
+class GclQuery:
     """``NAME?``."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
-class Assignment:
+class GclAssignment:
     """``NAME=value``: set, echoed, or the answer to a query; text is unchanged."""
 
     name: str
@@ -77,7 +77,7 @@ class GclAnswer:
 
 
 @dataclass(frozen=True, slots=True)
-class Failure:
+class GclError:
     """``ERR``: a status code of the binary protocol, and a text in verbose mode."""
 
     command: str
@@ -85,7 +85,7 @@ class Failure:
     text: str = ""
 
 
-GclLine = Call | Query | Assignment | GclAnswer | Failure
+GclLine = GclCall | GclQuery | GclAssignment | GclAnswer | GclError
 
 
 def encode(line: GclLine) -> bytes:
@@ -103,13 +103,13 @@ def decode(content: bytes) -> GclLine:
     if found := _ANSWER.fullmatch(content):
         return GclAnswer(found[1].decode(), found[2].decode())
     if found := _ERROR.fullmatch(content):
-        return Failure(found[1].decode(), int(found[2]), (found[3] or b"").decode())
+        return GclError(found[1].decode(), int(found[2]), (found[3] or b"").decode())
     if found := _CALL.fullmatch(content):
-        return Call(found[1].decode(), _arguments(found[2].decode()))
+        return GclCall(found[1].decode(), _arguments(found[2].decode()))
     if found := _QUERY.fullmatch(content):
-        return Query(found[1].decode())
+        return GclQuery(found[1].decode())
     if found := _ASSIGNMENT.fullmatch(content):
-        return Assignment(found[1].decode(), _value(found[2].decode()))
+        return GclAssignment(found[1].decode(), _value(found[2].decode()))
     raise ProtocolError("text", "gcl line")
 
 
@@ -122,15 +122,15 @@ def _text(line: GclLine) -> str:
     match line:
         case GclAnswer(kind, command):
             return f"{kind} {command}"
-        case Failure(command, code, text):
+        case GclError(command, code, text):
             return f"ERR {command} {code} {text}" if text else f"ERR {command} {code}"
-        case Call(command, arguments):
+        case GclCall(command, arguments):
             return f"{command}({_joined(arguments)})"
-        case Query(name):
+        case GclQuery(name):
             return f"{name}?"
-        case Assignment(name, tuple() as values):
+        case GclAssignment(name, tuple() as values):
             return f"{name}=[{_joined(values)}]"
-        case Assignment(name, str() | int() | float() as value):
+        case GclAssignment(name, str() | int() | float() as value):
             return f"{name}={_number_text(value)}"
     raise ProtocolError("type", "gcl line")
 
@@ -236,7 +236,7 @@ class GclProtocol:
         lines = [line for request in requests for line in self._lines(request)]
         if lines and not self._greeted:
             self._greeted = True
-            lines.append(Assignment("VERBOSE", 0))
+            lines.append(GclAssignment("VERBOSE", 0))
         return b"".join(map(encode, lines))
 
     def take(self, data: bytes) -> list[WsgReply]:
@@ -253,7 +253,7 @@ class GclProtocol:
         if self._next_s is not None and now_s < self._next_s:
             return b""
         self._next_s = now_s + QUERY_S
-        queries = [*map(Query, READINGS.values()), *self._flag_queries()]
+        queries = [*map(GclQuery, READINGS.values()), *self._flag_queries()]
         return b"".join(map(encode, queries))
 
     def identity(self, told: WsgReply, address: str) -> Identity:
@@ -276,42 +276,42 @@ class GclProtocol:
             return list(self._flag_queries())
         if command == WsgCommand.SYSTEM_INFO:
             self._texts.clear()
-            return [Query(name) for name in SELVES]
+            return [GclQuery(name) for name in SELVES]
         if command in READINGS:
             return self._reading(READINGS[WsgCommand(command)], int(values[1]) if values else 0)
         if command in CALLS:
-            return [Call(CALLS[WsgCommand(command)])]
+            return [GclCall(CALLS[WsgCommand(command)])]
         return [self._motion(WsgCommand(command), tuple(float(value) for value in values))]
 
     def _answered(self, reply: WsgReply) -> list[GclLine]:
         self._own.append(reply)
         return []
 
-    def _flag_queries(self) -> list[Query]:
-        return [Query(f"SYSFLAGS[{flag.bit_length() - 1}]") for flag in FLAGS]
+    def _flag_queries(self) -> list[GclQuery]:
+        return [GclQuery(f"SYSFLAGS[{flag.bit_length() - 1}]") for flag in FLAGS]
 
     def _reading(self, name: str, period_ms: int) -> list[GclLine]:
-        lines: list[GclLine] = [Query(name)]
+        lines: list[GclLine] = [GclQuery(name)]
         if period_ms and name not in self._sent_of_itself:
             self._sent_of_itself.add(name)
             third = self._settings.gcl_autosend_third == "true"
-            lines.insert(0, Call("AUTOSEND", (name, period_ms, third)))
+            lines.insert(0, GclCall("AUTOSEND", (name, period_ms, third)))
         return lines
 
     def _motion(self, command: WsgCommand, values: tuple[float, ...]) -> GclLine:
         """Return the call that starts a motion and register the motion by its name."""
         if command is WsgCommand.HOME:
-            return Call("HOME", (int(values[0]),) if values[0] else ())
+            return GclCall("HOME", (int(values[0]),) if values[0] else ())
         if command is WsgCommand.GRASP:
-            return Call("GRIP", (self._force_sum_n, *values))
+            return GclCall("GRIP", (self._force_sum_n, *values))
         width_mm, speed_mm_s = values[-2:]
         opens_mm = width_mm - self._width_mm
         if command is WsgCommand.RELEASE and opens_mm > 0.0:
             self._moves["RELEASE"] = command
             share = 1.0 if self._settings.gcl_release == "width" else 0.5
-            return Call("RELEASE", (share * opens_mm, speed_mm_s))
+            return GclCall("RELEASE", (share * opens_mm, speed_mm_s))
         self._moves["MOVE"] = command
-        return Call("MOVE", (width_mm, speed_mm_s))
+        return GclCall("MOVE", (width_mm, speed_mm_s))
 
     # -- answers ----------------------------------------------------------------------------------
 
@@ -323,10 +323,10 @@ class GclProtocol:
                 return [WsgReply(self._moves[name], WsgStatus.SUCCESS)]
             case GclAnswer("ACK", name):
                 return self._obeyed(name)
-            case Failure(name, code):
+            case GclError(name, code):
                 command = self._moves.get(name) or _called(name)
                 return [WsgReply(command, code)] if command is not None else []
-            case Assignment(name, value) if isinstance(value, str | int | float):
+            case GclAssignment(name, value) if isinstance(value, str | int | float):
                 return self._told(name, value)
         return []
 
@@ -375,8 +375,8 @@ SIGNATURES = (
     ProtocolSignature(
         "gcl",
         "a WSG gripper that speaks its text protocol",
-        b"\n" + encode(Query("GRIPSTATE")),
+        b"\n" + encode(GclQuery("GRIPSTATE")),
         lines,
-        (Assignment,),
+        (GclAssignment,),
     ),
 )

@@ -20,7 +20,7 @@ from touchdown.backend.devices.melfa.command_channel import (
     PendingRequest,
     R3Client,
 )
-from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaOrders
+from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaPrograms
 from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa
 from touchdown.backend.devices.melfa.r3_protocol import R3Request, encode_request
@@ -84,7 +84,7 @@ class SteppedWires:
         self.link = Link()
         self.times = CycleTimes()
         self.packets: list[tuple[float, bytes]] = []
-        self.also: Callable[[int], None] = self.clock.wind
+        self.also: Callable[[int], None] = self.clock.advance
         """Moves everything else, the clock included, on by so many microseconds."""
         self.meanwhile: Callable[[], None] = lambda: None
         """What goes on while an order waits for its answer."""
@@ -185,7 +185,7 @@ class Rig:
 
     def __init__(self, start_mm: tuple[float, float, float] = (0.0, 0.0, 60.0), **more: object):
         self.settings = settings(**more)
-        placing = MelfaOrders(self.settings).placing
+        placing = MelfaPrograms(self.settings).placing
         self.device = EmulatedMelfa(
             self.settings, start_rad=placing.joints(np.array(start_mm), READY_RAD)
         )
@@ -251,7 +251,7 @@ class _Follow:
 def on_bench(bench: SimulatedBench, **more: object) -> tuple[MelfaArm, SteppedWires]:
     """Return the driver of an emulated arm that carries the gripper of ``bench``."""
     world, wanted = bench._world, settings(**more)
-    placing = MelfaOrders(wanted).placing
+    placing = MelfaPrograms(wanted).placing
     device = EmulatedMelfa(wanted, start_rad=placing.joints(world.drive.command_mm, READY_RAD))
     wires = SteppedWires(device, bench.clock)
     wires.also = bench.advance

@@ -22,7 +22,7 @@ from touchdown.backend.devices.factories import make_force_torque
 from touchdown.backend.emulation.serving import EmulationChoice
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "adding-a-device.md").read_text("utf-8")
-FILES = dict(re.findall(r"^`(\w+\.pyi?)`:\n\n```py\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE))
+FILES = dict(re.findall(r"^`(\w+\.py)`:\n\n```py\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE))
 (LINE,) = re.findall(r"```py\n(Make\(.*?\)),\n```", PAGE, re.DOTALL)
 CLAUSES = [
     contract.test_it_delivers_what_the_sensor_feels_in_order_at_its_rate,
@@ -52,7 +52,7 @@ def toy(tmp_path, monkeypatch):
 
 
 def test_the_page_has_every_file_of_a_make():
-    assert set(FILES) == {"protocol.py", "driver.py", "emulator.py", "__init__.py", "__init__.pyi"}
+    assert set(FILES) == {"protocol.py", "driver.py", "emulator.py", "__init__.py"}
 
 
 @pytest.mark.parametrize("clause", CLAUSES, ids=lambda clause: clause.__name__[5:])
@@ -103,9 +103,9 @@ def test_the_command_line_and_the_device_wizard_offer_it(toy, tmp_path, capsys):
 
 @pytest.mark.parametrize("make", registry.MAKES, ids=lambda make: f"{make.kind} {make.name}")
 def test_every_registered_export_exists(make):
-    assert callable(make.load(make.driver))
-    assert not make.emulator or callable(make.load(make.emulator))
-    for signature in make.load(make.signatures) if make.signatures else ():
+    assert callable(make.load_driver())
+    assert not make.emulator or callable(make.load_emulator())
+    for signature in make.load_signatures():
         assert signature.decoder().feed(b"") == []
 
 

@@ -129,7 +129,7 @@ def test_an_optoforce_is_silent_until_it_is_configured_and_counts():
     assert sensor.receive(0.02, data("optoforce-config-stop")) == data("optoforce-config-ack")
     assert sensor.due(9.0) == b""
     refused = optoforce.incoming().feed(
-        sensor.receive(9.0, optoforce.encode(optoforce.Config(2, 0)))
+        sensor.receive(9.0, optoforce.encode(optoforce.OptoforceConfig(2, 0)))
     )
     assert refused[0].status != 0
 

@@ -17,9 +17,9 @@ from touchdown.backend.devices.interlock import (
     Interlock,
     Limits,
     ReleaseEvidence,
+    distance_to_limit_mm,
     outside_box_mm,
     release_refusal,
-    room_mm,
 )
 
 GOOD = ReleaseEvidence(
@@ -205,9 +205,9 @@ def test_the_override_keeps_its_range_and_starts_at_full_speed() -> None:
 def test_the_box_ends_room_and_targets_before_the_reach_does():
     limits = dataclasses.replace(Limits(), most_x_mm=40.0, least_y_mm=-30.0)
     here = Pose(10.0, -10.0, 50.0)
-    assert room_mm(here, (1.0, 0.0, 0.0), limits) == pytest.approx(30.0)
-    assert room_mm(here, (0.0, -1.0, 0.0), limits) == pytest.approx(20.0)
+    assert distance_to_limit_mm(here, (1.0, 0.0, 0.0), limits) == pytest.approx(30.0)
+    assert distance_to_limit_mm(here, (0.0, -1.0, 0.0), limits) == pytest.approx(20.0)
     diagonal = (math.sqrt(0.5), -math.sqrt(0.5), 0.0)
-    assert room_mm(here, diagonal, limits) == pytest.approx(20.0 * math.sqrt(2.0))
+    assert distance_to_limit_mm(here, diagonal, limits) == pytest.approx(20.0 * math.sqrt(2.0))
     assert outside_box_mm(here, limits) == 0.0
     assert outside_box_mm(Pose(45.0, -60.0, 50.0), limits) == pytest.approx(30.0)

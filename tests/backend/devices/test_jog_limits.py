@@ -5,7 +5,12 @@ import pytest
 
 from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.core.values import Pose
-from touchdown.backend.devices.interlock import Limits, fastest_mm_s, refuse_forced, room_mm
+from touchdown.backend.devices.interlock import (
+    Limits,
+    distance_to_limit_mm,
+    fastest_mm_s,
+    refuse_forced,
+)
 
 LIMITS = Limits()
 AT = Pose(0.0, 0.0, 100.0)
@@ -24,7 +29,7 @@ AT = Pose(0.0, 0.0, 100.0)
     ],
 )
 def test_room_to_the_edge_of_the_workspace(at, way, room):
-    assert room_mm(at, way, LIMITS) == pytest.approx(room)
+    assert distance_to_limit_mm(at, way, LIMITS) == pytest.approx(room)
 
 
 @pytest.mark.promise("W4")

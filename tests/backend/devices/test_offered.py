@@ -1,5 +1,7 @@
 """Drivers are found by name: shipped ones first, then those of installed packages."""
 
+import subprocess
+import sys
 import time
 from types import SimpleNamespace
 
@@ -58,3 +60,23 @@ def test_what_cannot_be_made_is_one_error(monkeypatch, tables, said):
     offer(monkeypatch, "mine", broken)
     with pytest.raises(InputError, match=said):
         make_force_torque(settings(**tables), time.monotonic)
+
+
+LOAD_ALL = """
+import sys
+import touchdown.backend.rig.process
+from touchdown.backend.devices import registry
+from touchdown.backend.devices.identification import load_signatures
+for make in registry.MAKES:
+    if make.kind != "tactile":
+        make.load_driver()
+load_signatures()
+heavy = ("PySide6", "torch", "cv2", "touchdown.backend.simulation", "touchdown.backend.emulation",
+         "touchdown.backend.devices.cameras", "touchdown.backend.sensing", "touchdown.backend.runs")
+print(*sorted(name for name in sys.modules if name.startswith(heavy)))
+"""
+
+
+def test_no_driver_loads_what_the_rig_process_must_not():
+    done = subprocess.run([sys.executable, "-c", LOAD_ALL], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr

@@ -138,7 +138,7 @@ class GripperTrial:
 def _motion(said: object) -> WsgCommand | None:
     if isinstance(said, WsgRequest) and said.command in MOTIONS:
         return WsgCommand(said.command)
-    if isinstance(said, gcl.Call):
+    if isinstance(said, gcl.GclCall):
         return CALLS.get(said.command)
     return None
 

@@ -1,4 +1,4 @@
-"""The same first press in process and over the emulated wires, the clock wound by hand."""
+"""The first press in process and over the emulated wires, with a manual clock."""
 
 import pytest
 
@@ -11,7 +11,7 @@ NEARLY_WITHOUT_NOISE = SimulationSettings.model_validate(
 
 
 def test_a_world_that_falls_behind_bends_no_press():
-    """Up to 60 ms behind. What is left over is the damping that the delay of the loop asks for."""
+    """Delays of up to 60 ms. The rest is the damping required by the delay of the loop."""
     wanted = simulated_press(306, NEARLY_WITHOUT_NOISE)
     found = WoundWires(306, NEARLY_WITHOUT_NOISE, bursts(0.06)).press()
     assert force_apart(wanted, found) <= 1.0

@@ -1,7 +1,7 @@
-"""Clients that others could have written: sockets, serial ports and the makers' manuals alone.
+"""Clients written without the product: sockets, serial ports and the manuals alone.
 
-No codec of the product is used here: what a device is told is literal bytes of its manual, what it
-answers is taken apart by hand.
+No codec of the product is used. Requests are literal bytes of a manual, and replies are parsed by
+hand.
 """
 
 import http.client
@@ -62,7 +62,7 @@ def wsg_crc(data):
 
 
 class Heard:
-    """What has come over a socket or a serial port; ``until`` waits for more of it."""
+    """Bytes received over a socket or a serial port; ``until`` waits for more."""
 
     def __init__(self, read):
         self._read, self.data = read, b""
@@ -156,7 +156,7 @@ MXT = struct.Struct("<HHHH8fIIHHHHHHIHH8fIIHH8fIIHH8fII")
 
 
 class Console:
-    """The command channel of an arm, as text."""
+    """Command channel of an arm, as text."""
 
     def __init__(self, client, heard):
         self._client, self._heard = client, heard
@@ -177,7 +177,7 @@ class Console:
 
 
 def exchange(wire, command, kind, joints=(0.0,) * 6):
-    """Send one packet of the real-time stream, joint feedback wanted; return what comes."""
+    """Send one packet of the real-time stream that requests joint feedback; return the reply."""
     none = (0.0,) * 8 + (0, 0)
     packet = MXT.pack(
         *(command, kind, 2, 0), *joints, 0.0, 0.0, 0, 0, *(0,) * 7, 8, 0, *none, *(0, 0), *none,

@@ -1,4 +1,4 @@
-"""The emulated devices around one scene: what the arm carries is felt, held, seen and let go."""
+"""Emulated devices around one scene: contact, grip, images and release."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.devices.dynpick import protocol
 from touchdown.backend.devices.dynpick.emulator import SENSITIVITY
 from touchdown.backend.devices.dynpick.protocol import DynpickCommand
-from touchdown.backend.devices.melfa.driver import MelfaOrders
+from touchdown.backend.devices.melfa.driver import MelfaPrograms
 from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
 from touchdown.backend.devices.wsg import protocol as wsg_binary
 from touchdown.backend.devices.wsg.protocol import GraspState
@@ -27,7 +27,7 @@ MELFA = HardwareSettings().melfa
 
 
 class Bench:
-    """World and gripper, stepped by hand."""
+    """World and gripper, stepped by the test."""
 
     def __init__(self, *, jig=False):
         settings = SimulatedBenchChoice(preset="quiet").settings()
@@ -46,7 +46,7 @@ class Bench:
         self.gripper.receive(now_s, wsg_binary.encode_request(request))
 
     def felt_n(self):
-        """Mean Fz of the last 0.2 s, as the sensor asks for it."""
+        """Mean Fz of the last 0.2 s as read by the sensor."""
         now_s = 1e-6 * self.emulated.world.now_us + LATENCY_S
         return np.mean([self.emulated.wrench(now_s - 0.001 * k)[2] for k in range(200)])
 
@@ -65,9 +65,9 @@ def bench():
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 30.0])
 def test_both_ends_of_the_wire_place_the_bench_alike(yaw_deg):
-    """The driver's closed form and the emulator's numeric one."""
+    """The closed form of the driver and the numeric solution of the emulator agree."""
     settings = HardwareSettings.model_validate({"melfa": {"yaw_deg": yaw_deg}}).melfa
-    frame, placing = BenchFrame(settings), MelfaOrders(settings).placing
+    frame, placing = BenchFrame(settings), MelfaPrograms(settings).placing
     for place in ([0.0, 0.0, 30.0], [40.0, -60.0, 120.0]):
         joints = frame.joints(np.array(place))
         assert frame.pivot_mm(joints) == pytest.approx(place, abs=1e-5)
@@ -132,7 +132,7 @@ def test_a_piece_let_go_high_over_a_bench_with_a_jig_is_in_the_operators_hand(ji
 
 @pytest.mark.parametrize(("jig", "again"), [(True, True), (False, False)])
 def test_a_piece_that_was_put_down_is_handed_over_again_where_an_operator_is(jig, again):
-    """Else a rehearsal would end with the first trial."""
+    """Otherwise a rehearsal would end with the first trial."""
     bench = Bench(jig=jig)
     world = bench.emulated.world
     bench.held()
@@ -181,7 +181,7 @@ def test_the_world_goes_where_the_joints_are_and_a_descent_is_a_probe(bench):
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 30.0, -110.0])
 def test_the_arms_own_sensor_feels_the_same_in_axes_of_its_base(bench, yaw_deg):
-    """Force and moments both; the bench stands turned by its yaw before the base."""
+    """Forces and moments; the bench is rotated by its yaw relative to the base."""
     melfa = MELFA.model_copy(update={"yaw_deg": yaw_deg})
     emulated = EmulatedScene(bench.emulated.scene, melfa)
     emulated._felt = (0.0, np.array([[1.0, -2.0, 3.0, 0.1, 0.2, -0.3]]))
@@ -192,7 +192,7 @@ def test_the_arms_own_sensor_feels_the_same_in_axes_of_its_base(bench, yaw_deg):
 
 
 def test_a_late_world_is_felt_late_and_not_otherwise(bench):
-    """No sample is made up while the world is behind; afterwards all of them come, none changed."""
+    """A late world repeats no sample; afterwards all samples arrive unchanged."""
     emulated, sensor = bench.emulated, SceneDynpick(bench.emulated)
     bench.pass_time(0.1)
     told, felt = protocol.records(), []
@@ -213,7 +213,7 @@ def test_a_late_world_is_felt_late_and_not_otherwise(bench):
 
 
 def test_time_that_is_given_up_is_told_with_no_older_sample(bench):
-    """The same record again and again: the driver knows that for no measurement."""
+    """The same record is repeated, which the driver does not take as a measurement."""
     bench.pass_time(0.1)
     emulated = bench.emulated
     newest = emulated.wrench(0.1 + LATENCY_S)

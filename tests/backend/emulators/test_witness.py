@@ -1,4 +1,4 @@
-"""What the emulated devices see of a driver that does what none should do."""
+"""Observations of the emulated devices on a driver that violates the rules."""
 
 import json
 from dataclasses import asdict
@@ -17,10 +17,10 @@ from touchdown.backend.devices.melfa.emulated_controller import SPEEDS_RAD_S
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa
 from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,
+    AxisValues,
     BlockKind,
     MxtCommand,
     MxtRequest,
-    Values,
     encode_mxt_request,
 )
 from touchdown.backend.devices.wsg import protocol
@@ -29,7 +29,7 @@ from touchdown.backend.devices.wsg.protocol import WsgCommand as Word
 
 
 def move(joints_rad) -> bytes:
-    target = Values(BlockKind.JOINT, (*map(float, joints_rad), 0.0, 0.0))
+    target = AxisValues(BlockKind.JOINT, (*map(float, joints_rad), 0.0, 0.0))
     return encode_mxt_request(MxtRequest(MxtCommand.MOVE, target, (2, 0, 0, 0), 0))
 
 

@@ -1,6 +1,6 @@
-"""The first press of a scene, simulated and over the emulated wires: no thread, no picture.
+"""First press of a scene, simulated and over the emulated wires, without threads and images.
 
-Time is wound by hand: how late the world is, is a function. Ticks are (20, 6), N and N·m.
+Time is advanced by the test; the delay of the world is a function. Ticks are (20, 6), N and N·m.
 """
 
 from __future__ import annotations
@@ -44,8 +44,7 @@ LAW = PressLaw(
 AIR_S = 0.2
 AFTER_S = 0.15
 LONGEST_S = 10.0
-POLL_US = 2000
-"""How often the front of the sensor looks what is due."""
+POLL_US = 2000  # how often the front of the sensor looks what is due
 HARDWARE = HardwareSettings.model_validate(
     {
         "melfa": {
@@ -66,7 +65,7 @@ def scene_of(seed: int, settings: SimulationSettings) -> Scene:
 
 
 def simulated_press(seed: int, settings: SimulationSettings, rest_s: float = 1.5) -> FloatArray:
-    """Return the ticks of a press in process; another ``rest_s`` before it is other noise."""
+    """Return the ticks of a press in process; another ``rest_s`` before it gives other noise."""
     world = World(scene_of(seed, settings))
     _take_piece(world)
     samples = SampleStream("force_torque", 6, 32_768)
@@ -89,10 +88,10 @@ def simulated_press(seed: int, settings: SimulationSettings, rest_s: float = 1.5
 
 
 class WoundWires:
-    """Driver of the arm and reading of the sensor on the emulated devices of one scene."""
+    """Arm driver and sensor reading on the emulated devices of one scene."""
 
     def __init__(self, seed: int, settings: SimulationSettings, late_s: Callable[[float], float]):
-        """``late_s``: how late the world is at the end of a cycle, by the time of that end."""
+        """``late_s`` returns the delay of the world at the end of a cycle."""
         self.joined = EmulatedScene(scene_of(seed, settings), HARDWARE.melfa)
         _take_piece(self.joined.world)
         self.clock, self._late_s = ManualClock(), late_s
@@ -140,13 +139,13 @@ class WoundWires:
 
 
 def force_apart(wanted: FloatArray, found: FloatArray) -> float:
-    """Return in % by how much the mean forces of the hold (ticks 16 to 20) differ."""
+    """Return the difference of the mean forces of the hold (ticks 16 to 20), in %."""
     first, second = (ticks[15:, :3].mean(axis=0) for ticks in (wanted, found))
     return 100.0 * float(np.linalg.norm(second - first) / np.linalg.norm(first))
 
 
 def bursts(longest_s: float) -> Callable[[float], float]:
-    """Return how late a world is that falls behind by up to so much, every 0.7 s."""
+    """Return the delay of a world that falls behind every 0.7 s, up to a maximum."""
     return lambda t_s: longest_s * max(0.0, float(np.sin(2.0 * np.pi * t_s / 0.7))) ** 2
 
 

@@ -17,7 +17,7 @@ from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import Pose
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 from touchdown.backend.devices.interlock import Interlock
-from touchdown.backend.devices.melfa.driver import MelfaOrders
+from touchdown.backend.devices.melfa.driver import MelfaPrograms
 from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.wsg.emulator import EmulatedWsg
@@ -38,7 +38,7 @@ class Served:
     def __init__(self, serve=MelfaServer, feel=hanging_gripper, **more):
         # A machine that is busy with other tests may stall: the controller waits for it.
         wanted = melfa_settings(servo_delay_s=0.05, mxt={"mxttout": 2000}, **more)
-        start = MelfaOrders(wanted).placing.joints(np.array([0.0, 0.0, 60.0]), READY_RAD)
+        start = MelfaPrograms(wanted).placing.joints(np.array([0.0, 0.0, 60.0]), READY_RAD)
         self.arm = serve(EmulatedMelfa(wanted, start_rad=start))
         sensor = EmulatedDynpick(add_noise(feel))
         self.wrist = TcpServer(sensor, faults=Faults("force_torque"))

@@ -170,7 +170,7 @@ def test_the_rig_refuses_what_is_past_the_limits_whoever_asks(rig):
 
 
 def test_nothing_moves_while_the_wrist_is_silent(rig):
-    rig.arms.wires.also = rig.clock.wind
+    rig.arms.wires.also = rig.clock.advance
     rig.rounds(0.32)
     assert reason(rig.lift) == "FT-STALE"
 

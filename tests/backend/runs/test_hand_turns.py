@@ -1,4 +1,4 @@
-"""Turning by hand on the simulated bench: high over the surface, leaning little, then level."""
+"""Manual rotation on the simulated bench: far above the surface, slightly tilted, then level."""
 
 import math
 from dataclasses import replace
@@ -14,9 +14,9 @@ from touchdown.backend.core.values import FINGERS, Pose
 from touchdown.backend.devices.interlock import (
     LEASE_S,
     Limits,
-    falls_mm,
     refuse_place,
     refuse_turning,
+    turned_descent_mm,
 )
 from touchdown.backend.devices.jog import JOINTS, TURNS, JogOrder
 from touchdown.backend.runs.recorder import RecordingOptions
@@ -180,7 +180,7 @@ def test_a_turned_hand_stays_high_until_it_is_level_and_nothing_starts_before(hi
 
 
 def test_a_run_of_the_command_line_does_not_begin_with_a_turned_hand_either(high):
-    """On devices the hand is where an earlier run, or its end by a fault, has left it."""
+    """On devices an earlier run or fault may have left the hand rotated."""
     hold(high, 1.0, "rx")
     rest(high)
     high.simulated = False
@@ -314,6 +314,6 @@ def test_where_the_hand_may_be(at, reason):
 
 
 def test_only_a_turned_hand_is_kept_high():
-    assert falls_mm(Pose(0.0, 0.0, 80.0), 40.0, LIMITS) == math.inf
-    assert falls_mm(Pose(0.0, 0.0, 80.0, 0.1), 40.0, LIMITS) == 20.0
-    assert falls_mm(Pose(0.0, 0.0, 50.0, 0.1), 40.0, LIMITS) == 0.0
+    assert turned_descent_mm(Pose(0.0, 0.0, 80.0), 40.0, LIMITS) == math.inf
+    assert turned_descent_mm(Pose(0.0, 0.0, 80.0, 0.1), 40.0, LIMITS) == 20.0
+    assert turned_descent_mm(Pose(0.0, 0.0, 50.0, 0.1), 40.0, LIMITS) == 0.0

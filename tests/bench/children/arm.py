@@ -19,7 +19,7 @@ from touchdown.backend.config.hardware import MelfaSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import Pose
-from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaOrders
+from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaPrograms
 from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.melfa.sockets import SocketLinks
@@ -31,7 +31,7 @@ SPEED_MM_S = 20.0
 def front() -> MelfaServer:
     """Return an emulated controller that waits longer than any stall of a shared machine."""
     wanted = settings(servo_delay_s=0.05, mxt={"mxttout": 2000})
-    start = MelfaOrders(wanted).placing.joints(np.array([0.0, 0.0, 60.0]), READY_RAD)
+    start = MelfaPrograms(wanted).placing.joints(np.array([0.0, 0.0, 60.0]), READY_RAD)
     return MelfaServer(EmulatedMelfa(wanted, start_rad=start))
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from touchdown.backend.config.hardware import GelsightSettings
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.cameras.frames import decode, fit
+from touchdown.backend.devices.cameras.frames import decode, fit_picture
 from touchdown.backend.devices.cameras.sources import UvcSource
 from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.gelsight.driver import FoundCamera, TactileCamera, find_cameras
@@ -84,7 +84,7 @@ def test_a_native_picture_is_decoded_reduced_cut_and_scaled():
     content = encode(ramp(3280, 2464))
     rough = decode(content, 0.15)
     assert rough.shape == (616, 820, 3)
-    picture = fit(rough, 0.15, "none")
+    picture = fit_picture(rough, 0.15, "none")
     assert picture.shape == (240, 320, 3)
     corners = picture[0, 0, :2].astype(int), picture[-1, -1, :2].astype(int)
     assert np.abs(corners[0] - 0.15 * 250).max() < 2
@@ -95,12 +95,12 @@ def test_a_native_picture_is_decoded_reduced_cut_and_scaled():
     ("mirror", "corner"), [("none", (0, 0)), ("x", (250, 0)), ("y", (0, 250)), ("both", (250, 250))]
 )
 def test_mirroring_turns_the_picture_over(mirror, corner):
-    assert tuple(fit(ramp(320, 240), 0.0, mirror)[0, 0, :2]) == corner
+    assert tuple(fit_picture(ramp(320, 240), 0.0, mirror)[0, 0, :2]) == corner
 
 
 def test_what_is_not_four_to_three_or_damaged_is_refused():
     with pytest.raises(ProtocolError, match="shape"):
-        fit(ramp(320, 320), 0.0, "none")
+        fit_picture(ramp(320, 320), 0.0, "none")
     with pytest.raises(ProtocolError):
         decode(encode(ramp(320, 240))[:80], 0.0)
 

@@ -149,7 +149,7 @@ def _axes(answer):
 
 def _variable(answer):
     v = r3_protocol.read_variable(answer)
-    if isinstance(v, r3_protocol.Number):
+    if isinstance(v, r3_protocol.NumberVariable):
         return {"variable": v.name, "value": v.value}
     return {"variable": v.name, "position": list(v.numbers), "flags": list(v.flags)}
 
@@ -263,16 +263,16 @@ def wsg_reply(message: wsg_binary.WsgReply, vector):
 
 def gcl(message: wsg_gcl.GclLine, vector):
     match message:
-        case wsg_gcl.Call(command, arguments):
+        case wsg_gcl.GclCall(command, arguments):
             return {"command": command, "arguments": list(arguments)}
-        case wsg_gcl.Query(name):
+        case wsg_gcl.GclQuery(name):
             return {"query": name}
-        case wsg_gcl.Assignment(name, value):
+        case wsg_gcl.GclAssignment(name, value):
             plain = list(value) if isinstance(value, tuple) else value
             return {"name": name, "set": name, "value": plain}
         case wsg_gcl.GclAnswer(kind, command):
             return {"kind": kind, "command": command}
-        case wsg_gcl.Failure(command, code):
+        case wsg_gcl.GclError(command, code):
             return {"kind": "ERR", "command": command, "code": code}
 
 
@@ -283,16 +283,16 @@ def dynpick_record(message, vector):
 
 
 def leptrino_packet(message: leptrino.Packet, vector):
-    if isinstance(message, leptrino.Nak):
+    if isinstance(message, leptrino.LeptrinoNak):
         return {"nak": True}
     body = leptrino.encode(message)[2:-3].replace(b"\x10\x10", b"\x10")
     facts = {"length": len(body), "command": body[2], "code": body[3], "body": body.hex()}
     match message:
-        case leptrino.Info(model, serial, firmware):
+        case leptrino.SensorInfo(model, serial, firmware):
             facts |= {"type": model, "serial": serial, "firmware": firmware}
-        case leptrino.Rated(loads):
+        case leptrino.RatedLoads(loads):
             facts |= {"rated": list(loads)}
-        case leptrino.Filter(_, index):
+        case leptrino.FilterSetting(_, index):
             facts |= {"filter": index}
         case leptrino.LeptrinoSample(_, counts, status, reserve):
             rated = vector["fields"]["rated"]
@@ -308,21 +308,21 @@ def ft300(message, vector):
             return {"jam_length": 50}
         case robotiq_ft300.Ft300Sample(counts):
             return {"raw": list(counts)} | _wrench(message.wrench())
-        case robotiq_ft300.Read(register, count):
+        case robotiq_ft300.ReadRegisters(register, count):
             return facts | {"function": 3, "register": register, "count": count}
-        case robotiq_ft300.WriteOne(register, value):
+        case robotiq_ft300.WriteRegister(register, value):
             return facts | {"function": 6, "register": register, "values": [value]}
-        case robotiq_ft300.WriteMany(register, values):
+        case robotiq_ft300.WriteRegisters(register, values):
             return facts | {"function": 16, "register": register, "values": list(values)}
         case robotiq_ft300.ModbusWritten(register, count):
             return facts | {"function": 16, "register": register, "count": count}
-        case robotiq_ft300.Registers(values):
+        case robotiq_ft300.RegisterValues(values):
             return facts | {"function": 3, "values": list(values)} | _wrench(message.wrench())
 
 
 def bota_message(message, vector):
     match message:
-        case protocol.Boot():
+        case protocol.BotaBoot():
             return {"boot": True}
         case protocol.BotaReply(command, code):
             return {"reply_to": command, "code": code}
@@ -335,9 +335,9 @@ def bota_message(message, vector):
 
 
 def optoforce_message(message, vector):
-    if isinstance(message, optoforce.Config):
+    if isinstance(message, optoforce.OptoforceConfig):
         return {"speed": message.speed, "filter": message.filter, "zero": message.zero}
-    if isinstance(message, optoforce.Ack):
+    if isinstance(message, optoforce.OptoforceAck):
         return {"status": message.status}
     facts = {"count": message.count, "status": message.status, "raw": list(message.counts)}
     facts |= {"daq": message.daq, "sensor": message.sensor, "overload": list(message.overload)}

@@ -9,10 +9,10 @@ from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
 from touchdown.backend.devices.leptrino import protocol as leptrino
 from touchdown.backend.devices.melfa import r3_protocol, realtime_protocol
 from touchdown.backend.devices.melfa.realtime_protocol import (
+    AxisValues,
     BlockKind,
     MelfaPose,
     RobotMonitor,
-    Values,
 )
 from touchdown.backend.devices.netft import protocol as net_ft
 from touchdown.backend.devices.optoforce import protocol as optoforce
@@ -36,7 +36,7 @@ pose = st.builds(MelfaPose, tuples(f32, 8), u32, u32)
 
 def values(kind):
     item = i32 if kind in (BlockKind.PULSE, BlockKind.CURRENT) else f32
-    return st.builds(Values, st.just(kind), tuples(item, 6 if kind is BlockKind.FORCE else 8))
+    return st.builds(AxisValues, st.just(kind), tuples(item, 6 if kind is BlockKind.FORCE else 8))
 
 
 robmon = st.builds(
@@ -133,11 +133,13 @@ plain_number = st.one_of(
 )
 scalar = st.one_of(plain_number, st.booleans(), st.text("abc XY[]()=?,", max_size=6))
 gcl = st.one_of(
-    st.builds(wsg_gcl.Call, name, st.lists(scalar, max_size=4).map(tuple)),
-    st.builds(wsg_gcl.Query, name),
-    st.builds(wsg_gcl.Assignment, name, st.one_of(plain_number, st.booleans(), tuples(scalar, 3))),
+    st.builds(wsg_gcl.GclCall, name, st.lists(scalar, max_size=4).map(tuple)),
+    st.builds(wsg_gcl.GclQuery, name),
+    st.builds(
+        wsg_gcl.GclAssignment, name, st.one_of(plain_number, st.booleans(), tuples(scalar, 3))
+    ),
     st.builds(wsg_gcl.GclAnswer, st.sampled_from(["ACK", "FIN"]), name),
-    st.builds(wsg_gcl.Failure, name, st.integers(0, 99999), st.text("abc XY", max_size=9)),
+    st.builds(wsg_gcl.GclError, name, st.integers(0, 99999), st.text("abc XY", max_size=9)),
 )
 numbers = st.integers(-99999, 99999).map(lambda n: f"{n / 100:+.2f}")
 r3_request = st.one_of(
@@ -161,23 +163,23 @@ r3_reply = st.builds(
     st.text(st.characters(min_codepoint=0x20, max_codepoint=0xFF, exclude_characters="\x7f")),
 )
 leptrino_packet = st.one_of(
-    st.builds(leptrino.Plain, u8, u8),
-    st.builds(leptrino.Info, word, word, st.text("0123.", min_size=1, max_size=4)),
-    st.builds(leptrino.Rated, tuples(st.floats(0.5, 1e5, width=32), 6)),
-    st.builds(leptrino.Filter, st.sampled_from([0xA6, 0xB6]), u8),
+    st.builds(leptrino.PlainFrame, u8, u8),
+    st.builds(leptrino.SensorInfo, word, word, st.text("0123.", min_size=1, max_size=4)),
+    st.builds(leptrino.RatedLoads, tuples(st.floats(0.5, 1e5, width=32), 6)),
+    st.builds(leptrino.FilterSetting, st.sampled_from([0xA6, 0xB6]), u8),
     st.builds(leptrino.LeptrinoSample, st.sampled_from([0x30, 0x32]), tuples(i16, 6), u8, u16),
 )
-ft300_shared = st.builds(robotiq_ft300.WriteOne, u16, u16)
+ft300_shared = st.builds(robotiq_ft300.WriteRegister, u16, u16)
 ft300_incoming = st.one_of(
     st.builds(robotiq_ft300.Ft300Sample, tuples(i16, 6)),
-    st.builds(robotiq_ft300.Registers, st.lists(u16, min_size=1, max_size=8).map(tuple)),
+    st.builds(robotiq_ft300.RegisterValues, st.lists(u16, min_size=1, max_size=8).map(tuple)),
     st.builds(robotiq_ft300.ModbusWritten, u16, u16),
     st.builds(robotiq_ft300.ModbusRefusal, st.sampled_from([3, 6, 16]), u8),
     ft300_shared,
 )
 ft300_request = st.one_of(
-    st.builds(robotiq_ft300.Read, u16, u16),
-    st.builds(robotiq_ft300.WriteMany, u16, st.lists(u16, min_size=1, max_size=8).map(tuple)),
+    st.builds(robotiq_ft300.ReadRegisters, u16, u16),
+    st.builds(robotiq_ft300.WriteRegisters, u16, st.lists(u16, min_size=1, max_size=8).map(tuple)),
     st.just(robotiq_ft300.StreamStop()),
     ft300_shared,
 )
@@ -221,8 +223,8 @@ MESSAGES = {
     ("robotiq-ft300", IN): ft300_incoming,
     ("bota", OUT): bota_request,
     ("bota", IN): bota_frame,
-    ("optoforce", OUT): st.builds(optoforce.Config, u8, u8, u8),
-    ("optoforce", IN): st.one_of(st.builds(optoforce.Ack, u8), optoforce_frame),
+    ("optoforce", OUT): st.builds(optoforce.OptoforceConfig, u8, u8, u8),
+    ("optoforce", IN): st.one_of(st.builds(optoforce.OptoforceAck, u8), optoforce_frame),
     ("netft", OUT): st.builds(net_ft.RdtRequest, u16, u32),
     ("netft", IN): st.lists(record, min_size=1, max_size=4).map(tuple),
 }

@@ -52,11 +52,11 @@ def test_a_lost_leptrino_frame_takes_only_itself():
 
 def test_a_leptrino_sensor_that_refuses_says_why():
     (packet,) = leptrino.packets().feed(data("leptrino-undefined"))
-    assert packet == leptrino.Plain(0x55, code=2)
+    assert packet == leptrino.PlainFrame(0x55, code=2)
 
 
 def test_a_leptrino_rated_load_of_zero_is_refused():
-    frame = leptrino.encode(leptrino.Rated((0.0,) * 6))
+    frame = leptrino.encode(leptrino.RatedLoads((0.0,) * 6))
     with pytest.raises(ProtocolError):
         leptrino.decode(frame)
 
@@ -72,7 +72,9 @@ def test_ft300_stream_bytes_right_behind_the_answer():
 
 def test_ft300_short_stop_is_no_stop():
     decoder = robotiq_ft300.requests()
-    assert decoder.feed(b"\xff" * 49 + data("ft300-read-wrench")) == [robotiq_ft300.Read(180, 6)]
+    assert decoder.feed(b"\xff" * 49 + data("ft300-read-wrench")) == [
+        robotiq_ft300.ReadRegisters(180, 6)
+    ]
     assert decoder.feed(b"\xff" * 30) == []
     assert decoder.feed(b"\xff" * 20) == [robotiq_ft300.StreamStop()]
 
@@ -86,7 +88,7 @@ def test_ft300_refusal():
 
 def test_ft300_registers_of_another_count_are_no_wrench():
     with pytest.raises(ProtocolError):
-        robotiq_ft300.Registers((1, 2, 3)).wrench()
+        robotiq_ft300.RegisterValues((1, 2, 3)).wrench()
 
 
 def test_bota_marked_values_are_never_handed_on():
@@ -126,7 +128,7 @@ def test_optoforce_scale_needs_as_many_numbers_as_axes():
 @pytest.mark.parametrize("code", [-1, 256])
 def test_an_optoforce_code_that_is_no_byte_is_refused(code):
     with pytest.raises(ProtocolError):
-        optoforce.encode(optoforce.Config(code, 0))
+        optoforce.encode(optoforce.OptoforceConfig(code, 0))
 
 
 def test_a_buffered_datagram_holds_several_records():

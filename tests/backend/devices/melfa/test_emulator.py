@@ -20,11 +20,11 @@ from touchdown.backend.devices.melfa.r3_protocol import (
 from touchdown.backend.devices.melfa.r3_protocol import decode_reply as decode_answer
 from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,
+    AxisValues,
     BlockKind,
     MelfaPose,
     MxtCommand,
     MxtRequest,
-    Values,
     decode_mxt_reply,
     encode_mxt_request,
 )
@@ -69,7 +69,7 @@ class Client:
         return None if answer is None else decode_mxt_reply(answer)
 
     def command(self, joints, monitors=(2, 8, 5, 11)):
-        target = Values(BlockKind.JOINT, (*joints.tolist(), 0.0, 0.0))
+        target = AxisValues(BlockKind.JOINT, (*joints.tolist(), 0.0, 0.0))
         return self.send(MxtRequest(MxtCommand.MOVE, target, monitors))
 
 

@@ -10,7 +10,7 @@ from tests.backend.devices.emulated_arm import Rig
 from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.devices.protocols import PressCommand
 from touchdown.backend.devices.streamed.arm import ContactStiffnessEstimate
-from touchdown.backend.devices.streamed.compliance import SwingDetector, damping
+from touchdown.backend.devices.streamed.compliance import OscillationDetector, damping
 
 TOUCH_MM = 59.0
 PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 3.0, (30.0, 30.0, 15.0))
@@ -192,7 +192,7 @@ def test_the_arm_stands_while_the_wrench_is_no_number():
 
 
 def swing(amplitude_n, period_s, delay_s=0.0237, lasts_s=1.0):
-    detector = SwingDetector(delay_s)
+    detector = OscillationDetector(delay_s)
     times = np.arange(0.0, lasts_s, 0.0035)
     return [t for t in times if detector.feed(t, amplitude_n * np.sin(2 * np.pi * t / period_s))]
 
@@ -202,7 +202,7 @@ def test_the_detector_knows_a_swing_from_a_press():
     assert swing(1.0, 0.142)[0] < 0.4
     assert swing(0.45, 0.142) == []
     assert swing(1.0, 0.5) == []
-    detector = SwingDetector(0.0237)
+    detector = OscillationDetector(0.0237)
     ramp = np.linspace(0.0, 20.0, 300)
     noise = np.random.default_rng(1).normal(0.0, 0.1, 300)
     assert not any(detector.feed(0.0035 * k, f) for k, f in enumerate(ramp + noise))
@@ -219,7 +219,7 @@ def test_a_wrist_that_falls_silent_on_the_way_down_ends_the_descent():
     rig = ready(8.0)
     motion = rig.arm.press(PRESS)
     rig.rest(0.2)
-    rig.wires.also = rig.wires.clock.wind
+    rig.wires.also = rig.wires.clock.advance
     silent_s, here_mm = rig.wires.clock.now_s(), rig.true_mm[2]
     finish(rig, motion)
     assert ended_by(motion) == "FT-STALE"
@@ -234,7 +234,7 @@ def test_in_contact_the_arm_stands_without_a_wrench_and_then_draws_back():
     motion = rig.arm.press(PRESS)
     rig.rest(1.2)
     assert motion.onset_s is not None
-    rig.wires.also = rig.wires.clock.wind
+    rig.wires.also = rig.wires.clock.advance
     silent_s = rig.wires.clock.now_s()
     finish(rig, motion)
     assert ended_by(motion) == "FT-STALE"

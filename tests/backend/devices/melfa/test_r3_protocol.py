@@ -139,7 +139,7 @@ def test_states_print_as_they_were_read():
 def test_a_pose_survives_its_printed_form():
     pose = MelfaPose((350.0, -0.5, 400.25, math.pi, 0.0, -math.pi / 2, 0.0, 0.0), 7, 0)
     numbers = (350.0, -0.5, 400.25, 180.0, 0.0, -90.0)
-    printed = r3_protocol.Position("P1", numbers, (7, 0)).answer()
+    printed = r3_protocol.PositionVariable("P1", numbers, (7, 0)).answer()
     assert printed == "P1=(+350.00,-0.50,+400.25,+180.00,+0.00,-90.00)(7,0)"
     back = r3_protocol.read_variable(printed).pose()
     assert back.axes == pytest.approx(pose.axes)

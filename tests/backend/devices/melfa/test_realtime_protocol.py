@@ -9,9 +9,9 @@ from tests.backend.devices.codecs.codecs import MONITOR_KINDS
 from tests.backend.devices.codecs.vectors import VECTORS, data
 from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.melfa import realtime_protocol
-from touchdown.backend.devices.melfa.realtime_protocol import BlockKind, MelfaPose, Values
+from touchdown.backend.devices.melfa.realtime_protocol import AxisValues, BlockKind, MelfaPose
 
-JOINTS = Values(BlockKind.JOINT, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.0, 0.0))
+JOINTS = AxisValues(BlockKind.JOINT, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("name", [n for n, v in VECTORS.items() if "sha1" in v])
@@ -29,7 +29,7 @@ def test_encoded_packets_have_the_published_digest(name):
 @pytest.mark.promise("P1")
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
 def test_a_target_that_is_no_number_is_never_sent(bad):
-    target = Values(BlockKind.JOINT, (bad, *JOINTS.axes[1:]))
+    target = AxisValues(BlockKind.JOINT, (bad, *JOINTS.axes[1:]))
     with pytest.raises(ProtocolError):
         realtime_protocol.encode_mxt_request(
             realtime_protocol.MxtRequest(realtime_protocol.MxtCommand.MOVE, target)
@@ -56,7 +56,7 @@ def test_an_unknown_command_is_refused():
 
 
 def test_a_target_of_a_kind_that_cannot_be_sent():
-    current = Values(BlockKind.CURRENT, (1, 2, 3, 4, 5, 6, 7, 8))
+    current = AxisValues(BlockKind.CURRENT, (1, 2, 3, 4, 5, 6, 7, 8))
     with pytest.raises(ProtocolError):
         realtime_protocol.encode_mxt_request(
             realtime_protocol.MxtRequest(realtime_protocol.MxtCommand.MOVE, current)

@@ -14,7 +14,7 @@ from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import Pose
-from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaOrders
+from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaPrograms
 from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.melfa.sockets import SocketLinks
@@ -26,7 +26,7 @@ START = np.array([0.0, 0.0, 60.0])
 
 def front_of(**more):
     wanted = settings(servo_delay_s=0.05, **more)
-    start = MelfaOrders(wanted).placing.joints(START, READY_RAD)
+    start = MelfaPrograms(wanted).placing.joints(START, READY_RAD)
     return MelfaServer(EmulatedMelfa(wanted, start_rad=start))
 
 
@@ -141,7 +141,7 @@ def test_stop_goes_out_on_its_own_connection(front, arm):
 
 def front_z(front):
     controller = front._device.controller
-    return MelfaOrders(front.settings).placing.pivot_mm(controller.joints.true_rad)[2]
+    return MelfaPrograms(front.settings).placing.pivot_mm(controller.joints.true_rad)[2]
 
 
 @pytest.mark.promise("R9")

@@ -11,10 +11,10 @@ from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.core.values import Pose
 from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,
+    AxisValues,
     BlockKind,
     MxtCommand,
     MxtReply,
-    Values,
     decode_mxt_request,
     encode_mxt_reply,
 )
@@ -399,8 +399,8 @@ def test_a_place_out_of_reach_is_refused_and_nothing_too_fast_is_sent(rig):
 
 
 def reply(counter, *, monitors=MONITORS, joint=0.1):
-    joints = Values(BlockKind.JOINT, (joint,) * 6 + (0.0, 0.0))
-    kinds = {2: joints, 5: joints, 8: joints, 11: Values(BlockKind.CURRENT, (0,) * 8), 0: None}
+    joints = AxisValues(BlockKind.JOINT, (joint,) * 6 + (0.0, 0.0))
+    kinds = {2: joints, 5: joints, 8: joints, 11: AxisValues(BlockKind.CURRENT, (0,) * 8), 0: None}
     blocks = tuple(kinds[monitor] for monitor in monitors)
     return encode_mxt_reply(MxtReply(MxtCommand.MOVE, monitors[0], monitors, blocks, counter))
 

@@ -31,7 +31,7 @@ from touchdown.backend.devices.streamed.compliance import (
     TRIP_N,
     AdmittanceLaw,
     LoopDelays,
-    SwingDetector,
+    OscillationDetector,
     admittance_law,
     deflect,
 )
@@ -158,7 +158,7 @@ def _pressed(
 ) -> _Press:
     """Press 1.5 mm beyond the detection for 4 s; draw back at the trip, freeze at a swing."""
     rng, plant, found = np.random.default_rng(seed), Plant(loop, 0.5), _Press()
-    detector = SwingDetector(loop.delay_s)
+    detector = OscillationDetector(loop.delay_s)
     reference, goal, give, high, over = 0.5, -math.inf, AT_REST, 0, 0
     command, touched_s, up_mm = reference, math.inf, math.inf
     for k in range(round(4.0 / loop.cycle_s)):

@@ -13,7 +13,7 @@ from tests.backend.devices.emulated_arm import _Follow
 from touchdown.backend.config.hardware import UrSettings
 from touchdown.backend.core.rotations import IDENTITY_ROTATION, rotation_from_vector
 from touchdown.backend.devices.ur.driver import UrArm, UrPlacement
-from touchdown.backend.devices.ur.rtde import Interfaces
+from touchdown.backend.devices.ur.rtde import UrConnections
 from touchdown.backend.simulation.devices.bench import SimulatedBench
 
 CYCLE_US = 8000
@@ -169,9 +169,9 @@ class UrWires:
         world.drive.run(follow)
         self._next_us = self.clock.now_us + CYCLE_US
 
-    def open(self, host: str, rate_hz: float) -> Interfaces:
+    def open(self, host: str, rate_hz: float) -> UrConnections:
         assert rate_hz == 1e6 / CYCLE_US
-        return Interfaces(self.robot, self.robot, self.robot, self.robot)
+        return UrConnections(self.robot, self.robot, self.robot, self.robot)
 
     def true_mm(self):
         return self.placing.pivot_mm(np.array(self.robot.getActualTCPPose()))

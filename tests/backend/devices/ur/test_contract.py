@@ -262,9 +262,9 @@ def test_the_package_has_what_the_driver_calls():
     receive = pytest.importorskip("rtde_receive").RTDEReceiveInterface
     dashboard = pytest.importorskip("dashboard_client").DashboardClient
     for ours, theirs in (
-        (rtde.Control, control),
-        (rtde.Receive, receive),
-        (rtde.Dashboard, dashboard),
+        (rtde.ControlInterface, control),
+        (rtde.ReceiveInterface, receive),
+        (rtde.DashboardInterface, dashboard),
         (stop_lane.Stopper, dashboard),
     ):
         for name, method in vars(ours).items():

@@ -8,16 +8,16 @@ from touchdown.backend.devices.wsg import gcl
 
 
 def test_a_width_in_mm_is_sent_without_an_exponent():
-    assert gcl.encode(gcl.Call("MOVE", (1e-05, 100.5))) == b"MOVE(0.00001,100.5)\n"
+    assert gcl.encode(gcl.GclCall("MOVE", (1e-05, 100.5))) == b"MOVE(0.00001,100.5)\n"
 
 
 def test_an_error_may_carry_a_text():
-    assert gcl.decode(b"ERR MOVE 29 axis blocked") == gcl.Failure("MOVE", 29, "axis blocked")
+    assert gcl.decode(b"ERR MOVE 29 axis blocked") == gcl.GclError("MOVE", 29, "axis blocked")
 
 
 def test_text_answers_stay_as_they_stand():
-    assert gcl.decode(b"VERSION=4.0.1") == gcl.Assignment("VERSION", "4.0.1")
-    assert gcl.decode(b'TAG="left"') == gcl.Assignment("TAG", '"left"')
+    assert gcl.decode(b"VERSION=4.0.1") == gcl.GclAssignment("VERSION", "4.0.1")
+    assert gcl.decode(b'TAG="left"') == gcl.GclAssignment("TAG", '"left"')
 
 
 def test_acknowledge_and_end_in_one_segment_are_two_messages():
@@ -51,10 +51,10 @@ def test_other_lines_are_refused(line):
 @pytest.mark.parametrize(
     "call",
     [
-        gcl.Call("MOVE", (float("nan"),)),
-        gcl.Call("MOVE", (1e300,)),
-        gcl.Call("AUTOSEND", ('PO"S',)),
-        gcl.Call("MOVE(1)\nHOME", ()),
+        gcl.GclCall("MOVE", (float("nan"),)),
+        gcl.GclCall("MOVE", (1e300,)),
+        gcl.GclCall("AUTOSEND", ('PO"S',)),
+        gcl.GclCall("MOVE(1)\nHOME", ()),
         gcl.GclAnswer("NAK", "MOVE"),
     ],
 )

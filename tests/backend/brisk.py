@@ -1,8 +1,8 @@
-"""A simulated bench that takes the same course at a third of the cost, where a claim allows it.
+"""Simulated bench with the same course of events at a third of the cost.
 
-The courses of runs do not depend on how often the gels are looked at, nor on how fast free moves
-are: half the pictures and moves at the highest speed that the interlock allows. What is said of
-the recordings themselves is tested on the bench as it ships.
+The course of a run depends neither on the image rate nor on the speed of free moves: half the
+images, and moves at the highest speed that the interlock allows. Recordings themselves are tested
+with the default settings.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from touchdown.backend.config.method import (
 )
 from touchdown.backend.config.simulation import SimulationSettings
 
+# Pictures a second and finger: still one in every 0.1 s between two ticks of a probe.
 RATE_HZ = 12.5
-"""Pictures a second and finger: still one in every 0.1 s between two ticks of a probe."""
 PROBE = ProbeSettings(travel_mm_s=50.0)
 RELEASE = ReleaseSettings(open_mm_s=20.0)
 
@@ -29,7 +29,7 @@ def brisk_method(**limits: object) -> StackSettings:
 
 
 def brisk_settings(preset: str = "mixed", rate_hz: float = RATE_HZ) -> SimulationSettings:
-    """Return the settings of ``preset`` with fewer pictures."""
+    """Return the settings of ``preset`` with a lower image rate."""
     given = {"preset": preset, "tactile": {"rate_hz": rate_hz}}
     return SimulationSettings.model_validate(given)
 

@@ -1,7 +1,7 @@
-"""One press felt by the devices (render -> track -> episode) and the same one simulated in bulk.
+"""One press on the devices (render, track, episode) and the same press in the batch simulation.
 
-Sensor noise is off, the mechanical draws are equal; what differs is everything else: 10 ms cycles
-against vectorised presses, rendered images against computed fields, the tracker, the synchroniser.
+Sensor noise is off and the mechanical draws are equal. The rest differs: 10 ms cycles and
+vectorised presses, rendered images and computed fields, the tracker, the synchroniser.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from touchdown.backend.simulation import batch as episodes
 from touchdown.backend.simulation import conditions, gripper
 
 RMS_LIMIT_PX = 0.15
+# Piece, bottom, seed.
 CASES = (
     ("pot", "short", 1),
     ("pot", "long", 2),
     ("barrel", "rect12x28", 3),
     ("mushroom", "short", 4),
 )
-"""Piece, bottom, seed."""
 MOUNTING = conditions.MountingDraw((0.003, -0.004), (0.1, -0.05), 20.0)
 GRIPPING = conditions.GripDraw(0.92, 0.8, 10.2, (0.4, -0.3), 0.015, (1.03, 0.97))
 PROBE = conditions.ProbeDraw(0.43, (0.0, 0.0), np.zeros((2, 2)), np.zeros(6))
@@ -39,7 +39,7 @@ ONE_PROBE = StackSettings().model_copy(
 
 @dataclass(frozen=True)
 class OnePress:
-    """Observations (20, 258) and true offsets at the start (mm) of the two paths."""
+    """Observations (20, 258) and true start offsets (mm) of the two paths."""
 
     felt: FloatArray
     computed: FloatArray
@@ -54,7 +54,7 @@ class OnePress:
 
 
 def press_both_ways(piece: str, bottom: str, seed: int, patch: pytest.MonkeyPatch) -> OnePress:
-    """Press once on the devices and once in bulk, with equal mechanical draws."""
+    """Press once on the devices and once in the batch, with equal mechanical draws."""
     for module in (gripper, conditions):
         patch.setattr(module, "draw_mounting", lambda *_: MOUNTING)
         patch.setattr(module, "draw_gripping", lambda *_: GRIPPING)

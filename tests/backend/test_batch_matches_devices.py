@@ -1,4 +1,4 @@
-"""Mass simulation and the device path show the model the same thing (see ``one_press``)."""
+"""The batch simulation and the device path give the model the same input (see ``one_press``)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,8 @@
-"""The emulated bench as its own process serves it, and the truth it tells. No trial runs here:
-real time on a busy machine proves nothing (see tests/bench/wired.py for the measured figures)."""
+"""Emulated bench in its own process, and its ground truth.
+
+No trial runs here: real time on a busy machine proves nothing. See tests/bench/wired.py for
+measured figures.
+"""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""A session on a lab file before anything is connected: nothing moves, and STOP is at hand."""
+"""Session on a lab file before anything is connected: nothing moves, and STOP works."""
 
 from datetime import UTC, datetime, timedelta
 from importlib.resources import files
@@ -36,7 +36,11 @@ def session(tmp_path):
 
 
 def test_it_is_called_by_its_name_and_knows_its_limits(session, tmp_path):
-    assert (session.name, session.description.mode, session.simulated) == ("My lab", "hardware", False)
+    assert (session.name, session.description.mode, session.simulated) == (
+        "My lab",
+        "hardware",
+        False,
+    )
     assert session.interlock.limits.press_n == 20.0
     assert session.limits_source == str(tmp_path / "lab.toml")
     assert list(session.devices) == list(LINES)
@@ -88,7 +92,7 @@ def test_a_bottom_that_nobody_knows_is_said_before_any_device_is_touched(tmp_pat
 @pytest.mark.promise("C6")
 @pytest.mark.parametrize("days", [1, 400])
 def test_a_file_with_the_cameras_exchanged_is_told_and_the_calibration_counts(tmp_path, days):
-    """Also where it has expired: age moves no camera to the other finger."""
+    """An expired calibration still holds for the assignment of the cameras."""
     path = tmp_path / "lab.toml"
     path.write_text(TEMPLATE.read_text())
     lab = load_lab(path)

@@ -8,9 +8,14 @@ import pytest
 
 from tests.backend.brisk import brisk_method, brisk_settings
 from tests.backend.rig.scripted import scripted
-from touchdown.backend.bench import RunResult, open_lab, simulated_bench
-from touchdown.backend.core import FaultError, InputError, Outcome, RefusedError, TrialFinished
-from touchdown.backend.runs import ProbeRequest, SceneChoice, SetRequest, StackRequest, read_events
+from touchdown.backend.bench.assembly import simulated_bench
+from touchdown.backend.bench.laboratory import open_lab
+from touchdown.backend.bench.session import RunResult
+from touchdown.backend.core.events import TrialFinished
+from touchdown.backend.core.faults import FaultError, InputError, RefusedError
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.runs.event_log import read_events
+from touchdown.backend.runs.requests import ProbeRequest, SceneChoice, SetRequest, StackRequest
 
 REQUEST = StackRequest(piece="pot", bottoms=("short",), strategy="fused", seed=7)
 

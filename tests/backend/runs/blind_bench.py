@@ -1,6 +1,6 @@
-"""The simulated bench of one scene without cameras, for plans that only feel: no picture is drawn.
+"""Simulated bench of one scene without cameras, for plans that use no images.
 
-Arm, gripper, wrist, interlock and engine are the real ones.
+Arm, gripper, wrist, interlock and engine are those of the product.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from touchdown.backend.simulation.conditions import true_offset_mm
 from touchdown.backend.simulation.devices.bench import BenchStreams, SimulatedBench
 from touchdown.backend.simulation.gripper import HeldPiece, start_command_mm
 
+# Short ways: a touch takes less than a second of the bench's time.
 BRISK = StackSettings(probe=ProbeSettings(start_height_mm=1.0, travel_mm_s=50.0, approach_mm_s=4.0))
-"""Short ways: a touch takes less than a second of the bench's time."""
 STEP_US = 20_000
 
 
 class BlindBench:
-    """One scene with the piece in its jig; ``run`` drives a plan to its end."""
+    """One scene with the piece in its jig; ``run`` runs a plan to its end."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class BlindBench:
         changes: Mapping[str, object] = MappingProxyType({}),
         arm: Callable[[Arm], Arm] = lambda arm: arm,
     ) -> None:
-        """``arm`` returns what stands in for the simulated one."""
+        """``arm`` returns a replacement of the simulated arm."""
         settings = SimulationSettings.model_validate(
             {"preset": preset, "cycle_us": STEP_US, **changes}
         )
@@ -103,7 +103,7 @@ class BlindBench:
         self._advance()
 
     def run(self, plan: Callable[[Bench], Plan[object]]) -> object:
-        """Return the value of ``plan``; raises what ended it."""
+        """Return the value of ``plan``; raises the error that ended it."""
         self.interlock.renew_lease(self.bench.now_s())
         return self.engine.run(plan(self.bench), self._advance)
 

@@ -1,7 +1,7 @@
-"""Two cameras that show rendered gels, connected as on a real bench, by a hand-wound clock.
+"""Two cameras with rendered gels, connected as on a real bench, with a manual clock.
 
-Each picture is a JPEG that passes the gate of the driver. What is drawn are resting dots, noise,
-brightness and a slow creep; what is known of the gels is an accepted calibration.
+Each image is a JPEG that passes the driver's filter: resting markers, noise, brightness and a slow
+creep. An accepted calibration holds the fingerprints.
 """
 
 from __future__ import annotations
@@ -36,8 +36,10 @@ SCALES = ("left_u_mm_px", "left_v_mm_px", "right_u_mm_px", "right_v_mm_px")
 
 
 class Gel:
-    """A gel under a camera: three pictures in turn, with a whole creep (2,) and ``light``;
-    ``fitted`` makes another gel of it."""
+    """Gel under a camera: three images in turn, with a uniform creep (2,) and ``light``.
+
+    ``fitted`` transforms the images into those of another gel.
+    """
 
     def __init__(self, look, seed: int, creep_px=(0.0, 0.0), light=1.0, fitted=np.asarray) -> None:
         self.look, optics = look, TactileRenderer(look, seed)
@@ -48,14 +50,14 @@ class Gel:
 
     @cache  # noqa: B019
     def seen(self, mirror: str):
-        """Return what the gate of the driver makes of them."""
+        """Return the images after the driver's filter."""
         own = {"mirror": mirror}
         gate = PictureFilter("left", "left", GelsightSettings(crop_fraction=0.0, left=own), 0.0)
         return [gate.judge(0.0, sent) for sent in self._sent]
 
 
 class GelBench:
-    """``gels`` by finger are under the cameras; ``pictures`` says what a camera sends instead."""
+    """``gels`` by finger are under the cameras."""
 
     def __init__(self, folder, gels, mirror: str = "none") -> None:
         self.gels, self.mirror, self._now_s = dict(gels), mirror, 0.0
@@ -71,7 +73,7 @@ class GelBench:
         self.connection.prove = self.check.prove
 
     def shoot(self) -> None:
-        """Let each camera send one picture."""
+        """Let each camera send one image."""
         self._now_s += PERIOD_S
         for finger, gel in self.gels.items():
             number = self.frames[finger].count
@@ -80,7 +82,7 @@ class GelBench:
             self.frames[finger].put(self._now_s, frame)
 
     def calibrate(self, *, fingerprint: bool = True) -> None:
-        """Accept a calibration of the gels as they are."""
+        """Accept a calibration of the present gels."""
         self._connected()
         numbers = [n for gel in self.gels.values() for n in dots_to_numbers(gel.look.rest_px)]
         codes = ("exchanged", "left_mirror", "right_mirror")
@@ -96,11 +98,11 @@ class GelBench:
         )
 
     def connect(self) -> dict[str, str]:
-        """Connect anew; return the fault of each device that was refused, by its code."""
+        """Reconnect; return the fault code of each refused device."""
         return {name: fault.code for name, fault in self.faults().items()}
 
     def faults(self):
-        """Connect anew; return the fault of each device that was refused."""
+        """Reconnect; return the fault of each refused device."""
         self._connected()
         return {line.name: line.fault for line in self.connection.lines() if line.fault}
 

@@ -1,4 +1,4 @@
-"""A session whose estimator knows the truth: what remains to fail is loop, bench and sensing."""
+"""Session whose estimator knows the truth: tests the loop, the bench and the sensing alone."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from touchdown.backend.simulation.devices.bench import SimulatedBench
 
 
 class Oracle:
-    """Answers with the true patch, 95 % sure of every point."""
+    """Returns the true patch with a probability of 95 % at every point."""
 
     base_rate = None
 
@@ -41,7 +41,7 @@ class Oracle:
 
 
 class OracleSession:
-    """One session with its facts and its benches."""
+    """One session with its events and its benches."""
 
     def __init__(
         self,
@@ -71,7 +71,7 @@ class OracleSession:
         return [fact for fact in self.facts if isinstance(fact, kind)]
 
     def record(self) -> list[dict[str, object]]:
-        """Return all facts as plain data, without what a wall clock or a run name decides."""
+        """Return all events as plain data, without wall times and run ids."""
         lines = []
         for fact in self.facts:
             line = encode_event(fact)

@@ -1,4 +1,4 @@
-"""A bench whose arm is set up wrongly reaches the true place once it has been calibrated."""
+"""An arm with a wrong frame reaches the true position after calibration."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ ABOUT = "pot on square15"
 
 
 def touch_there(bench):
-    """Go to ``WANTED_MM`` over the bottom as a campaign does; return place, and height of contact
-    as expected and as felt."""
+    """Touch at ``WANTED_MM`` as a campaign does; return position, expected and measured contact
+    height.
+    """
     yield from pick_piece(bench)
     centre = bench.placed.origin((0.0, 0.0), 0.2, bench.bottom)
     there = (centre.x_mm + WANTED_MM[0], centre.y_mm + WANTED_MM[1])

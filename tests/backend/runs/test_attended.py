@@ -1,4 +1,4 @@
-"""A trial whose truth nobody computes: set up, started where it would fall, judged."""
+"""Trials without ground truth: set up, started beside the stable region, judged by the operator."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ HEAVY = replace(POT, mass_g=200.0)
 
 
 class Attended:
-    """A simulated bench that keeps its truth to itself, and an operator who answers."""
+    """Simulated bench that hides its truth, with an operator who answers."""
 
     def __init__(self, tmp_path, seen=(Outcome.PLACED, ""), faults=()):
         bench, keep = (
@@ -114,7 +114,7 @@ def test_without_a_set_scene_nothing_moves(tmp_path):
 def test_a_device_lost_while_the_scene_is_set_up_ends_the_run_before_a_probe(
     tmp_path, fault, code, asked
 ):
-    """While the operator is still asked, or while the piece is carried to its start."""
+    """While the operator is prompted, or while the piece is carried to its start."""
     attended = Attended(tmp_path, faults=(fault,))
     attended.ready = None if asked else True
     (finished,) = attended.run(trials=3)

@@ -1,4 +1,4 @@
-"""The thread of a bench that deadlocks is told; one that is busy, or says what it does, is not."""
+"""Watchdog of the bench thread: deadlocks are reported, busy and declared sections are not."""
 
 import os
 import threading
@@ -21,12 +21,12 @@ pytestmark = pytest.mark.skipif(
     not Path("/proc/self/task").is_dir(), reason="threads are seen on Linux only"
 )
 STEP_S = 0.02
+# So many looks tell a standstill: within 500 ms at one each 50 ms.
 LOOKS = round((STILL_S + STEP_S) / WATCH_PERIOD_S) + 2
-"""So many looks tell a standstill: within 500 ms at one each 50 ms."""
 
 
 class Watched:
-    """A thread that does as it is told, its steps, and a watch on a hand-wound clock."""
+    """Controlled thread, its steps, and a watchdog with a manual clock."""
 
     def __init__(self, act):
         self.told, self.steps, self.over = [], 0, threading.Event()
@@ -38,7 +38,7 @@ class Watched:
         self.now_s = time.monotonic()
 
     def rests(self):
-        """Whether it rests now."""
+        """Whether the thread sleeps."""
         return self.rest.look(time.monotonic()) > 0.0
 
     def look(self, times, every_s=WATCH_PERIOD_S):
@@ -48,12 +48,12 @@ class Watched:
         return [fault.what for fault in self.told]
 
     def settled(self):
-        """Wait until the thread waits."""
+        """Wait until the thread sleeps."""
         until(self.rests)
         return self
 
     def ran(self):
-        """Wait until it has run."""
+        """Wait until the thread has run."""
         self.rests()
         until(lambda: not self.rests())
 

@@ -1,4 +1,4 @@
-"""What the plans measure on the simulated bench is what the bench was built with."""
+"""Calibration plans on the simulated bench return its true parameters."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ from touchdown.backend.simulation.devices.arm import SimArm
 
 @pytest.fixture
 def near(monkeypatch) -> None:
-    """Look for edges close to where they should be: fewer touches."""
+    """Search edges close to their expected position, with fewer touches."""
     monkeypatch.setattr(touch_probing, "SEARCH_MM", 0.8)
 
 
@@ -105,7 +105,7 @@ def test_a_move_may_take_as_long_as_the_override_makes_it() -> None:
 
 
 class Lapsing:
-    """The simulated arm; of its motions the first ``times`` are held: the permission lapsed."""
+    """Simulated arm whose first ``times`` motions are held by a lapsed lease."""
 
     def __init__(self, arm: Arm, times: int) -> None:
         self._arm, self.left = arm, times
@@ -177,7 +177,7 @@ def test_the_board_is_where_the_bench_was_built_with_it(near) -> None:
 
 @pytest.mark.parametrize(("wrong_mm", "rounds"), [(0.32, 2), (0.0, 1)])
 def test_a_board_beyond_its_limit_is_felt_once_more(near, monkeypatch, wrong_mm, rounds) -> None:
-    """One edge that was felt in the wrong place spoils a round, and no calibration."""
+    """One wrong edge spoils a round but not the calibration."""
     felt = []
     edge_mm = calibrate.edge_mm
 
@@ -218,7 +218,7 @@ def test_a_bottom_that_is_not_there_is_refused() -> None:
 @pytest.mark.promise("R5")
 @pytest.mark.parametrize(("voids", "fault"), [(2, UNFELT), (6, VOID)])
 def test_a_void_touch_is_made_again_but_not_for_ever(voids, fault, monkeypatch) -> None:
-    """What a real arm ends a touch with while replies, or samples, stay away for a moment."""
+    """With the faults of a real arm during a short dropout of replies or samples."""
     pressed = []
     press = SimArm.press
 

@@ -1,4 +1,4 @@
-"""Runs on hardware begin only with calibrations that hold; episodes say which ones they used."""
+"""Runs on hardware need valid calibrations; episodes record the calibrations in use."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ SEEN = CalibrationEstimate(
 
 
 class Camera:
-    """What a calibration asks a camera."""
+    """Camera as used by a calibration."""
 
     def __init__(self, serial, mirror) -> None:
         self.identity = Identity("GelSight", "Mini", serial, "")

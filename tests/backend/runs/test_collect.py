@@ -34,7 +34,7 @@ pytestmark = pytest.mark.slow
 
 
 class Collected:
-    """A session that collects into ``folder``, and what it told."""
+    """Session that collects into ``folder``, with its events."""
 
     def __init__(self, folder, method=None, **limits):
         self.dataset = Dataset.open(folder, person="ann")
@@ -80,7 +80,7 @@ def collecting(folder, **limits):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """Return five probes, two a grip, two grips a mounting."""
+    """Return five probes, two per grip, two grips per mounting."""
     with collecting(
         tmp_path_factory.mktemp("whole") / "ds", probes_per_grip=2, grips_per_mounting=2
     ) as collected:

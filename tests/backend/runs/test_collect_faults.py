@@ -1,4 +1,4 @@
-"""A sensor fails while a campaign runs: one fault, nothing lost, and it goes on after Reset."""
+"""Sensor failure during a campaign: one fault, no lost data, continues after a reset."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from touchdown.backend.runs.requests import CollectRequest
 
 
 class Failing:
-    """A session that collects, and of which a device fails within a press."""
+    """Collecting session with a device that fails during a press."""
 
     def __init__(self, dataset: Dataset) -> None:
         self.facts: list[Event] = []
@@ -60,7 +60,7 @@ class Failing:
             self._fails = None
 
     def one_fault(self, code: str, device: str) -> None:
-        """Exactly this fault was announced and is latched, and the run failed by it."""
+        """Check that only this fault was published and latched, and that it failed the run."""
         raised = [f.fault for f in self.facts if isinstance(f, FaultRaised)]
         assert [(f.code, f.device) for f in raised] == [(code, device)]
         assert self.session.interlock.faults == tuple(raised)
@@ -68,7 +68,7 @@ class Failing:
         assert self.facts[-1].ending == "failed"
 
     def only_what_was_told(self, count: int) -> None:
-        """Nothing is in the dataset but what was announced: no half probe, none with NaN."""
+        """Check that the dataset holds only published probes, none incomplete or with NaN."""
         told = [f.uuid for f in self.facts if isinstance(f, ProbeCollected)]
         assert [e.uuid for e in self.dataset.episodes(EpisodeFilter(deleted=None))] == told
         assert len(told) == count

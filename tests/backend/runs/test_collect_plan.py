@@ -1,4 +1,4 @@
-"""Patterns of a campaign: enough overlap, reproducible, even, and into the holes."""
+"""Patterns of a campaign: overlap, reproducibility, evenness, filling of gaps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is in the dataset was announced, whatever ended its run; a full disk loses no decision."""
+"""Every probe in the dataset is published, however its run ended; a full disk loses no decision."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_a_decision_waits_for_room_and_is_carried_out_then(collect, tmp_path, mo
 def test_the_plan_waits_for_room_before_and_after_a_mounting(
     collect, tmp_path, monkeypatch, nth, room_made
 ):
-    """Once for the mounting that begins, once for the place that was left out."""
+    """Once for the new mounting, once for the skipped item."""
     write, calls = campaigns.write_atomically, []
 
     def full(path, content):
@@ -151,7 +151,7 @@ def test_the_plan_waits_for_room_before_and_after_a_mounting(
 
 
 def skipped_items(folder):
-    """Return the items that a campaign leaves out when it goes on."""
+    """Return the items that a continued campaign skips."""
     with Dataset.open(folder) as dataset:
         plan = current_campaign(dataset, newest_campaign(folder))
         assert plan.todo(dataset.episodes()) == []
@@ -174,7 +174,7 @@ def test_what_was_decided_just_before_a_cancel_is_carried_out(collect, tmp_path)
 def test_a_cancel_while_a_skip_waits_for_room_does_not_lose_it(
     collect, tmp_path, monkeypatch, refusals
 ):
-    """There is room for it again at the end; or there is not: then the card says what to do."""
+    """With space at the end, or without: then the fault names the next step."""
     delete, refused = LabelStore.delete, []
 
     def full(self, *args):

@@ -1,4 +1,4 @@
-"""The label of a probe counts from the origin along both axes, and its signals keep their names."""
+"""Labels are relative to the origin on both axes; signal excerpts keep their order."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from touchdown.backend.runs.collector import BottomOrigin, last_signal_excerpt, 
 
 
 def test_the_label_is_where_the_arm_was_at_contact_seen_from_the_origin() -> None:
-    """The arm goes by (3, -5, -2) mm a second; contact is between two poses."""
+    """The arm moves by (3, -5, -2) mm/s; contact lies between two poses."""
     t_s = np.array([0.9, 1.0, 1.1])
     pose_mm = np.array([10.0, -4.0, 21.0]) + np.outer(t_s - 1.0, [3.0, -5.0, -2.0])
     recording = Recording(t_s, np.zeros((3, 6)), (), (), t_s, pose_mm, np.zeros(6))

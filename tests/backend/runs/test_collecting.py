@@ -1,4 +1,4 @@
-"""Where the probes of a campaign go seen from its origin, and what counts as done."""
+"""Positions of a campaign's probes relative to its origin, and the items that count as done."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SEEN = count_coverage(np.empty((0, 2)), circle(15.0), circle(25.0))
 
 
 class Reached(Exception):  # noqa: N818
-    """The arm was told where to go, and that is all."""
+    """Raised with the first target of the arm."""
 
 
 def collector(*entries: Any) -> Collector:

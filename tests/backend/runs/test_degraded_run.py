@@ -1,6 +1,6 @@
-"""A sensor slows down in a run, which stands and pauses at its checkpoint; then it fails for good.
+"""A slow sensor pauses a run at its checkpoint; a failed one ends it.
 
-On the bench's own time, with the sensor that the fault on demand really slows down.
+On the bench's own time, with a sensor slowed by an injected fault.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MOST_S = 40.0
 
 
 class Slowed(OracleSession):
-    """A run whose wrist sensor delivers 300 of 1000 samples a second from its first probe on."""
+    """Run whose wrist sensor delivers 300 of 1000 samples/s from the first probe on."""
 
     def __init__(self, runs: Path | None) -> None:
         super().__init__("force_torque:slow=300@2.0", runs=runs)
@@ -53,7 +53,7 @@ class Slowed(OracleSession):
         return "stands" if stands and running else session.status().state.value
 
     def fail(self, kind: str) -> None:
-        """Let the wrist sensor fail from now on, for good."""
+        """Let the wrist sensor fail permanently."""
         bench = self.benches[-1]
         bench._script = DisturbanceScript(
             (Disturbance("force_torque", kind, self.session.clock_s()),)

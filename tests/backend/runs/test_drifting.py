@@ -1,4 +1,4 @@
-"""When a change of the wrench is drift: the hand stands, unturned, free of all, with one load."""
+"""A change of the wrench counts as drift with a level hand at rest in air and a constant load."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SURFACE_MM = 30.0
 
 
 class Bench:
-    """A hand and a wrist sensor of 100 Hz whose force creeps as a test says."""
+    """Hand and 100 Hz wrist sensor with a given force creep."""
 
     def __init__(self) -> None:
         frames = {finger: Stream(f"tactile_{finger}", 4) for finger in FINGERS}

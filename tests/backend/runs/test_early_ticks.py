@@ -1,4 +1,4 @@
-"""What the estimator gets while the piece is still pressed is what the episode will hold."""
+"""Early ticks passed to the estimator equal those of the episode."""
 
 import pytest
 

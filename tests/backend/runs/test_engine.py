@@ -1,4 +1,4 @@
-"""The engine in every state: pause at checkpoints, cancel with clean-up, stop from anywhere."""
+"""States of the engine: pause at checkpoints, cancel with clean-up, stop from anywhere."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from touchdown.backend.runs.requests import RunState
 
 
 class Rig:
-    """An engine on a hand-wound clock, and everything it published."""
+    """Engine with a manual clock and its published events."""
 
     def __init__(self) -> None:
         self.clock, self.events, self.interlock = ManualClock(), EventBus(), Interlock()
@@ -205,7 +205,7 @@ SLOW = Fault("DEGRADED", "The wrist sensor is slow.", "Paused.", "Look.", "force
 
 
 class Unwell(Rig):
-    """An engine that is told of a degraded sensor."""
+    """Engine with a degraded sensor."""
 
     def __init__(self) -> None:
         super().__init__()

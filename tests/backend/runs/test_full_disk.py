@@ -1,4 +1,4 @@
-"""A disk that fills up while stacking: the run pauses, says so, and goes on when there is room."""
+"""A disk that fills up while stacking pauses the run until there is space."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ print(json.dumps([codes, bench.benches[-1].truth().stands, str(bench.session.run
 
 
 def _stacked(folder: Path, seed: int, then: str) -> tuple[list[str], bool, list[Event]]:
-    """Return (codes of the faults that are latched, whether the piece stands, what was told)."""
+    """Return the latched fault codes, whether the piece stands, and the events."""
     done = subprocess.run(
         [sys.executable, "-c", CHILD, str(folder), str(seed), then],
         cwd=ROOT,

@@ -1,4 +1,4 @@
-"""A gel is known again at connection: another one, or an exchanged or turned one, is refused."""
+"""Gels are identified at connection: other, exchanged or mirrored ones are refused."""
 
 from __future__ import annotations
 

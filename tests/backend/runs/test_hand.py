@@ -1,4 +1,4 @@
-"""Moving by hand on the simulated bench, on its own clock: motion always ends in time."""
+"""Manual motion on the simulated bench on its own clock: every motion ends in time."""
 
 from dataclasses import replace
 
@@ -48,7 +48,7 @@ def order(session, sequence=1, hold=1, axis="z", speed=20.0, frame="XYZ", sent_s
 
 
 def hold(session, seconds, first=1, **what):
-    """Renew every 100 ms for a while, as a held button does; return the last renewal's time."""
+    """Renew every 100 ms for a while, as a held button does; return the last renewal time."""
     sent_s = session.clock_s()
     for count in range(round(seconds / STEP_S)):
         if count % 5 == 0:
@@ -106,7 +106,7 @@ def test_a_frozen_window_stops_the_arm_within_the_lease(high):
 @pytest.mark.promise("R13")
 @pytest.mark.parametrize("speed", [5.0, 50.0])
 def test_no_order_of_a_jog_outlasts_its_lease(high, monkeypatch, speed):
-    """Braking at 500 mm/s2 included: a bench that hangs as well cannot end what was ordered."""
+    """Including braking at 500 mm/s2: a hanging bench could not end the motion."""
     ends_s, arm = [], high._stage.arm
     jog = arm.jog
 
@@ -122,7 +122,7 @@ def test_no_order_of_a_jog_outlasts_its_lease(high, monkeypatch, speed):
 
 
 def test_a_bench_that_falls_behind_stops_by_the_wall_clock(high, monkeypatch):
-    """At a tenth of real time 250 ms of the bench would be 2.5 s of the operator's."""
+    """At a tenth of real time, 250 ms of bench time are 2.5 s for the operator."""
     wall = [0.0]
     monkeypatch.setattr(
         high.hand.jog, "_around", replace(high.hand.jog._around, wall_s=lambda: wall[0])
@@ -187,7 +187,7 @@ def test_a_second_hold_cannot_take_over(session):
 
 
 def test_one_renewal_waits_at_most(high):
-    """Ten renewals between two steps of the bench are as far as one."""
+    """Ten renewals between two bench steps move as far as one."""
     before = position(high)
     for sequence in range(1, 11):
         high.hand.jog.renew(order(high, sequence))
@@ -240,7 +240,7 @@ def test_near_the_surface_it_is_slow_and_says_so(session):
 
 
 def test_an_order_for_references_is_answered_once(session):
-    """A marker hidden for a moment has it tried again, not refused at once."""
+    """A briefly hidden marker causes a retry, not a refusal."""
     facts = told(session)
     session.hand.take_references()
     turn(session, 2.5)

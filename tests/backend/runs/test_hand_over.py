@@ -1,4 +1,4 @@
-"""Without a jig the operator hands the piece over; no jaw moves before they confirm."""
+"""Without a jig the operator hands the piece over; the jaws move only after confirmation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from touchdown.backend.runs.requests import CollectRequest
 
 
 def collected(dataset: Dataset, answer: Callable[[Event], bool], **asked):
-    """Collect by hand-over; returns the session, the facts, and what was asked when."""
+    """Collect by hand-over; return the session, the events, and the times of the prompts."""
     session: Session = simulated_session(
         brisk_bench("quiet"), keep=RecordingOptions(None), method=brisk_method()
     )
@@ -95,7 +95,7 @@ def broken_off(tmp_path_factory):
 def test_a_campaign_that_goes_on_asks_whether_bottom_and_gels_were_fitted_anew(
     broken_off, tmp_path, anew
 ) -> None:
-    """Splits go by mounting: one that nobody fitted must not become a second one by a restart."""
+    """Splits go by mounting: a restart without refitting must not begin another one."""
     shutil.copytree(broken_off, tmp_path / "ds")
     with Dataset.open(tmp_path / "ds", person="ann") as dataset:
         uuid = newest_campaign(dataset.folder)

@@ -1,4 +1,6 @@
-"""What a strategy is told of the hand and the tower: the bench's facts and the operator's entry."""
+"""Properties of hand and tower passed to a strategy: the bench description and the operator's
+entry.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every fact survives the journal; a torn or foreign journal gives one clear answer."""
+"""Every event survives the event log; an incomplete or foreign log gives one clear error."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def test_an_existing_run_is_never_written_over(tmp_path: Path) -> None:
 def test_each_fact_is_on_the_disk_before_the_next_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At every sync of the file all lines so far are in it, and each line has a sync of its own."""
+    """Each line has its own sync, at which all previous lines are in the file."""
     path, synced = tmp_path / "run" / EVENT_LOG_NAME, []
     fsync = os.fsync
 

@@ -1,4 +1,4 @@
-"""The evidence for a release is what the bench tells at that moment, none of it assumed."""
+"""Release evidence consists of measurements at that moment, without assumed values."""
 
 from __future__ import annotations
 

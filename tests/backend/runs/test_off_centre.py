@@ -1,4 +1,4 @@
-"""A piece whose centre of mass is beside the middle of its face, stacked by touch."""
+"""Stacking of a piece whose centre of mass is off the centre of its face."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The check of the origin finds where the bottom really is, within its own uncertainty."""
+"""The origin check finds the true position of the bottom within its uncertainty."""
 
 from __future__ import annotations
 

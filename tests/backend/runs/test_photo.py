@@ -1,4 +1,4 @@
-"""A picture of a trial: none takes the place of another, and a full disk leaves nothing half."""
+"""Photos of a trial: none is overwritten, and a full disk leaves no partial file."""
 
 from __future__ import annotations
 

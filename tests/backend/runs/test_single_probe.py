@@ -1,4 +1,4 @@
-"""One probe on the operator's word, where there is nothing to probe with."""
+"""A single probe requested by the operator without a piece."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A disk that takes its time: on a bench in real time the sensors are read meanwhile."""
+"""Slow disk: on a bench in real time the sensors are read during a write."""
 
 import threading
 from types import SimpleNamespace
@@ -12,7 +12,7 @@ from touchdown.backend.runs.recorder import RunStore, wait_until_durable
 
 @pytest.fixture
 def slow(tmp_path, monkeypatch):
-    """A store with an episode on its way to a disk that is done once ``done`` is set."""
+    """Episode store with a write that ends once ``done`` is set."""
     done = threading.Event()
     monkeypatch.setattr(store_module, "write_episode", lambda *_, **__: done.wait(30.0))
     store = RunStore(tmp_path, {})

@@ -1,4 +1,4 @@
-"""A tare that is spoilt is taken again, for so long and no longer; none is pressed on."""
+"""A disturbed tare is repeated up to a time limit and never used for a press."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from touchdown.backend.core.values import Outcome
 from touchdown.backend.emulation.disturbances import Disturbance, DisturbanceScript
 from touchdown.backend.runs.motions import REFERENCE_S
 
+# Shorter than what counts as silent, and no window of a tare is free of it.
 BURST_S, EVERY_S = 0.15, 0.25
-"""Shorter than what counts as silent, and no window of a tare is free of it."""
 
 
 def spoil(bench: OracleSession, bursts: int) -> list[float]:
-    """Let so many bursts without a number begin with the first reference; return when it began."""
+    """Inject bursts of NaN from the first reference on; return their start."""
     began: list[float] = []
 
     def hear(fact: Event) -> None:
@@ -31,7 +31,7 @@ def spoil(bench: OracleSession, bursts: int) -> list[float]:
 
 
 def approaches(bench: OracleSession) -> list[float]:
-    """When the descents to a probe began."""
+    """Return the start times of the descents to a probe."""
     return [f.t_s for f in bench.of(PhaseEntered) if getattr(f, "phase", "") == "approach"]
 
 

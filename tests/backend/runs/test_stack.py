@@ -1,4 +1,4 @@
-"""The whole loop on the stepped bench, asserted on its facts and on the truth behind it."""
+"""The whole loop on the stepped bench, checked by its events and the ground truth."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def one_probe() -> StackSettings:
 
 
 def felt(bench: OracleSession) -> list[Episode]:
-    """Return the episodes that were judged."""
+    """Return the judged episodes."""
     return bench.oracles[0].asked
 
 
@@ -62,7 +62,7 @@ def last_trial(bench: OracleSession) -> TrialFinished:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> OracleSession:
-    """One run that nothing disturbs, kept with all its pictures."""
+    """One undisturbed run, recorded with all its images."""
     bench = OracleSession(runs=tmp_path_factory.mktemp("whole"), rate_hz=25.0)
     bench.session.run(request())
     bench.session.close()
@@ -161,7 +161,7 @@ def test_without_contact_only_a_strategy_that_asks_for_it_presses_elsewhere() ->
 
 
 def after(bench: OracleSession, kind: type[Event], phase: str, act: object) -> None:
-    """Call ``act`` once when a fact of ``kind`` (and phase) is published."""
+    """Call ``act`` once when an event of ``kind`` (and phase) is published."""
     done = threading.Event()
 
     def listen(fact: Event) -> None:
@@ -374,7 +374,7 @@ def test_a_disk_that_fails_stops_the_run_and_keeps_what_was_written(
 def test_a_void_press_is_made_again_but_not_for_ever(
     voids: int, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What a real arm ends a press with while its replies stay away, here in mid-press."""
+    """With the faults of a real arm during a dropout in mid-press."""
     pressing: list[CommandedMotion] = []
     press = SimArm.press
 

@@ -1,4 +1,4 @@
-"""A device of a scene that has a fault of its own latches it, whoever made the scene."""
+"""A fault of a device in a scene latches the interlock."""
 
 from dataclasses import dataclass, replace
 
@@ -13,7 +13,7 @@ POWER = Fault("WSG-DEVICE", "Its supply voltage is out of range.", "It stands.",
 
 @dataclass
 class Failing:
-    """A gripper that tells a fault."""
+    """Gripper that reports a fault."""
 
     state: DeviceState = DeviceState.READY
     fault: Fault | None = None

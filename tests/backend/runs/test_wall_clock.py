@@ -1,4 +1,4 @@
-"""A wall clock that jumps while a probe is recorded changes none of its numbers."""
+"""A jump of the wall clock during a probe changes none of its values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HOUR_NS = 3600 * 1_000_000_000
 
 
 def recorded(folder: Path, monkeypatch: pytest.MonkeyPatch, back_ns: int) -> tuple[bytes, int]:
-    """Collect one probe during whose press the clock is set back; its numbers and its time."""
+    """Collect one probe while the clock is set back; return its values and time."""
     keep = RecordingOptions(folder / "runs", episodes=False)
     session = simulated_session(brisk_bench("quiet"), keep=keep, method=brisk_method())
     clock, clock_ns = time.time, time.time_ns

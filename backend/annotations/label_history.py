@@ -38,7 +38,7 @@ from touchdown.backend.annotations.values import (
 )
 from touchdown.backend.core import FloatArray, InputError, RefusedError
 
-EPISODES_PER_QUERY = 500  # episodes per query
+EPISODES_PER_QUERY = 500
 
 
 class LabelReader:

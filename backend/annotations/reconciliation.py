@@ -213,7 +213,7 @@ LEFTOVERS = (
     ("runs/*", ".*.part"),
     (".", ".rebuilt.db*"),
 )
-REPAIRS_PER_TRANSACTION = 500  # repairs in one transaction: an unmounted disk causes thousands
+REPAIRS_PER_TRANSACTION = 500  # an unmounted disk causes thousands of repairs
 BUSY_S = 60.0  # a cache changed more recently than this is in use
 
 

@@ -52,7 +52,7 @@ from touchdown.backend.placement.policy import (
 )
 from touchdown.backend.placement.support_tower import XY, SupportTower, normal_draws
 
-SEARCH_RADIUS_MM = 10.0  # search radius of the face centre around the deepest point
+SEARCH_RADIUS_MM = 10.0  # around the deepest point, for the face centre
 # Points this near the edge determine the uncertainty of the centre.
 EDGE_MM = 4.0
 NUDGE_MM = 0.05

@@ -80,7 +80,7 @@ class Steps:
 
 @dataclass(slots=True)
 class Known:
-    """What was acknowledged: episodes with their seeds, labels by revision."""
+    """Acknowledged data: episodes with their seeds, labels by revision."""
 
     episodes: dict[str, int] = field(default_factory=dict)
     labels: dict[str, tuple[str, int]] = field(default_factory=dict)
@@ -96,7 +96,7 @@ class Known:
 def record_one(
     dataset: Dataset, tell: Callable[[str], None], seed: int, context: EpisodeContext
 ) -> None:
-    """Record one episode and label it, telling each of the two once it is durable."""
+    """Record one episode and label it, reporting each as soon as it is durable."""
     entry = dataset.record(
         small_episode(seed=seed), Label(seed, -seed, 0, 9), source="commanded", context=context
     )
@@ -106,7 +106,7 @@ def record_one(
 
 
 def record(folder: Path, tell: Callable[[str], None], first: int, count: int) -> None:
-    """Record episodes and label each, telling every one that is durable."""
+    """Record episodes and label each, reporting all that is durable."""
     with Dataset.open(folder, person="cleo") as dataset:
         context = context_for(dataset)
         for seed in range(first, first + count):
@@ -114,7 +114,7 @@ def record(folder: Path, tell: Callable[[str], None], first: int, count: int) ->
 
 
 def forked(work: Callable[[Callable[[str], None]], None]) -> tuple[int, int]:
-    """Fork a child that does ``work``; returns (pid, end of the pipe on which it tells)."""
+    """Fork a child that does ``work``; return (pid, reading end of its pipe)."""
     out, into = os.pipe()
     pid = os.fork()
     if pid:
@@ -134,7 +134,7 @@ def _write(descriptor: int, line: str) -> None:
 
 
 def told(out: int) -> Iterator[str]:
-    """Yield the lines of a child until it is gone."""
+    """Yield the lines of a child until it ends."""
     with os.fdopen(out) as lines:
         for line in lines:
             if line.endswith("\n"):
@@ -142,7 +142,7 @@ def told(out: int) -> Iterator[str]:
 
 
 def verify(folder: Path, known: Known) -> list[str]:
-    """Open the dataset as after any crash; return what was promised and is not so."""
+    """Open the dataset after a crash; return the violated promises."""
     wrong = []
     with Dataset.open(folder) as dataset:
         entries = {entry.uuid: entry for entry in dataset.episodes()}
@@ -197,7 +197,7 @@ def _count(counted: Steps, home: Path, tell: Callable[[str], None]) -> None:
 
 
 def random_kills(folder: Path, count: int, seed: int = 1) -> dict[str, object]:
-    """Kill the recorder ``count`` times at random instants after its first word."""
+    """Kill the recorder ``count`` times at random instants after its first report."""
     rng, known, wrong = random.Random(seed), Known(), list[str]()
     Dataset.open(folder).close()
     slowest_s, deaths = 0.0, 0
@@ -229,7 +229,7 @@ def random_kills(folder: Path, count: int, seed: int = 1) -> dict[str, object]:
 
 
 def restarted(folder: Path) -> list[str]:
-    """Start once; nothing but adopting and mending leftovers may be due."""
+    """Open once; only adoption and repair of leftovers may be necessary."""
     with Dataset.open(folder) as dataset:
         return [f"labels frozen: {dataset.labels.frozen}"] if dataset.labels.frozen else []
 

@@ -47,7 +47,7 @@ def read_log(path: Path) -> list[Done]:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """How much of what was not synchronised survives: all, nothing, or a drawn part."""
+    """Share of the data not synchronised that survives: all, nothing, or a random part."""
 
     data: float
     entries: float
@@ -62,7 +62,7 @@ class _File:
     pending: list[tuple[int, bytes | None]] = field(default_factory=list)
 
     def content(self, share: float, rng: random.Random) -> bytes:
-        """Return a content that may be there."""
+        """Return a possible content."""
         if share == 0.0:
             return self.durable
         found = bytearray(self.durable)
@@ -100,7 +100,7 @@ class _Folder:
     pending: list[tuple[str, str, int | str | None]] = field(default_factory=list)
 
     def entries(self, share: float, rng: random.Random) -> dict[str, int | str]:
-        """Return entries that may be there."""
+        """Return possible entries."""
         found, count = dict(self.durable), len(self.pending)
         kept = count if share == 1.0 else 0 if share == 0.0 else rng.randint(0, count)
         for taken, name, what in self.pending[:kept]:
@@ -119,7 +119,7 @@ class Disk:
         self._folders: dict[str, _Folder] = {self._root: _Folder()}
 
     def do(self, done: Done) -> None:
-        """Follow one operation."""
+        """Apply one operation."""
         if done.kind in "OT":
             self._open(done)
         elif done.kind in "WL":
@@ -141,7 +141,7 @@ class Disk:
                 self._change(done.path, done.path, None)
 
     def states(self, part: Part) -> dict[str, bytes]:
-        """Return the files that may be there after a loss of power now, by path."""
+        """Return the files that may exist after a power loss now, by path."""
         rng, found = random.Random(part.seed), dict[str, bytes]()
         waiting = [self._root]
         while waiting:

@@ -22,20 +22,19 @@ from touchdown.backend.core.faults import FaultError
 from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import CollectRequest
 
-MOST = 4000
-"""So many labels do not fit into what is left."""
+MOST = 4000  # more labels than fit into the free space
 LEFT_BYTES = 60_000
 
 
 def fill(ballast: Path, left_bytes: int) -> None:
-    """Take all the room of a disk but ``left_bytes``."""
+    """Fill a disk up to ``left_bytes``."""
     free = shutil.disk_usage(ballast.parent).free - left_bytes
     with ballast.open("wb") as file:
         file.write(bytes(max(free, 0)))
 
 
 def label_until_full(folder: Path) -> dict[str, object]:
-    """Label, then record, until the disk refuses; make room, go on, and look for all of it."""
+    """Label, then record, until the disk is full; free space, continue, and check all data."""
     home, ballast = folder / "labels", folder / "ballast"
     kept: dict[str, tuple[str, int]] = {}
     codes: list[str] = []
@@ -85,7 +84,7 @@ def label_until_full(folder: Path) -> dict[str, object]:
 
 
 def collect_until_full(folder: Path) -> dict[str, object]:
-    """Collect three probes; after the first the disk is full until the run says so."""
+    """Collect three probes; after the first one the disk is full until the run pauses."""
     storage.LEAST_BYTES = storage.LEAST_EPISODES = storage.LEAST_BYTES_RUNNING = 0
     ballast, facts = folder / "ballast", list[Event]()
     stored_when_paused: list[int] = []

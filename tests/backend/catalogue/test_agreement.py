@@ -1,4 +1,4 @@
-"""Figures of agreement against published examples, and against independent computations."""
+"""Agreement figures compared with published examples and independent computations."""
 
 from __future__ import annotations
 

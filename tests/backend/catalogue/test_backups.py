@@ -1,4 +1,4 @@
-"""Copies of the catalogue: complete, checked, pruned, and good enough to go back to."""
+"""Backups of the catalogue: complete, verified, pruned, and restorable."""
 
 import json
 import shutil

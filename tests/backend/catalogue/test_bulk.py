@@ -1,4 +1,4 @@
-"""Bulk changes do what the preview said, or nothing; one undo takes all of it back."""
+"""Bulk changes: as previewed or refused, and undone in one step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is done of a campaign is what its episodes are, at any moment."""
+"""Progress of a campaign follows from its episodes."""
 
 from __future__ import annotations
 

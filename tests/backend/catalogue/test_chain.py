@@ -1,4 +1,4 @@
-"""Hashes and ids against the published vectors."""
+"""Hashes and ids compared with published vectors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A start passes over folders that look as they did, and still finds whatever came or went."""
+"""Opening skips unchanged folders and still finds every change."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EACH = 3
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A dataset of three series that were in order at the last start, and closed."""
+    """A closed dataset of three series that were in order at the last opening."""
     # Nothing here changes within one tick of the clock, so that nobody has to wait.
     monkeypatch.setattr(consistency, "SETTLED_NS", 0)
     folder = tmp_path / "data"
@@ -39,7 +39,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def looked(monkeypatch: pytest.MonkeyPatch) -> set[str]:
-    """The folders whose files were looked at since."""
+    """Folders whose files were read since."""
     seen: set[str] = set()
     original = episode_files._files
 

@@ -1,4 +1,4 @@
-"""A clock that is set back by an hour puts nothing out of order."""
+"""A clock that is set back by an hour does not disturb the order."""
 
 from __future__ import annotations
 

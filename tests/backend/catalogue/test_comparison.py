@@ -1,4 +1,4 @@
-"""Two labellers compared by what they answered, in one dataset or in a merged one."""
+"""Comparison of two labellers, in one dataset or in a merged one."""
 
 from __future__ import annotations
 

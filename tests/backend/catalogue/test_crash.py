@@ -1,4 +1,4 @@
-"""Death at every durable step and at random: nothing acknowledged is lost, nothing torn is seen."""
+"""Crashes at every durable step and at random: acknowledged data survive, files stay whole."""
 
 import json
 import subprocess

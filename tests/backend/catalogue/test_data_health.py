@@ -1,4 +1,4 @@
-"""A look through a dataset: every injected fault is listed by its kind, nothing else is."""
+"""Quality check of a dataset: every injected fault is found, and nothing else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A dataset: what is recorded is there again, in file, index and journal; one writer only."""
+"""Datasets: recorded data in file, index and journal; single writer."""
 
 from __future__ import annotations
 

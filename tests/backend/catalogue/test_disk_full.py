@@ -1,4 +1,4 @@
-"""A disk that refuses: one clear fault, nothing recorded before is lost, and it goes on after."""
+"""Full or failing disks: one fault, no loss of recorded data, and work continues afterwards."""
 
 import contextlib
 import errno

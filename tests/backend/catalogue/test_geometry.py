@@ -1,4 +1,4 @@
-"""Geometry by hash, and patches that derive from it and from nothing else."""
+"""Geometry records by hash, and patches derived from them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gold among the ordinary work: nobody can tell it, and no approved label is touched."""
+"""Control items in ordinary work: indistinguishable, and without effect on approved labels."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ACTIONS = (
 
 
 def gold_of(record: Record, dataset: Dataset, x_um: int = 1000) -> str:
-    """Return an episode that Bob labelled 0.5 mm off its draft and Cleo approved."""
+    """Return an episode labelled by Bob 0.5 mm off its draft and approved by Cleo."""
     uuid = record(x_um, 0).uuid
     dataset.labels.accept("bob", uuid, Label(x_um + 500, 0, 0, 50))
     dataset.labels.approve("cleo", uuid)
@@ -84,7 +84,7 @@ def test_gold_keeps_its_own_time_and_knows_what_it_follows(
 
 
 def sitting(dataset: Dataset, *uuids: str) -> ControlItemLabels:
-    """Return the labels as Ann sees them when she begins, with these as gold."""
+    """Return the labels of Ann's session, with these episodes as control items."""
     book = ControlItemLabels(dataset.labels)
     recorded = {uuid: dataset.labels.history(uuid)[0] for uuid in uuids}
     book.begin("ann", {uuid: ControlItemView(r, "") for uuid, r in recorded.items()})
@@ -92,7 +92,7 @@ def sitting(dataset: Dataset, *uuids: str) -> ControlItemLabels:
 
 
 def act(book: ControlItemLabels, dataset: Dataset, uuid: str, number: int) -> None:
-    """Do something that ``number`` alone decides."""
+    """Do an action determined by ``number``."""
     chosen = random.Random(number)
     name = chosen.choice(ACTIONS)
     label = Label(chosen.randrange(-3, 3) * 100, 0, 0, 100)
@@ -118,9 +118,9 @@ def act(book: ControlItemLabels, dataset: Dataset, uuid: str, number: int) -> No
 
 
 def told(folder: Path, uuid: str, numbers: range, *, gold: bool) -> list[object]:
-    """Return all that Ann sees while she does one thing after the other, and starts anew between.
+    """Return all that Ann sees during a series of actions, reopening in between.
 
-    Of her log what she did, not the ids.
+    Of her log only actions, not ids.
     """
     seen: list[object] = []
     for start in range(0, len(numbers), 10):

@@ -1,4 +1,4 @@
-"""The table of states: every state by every action, with the reason of each refusal."""
+"""Table of states: every action in every state, with the reason of each refusal."""
 
 from __future__ import annotations
 

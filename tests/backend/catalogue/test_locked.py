@@ -1,4 +1,4 @@
-"""A catalogue that another program holds: the writer waits a while, then says so; readers go on."""
+"""Catalogue locked by another program: the writer waits, then fails; readers continue."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LABEL = Label(0, 0, 0, 9)
 
 @contextmanager
 def held(dataset: Dataset) -> Iterator[sqlite3.Connection]:
-    """Another connection that has begun to write, as a program of its own would."""
+    """Another connection with a write transaction, as of another program."""
     with closing(sqlite3.connect(dataset.database.path, isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         yield other

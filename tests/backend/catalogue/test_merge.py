@@ -1,4 +1,4 @@
-"""Merging is the union of two logs: the order does not matter, and nothing is chosen silently."""
+"""Merging is the union of two logs: order does not matter, and conflicts are kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loss of power at every step of recording and labelling, on a disk that keeps its word alone."""
+"""Power loss at every step of recording and labelling, on a simulated disk."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Queues: what is in them, in which order, and that injected errors come out on top."""
+"""Review queues: contents, order, and injected errors first."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A dataset on a disk that cannot be written: looked at as it is, and refused in words."""
+"""Datasets on a read-only disk: reading works, writing is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every start does: each situation is set up on disk, mended once, and then there is peace."""
+"""Repairs on opening: each situation is repaired once, and the next opening finds nothing."""
 
 import json
 import os
@@ -42,7 +42,7 @@ def file_of(folder: Path, uuid: str) -> Path:
 
 
 def mended(folder: Path) -> tuple[str, ...]:
-    """What the first start says; every later one has nothing to say, nor has a check."""
+    """Return the messages of the first opening; later ones and a check have none."""
     with Dataset.open(folder) as dataset:
         notices = dataset.notices
     with Dataset.open(folder) as dataset:
@@ -52,7 +52,7 @@ def mended(folder: Path) -> tuple[str, ...]:
 
 
 def forget_row(folder: Path, uuid: str) -> None:
-    """As if the process had died between the rename of the file and the commit of its row."""
+    """Remove the row, as if the process had died before its commit."""
     with Dataset.open(folder) as dataset, dataset.database.transaction() as connection:
         for trigger in ("op_no_delete", "label_rev_no_delete"):
             connection.execute(f"DROP TRIGGER {trigger}")
@@ -130,7 +130,7 @@ def test_a_file_of_another_size_is_damaged_until_it_is_put_back(folder: Path) ->
 
 
 def write_other_episode(folder: Path, path: Path) -> None:
-    """Put a whole, readable file of another size in the place of an episode's."""
+    """Replace the file of an episode by a readable file of another size."""
     from touchdown.backend.episodes.episode_file import write_episode
 
     write_episode(path, small_episode(seed=99), None, {"note": "another" * 50})

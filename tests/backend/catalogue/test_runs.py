@@ -1,4 +1,4 @@
-"""Runs are files first and rows second: nothing written is lost, whoever has the dataset open."""
+"""Runs: files first and rows second; nothing is lost, whatever process has the dataset open."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Damage of every kind: a typed error or verified data, never a crash, a hang or a large bite."""
+"""Damage of every kind: a typed error or verified data, never a crash or a hang."""
 
 import json
 import struct
@@ -62,7 +62,7 @@ def save(folder: Path, data: bytes) -> SalvageResult:
 
 
 def verify(folder: Path, saved: SalvageResult) -> None:
-    """What was saved opens in our reader and in the reference library, with equal counts."""
+    """Open the saved file in both readers, with equal counts."""
     if saved.path is None:
         assert (saved.chunks, saved.messages) == (0, {})
         return

@@ -1,4 +1,4 @@
-"""On a disk of a few MB, really full: in words, nothing acknowledged is lost, and it goes on."""
+"""A small disk that is really full: clear messages, no loss, and work continues."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A dataset is shared by threads: campaign, labelling page and jobs at the same time."""
+"""A dataset shared by threads: campaign, labelling page and jobs at the same time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which labels train a model, what their patches are, and that signals come from the cache."""
+"""Labels used for training, their patches, and signals from the cache."""
 
 import json
 from pathlib import Path

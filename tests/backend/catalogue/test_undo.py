@@ -1,4 +1,4 @@
-"""Undo and redo: no limit, across restarts, everything, and never over another person's work."""
+"""Undo and redo: unlimited, across restarts, for every action, never over another's work."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ steps = st.lists(
 
 
 def contents(dataset: Dataset) -> dict[str, object]:
-    """What a person sees of every episode: label, state, marks, what counts for training."""
+    """Return label, state, marks and training label of every episode."""
     found: dict[str, object] = {}
     for entry in dataset.episodes(EpisodeFilter(deleted=None)):
         head, counting = dataset.labels.head(entry.uuid), dataset.labels.counting(entry.uuid)

@@ -1,4 +1,4 @@
-"""Episode files: native streams bit for bit, pictures close, nothing half-written."""
+"""Episode files: signals are lossless, images nearly so, and files are complete or absent."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Looking at an episode: the same numbers and pictures as reading it whole, decoded one by one."""
+"""Compressed episodes: same numbers and images as a complete read, decoded one by one."""
 
 import numpy as np
 

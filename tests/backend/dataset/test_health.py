@@ -1,4 +1,4 @@
-"""Health checks: undisturbed probes pass, and each injected fault of each kind is listed."""
+"""Quality checks: undisturbed probes pass, and each injected fault is reported."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FZ = TACTILE_CHANNELS + 2
 
 
 def simulated(count: int) -> list[ExaminedEpisode]:
-    """Return probes of the pot as the simulated bench gives them."""
+    """Return probes of the pot from the simulated bench."""
     catalogue = load_pieces()
     top, below = catalogue.top("pot"), catalogue.bottom("circle25")
     plan = BatchPlan(

@@ -1,4 +1,4 @@
-"""Packs: exact round trip, readable by the reference library, every damage named."""
+"""Packs: exact round trip, readable by the reference library, all damage reported."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Splits: whole series on one side, about the share that was asked for, and what divides them."""
+"""Splits: whole series on one side, the requested share, and errors."""
 
 from __future__ import annotations
 

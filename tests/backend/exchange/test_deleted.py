@@ -1,4 +1,4 @@
-"""Deleted episodes leave new exports, never old ones, and come back under the same ids."""
+"""Deleted episodes: absent from new exports, present in old ones, restored with the same ids."""
 
 from __future__ import annotations
 

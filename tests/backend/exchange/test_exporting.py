@@ -1,4 +1,4 @@
-"""What is chosen, what the manifest says of it, and that half an export never looks complete."""
+"""Exports: selection, manifest, and incomplete exports."""
 
 from __future__ import annotations
 

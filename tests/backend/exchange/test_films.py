@@ -1,4 +1,4 @@
-"""Videos of LeRobot datasets: the right pictures at the named times, hardly changed."""
+"""Videos of LeRobot datasets: the right images at the named times, nearly unchanged."""
 
 from __future__ import annotations
 

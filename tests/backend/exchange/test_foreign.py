@@ -1,4 +1,4 @@
-"""Foreign files are opened in a process of their own; whatever they do, one sentence comes back."""
+"""Foreign files: read in a child process, with one error for any failure."""
 
 from __future__ import annotations
 

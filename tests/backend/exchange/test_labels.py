@@ -1,4 +1,4 @@
-"""Labels as tables, annotations and operations: out exactly, and in as a person's drafts."""
+"""Labels as tables, annotations and operations: exact export, import as drafts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What LeRobot's documentation says of a dataset v3.0, field by field, read with pyarrow alone."""
+"""Layout of LeRobot datasets v3.0 by its documentation, read with pyarrow alone."""
 
 from __future__ import annotations
 

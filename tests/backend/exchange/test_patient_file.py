@@ -1,4 +1,4 @@
-"""HDF5 on a disk without room closes, reads back until then, and the cause is told."""
+"""HDF5 on a full disk: closes, can be read back, and reports the cause."""
 
 from __future__ import annotations
 

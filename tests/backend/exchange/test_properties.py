@@ -1,4 +1,4 @@
-"""Whatever finite numbers a probe holds, they come back bit by bit; half a file never passes."""
+"""Property tests: finite numbers are restored exactly; incomplete files are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The packages that others use load what we export; ``make exchange-check`` installs them."""
+"""Exports read by the packages of other projects; ``make exchange-check`` installs them."""
 
 from __future__ import annotations
 

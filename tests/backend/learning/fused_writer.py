@@ -21,7 +21,7 @@ NAME = "fused.safetensors"
 
 
 def write(folder: Path, number: int) -> None:
-    """Write a network whose every weight is ``number``."""
+    """Write a network with all weights equal to ``number``."""
     arrays = {
         name: np.full(size, number, np.float32)
         for name, size in expected_fused_arrays(SHAPE).items()
@@ -32,7 +32,7 @@ def write(folder: Path, number: int) -> None:
 
 
 def main(folder: Path, what: str) -> None:
-    """Do as told."""
+    """Run the mode given on the command line."""
     if what == "full":
         # Past this size the kernel refuses each write, as it does where no block is free.
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

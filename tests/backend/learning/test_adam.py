@@ -1,4 +1,4 @@
-"""The optimiser against its formula, and what it does not load."""
+"""Adam compared with its formula; modules that it must not load."""
 
 import sys
 

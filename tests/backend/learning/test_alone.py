@@ -1,4 +1,4 @@
-"""Which model may decide alone on which bench, field by field."""
+"""Clearance of a model for autonomous use on a bench, field by field."""
 
 import os
 from pathlib import Path

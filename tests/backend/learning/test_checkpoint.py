@@ -1,4 +1,4 @@
-"""Every bad model ends in one InputError that names the file."""
+"""Checkpoints: every damaged model gives one InputError with the file."""
 
 import hashlib
 import json

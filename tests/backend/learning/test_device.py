@@ -1,4 +1,4 @@
-"""What computes a training: chosen by itself, named, refused where it is not there."""
+"""Device of a training: automatic, named, or refused if missing."""
 
 import numpy as np
 import pytest

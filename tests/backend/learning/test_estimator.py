@@ -1,4 +1,4 @@
-"""The estimator against the network itself; NaN and foreign models are refused."""
+"""Estimator compared with the network; NaN and foreign models are refused."""
 
 import hashlib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A training that cannot succeed says so."""
+"""Errors of trainings that cannot succeed."""
 
 from collections.abc import Callable
 from pathlib import Path

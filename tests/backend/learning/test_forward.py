@@ -1,4 +1,4 @@
-"""The forward pass without torch against torch itself."""
+"""Forward pass without torch compared with torch."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""A network of fusion is whole on disk or refused by name, whatever happened as it was written."""
+"""Checkpoints of the fusion network: complete on disk, or refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of merit against published vectors and shapely."""
+"""Metrics compared with published vectors and shapely."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Cards tell the bench of their data, and hardware probes count only where they are real."""
+"""Bench data of model cards, and evaluations on hardware probes."""
 
 import json
 from dataclasses import replace

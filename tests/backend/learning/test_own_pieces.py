@@ -1,4 +1,4 @@
-"""A piece that an operator added, from its file to a measured model."""
+"""A piece added by the operator, from its file to a trained model."""
 
 import io
 import json

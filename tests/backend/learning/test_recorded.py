@@ -1,4 +1,4 @@
-"""A training is kept as a run: curves, model, manifest, samples; and can be gone on with."""
+"""Recorded trainings: curves, model, manifest, samples, and resuming."""
 
 import json
 from collections.abc import Callable

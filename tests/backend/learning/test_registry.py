@@ -1,4 +1,4 @@
-"""Promote, roll back, and what is left after a crash."""
+"""Model registry: promote, roll back, and recovery after a crash."""
 
 from collections.abc import Callable
 from pathlib import Path

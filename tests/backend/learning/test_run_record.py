@@ -1,4 +1,4 @@
-"""A training leaves a run in its dataset, whoever has the dataset open meanwhile."""
+"""Trainings recorded as runs, whatever process has the dataset open."""
 
 from __future__ import annotations
 

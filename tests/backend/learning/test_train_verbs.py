@@ -1,4 +1,4 @@
-"""The verbs on the command line, end to end."""
+"""Training and evaluation from the command line and from a script."""
 
 import json
 from collections.abc import Callable

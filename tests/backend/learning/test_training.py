@@ -1,4 +1,4 @@
-"""What a training takes from which side: held-out episodes judge, and give nothing else."""
+"""Training data by side: held-out episodes are used for validation only."""
 
 from __future__ import annotations
 

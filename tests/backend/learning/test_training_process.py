@@ -1,4 +1,4 @@
-"""Training in its own process: finishes, is cancelled, resumes, refuses, dies cleanly."""
+"""Training in a child process: completion, cancelling, resuming, refusal, crash."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Labels that lie off those of the most alike signals, against signals made by hand."""
+"""Labels compared with those of the most similar signals, on constructed signals."""
 
 import numpy as np
 import pytest

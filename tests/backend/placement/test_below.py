@@ -1,4 +1,4 @@
-"""Towers: what is believed of the interfaces below, against the exact judge of whole stacks."""
+"""Towers: estimated stability of the lower interfaces compared with exact statics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several models of one piece judge together: means, spread, names."""
+"""Ensembles of models of one piece: means, spread, names."""
 
 import math
 from types import SimpleNamespace

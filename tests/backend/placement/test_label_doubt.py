@@ -1,4 +1,4 @@
-"""Labels in doubt, against signals made by hand: where something is felt, and where nothing is."""
+"""Doubt scores on constructed signals, with and without contact information."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Queues that a model orders: wrong labels come first."""
+"""Queues ordered by models: wrong labels come first."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What learned fusion counts below the touched face: against closed forms and the exact judge."""
+"""Lower interfaces in learned fusion, compared with closed forms and exact statics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The model's own label: displacements found again from patches, with an honest uncertainty."""
+"""Offsets fitted to patches, with a correct uncertainty."""
 
 import math
 from importlib.resources import files

@@ -1,4 +1,4 @@
-"""The patch of a displacement, against counts and distances worked out by other means."""
+"""Patch of an offset compared with independently computed counts and distances."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The strategy that lets go where the push turns nothing."""
+"""Strategy that releases where the press causes no moment."""
 
 from __future__ import annotations
 

@@ -299,7 +299,7 @@ def press_rows(answer: Json) -> list[tuple[str, ...]]:
         if here is None or there is None:
             continue
         row = [f"{model} {bottom}"]
-        for get in (_iou, _accuracy):
+        for get in (iou_of, stability_of):
             row += [
                 format_interval(get(here)),
                 format_interval(get(there)),
@@ -357,11 +357,13 @@ def format_drop(here: Json, there: Json) -> str:
     return f"{100 * (there['value'] - here['value']):+.1f}"
 
 
-def _iou(cell: Json) -> Json:
-    found: Json = cell["iou"]
+def iou_of(scores: Mapping[str, Any]) -> Json:
+    """Return the IoU estimate of ``press_scores``."""
+    found: Json = scores["iou"]
     return found
 
 
-def _accuracy(cell: Json) -> Json:
-    found: Json = cell["stable_1"]["accuracy"]
+def stability_of(scores: Mapping[str, Any]) -> Json:
+    """Return the stability accuracy after one probe of ``press_scores``."""
+    found: Json = scores["stable_1"]["accuracy"]
     return found

@@ -23,7 +23,12 @@ from touchdown.backend.experiments.document import (
     ReportSection,
     ReportTable,
 )
-from touchdown.backend.experiments.domain_shift import format_interval, press_scores
+from touchdown.backend.experiments.domain_shift import (
+    format_interval,
+    iou_of,
+    press_scores,
+    stability_of,
+)
 from touchdown.backend.experiments.evaluation import (
     FACTORS,
     NUISANCES,
@@ -174,7 +179,7 @@ def sensitivity_report(answer: JsonMapping) -> Report:
 def _chart(nuisance: JsonMapping) -> str:
     rows: Sequence[JsonMapping] = nuisance["at"]
     parts = [_axes()]
-    for get, colour, square in ((_iou, BLUE, False), (_accuracy, ORANGE, True)):
+    for get, colour, square in ((iou_of, BLUE, False), (stability_of, ORANGE, True)):
         at = [(row["factor"], get(row)) for row in rows if get(row)["value"] is not None]
         line = " ".join(f"{_x(f):.1f},{_y(e['value']):.1f}" for f, e in at)
         dash = ' stroke-dasharray="5 3"' if square else ""
@@ -232,13 +237,3 @@ def _text(x: float, y: float, words: str, size: int) -> str:
         f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}" text-anchor="middle" '
         f'fill="{INK}">{html.escape(words)}</text>'
     )
-
-
-def _iou(row: JsonMapping) -> JsonMapping:
-    found: JsonMapping = row["iou"]
-    return found
-
-
-def _accuracy(row: JsonMapping) -> JsonMapping:
-    found: JsonMapping = row["stable_1"]["accuracy"]
-    return found

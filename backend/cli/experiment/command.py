@@ -8,8 +8,9 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from touchdown.backend import experiments
 from touchdown.backend.cli.experiment.domain_shift import (
     EVALUATIONS,
     add_evaluation_arguments,
@@ -17,12 +18,17 @@ from touchdown.backend.cli.experiment.domain_shift import (
 )
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.cli.train import add_device
+from touchdown.backend.config import load_simulation
 from touchdown.backend.core import InputError, write_atomically
-
-if TYPE_CHECKING:
-    from touchdown.backend.experiments import Recipe, StrategyComparison
-    from touchdown.backend.jobs import Executor, JobSpec, JobStore
-
+from touchdown.backend.jobs import (
+    Executor,
+    JobSpec,
+    JobStore,
+    independent_jobs,
+    parse_shard,
+    run_campaign,
+    shard_of,
+)
 
 Json = dict[str, Any]
 
@@ -52,11 +58,9 @@ def report_write_errors(where: Path) -> Iterator[None]:
 
 def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
     """Render the page and store the comparisons; raises ``InputError`` for a bad file."""
-    from touchdown.backend.experiments import DATA, rewrite_tables
-
-    file = args.tables or args.out / DATA
+    file = args.tables or args.out / experiments.DATA
     with report_write_errors(file):
-        page = rewrite_tables(file, args.beyond)
+        page = experiments.rewrite_tables(file, args.beyond)
     screen.say(f"Written: {page}")
     return {"page": str(page), "file": str(file)}
 
@@ -66,20 +70,16 @@ def tables_to_compare(file: Path | None) -> Json | None:
 
     Read before the first job, to report a wrong file early. Raises ``InputError``.
     """
-    from touchdown.backend.experiments import read_report
-
-    return None if file is None else read_report(file)[0]
+    return None if file is None else experiments.read_report(file)[0]
 
 
 def compare_tables(answer: Json, other: Json, file: Path, screen: VerbOutput) -> None:
     """Print the cells of ``answer`` whose interval misses the value of ``other``, read from
     ``file``.
     """
-    from touchdown.backend.experiments import CONTENT_ERRORS, compare_intervals
-
     try:
-        found = compare_intervals(answer, other)
-    except CONTENT_ERRORS as error:
+        found = experiments.compare_intervals(answer, other)
+    except experiments.CONTENT_ERRORS as error:
         what = f"There are no tables to compare with: {error}."
         raise InputError(what, str(file), "Name a tables.json.") from error
     agree = found.cells - len(found.outside)
@@ -96,29 +96,19 @@ def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
 
     Raises ``InputError`` for files that do not match, or lack the paper or an oracle.
     """
-    # Imported here so that `touchdown --help` starts without torch.
-    from touchdown.backend.core import write_atomically
-    from touchdown.backend.experiments import (
-        BEYOND_FORMAT,
-        merged_oracle_shares,
-        oracle_share_table,
-        read_beyond,
-        to_markdown,
-    )
-
-    stored = [(str(path), read_beyond(path)) for path in args.beyond]
-    rows = merged_oracle_shares(stored)
+    stored = [(str(path), experiments.read_beyond(path)) for path in args.beyond]
+    rows = experiments.merged_oracle_shares(stored)
     if not rows:
         raise InputError(
             "The files have no seeds common to paper, ceiling and another strategy.",
             "--beyond",
             "Name the beyond.json of each.",
         )
-    sheet = oracle_share_table(rows)
+    sheet = experiments.oracle_share_table(rows)
     screen.table(sheet.title, *sheet.texts())
     first = stored[0][1]
     content = {
-        "format": BEYOND_FORMAT,
+        "format": experiments.BEYOND_FORMAT,
         "bench_sha256": first["bench_sha256"],
         "code": first["code"],
         "models": {},
@@ -129,7 +119,7 @@ def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
     file = args.out / KEPT
     with report_write_errors(file):
         args.out.mkdir(parents=True, exist_ok=True)
-        write_atomically(args.out / TABLE, to_markdown([sheet]).encode())
+        write_atomically(args.out / TABLE, experiments.to_markdown([sheet]).encode())
         write_atomically(file, json.dumps(content, indent=1, sort_keys=True).encode() + b"\n")
     screen.say(f"Written: {file} and {TABLE}")
     return {"file": str(file), "gaps": rows}
@@ -137,7 +127,7 @@ def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
 
 ABLATIONS = ("wrench", "fields", "others", "mirrors")
 # runs the unfinished jobs, given the effort of each; returns the ids of failed jobs
-RunJobs = Callable[[list["JobSpec"], Callable[["JobSpec"], int]], list[str]]
+RunJobs = Callable[[list[JobSpec], Callable[[JobSpec], int]], list[str]]
 
 
 def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
@@ -167,21 +157,13 @@ def train_fused(
 
     Raises ``InputError`` for counts that leave no training or held-out data.
     """
-    # Imported here so that `touchdown --help` starts without torch.
-    from touchdown.backend.config import load_simulation
-    from touchdown.backend.experiments import (
-        PORTIONS,
-        WEIGHTS,
-        FusionRecipe,
-        program_version,
-        threshold_jobs,
-    )
+    # Imported here so that `--help` starts without torch.
     from touchdown.backend.learning import card_path
 
     half = args.parts // 2
     counts = {"short": args.parts - half, "more": half}
     counts |= {"free": args.free_parts, "long": args.long_parts}
-    known = all(n == 0 or 2 <= n <= PORTIONS[name].most for name, n in counts.items())
+    known = all(n == 0 or 2 <= n <= experiments.PORTIONS[name].most for name, n in counts.items())
     if not known or args.parts < 4 or args.steps < 1 or min(args.seed, args.rule_trials) < 0:
         raise InputError(
             "The number of parts, steps or trials is out of range, or the seed is negative.",
@@ -189,16 +171,18 @@ def train_fused(
             "Give 4 to 120 parts, none or 2 to 400 long and 2 to 100 free ones, at least 1 step.",
         )
     bench = load_simulation(args.bench, None if args.bench else args.preset)
-    code = program_version()
-    recipe = FusionRecipe(bench, code, counts, args.steps, args.seed, args.without, args.device)
+    code = experiments.program_version()
+    recipe = experiments.FusionRecipe(
+        bench, code, counts, args.steps, args.seed, args.without, args.device
+    )
     jobs = recipe.jobs()
     training = jobs[-1].id
-    asked = threshold_jobs(bench, code, training, args.rule_trials)
+    asked = experiments.threshold_jobs(bench, code, training, args.rule_trials)
     failed = done([*jobs, *asked], recipe.effort)
     made = store.has(training)
-    out = args.out / WEIGHTS
+    out = args.out / experiments.WEIGHTS
     if made:
-        weights = store.folder(training) / WEIGHTS
+        weights = store.folder(training) / experiments.WEIGHTS
         for made_there, wanted in ((card_path(weights), card_path(out)), (weights, out)):
             write_atomically(wanted, made_there.read_bytes())
         screen.say(f"The network is in {out}.")
@@ -215,12 +199,10 @@ def train_fused(
 
 def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[dict[str, Any]]:
     """Print and return the outcomes of the finished trials under every rule."""
-    from touchdown.backend.experiments import threshold_counts
-
     trials = [t for spec in asked if store.has(spec.id) for t in store.result(spec.id)["trials"]]
     if not trials:
         return []
-    found = threshold_counts(trials)
+    found = experiments.threshold_counts(trials)
     title = f"Rules of release, {len(trials)} trials on bottoms of their own"
     screen.table(title, list(found[0]), *(map(str, row.values()) for row in found))
     return found
@@ -318,10 +300,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         screen.result({"version": JSON_VERSION, **way(args, screen)})
         return 0
     other = tables_to_compare(args.against)
-    # Imported here so that `touchdown --help` starts without torch.
-    from touchdown.backend.experiments import write_tables
-    from touchdown.backend.jobs import JobStore
-
     store = JobStore(_folder(args.out) / "jobs")
     if args.what == "beyond":
         return _run_beyond(args, screen, store)
@@ -335,7 +313,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     failed = _run_jobs(jobs, recipe.effort, args, screen, store)
     missing = sum(not store.has(spec.id) for spec in jobs)
     with report_write_errors(args.out):
-        page, answer = write_tables(args.out, recipe, store)
+        page, answer = experiments.write_tables(args.out, recipe, store)
     if args.keep_models:
         _keep(args, recipe, store, screen)
     screen.say(f"{len(jobs) - missing} of {len(jobs)} jobs are done: {page}")
@@ -354,12 +332,13 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     return 1 if failed else 0
 
 
-def _keep(args: argparse.Namespace, recipe: Recipe, store: JobStore, screen: VerbOutput) -> None:
-    from touchdown.backend.experiments import keep_models
+def _keep(
+    args: argparse.Namespace, recipe: experiments.Recipe, store: JobStore, screen: VerbOutput
+) -> None:
 
     with report_write_errors(args.keep_models):
         args.keep_models.mkdir(parents=True, exist_ok=True)
-        kept = keep_models(store, recipe, args.keep_models)
+        kept = experiments.keep_models(store, recipe, args.keep_models)
     screen.say(f"{len(kept)} models: {args.keep_models}")
 
 
@@ -371,8 +350,6 @@ def _run_jobs(
     store: JobStore,
 ) -> list[str]:
     """Run the unfinished jobs, or those of one shard; return the ids of failed jobs."""
-    from touchdown.backend.jobs import independent_jobs, parse_shard, run_campaign, shard_of
-
     part = jobs
     if args.shard:
         part = independent_jobs(jobs, shard_of(jobs, *parse_shard(args.shard)), store)
@@ -394,62 +371,47 @@ def _run_jobs(
 
 def _run_beyond(args: argparse.Namespace, screen: VerbOutput, store: JobStore) -> int:
     """Compare strategies; write ``beyond.json`` with all finished results."""
-    from touchdown.backend.experiments import comparison_tables, write_comparison
-
     plan = _comparison_of(args, store)
     jobs = plan.jobs()
     failed = _run_jobs(jobs, plan.effort, args, screen, store)
     answer = plan.answer(store)
     missing = sum(not store.has(spec.id) for spec in jobs)
     with report_write_errors(args.out):
-        path = write_comparison(args.out, answer)
-    for sheet in comparison_tables(answer):
+        path = experiments.write_comparison(args.out, answer)
+    for sheet in experiments.comparison_tables(answer):
         screen.table(sheet.title, *sheet.texts())
     screen.result({"version": JSON_VERSION, "file": str(path), "jobs": len(jobs),
                    "missing": missing, "failed": failed, "beyond": answer})  # fmt: skip
     return 1 if failed else 0
 
 
-def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyComparison:
-    from touchdown.backend.config import load_simulation
-    from touchdown.backend.experiments import (
-        BOTTOMS,
-        PIECES,
-        STRATEGIES,
-        ClosedLoopComparison,
-        StaticComparison,
-        StrategyComparison,
-        adopt_models,
-        models_that_ship,
-        program_version,
-    )
-
-    pieces = _named(args.pieces, PIECES, "--pieces")
+def _comparison_of(args: argparse.Namespace, store: JobStore) -> experiments.StrategyComparison:
+    pieces = _named(args.pieces, experiments.PIECES, "--pieces")
     bench = load_simulation(args.bench, None if args.bench else args.preset)
-    folders = [args.models] if args.models else models_that_ship(bench.preset)
-    found = adopt_models(store, *folders)
+    folders = [args.models] if args.models else experiments.models_that_ship(bench.preset)
+    found = experiments.adopt_models(store, *folders)
     if args.trials < (0 if args.statics else 1):
         raise InputError("--trials must be at least 1.", "--trials", "Give a positive number.")
     if args.statics < 0:
         raise InputError("--statics is negative.", "--statics", "Give 0 or a positive number.")
     if not args.entry_sigma > 0.0:
         raise InputError("--entry-sigma must be positive.", "--entry-sigma", "Give it in mm.")
-    loops = ClosedLoopComparison(
+    loops = experiments.ClosedLoopComparison(
         bench=bench,
-        code=program_version(),
+        code=experiments.program_version(),
         models={piece: found[piece, "FT+Tac"] for piece in pieces},
         pieces=pieces,
-        bottoms=_named(args.bottoms, BOTTOMS, "--bottoms"),
-        strategies=_named(args.strategies, STRATEGIES, "--strategies"),
+        bottoms=_named(args.bottoms, experiments.BOTTOMS, "--bottoms"),
+        strategies=_named(args.strategies, experiments.STRATEGIES, "--strategies"),
         trials=args.trials,
         entry_sigma_mm=None if args.no_entry else args.entry_sigma,
     )
     said = None
     if args.statics:
-        said = StaticComparison(
+        said = experiments.StaticComparison(
             bench, loops.code, loops.models, pieces, loops.bottoms, loops.strategies, args.statics
         )
-    return StrategyComparison(loops, said)
+    return experiments.StrategyComparison(loops, said)
 
 
 def _named(text: str, known: tuple[str, ...], where: str) -> tuple[str, ...]:
@@ -460,25 +422,15 @@ def _named(text: str, known: tuple[str, ...], where: str) -> tuple[str, ...]:
     return names
 
 
-def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
-    from touchdown.backend.config import load_simulation
-    from touchdown.backend.experiments import (
-        SCALES,
-        Recipe,
-        adopt_models,
-        models_that_ship,
-        pieces_of,
-        program_version,
-    )
-
-    pieces = pieces_of(args.pieces)
+def _recipe(args: argparse.Namespace, store: JobStore) -> experiments.Recipe:
+    pieces = experiments.pieces_of(args.pieces)
     if not pieces or len(pieces) != len(args.pieces.split(",")):
         raise InputError(
             f"'{args.pieces}' names other pieces than those of the tables.",
             "--pieces",
             "Name some of mushroom,barrel,pot.",
         )
-    scale = SCALES[args.scale]
+    scale = experiments.SCALES[args.scale]
     if args.keep_models and not scale.probes:
         raise InputError(
             "--quick trains no models.", "--keep-models", "Leave it out, or use --full."
@@ -490,22 +442,23 @@ def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     models = {}
     if not scale.probes:
-        folders = [args.models] if args.models else models_that_ship(bench.preset)
-        models = adopt_models(store, *folders)
-    return Recipe(scale, bench, program_version(), models, pieces, args.device)
+        folders = [args.models] if args.models else experiments.models_that_ship(bench.preset)
+        models = experiments.adopt_models(store, *folders)
+    return experiments.Recipe(
+        scale, bench, experiments.program_version(), models, pieces, args.device
+    )
 
 
 def _executor(args: argparse.Namespace, store: JobStore, tell: Callable[[str], None]) -> Executor:
-    from touchdown.backend.experiments import KINDS
     from touchdown.backend.jobs import DaskCluster, ProcessPool, SerialExecutor
 
     if args.executor == "serial":
-        return SerialExecutor(KINDS, store)
+        return SerialExecutor(experiments.KINDS, store)
     if args.executor == "local":
-        return ProcessPool(KINDS, store, args.workers, tell)
+        return ProcessPool(experiments.KINDS, store, args.workers, tell)
     if not args.cluster:
         raise InputError("The executor dask needs a scheduler.", "--cluster", "Give its address.")
-    return DaskCluster.at(KINDS, store, args.cluster)
+    return DaskCluster.at(experiments.KINDS, store, args.cluster)
 
 
 def _folder(out: Path) -> Path:

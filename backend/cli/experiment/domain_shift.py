@@ -7,20 +7,17 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias, get_args
 
+from touchdown.backend import experiments
 from touchdown.backend.cli.output import VerbOutput
-from touchdown.backend.core import InputError
-
-if TYPE_CHECKING:
-    from touchdown.backend.config import SimulationSettings
-    from touchdown.backend.experiments import RandomisedTraining
-    from touchdown.backend.jobs import JobSpec, JobStore
-
+from touchdown.backend.config import SimulationSettings, load_simulation
+from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.jobs import JobSpec, JobStore
 
 EVALUATIONS = ("elsewhere", "sensitivity")
 # runs the unfinished jobs, given the effort of each; returns the ids of failed jobs
-RunJobs: TypeAlias = Callable[[list["JobSpec"], Callable[["JobSpec"], int]], list[str]]
+RunJobs: TypeAlias = Callable[[list[JobSpec], Callable[[JobSpec], int]], list[str]]
 Json: TypeAlias = dict[str, Any]
 
 
@@ -50,9 +47,6 @@ def run_evaluation(
     Raises ``InputError`` for counts without work, for unknown names, and if the second world lacks
     its engine.
     """
-    # Imported here so that `touchdown --help` starts without torch.
-    from touchdown.backend.config import load_simulation
-
     if args.groups < 1 or args.trials < 0:
         raise InputError(
             "The counts give no presses.", "--groups, --trials", "Give a positive number of groups."
@@ -70,13 +64,6 @@ def _elsewhere(
     done: RunJobs,
     given: tuple[SimulationSettings, Mapping[str, str]],
 ) -> Json:
-    from touchdown.backend.experiments import (
-        DomainShift,
-        change_rows,
-        press_rows,
-        program_version,
-        trial_rows,
-    )
     from touchdown.backend.simulation import import_mujoco
 
     import_mujoco()
@@ -87,9 +74,9 @@ def _elsewhere(
             "Give --first 0 or more, --epochs 1 or more, --probes 10 or more.",
         )
     trained = _trained(args, given[0])
-    plan = DomainShift(
+    plan = experiments.DomainShift(
         bench=given[0],
-        code=program_version(),
+        code=experiments.program_version(),
         piece=args.pieces,
         models=given[1],
         bottoms=tuple(args.bottoms.split(",")),
@@ -106,17 +93,17 @@ def _elsewhere(
     screen.table(
         "Presses: IoU %, stability right after one probe %; bench, elsewhere, change",
         ("model", "IoU", "elsewhere", "", "right", "elsewhere", "", "unsafe"),
-        *press_rows(answer),
+        *experiments.press_rows(answer),
     )
     screen.table(
         "Change of the IoU in points, group by group",
         ("what", "bottom", "change", "groups"),
-        *change_rows(answer),
+        *experiments.change_rows(answer),
     )
     screen.table(
         "Trials: placed %, unsafe %; bench, elsewhere, change",
         ("strategy", "trials", "placed", "elsewhere", "", "unsafe", "elsewhere", ""),
-        *trial_rows(answer),
+        *experiments.trial_rows(answer),
     )
     return _kept(args.out, "elsewhere", answer, (plan.jobs(), failed), store)
 
@@ -128,19 +115,9 @@ def _sensitivity(
     done: RunJobs,
     given: tuple[SimulationSettings, Mapping[str, str]],
 ) -> Json:
-    from touchdown.backend.core import write_atomically
-    from touchdown.backend.experiments import (
-        NuisanceSensitivity,
-        job_effort,
-        program_version,
-        report_page,
-        sensitivity_report,
-        sensitivity_table,
-    )
-
-    plan = NuisanceSensitivity(
+    plan = experiments.NuisanceSensitivity(
         bench=given[0],
-        code=program_version(),
+        code=experiments.program_version(),
         piece=args.pieces,
         model=given[1]["FT+Tac"],
         bottoms=tuple(args.bottoms.split(",")),
@@ -148,30 +125,28 @@ def _sensitivity(
         groups=args.groups,
         trials=args.trials,
     )
-    failed = done(plan.jobs(), job_effort)
+    failed = done(plan.jobs(), experiments.job_effort)
     answer = plan.answer(store)
-    page = report_page(sensitivity_report(answer))
+    page = experiments.report_page(experiments.sensitivity_report(answer))
     write_atomically(args.out / "sensitivity.html", page.encode())
-    table = sensitivity_table(answer)
+    table = experiments.sensitivity_table(answer)
     screen.table(table.title, *table.texts())
     return _kept(args.out, "sensitivity", answer, (plan.jobs(), failed), store)
 
 
-def _trained(args: argparse.Namespace, bench: SimulationSettings) -> tuple[RandomisedTraining, ...]:
+def _trained(
+    args: argparse.Namespace, bench: SimulationSettings
+) -> tuple[experiments.RandomisedTraining, ...]:
     """Return the required trainings; raises ``InputError`` for unknown collections."""
-    from typing import get_args
-
-    from touchdown.backend.experiments import CollectionKind, RandomisedTraining, program_version
-
-    names: tuple[CollectionKind, ...] = get_args(CollectionKind)
+    names: tuple[experiments.CollectionKind, ...] = get_args(experiments.CollectionKind)
     wanted = args.train.split(",") if args.train else []
     if unknown := [word for word in wanted if word not in names]:
         raise InputError(
             f"'{unknown[0]}' is no collection.", "--train", f"Name some of {','.join(names)}."
         )
-    own = RandomisedTraining(
+    own = experiments.RandomisedTraining(
         bench,
-        program_version(),
+        experiments.program_version(),
         args.pieces,
         "randomised",
         probes=args.probes,
@@ -182,10 +157,12 @@ def _trained(args: argparse.Namespace, bench: SimulationSettings) -> tuple[Rando
 
 
 def _keep(
-    folder: Path, trained: Sequence[RandomisedTraining], store: JobStore, screen: VerbOutput
+    folder: Path,
+    trained: Sequence[experiments.RandomisedTraining],
+    store: JobStore,
+    screen: VerbOutput,
 ) -> None:
     """Write the trained models, each to its own folder for ``--models``."""
-    from touchdown.backend.experiments import load_model
     from touchdown.backend.learning import save_half_precision
 
     for plan in trained:
@@ -193,22 +170,17 @@ def _keep(
         if store.has(source):
             path = folder / plan.collected / f"{plan.piece}-{plan.inputs.lower()}.safetensors"
             path.parent.mkdir(parents=True, exist_ok=True)
-            save_half_precision(path, load_model(source, store))
+            save_half_precision(path, experiments.load_model(source, store))
             screen.say(f"A model: {path}")
 
 
 def _models(args: argparse.Namespace, bench: SimulationSettings, store: JobStore) -> dict[str, str]:
     """Return the models of the piece, FT+Tac first; raises ``InputError`` for unknown names."""
-    from touchdown.backend.experiments import (
-        EVALUATED_STRATEGIES,
-        PIECES,
-        TABLE_BOTTOMS,
-        adopt_models,
-        models_that_ship,
+    known = (
+        (args.pieces, experiments.PIECES),
+        *((b, experiments.TABLE_BOTTOMS) for b in args.bottoms.split(",")),
     )
-
-    known = ((args.pieces, PIECES), *((b, TABLE_BOTTOMS) for b in args.bottoms.split(",")))
-    known += tuple((s, EVALUATED_STRATEGIES) for s in args.strategies.split(","))
+    known += tuple((s, experiments.EVALUATED_STRATEGIES) for s in args.strategies.split(","))
     for name, names in known:
         if name not in names:
             raise InputError(
@@ -216,16 +188,14 @@ def _models(args: argparse.Namespace, bench: SimulationSettings, store: JobStore
                 "--pieces, --bottoms, --strategies",
                 f"Name one piece, or some of {','.join(names)}.",
             )
-    folders = [args.models] if args.models else models_that_ship(bench.preset)
-    found = adopt_models(store, *folders)
+    folders = [args.models] if args.models else experiments.models_that_ship(bench.preset)
+    found = experiments.adopt_models(store, *folders)
     return {n: found[args.pieces, n] for n in ("FT+Tac", "FT") if (args.pieces, n) in found}
 
 
 def _kept(
     out: Path, name: str, answer: Json, ended: tuple[list[JobSpec], list[str]], store: JobStore
 ) -> Json:
-    from touchdown.backend.core import write_atomically
-
     jobs, failed = ended
     path = out / f"{name}.json"
     write_atomically(path, json.dumps(answer, indent=1, sort_keys=True).encode() + b"\n")

@@ -39,11 +39,7 @@ VERBS = {
 }
 
 # Verbs whose module has another name.
-_MODULES = {
-    "import": "import_",
-    "doctor": "doctor.command",
-    "experiment": "experiment.command",
-}
+_MODULES = {"import": "import_", "doctor": "doctor.command", "experiment": "experiment.command"}
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 

@@ -46,11 +46,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         with TemporaryDirectory(prefix="touchdown-models-") as folder:
             answer[piece] = _make(args, piece, Path(folder), screen)
     screen.result(
-        {
-            "version": JSON_VERSION,
-            "models": answer,
-            "seconds": round(time.monotonic() - began_s, 1),
-        }
+        {"version": JSON_VERSION, "models": answer, "seconds": round(time.monotonic() - began_s, 1)}
     )
     return 0
 

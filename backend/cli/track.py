@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from touchdown.backend.cli.output import VerbOutput
-from touchdown.backend.core import (
-    GRID_COLS,
-    GRID_ROWS,
-    InputError,
-    MarkerState,
-    RefusedError,
-)
+from touchdown.backend.core import GRID_COLS, GRID_ROWS, InputError, MarkerState, RefusedError
 from touchdown.backend.sensing import (
     DEFAULT_RATE_HZ,
     MIN_REST_FRAMES,

@@ -250,11 +250,7 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
         found.append(
             ReportTable.of_texts(
                 "Calibration of the maps, covered cells",
-                (
-                    "strategy",
-                    *(f"ECE, n = {n}" for n in RELIABLE_AFTER),
-                    f"IoU %, n = {IOU_AFTER}",
-                ),
+                ("strategy", *(f"ECE, n = {n}" for n in RELIABLE_AFTER), f"IoU %, n = {IOU_AFTER}"),
                 (_reliability_row(cell) for cell in (*statics["cells"], *statics["pooled"])),
             )
         )

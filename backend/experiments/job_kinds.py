@@ -189,10 +189,7 @@ def run_stacking(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     use_one_thread()
     scenes, left_out = _counted(case, spec)
     settings, limits = StackSettings(), EpisodeLimits()
-    answer: dict[str, Any] = {
-        "bench_sha256": bench_sha256(case.settings),
-        "left_out": left_out,
-    }
+    answer: dict[str, Any] = {"bench_sha256": bench_sha256(case.settings), "left_out": left_out}
     if p["strategy"] == "pick-and-place":
         ends = pick_and_place_in_lockstep(scenes, settings, limits)
     else:

@@ -156,7 +156,19 @@ def _require_finite(limits: Limits) -> None:
 
 
 class Interlock:
-    """The latch, the lease and the list of latched faults. Thread-safe."""
+    """Stop latch, motion lease, limits and latched faults. Thread-safe.
+
+    Parameters
+    ----------
+    limits
+        Limits of motion and force; the defaults of ``Limits`` if None.
+
+    Raises
+    ------
+    ValueError
+        If a limit is not finite.
+
+    """
 
     def __init__(self, limits: Limits | None = None) -> None:
         self.limits = limits or Limits()

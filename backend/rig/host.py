@@ -195,7 +195,8 @@ class RigHost:
             self._note(now_s, f"hold: {out.why.code if out.why else 'silent'}")
             self.devices.arm.halt()
         if out.why is not None:
-            self._blame(out.why)
+            for number in [n for n in self._motions.of_arm if self._motions.under_way[n].done]:
+                self._end(number, out.why)
         if out.fault is not None:
             self._tell_fault(now_s, out.fault)
 
@@ -215,11 +216,6 @@ class RigHost:
     def _tell_fault(self, now_s: float, fault: Fault) -> None:
         self._note(now_s, f"fault {fault.code}: {fault.what}")
         self._say({"kind": "fault", "number": self._core.faults, "fault": fault_row(fault)})
-
-    def _blame(self, why: Fault) -> None:
-        """Report the motions of the arm that this cycle ended, with the reason."""
-        for number in [n for n in self._motions.of_arm if self._motions.under_way[n].done]:
-            self._end(number, why)
 
     # -- shared memory ----------------------------------------------------------------------------
 

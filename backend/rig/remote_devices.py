@@ -342,9 +342,28 @@ WAIT_S = 0.01
 
 
 class BenchDevices:
-    """The five devices of a lab file; measurements go into the given streams. ``now_s`` must follow
-    the computer's monotonic clock. ``interlock`` permits motion: the rig gets its lease, latch and
-    limits. Raises ``InputError`` for bad settings.
+    """The five devices of a lab file.
+
+    Parameters
+    ----------
+    settings
+        Tables of the lab file.
+    now_s
+        Bench clock, s; it must follow the computer's monotonic clock.
+    frames
+        Stream of pictures of each finger, to fill.
+    samples
+        Stream of untared wrist samples to fill: Fx Fy Fz Tx Ty Tz, N and N·m, tool axes.
+    poses
+        Stream of measured positions of ``G`` to fill: x y z, mm in the bench frame.
+    interlock
+        Permits motion: the rig gets its lease, latch and limits.
+
+    Raises
+    ------
+    InputError
+        If a driver is unknown or a setting is missing.
+
     """
 
     def __init__(

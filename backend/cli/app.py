@@ -36,11 +36,11 @@ def open_window(arguments: list[str]) -> int:
             "PySide6",
             "Run 'make setup', or work without a window: 'touchdown stack'.",
         )
-    _refuse_bad_words(arguments)
+    _check_arguments(arguments)
     return int(_window().main(arguments))
 
 
-def _refuse_bad_words(arguments: list[str]) -> None:
+def _check_arguments(arguments: list[str]) -> None:
     """Raise ``InputError`` for arguments that the window's parser refuses."""
     parser = _window().parser()
     parser.exit_on_error = False

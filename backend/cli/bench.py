@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 NAME = "bench"
 HELP = "check a lab file, write a new one, or connect its devices once"
 JSON_VERSION = 1
-WATCHED_S = 3.0  # duration of the timing report of the sensors
+TIMING_S = 3.0  # duration of the timing report of the sensors
 TEMPLATE = "lab.toml"
 # keys of a new file without a usable default
-FILLED_IN = ("ft.address", "gelsight.left.serial", "gelsight.right.serial")
+REQUIRED_KEYS = ("ft.address", "gelsight.left.serial", "gelsight.right.serial")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -109,7 +109,7 @@ def placeholders(settings: LabSettings) -> list[str]:
     """Return the keys with a default placeholder, and those that are still empty."""
     usual = LabSettings(version=1, name="usual", kind="hardware")
     made_up = [key for key in PLACEHOLDERS if _at(settings, key) == _at(usual, key)]
-    return [*(key for key in FILLED_IN if _is_blank(_at(settings, key))), *made_up]
+    return [*(key for key in REQUIRED_KEYS if _is_blank(_at(settings, key))), *made_up]
 
 
 def _is_blank(value: object) -> bool:
@@ -135,7 +135,7 @@ def _connect(file: Path, screen: VerbOutput) -> int:
         connection.begin()
         report_devices(connection, screen.say)
         lines, away = connection.lines(), connection.missing()
-        timings = [] if away else _watched(session)
+        timings = [] if away else _sensor_timing(session)
     finally:
         session.close()
     if away:
@@ -165,7 +165,7 @@ def _connect(file: Path, screen: VerbOutput) -> int:
     return 1 if away else 0
 
 
-def _watched(session: Session) -> list[SensorTiming]:
+def _sensor_timing(session: Session) -> list[SensorTiming]:
     """Return the timing of the sensors relative to each other while the bench stands still."""
     from touchdown.backend.rig import measure_timing
 
@@ -176,7 +176,7 @@ def _watched(session: Session) -> list[SensorTiming]:
     }
     for finger, frames in raw.frames.items():
         sensors[f"tactile_{finger}"] = (partial(_frame_s, frames), partial(_frames_s, frames))
-    return measure_timing(sensors, session.clock_s, threading.Event().wait, WATCHED_S)
+    return measure_timing(sensors, session.clock_s, threading.Event().wait, TIMING_S)
 
 
 def _newest_s(stream: SampleStream) -> float:
@@ -198,7 +198,7 @@ def _frames_s(frames: Stream[TactileFrame], t_s: float) -> FloatArray:
 
 
 def _timing_table(timings: Sequence[SensorTiming]) -> Table:
-    table = Table(title=f"Time, {WATCHED_S:.0f} s at rest, all on this computer's clock")
+    table = Table(title=f"Time, {TIMING_S:.0f} s at rest, all on this computer's clock")
     table.add_column("sensor", min_width=len("tactile_right"))
     # Short texts: a terminal with 80 columns would cut the last number.
     for column in ("samples", "Hz", "interval\n\N{PLUS-MINUS SIGN}ms, 99 %", "longest\nms",

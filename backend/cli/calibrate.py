@@ -268,7 +268,7 @@ def _store_of(args: argparse.Namespace) -> CalibrationStore:
 
     folder = Path(args.calibrations) if args.calibrations else calibrations_folder()
     at_lab = args.bench is not None and is_lab_file(Path(args.bench))
-    where = _where_words(args, at_lab=at_lab)
+    where = _bench_arguments(args, at_lab=at_lab)
     if at_lab:
         lab = load_lab(Path(args.bench))
         own = folder if args.calibrations else lab.calibrations
@@ -276,7 +276,7 @@ def _store_of(args: argparse.Namespace) -> CalibrationStore:
     return CalibrationStore(folder, "emulated" if args.emulated else "simulated", where)
 
 
-def _where_words(args: argparse.Namespace, *, at_lab: bool) -> str:
+def _bench_arguments(args: argparse.Namespace, *, at_lab: bool) -> str:
     """Return the arguments that a command for the same bench needs, quoted for a shell.
 
     On a real bench the gripper must be homed after power-on. The gripper is empty at the start of

@@ -55,7 +55,7 @@ NAME = "collect"
 HELP = "collect labelled probes into a dataset"
 JSON_VERSION = 1
 BOTTOM = "circle15"
-LISTED = 12  # printed findings; ``--json`` contains all
+MAX_LISTED = 12  # printed findings; ``--json`` contains all
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -152,7 +152,7 @@ class _CollectionProgress:
     def take(self, fact: Event) -> None:
         """Handle one event."""
         if isinstance(fact, CampaignBegan):
-            self._begin(fact)
+            self._start_bar(fact)
         elif isinstance(fact, ProbeCollected):
             self.collected.append(fact)
             self._move(fact.done, fact.total, "")
@@ -163,9 +163,9 @@ class _CollectionProgress:
                 f"  mounting {fact.mounting}, grip {fact.grip}: {fact.mass_g:.1f} g held"
             )
         elif isinstance(fact, HandOverAwaited | MountingAwaited):
-            self._asked(fact)
+            self._ask(fact)
         elif isinstance(fact, Paused):
-            self._paused(fact.fault)
+            self._wait_for_operator(fact.fault)
         elif isinstance(fact, Said | Noticed):
             self._screen.say(f"  {fact.text}")
         elif isinstance(fact, FaultRaised):
@@ -173,7 +173,7 @@ class _CollectionProgress:
         elif isinstance(fact, RunFinished):
             self.ended = fact
 
-    def _asked(self, fact: HandOverAwaited | MountingAwaited) -> None:
+    def _ask(self, fact: HandOverAwaited | MountingAwaited) -> None:
         """Ask on standard input; end of file means no."""
         if isinstance(fact, MountingAwaited):
             self._screen.say(f"  {mounting_question(fact)} Type y for yes; Enter: no.")
@@ -182,7 +182,7 @@ class _CollectionProgress:
             self._screen.say(f"  {hand_over_message(fact)} Enter confirms.")
             self._confirm(sys.stdin.readline() != "")
 
-    def _begin(self, fact: CampaignBegan) -> None:
+    def _start_bar(self, fact: CampaignBegan) -> None:
         """Start the progress bar with the first mounting."""
         self.began = fact
         if self.advance is None:
@@ -190,7 +190,7 @@ class _CollectionProgress:
             self.advance = self._bars.enter_context(bar)
         self._move(fact.done, fact.total, "")
 
-    def _paused(self, fault: Fault) -> None:
+    def _wait_for_operator(self, fault: Fault) -> None:
         """Wait for the operator; without one the campaign ends and can be resumed."""
         if wait_for_disk_space(fault, self._screen, "campaign"):
             self._engine.resume()
@@ -320,8 +320,8 @@ def _say_findings(findings: list[QualityIssue], screen: VerbOutput) -> None:
         screen.say("Health: no findings.")
         return
     screen.say(f"Health: {len(findings)} findings.")
-    for finding in findings[:LISTED]:
+    for finding in findings[:MAX_LISTED]:
         names = " ".join(finding.episodes)
         screen.say(f"  {finding.kind}: {finding.text} {names}".rstrip())
-    if len(findings) > LISTED:
-        screen.say(f"  ... and {len(findings) - LISTED} more (--json lists all)")
+    if len(findings) > MAX_LISTED:
+        screen.say(f"  ... and {len(findings) - MAX_LISTED} more (--json lists all)")

@@ -129,7 +129,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
     parser.add_argument("--port", type=_port, help="port (default: a free one)")
     parser.add_argument(
-        "--tty", type=_whole, metavar="LINK", help="name for the serial port of a wrist sensor"
+        "--tty", type=_absolute, metavar="LINK", help="name for the serial port of a wrist sensor"
     )
     parser.add_argument("--faults", type=Path, metavar="FILE", help="fault plan (TOML)")
     parser.add_argument(
@@ -143,7 +143,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--text", action="store_true", help="a gripper with its text protocol")
     parser.add_argument(
-        "--folder", type=_whole, metavar="DIR", help="folder of the emulated camera"
+        "--folder", type=_absolute, metavar="DIR", help="folder of the emulated camera"
     )
     parser.add_argument("--finger", choices=FINGERS, default="left", help="which camera")
     parser.add_argument("--serial", default=SERIAL, help="number of the camera")
@@ -170,7 +170,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _whole(text: str) -> Path:
+def _absolute(text: str) -> Path:
     """Return an absolute path; a bench file may be read from another folder."""
     return Path(text).absolute()
 

@@ -79,7 +79,7 @@ def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: Ve
     if survey.fit and not args.check:
         with screen.progress("Writing", survey.fit) as advance:
             written = wanted.write(advance)
-        backup = _named(wanted.backup, screen)
+        backup = _backup_text(wanted.backup, screen)
         screen.say(f"{len(written)} episodes are new in {dataset.folder}, their labels drafts.")
     screen.result({
         "version": JSON_VERSION,
@@ -107,7 +107,7 @@ def _labels(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> i
         screen.say(f"  {uuid}: {why}")
     for warning in done.warnings:
         screen.say(f"  {warning}")
-    backup = _named(done.backup, screen)
+    backup = _backup_text(done.backup, screen)
     screen.result({
         "version": JSON_VERSION,
         "changed": done.changed,
@@ -129,7 +129,7 @@ def _log(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> int:
         return 0
     done = import_log(dataset, args.source, args.person)
     screen.say(f"{done.operations} operations are new, {len(done.conflicts)} episodes in conflict.")
-    backup = _named(done.backup, screen)
+    backup = _backup_text(done.backup, screen)
     screen.result({
         "version": JSON_VERSION,
         "operations": done.operations,
@@ -139,7 +139,7 @@ def _log(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> int:
     return 0
 
 
-def _named(backup: Path | None, screen: VerbOutput) -> str:
+def _backup_text(backup: Path | None, screen: VerbOutput) -> str:
     """Return a sentence with the path of the catalogue backup; "" without one."""
     if backup is None:
         return ""

@@ -66,12 +66,12 @@ def _make(
     draw += ["--grips-per-mounting", args.grips_per_mounting, "--piece", piece]
     draw += ["--pieces", args.pieces_dir] if args.pieces_dir else []
     known = ["--bottoms", TRAINING_BOTTOMS, "--episodes", args.episodes, "--seed", args.seed]
-    _do(simulate, [*draw, *known, "--out", folder / "train"], screen)
+    _run_verb(simulate, [*draw, *known, "--out", folder / "train"], screen)
     words = [folder / "train", "--piece", piece, "--out", out, "--threads", args.threads]
-    _do(train, words + (["--epochs", args.epochs] if args.epochs else []), screen)
+    _run_verb(train, words + (["--epochs", args.epochs] if args.epochs else []), screen)
     unseen = ["--bottoms", UNSEEN_BOTTOMS, "--episodes", args.test_episodes]
     unseen += ["--seed", args.seed + TEST_SEED_OFFSET]
-    _do(simulate, [*draw, *unseen, "--out", folder / "test"], screen)
+    _run_verb(simulate, [*draw, *unseen, "--out", folder / "test"], screen)
 
     checkpoint = load_checkpoint(out)
     points = face_points(load_pieces(args.pieces_dir).piece(piece).face)
@@ -90,7 +90,7 @@ def _make(
     return {"out": str(out), "scores": figures}
 
 
-def _do(verb: ModuleType, words: list[object], screen: VerbOutput) -> None:
+def _run_verb(verb: ModuleType, words: list[object], screen: VerbOutput) -> None:
     """Run another verb without its JSON object."""
     parser = argparse.ArgumentParser(prog=f"touchdown {verb.NAME}", allow_abbrev=False)
     verb.add_arguments(parser)

@@ -111,20 +111,20 @@ class VerbOutput:
         if self._answered:
             raise RuntimeError("a verb gives exactly one result")
         self._answered = True
-        self._stream.write(json.dumps(_plain(mapping), allow_nan=False) + "\n")
+        self._stream.write(json.dumps(_to_json(mapping), allow_nan=False) + "\n")
         self._stream.flush()
 
 
-def _plain(value: object) -> object:
+def _to_json(value: object) -> object:
     """Return ``value`` for JSON: non-finite floats None, tuples lists, numpy scalars numbers."""
     if hasattr(value, "item"):
         value = value.item()
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _to_json(item) for key, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
-        return [_plain(item) for item in value]
+        return [_to_json(item) for item in value]
     return value
 
 

@@ -18,7 +18,7 @@ HELP = "show the settings of the method, or write them to a file"
 JSON_VERSION = 1
 # Tables that 0.1.0 wrote for strategies that are gone.
 REMOVED_TABLES = {"looking", "outlines", "pressure"}
-OF_THE_RUN = {"strategy", "mode"}  # arguments of each run, not stored in the file
+RUN_ARGUMENTS = {"strategy", "mode"}  # arguments of each run, not stored in the file
 HEAD = """\
 # Settings of the method for `touchdown stack --method`; what is left out keeps its default.
 # Reasons: docs/method-choices.md.
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Print the settings and write them if required; return 0."""
     settings = load_method(args.method) if args.method else StackSettings()
-    groups = settings.model_dump(mode="json", exclude=OF_THE_RUN)
+    groups = settings.model_dump(mode="json", exclude=RUN_ARGUMENTS)
     if args.write:
         write_new(args.write, as_toml(settings))
     table = Table(title="Settings of the method")
@@ -55,7 +55,7 @@ def load_method(path: Path) -> StackSettings:
     """Return the settings of the file ``path``; ``InputError`` names file and key."""
     content = read_toml(path)
     content = {key: value for key, value in content.items() if key not in REMOVED_TABLES}
-    for key in sorted(OF_THE_RUN & content.keys()):
+    for key in sorted(RUN_ARGUMENTS & content.keys()):
         raise InputError(
             f"'{key}' is no setting of the method.",
             str(path),
@@ -70,7 +70,7 @@ def as_toml(settings: StackSettings) -> str:
 
 
 def _lines(settings: StackSettings) -> Iterator[str]:
-    for group, values in settings.model_dump(mode="json", exclude=OF_THE_RUN).items():
+    for group, values in settings.model_dump(mode="json", exclude=RUN_ARGUMENTS).items():
         yield f"\n[{group}]\n"
         # Numbers, strings, booleans and lists have the same syntax in JSON and TOML.
         yield from (f"{key} = {json.dumps(value)}\n" for key, value in values.items())

@@ -33,7 +33,7 @@ from .job_kinds import KINDS as KINDS
 from .models import adopt_models as adopt_models
 from .models import keep_models as keep_models
 from .models import load_model as load_model
-from .models import models_that_ship as models_that_ship
+from .models import shipped_model_folders as shipped_model_folders
 from .results import CONTENT_ERRORS as CONTENT_ERRORS
 from .results import DATA as DATA
 from .results import program_version as program_version
@@ -98,7 +98,6 @@ __all__ = [
     "keep_models",
     "load_model",
     "merged_oracle_shares",
-    "models_that_ship",
     "oracle_share_table",
     "pieces_of",
     "press_rows",
@@ -110,6 +109,7 @@ __all__ = [
     "run_jobs",
     "sensitivity_report",
     "sensitivity_table",
+    "shipped_model_folders",
     "split_jobs",
     "threshold_counts",
     "threshold_jobs",

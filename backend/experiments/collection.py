@@ -100,9 +100,9 @@ def pack_metadata(job: CollectionJob) -> dict[str, str]:
     }
 
 
-HELD_TICKS = 5  # hold at the end of the press, with settled signals
-UNLIKE_IOU = 0.25  # patches with a smaller overlap are different
-LEAST_SHARE = 0.15  # least share of the face covered by a patch of a pair
+HOLD_TICKS = 5  # hold at the end of the press, with settled signals
+MAX_PAIR_IOU = 0.25  # patches with a smaller overlap are different
+MIN_PATCH_SHARE = 0.15  # least share of the face covered by a patch of a pair
 BLOCK_ROWS = 500
 
 
@@ -123,7 +123,7 @@ class AmbiguousPair:
 
 def hold_signals(rows: TrainingRows) -> FloatArray:
     """Return (n, 258) mean signals of the hold."""
-    signals = rows.observation[:, -HELD_TICKS:].mean(axis=1, dtype=np.float64)
+    signals = rows.observation[:, -HOLD_TICKS:].mean(axis=1, dtype=np.float64)
     return np.asarray(signals, dtype=np.float64)
 
 
@@ -145,7 +145,7 @@ def standardise(signals: FloatArray) -> FloatArray:
 
 
 def find_ambiguous_pairs(
-    signals: FloatArray, patch: NDArray[np.bool_], count: int, unlike_iou: float = UNLIKE_IOU
+    signals: FloatArray, patch: NDArray[np.bool_], count: int, unlike_iou: float = MAX_PAIR_IOU
 ) -> list[AmbiguousPair]:
     """Return the ``count`` nearest pairs of ``signals`` (n, 258) with different ``patch`` (n, N).
 
@@ -157,7 +157,7 @@ def find_ambiguous_pairs(
     place = standardise(signals)
     squares = (place**2).sum(axis=1)
     size = patch.sum(axis=1)
-    large = size >= LEAST_SHARE * patch.shape[1]
+    large = size >= MIN_PATCH_SHARE * patch.shape[1]
     bits = patch.astype(np.float32)
     found: list[tuple[float, int, int, float]] = []
     everything = []

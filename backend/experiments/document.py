@@ -116,7 +116,7 @@ class Report:
     banner: str = SIMULATED
 
 
-def entry_of(
+def rate_entry(
     estimate: Json, printed: float | None = None, notes: tuple[str, ...] = ()
 ) -> TableEntry:
     """Return a rate of 0..1 in % with its interval; ``printed``: the paper's value, shown below."""
@@ -176,7 +176,7 @@ INK, FAINT = "#1B2127", "#C9D0D7"
 BLUE, ORANGE, VIOLET = "#005FCC", "#C04A00", "#3A0D3F"
 
 
-def scatter(
+def scatter_map(
     points_mm: FloatArray, values: FloatArray, title: str, unit: str, reach_mm: float
 ) -> str:
     """Return a map of ``values`` (n,) at ``points_mm`` (n, 2), with symmetric colours if signed.
@@ -245,7 +245,7 @@ def patch_picture(points_mm: FloatArray, patch: NDArray[np.bool_], title: str, n
     return _frame(title, "".join(cells) + _text(SIDE / 2, SIDE - 8, note))
 
 
-def twin_traces(first: FloatArray, second: FloatArray, title: str, unit: str) -> str:
+def paired_traces(first: FloatArray, second: FloatArray, title: str, unit: str) -> str:
     """Return three channels of two presses (20, 3) over 2 s, as full and dashed lines."""
     top = max(float(np.abs(first).max()), float(np.abs(second).max()), 1e-9)
     lines = []

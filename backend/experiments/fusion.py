@@ -234,7 +234,7 @@ AIM_SD_MM = 2.0
 MAX_ATTEMPTS = 4
 CORNERS = 128
 DATA = "sequences.npz"
-OF_PROBES = ("wrench", "field", "offset_mm", "true_mm")
+PROBE_ARRAYS = ("wrench", "field", "offset_mm", "true_mm")
 _DRAWS = 79
 
 
@@ -380,7 +380,7 @@ def load_sequences(folders: Sequence[Path]) -> dict[str, NDArray[Any]]:
     parts = [dict(np.load(folder / DATA)) for folder in folders]
     longest = max(part["true_mm"].shape[1] for part in parts)
     for part in parts:
-        for name in OF_PROBES:
+        for name in PROBE_ARRAYS:
             missing = longest - part[name].shape[1]
             wide = [(0, 0), (0, missing)] + (part[name].ndim - 2) * [(0, 0)]
             part[name] = np.pad(part[name], wide)
@@ -523,12 +523,12 @@ def count_under_threshold(trials: Iterable[Json], risk: float, at: int) -> Json:
 FIRST_SEED, SEEDS_PER_JOB = 40_000_000, 1000  # disjoint from the seeds of all tables
 HELD_OUT = 16  # one job in HELD_OUT of each portion is held out: other pieces, bottoms, mountings
 REPORTED = 500
-FAMILY = (
+FAMILY_TEXT = (
     "faces and bottoms: circles, rectangles up to 1.5 to 1, rounded ones, random convex polygons; "
     "bottoms of 8 to 32 mm, {stands}, faces of 10 to 30 mm; "
     "nothing that covers a shape left out by more than 90 % (intersection over union)"
 )
-STANDS = ("fixed to the table", "most fixed to the table, some free to rock and slide")
+SUPPORT_TEXTS = ("fixed to the table", "most fixed to the table, some free to rock and slide")
 
 
 @dataclass(frozen=True, slots=True)
@@ -636,7 +636,7 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     }
     card = FusedCard(
         hyper=FusedSizes(**settings.shape.as_json()),
-        family=FAMILY.format(stands=STANDS[bool(spec.params["free"])]),
+        family=FAMILY_TEXT.format(stands=SUPPORT_TEXTS[bool(spec.params["free"])]),
         left_out=(*UNSEEN_PIECES, *UNSEEN_BOTTOMS),
         bench_sha256=spec.params["bench_sha256"],
         data_sha256=data_sha256(train),

@@ -69,9 +69,9 @@ from touchdown.backend.simulation import BatchPlan, Scene
 from touchdown.backend.simulation import simulate_episodes as simulated
 
 SLIPPED_MM = 0.02  # larger motions of a pad in one press are slip
-GROUPS_AT_ONCE = 50
+GROUPS_PER_BATCH = 50
 PAIRS = 3
-FILMS = 2  # number of trials per stacking cell stored as pictures
+FILMS_PER_CELL = 2  # number of trials per stacking cell stored as pictures
 
 
 def simulate_collection(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
@@ -151,7 +151,7 @@ def evaluate_static(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     case = SceneSetup.of(catalogue, p["piece"], (p["bottom"],), _bench(p))
     use_one_thread()
     seeds = [spec.seed + g for g in range(p["groups"])]
-    chunks = [seeds[k : k + GROUPS_AT_ONCE] for k in range(0, len(seeds), GROUPS_AT_ONCE)]
+    chunks = [seeds[k : k + GROUPS_PER_BATCH] for k in range(0, len(seeds), GROUPS_PER_BATCH)]
     groups = join_groups([probe_groups(case, chunk, p["probes"]) for chunk in chunks])
     models = {
         name: _scores(load_model(source, place.store), case, groups)
@@ -198,7 +198,7 @@ def run_stacking(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         answer["weights_sha256"] = checkpoint.card.weights_sha256
         ends = stack_in_lockstep(scenes, batch_model(checkpoint, case.piece), settings, limits)
         outline = case.bottoms[-1].face.polygon()
-        films = [belief_film(end, outline) for end in ends[:FILMS]]
+        films = [belief_film(end, outline) for end in ends[:FILMS_PER_CELL]]
         (place.folder / FILM_FILE).write_text(json.dumps(films), encoding="utf-8")
     return {**answer, "trials": [end.as_json() for end in ends]}
 

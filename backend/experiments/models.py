@@ -95,7 +95,7 @@ def _adopt(store: JobStore, path: Path, weights_sha256: str) -> str:
     return spec.id
 
 
-def models_that_ship(preset: str) -> list[Path]:
+def shipped_model_folders(preset: str) -> list[Path]:
     """Return the folders of shipped models; the one trained on the bench ``preset`` comes last."""
     folder = Path(str(files("touchdown.resources"))) / "models"
     own = folder / preset

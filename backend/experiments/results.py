@@ -29,16 +29,16 @@ from touchdown.backend.experiments.document import (
     ReportTable,
     TableEntry,
     check_svg,
-    entry_of,
     format_interval,
     format_outcomes,
     format_percent,
+    paired_traces,
     patch_picture,
+    rate_entry,
     reliability_gallery,
     report_page,
-    scatter,
+    scatter_map,
     to_markdown,
-    twin_traces,
 )
 from touchdown.backend.experiments.run_report import FILM_FILE
 from touchdown.backend.experiments.statistics import estimate_rate
@@ -67,7 +67,7 @@ TITLES = {
     "ceiling-diameter": "Ceiling, diameter unknown",
     "pick-and-place": "Pick and place",
 }
-ASKED_AFTER = "3"  # number of probes in Table 2 by strategy
+TABLE_2_PROBES = "3"  # number of probes in Table 2 by strategy
 UNSAFE_OUTCOMES = (Outcome.FELL.value, Outcome.KNOCKED_OVER.value)
 
 
@@ -106,7 +106,7 @@ def _stacking_cells(tables: JsonMapping, answers: Iterable[JsonMapping]) -> Cell
 def _static_cells(tables: JsonMapping, answers: Iterable[JsonMapping]) -> Cells:
     cells: Cells = {}
     rows = {row["method"]: row["cells"] for row in tables["table2"] if row["method"].isdigit()}
-    for k, cell in enumerate(rows.get(ASKED_AFTER, ())):
+    for k, cell in enumerate(rows.get(TABLE_2_PROBES, ())):
         if "accuracy" in cell:
             by_n = {n: same[k] for n, same in rows.items() if "accuracy" in same[k]}
             own = {**cell, "likely": by_n, "released": by_n, "jobs": (cell["job"],)}
@@ -170,7 +170,7 @@ def _loop(cell: JsonMapping) -> TableEntry:
         spare = cell.get("excess_probes_median")
         more = "" if spare is None else f", {spare:.0f} spare"
         notes.append(f"{cell['probes']:.1f} probes{more}")
-    shown = entry_of(cell["placed"], notes=tuple(notes))
+    shown = rate_entry(cell["placed"], notes=tuple(notes))
     return TableEntry(
         shown.value, shown.interval, shown.notes, tuple(cell.get("jobs", ())), cell.get("seed")
     )
@@ -190,7 +190,7 @@ def _pooled_loop(places: Sequence[Mapping[str, JsonMapping]], name: str) -> Tabl
         notes.append(
             f"paper's {format_percent(theirs['value'])}, unsafe {format_percent(fell['value'])}"
         )
-    return entry_of(placed, notes=tuple(notes))
+    return rate_entry(placed, notes=tuple(notes))
 
 
 def _shares(cells: Sequence[JsonMapping]) -> tuple[JsonMapping, JsonMapping]:
@@ -214,7 +214,7 @@ def _static_section(cells: Cells) -> ReportSection | None:
         for place, own in cells.items()
     )
     text = (
-        f"Does it rather stand than fall at the place of the first probe, after {ASKED_AFTER}? "
+        f"Does it rather stand than fall at the place of the first probe, after {TABLE_2_PROBES}? "
         "Right, %; below it the balanced accuracy after 1, 2, 3 and 5 probes, and what would be "
         "released: how many of the places that stand, and of those that fall (unsafe).",
     )
@@ -224,7 +224,7 @@ def _static_section(cells: Cells) -> ReportSection | None:
 
 
 def _verdict(cell: JsonMapping) -> TableEntry:
-    likely, released = cell["likely"], cell["released"][ASKED_AFTER]
+    likely, released = cell["likely"], cell["released"][TABLE_2_PROBES]
     balanced = ", ".join(format_percent(likely[n]["balanced"]) for n in sorted(likely, key=int))
     found, unsafe = released["found"]["value"], released["unsafe"]["value"]
     notes = (
@@ -232,7 +232,7 @@ def _verdict(cell: JsonMapping) -> TableEntry:
         f"released {format_percent(found)}, unsafe {format_percent(unsafe)}",
         f"{cell['count']} places",
     )
-    shown = entry_of(likely[ASKED_AFTER]["accuracy"], notes=notes)
+    shown = rate_entry(likely[TABLE_2_PROBES]["accuracy"], notes=notes)
     return TableEntry(
         shown.value, shown.interval, notes, tuple(cell.get("jobs", ())), cell.get("seed")
     )
@@ -345,7 +345,7 @@ def _table2(rows: Sequence[JsonMapping]) -> ReportSection:
     lines = []
     for row in rows:
         cells = [_stability_cell(cell) for cell in row["cells"]]
-        pooled = entry_of(row["pooled"]["accuracy"], notes=_errors(row["pooled"]))
+        pooled = rate_entry(row["pooled"]["accuracy"], notes=_errors(row["pooled"]))
         lines.append((names[row["method"]], (*cells, pooled)))
     excluded = max(sum(cell.get("excluded", 0) for cell in row["cells"]) for row in rows)
     note = (
@@ -372,7 +372,7 @@ def _table3(rows: Sequence[JsonMapping]) -> ReportSection:
                 if unsafe["n"]
                 else ()
             )
-            total = entry_of(row["pooled"], row["paper_pooled"], fell)
+            total = rate_entry(row["pooled"], row["paper_pooled"], fell)
             lines.append((name, (*(_stacking_cell(cell) for cell in row["cells"]), total)))
         columns = _table_columns(chosen[0]["cells"], "pooled")
         grids.append(ReportTable(f"{title}: placed, %", columns, tuple(lines)))
@@ -392,7 +392,7 @@ def _cell(
     cell: JsonMapping, estimate: JsonMapping | None = None, notes: tuple[str, ...] = ()
 ) -> TableEntry:
     """Return an entry with the common parts of a cell; ``estimate``: its value."""
-    entry = entry_of(cell if estimate is None else estimate, cell["paper"], notes)
+    entry = rate_entry(cell if estimate is None else estimate, cell["paper"], notes)
     jobs = (cell["job"],) if "job" in cell else ()
     return TableEntry(entry.value, entry.interval, entry.notes, jobs, cell.get("seed"))
 
@@ -460,7 +460,7 @@ def _distribution(twins: JsonMapping | None) -> ReportSection | None:
     reach = float(np.abs(offset).max())
     moment = np.array(twins["moment_nm"])
     maps = tuple(
-        ReportPicture(scatter(offset, values, title, unit, reach))
+        ReportPicture(scatter_map(offset, values, title, unit, reach))
         for values, title, unit in (
             (np.array(twins["marker_px"]), "Largest marker displacement", "px"),
             (moment[:, 0], "Tx at the end of the press", "N m"),
@@ -498,7 +498,7 @@ def _ambiguous_pair(number: int, pair: JsonMapping, twins: JsonMapping) -> Pictu
         ("moment_nm", "Moment, A full, B dashed", "N m"),
     ):
         a, b = (np.array(values) for values in pair[key])
-        pictures.append(ReportPicture(twin_traces(a, b, title, unit)))
+        pictures.append(ReportPicture(paired_traces(a, b, title, unit)))
     return PictureGallery(f"Pair {number}", tuple(pictures), words)
 
 

@@ -145,10 +145,10 @@ def _answer(groups: Sequence[str]) -> Json:
 
 FORMAT = BEYOND_FORMAT
 # the first two are those of the tables, with the same seeds
-SINGLE = ("short", "long", "hex20", "rect12x28")
+SINGLE_BOTTOMS = ("short", "long", "hex20", "rect12x28")
 # bottom-up; the first is that of the tables
 TOWERS = ("short+long", "short+hex20", "short+rect12x28")
-BOTTOMS = (*SINGLE, *TOWERS)
+BOTTOMS = (*SINGLE_BOTTOMS, *TOWERS)
 TOWER_CELLS = 5  # offset of the cell number of a tower from that of its upper bottom
 # Both know the bench. The first knows the outline, the second only that the bottom is round.
 ORACLES = ("ceiling", "ceiling-diameter")
@@ -235,7 +235,7 @@ class ClosedLoopComparison:
             "pooled": [
                 {"strategy": s, "tower": tower, **count_outcomes(trials)}
                 for s in self.strategies
-                for tower, bottoms in (("one", SINGLE), ("two", TOWERS))
+                for tower, bottoms in (("one", SINGLE_BOTTOMS), ("two", TOWERS))
                 if (trials := _trials_of(cells, s, bottoms))
             ],
         }
@@ -247,7 +247,7 @@ class ClosedLoopComparison:
 
     def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
         source = "" if strategy in (*ORACLES, "pick-and-place") else self.models[piece]
-        touched = SINGLE.index(bottom.split("+")[-1])
+        touched = SINGLE_BOTTOMS.index(bottom.split("+")[-1])
         cell = 10 * PIECES.index(piece) + touched + (TOWER_CELLS if bottom in TOWERS else 0)
         params: Json = {
             "bench": self.bench.model_dump(mode="json"),
@@ -443,7 +443,7 @@ class StaticComparison:
             for first in range(0, self.groups, GROUPS_PER_JOB)
             for piece in self.pieces
             for bottom in self.bottoms
-            if bottom in SINGLE
+            if bottom in SINGLE_BOTTOMS
             for strategy in self.strategies
             if strategy != "pick-and-place"
         ]
@@ -495,7 +495,7 @@ class StaticComparison:
             "groups": min(GROUPS_PER_JOB, self.groups - first),
             **network_params(strategy, self.method),
         }
-        cell = 10 * PIECES.index(piece) + SINGLE.index(bottom)
+        cell = 10 * PIECES.index(piece) + SINGLE_BOTTOMS.index(bottom)
         seed = STATIC_SEED + CELL_SEEDS * cell + first
         return JobSpec("promises", params, seed, (source,) if source else (), self.code)
 

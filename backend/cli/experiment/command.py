@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from touchdown.backend import experiments
 from touchdown.backend.cli.experiment.domain_shift import (
     EVALUATIONS,
     add_evaluation_arguments,
@@ -20,6 +19,40 @@ from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.cli.train import add_device
 from touchdown.backend.config import load_simulation
 from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.experiments import (
+    BEYOND_FORMAT,
+    BOTTOMS,
+    CONTENT_ERRORS,
+    DATA,
+    KINDS,
+    PIECES,
+    PORTIONS,
+    SCALES,
+    STRATEGIES,
+    WEIGHTS,
+    ClosedLoopComparison,
+    FusionRecipe,
+    Recipe,
+    StaticComparison,
+    StrategyComparison,
+    adopt_models,
+    compare_intervals,
+    comparison_tables,
+    keep_models,
+    merged_oracle_shares,
+    oracle_share_table,
+    pieces_of,
+    program_version,
+    read_beyond,
+    read_report,
+    rewrite_tables,
+    shipped_model_folders,
+    threshold_counts,
+    threshold_jobs,
+    to_markdown,
+    write_comparison,
+    write_tables,
+)
 from touchdown.backend.jobs import (
     Executor,
     JobSpec,
@@ -58,9 +91,9 @@ def report_write_errors(where: Path) -> Iterator[None]:
 
 def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
     """Render the page and store the comparisons; raises ``InputError`` for a bad file."""
-    file = args.tables or args.out / experiments.DATA
+    file = args.tables or args.out / DATA
     with report_write_errors(file):
-        page = experiments.rewrite_tables(file, args.beyond)
+        page = rewrite_tables(file, args.beyond)
     screen.say(f"Written: {page}")
     return {"page": str(page), "file": str(file)}
 
@@ -70,7 +103,7 @@ def tables_to_compare(file: Path | None) -> Json | None:
 
     Read before the first job, to report a wrong file early. Raises ``InputError``.
     """
-    return None if file is None else experiments.read_report(file)[0]
+    return None if file is None else read_report(file)[0]
 
 
 def compare_tables(answer: Json, other: Json, file: Path, screen: VerbOutput) -> None:
@@ -78,8 +111,8 @@ def compare_tables(answer: Json, other: Json, file: Path, screen: VerbOutput) ->
     ``file``.
     """
     try:
-        found = experiments.compare_intervals(answer, other)
-    except experiments.CONTENT_ERRORS as error:
+        found = compare_intervals(answer, other)
+    except CONTENT_ERRORS as error:
         what = f"There are no tables to compare with: {error}."
         raise InputError(what, str(file), "Name a tables.json.") from error
     agree = found.cells - len(found.outside)
@@ -88,7 +121,7 @@ def compare_tables(answer: Json, other: Json, file: Path, screen: VerbOutput) ->
         screen.say(f"  not: {name}")
 
 
-KEPT, TABLE = "gap.json", "gap.md"
+GAP_DATA, GAP_TABLE = "gap.json", "gap.md"
 
 
 def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
@@ -96,19 +129,19 @@ def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
 
     Raises ``InputError`` for files that do not match, or lack the paper or an oracle.
     """
-    stored = [(str(path), experiments.read_beyond(path)) for path in args.beyond]
-    rows = experiments.merged_oracle_shares(stored)
+    stored = [(str(path), read_beyond(path)) for path in args.beyond]
+    rows = merged_oracle_shares(stored)
     if not rows:
         raise InputError(
             "The files have no seeds common to paper, ceiling and another strategy.",
             "--beyond",
             "Name the beyond.json of each.",
         )
-    sheet = experiments.oracle_share_table(rows)
+    sheet = oracle_share_table(rows)
     screen.table(sheet.title, *sheet.texts())
     first = stored[0][1]
     content = {
-        "format": experiments.BEYOND_FORMAT,
+        "format": BEYOND_FORMAT,
         "bench_sha256": first["bench_sha256"],
         "code": first["code"],
         "models": {},
@@ -116,12 +149,12 @@ def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
         "pooled": [],
         "gaps": rows,
     }
-    file = args.out / KEPT
+    file = args.out / GAP_DATA
     with report_write_errors(file):
         args.out.mkdir(parents=True, exist_ok=True)
-        write_atomically(args.out / TABLE, experiments.to_markdown([sheet]).encode())
+        write_atomically(args.out / GAP_TABLE, to_markdown([sheet]).encode())
         write_atomically(file, json.dumps(content, indent=1, sort_keys=True).encode() + b"\n")
-    screen.say(f"Written: {file} and {TABLE}")
+    screen.say(f"Written: {file} and {GAP_TABLE}")
     return {"file": str(file), "gaps": rows}
 
 
@@ -163,7 +196,7 @@ def train_fused(
     half = args.parts // 2
     counts = {"short": args.parts - half, "more": half}
     counts |= {"free": args.free_parts, "long": args.long_parts}
-    known = all(n == 0 or 2 <= n <= experiments.PORTIONS[name].most for name, n in counts.items())
+    known = all(n == 0 or 2 <= n <= PORTIONS[name].most for name, n in counts.items())
     if not known or args.parts < 4 or args.steps < 1 or min(args.seed, args.rule_trials) < 0:
         raise InputError(
             "The number of parts, steps or trials is out of range, or the seed is negative.",
@@ -171,18 +204,16 @@ def train_fused(
             "Give 4 to 120 parts, none or 2 to 400 long and 2 to 100 free ones, at least 1 step.",
         )
     bench = load_simulation(args.bench, None if args.bench else args.preset)
-    code = experiments.program_version()
-    recipe = experiments.FusionRecipe(
-        bench, code, counts, args.steps, args.seed, args.without, args.device
-    )
+    code = program_version()
+    recipe = FusionRecipe(bench, code, counts, args.steps, args.seed, args.without, args.device)
     jobs = recipe.jobs()
     training = jobs[-1].id
-    asked = experiments.threshold_jobs(bench, code, training, args.rule_trials)
+    asked = threshold_jobs(bench, code, training, args.rule_trials)
     failed = done([*jobs, *asked], recipe.effort)
     made = store.has(training)
-    out = args.out / experiments.WEIGHTS
+    out = args.out / WEIGHTS
     if made:
-        weights = store.folder(training) / experiments.WEIGHTS
+        weights = store.folder(training) / WEIGHTS
         for made_there, wanted in ((card_path(weights), card_path(out)), (weights, out)):
             write_atomically(wanted, made_there.read_bytes())
         screen.say(f"The network is in {out}.")
@@ -202,7 +233,7 @@ def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[di
     trials = [t for spec in asked if store.has(spec.id) for t in store.result(spec.id)["trials"]]
     if not trials:
         return []
-    found = experiments.threshold_counts(trials)
+    found = threshold_counts(trials)
     title = f"Rules of release, {len(trials)} trials on bottoms of their own"
     screen.table(title, list(found[0]), *(map(str, row.values()) for row in found))
     return found
@@ -313,7 +344,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     failed = _run_jobs(jobs, recipe.effort, args, screen, store)
     missing = sum(not store.has(spec.id) for spec in jobs)
     with report_write_errors(args.out):
-        page, answer = experiments.write_tables(args.out, recipe, store)
+        page, answer = write_tables(args.out, recipe, store)
     if args.keep_models:
         _keep(args, recipe, store, screen)
     screen.say(f"{len(jobs) - missing} of {len(jobs)} jobs are done: {page}")
@@ -332,13 +363,11 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     return 1 if failed else 0
 
 
-def _keep(
-    args: argparse.Namespace, recipe: experiments.Recipe, store: JobStore, screen: VerbOutput
-) -> None:
+def _keep(args: argparse.Namespace, recipe: Recipe, store: JobStore, screen: VerbOutput) -> None:
 
     with report_write_errors(args.keep_models):
         args.keep_models.mkdir(parents=True, exist_ok=True)
-        kept = experiments.keep_models(store, recipe, args.keep_models)
+        kept = keep_models(store, recipe, args.keep_models)
     screen.say(f"{len(kept)} models: {args.keep_models}")
 
 
@@ -362,10 +391,10 @@ def _run_jobs(
         by_id = {spec.id: spec for spec in part}
         for result in run_campaign(part, _executor(args, store, screen.say), store):
             done += effort_of(by_id[result.id])
-            advance(done, _name(by_id[result.id]))
+            advance(done, _job_name(by_id[result.id]))
             if result.state == "failed":
                 failed.append(result.id)
-                screen.say(f"{_name(by_id[result.id])} failed: {result.error.strip()}")
+                screen.say(f"{_job_name(by_id[result.id])} failed: {result.error.strip()}")
     return failed
 
 
@@ -377,44 +406,44 @@ def _run_beyond(args: argparse.Namespace, screen: VerbOutput, store: JobStore) -
     answer = plan.answer(store)
     missing = sum(not store.has(spec.id) for spec in jobs)
     with report_write_errors(args.out):
-        path = experiments.write_comparison(args.out, answer)
-    for sheet in experiments.comparison_tables(answer):
+        path = write_comparison(args.out, answer)
+    for sheet in comparison_tables(answer):
         screen.table(sheet.title, *sheet.texts())
     screen.result({"version": JSON_VERSION, "file": str(path), "jobs": len(jobs),
                    "missing": missing, "failed": failed, "beyond": answer})  # fmt: skip
     return 1 if failed else 0
 
 
-def _comparison_of(args: argparse.Namespace, store: JobStore) -> experiments.StrategyComparison:
-    pieces = _named(args.pieces, experiments.PIECES, "--pieces")
+def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyComparison:
+    pieces = _parse_names(args.pieces, PIECES, "--pieces")
     bench = load_simulation(args.bench, None if args.bench else args.preset)
-    folders = [args.models] if args.models else experiments.models_that_ship(bench.preset)
-    found = experiments.adopt_models(store, *folders)
+    folders = [args.models] if args.models else shipped_model_folders(bench.preset)
+    found = adopt_models(store, *folders)
     if args.trials < (0 if args.statics else 1):
         raise InputError("--trials must be at least 1.", "--trials", "Give a positive number.")
     if args.statics < 0:
         raise InputError("--statics is negative.", "--statics", "Give 0 or a positive number.")
     if not args.entry_sigma > 0.0:
         raise InputError("--entry-sigma must be positive.", "--entry-sigma", "Give it in mm.")
-    loops = experiments.ClosedLoopComparison(
+    loops = ClosedLoopComparison(
         bench=bench,
-        code=experiments.program_version(),
+        code=program_version(),
         models={piece: found[piece, "FT+Tac"] for piece in pieces},
         pieces=pieces,
-        bottoms=_named(args.bottoms, experiments.BOTTOMS, "--bottoms"),
-        strategies=_named(args.strategies, experiments.STRATEGIES, "--strategies"),
+        bottoms=_parse_names(args.bottoms, BOTTOMS, "--bottoms"),
+        strategies=_parse_names(args.strategies, STRATEGIES, "--strategies"),
         trials=args.trials,
         entry_sigma_mm=None if args.no_entry else args.entry_sigma,
     )
     said = None
     if args.statics:
-        said = experiments.StaticComparison(
+        said = StaticComparison(
             bench, loops.code, loops.models, pieces, loops.bottoms, loops.strategies, args.statics
         )
-    return experiments.StrategyComparison(loops, said)
+    return StrategyComparison(loops, said)
 
 
-def _named(text: str, known: tuple[str, ...], where: str) -> tuple[str, ...]:
+def _parse_names(text: str, known: tuple[str, ...], where: str) -> tuple[str, ...]:
     """Return the names in a comma-separated text; raises ``InputError`` for an unknown one."""
     names = tuple(text.split(","))
     if unknown := [name for name in names if name not in known]:
@@ -422,15 +451,15 @@ def _named(text: str, known: tuple[str, ...], where: str) -> tuple[str, ...]:
     return names
 
 
-def _recipe(args: argparse.Namespace, store: JobStore) -> experiments.Recipe:
-    pieces = experiments.pieces_of(args.pieces)
+def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
+    pieces = pieces_of(args.pieces)
     if not pieces or len(pieces) != len(args.pieces.split(",")):
         raise InputError(
             f"'{args.pieces}' names other pieces than those of the tables.",
             "--pieces",
             "Name some of mushroom,barrel,pot.",
         )
-    scale = experiments.SCALES[args.scale]
+    scale = SCALES[args.scale]
     if args.keep_models and not scale.probes:
         raise InputError(
             "--quick trains no models.", "--keep-models", "Leave it out, or use --full."
@@ -442,23 +471,21 @@ def _recipe(args: argparse.Namespace, store: JobStore) -> experiments.Recipe:
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     models = {}
     if not scale.probes:
-        folders = [args.models] if args.models else experiments.models_that_ship(bench.preset)
-        models = experiments.adopt_models(store, *folders)
-    return experiments.Recipe(
-        scale, bench, experiments.program_version(), models, pieces, args.device
-    )
+        folders = [args.models] if args.models else shipped_model_folders(bench.preset)
+        models = adopt_models(store, *folders)
+    return Recipe(scale, bench, program_version(), models, pieces, args.device)
 
 
 def _executor(args: argparse.Namespace, store: JobStore, tell: Callable[[str], None]) -> Executor:
     from touchdown.backend.jobs import DaskCluster, ProcessPool, SerialExecutor
 
     if args.executor == "serial":
-        return SerialExecutor(experiments.KINDS, store)
+        return SerialExecutor(KINDS, store)
     if args.executor == "local":
-        return ProcessPool(experiments.KINDS, store, args.workers, tell)
+        return ProcessPool(KINDS, store, args.workers, tell)
     if not args.cluster:
         raise InputError("The executor dask needs a scheduler.", "--cluster", "Give its address.")
-    return DaskCluster.at(experiments.KINDS, store, args.cluster)
+    return DaskCluster.at(KINDS, store, args.cluster)
 
 
 def _folder(out: Path) -> Path:
@@ -473,7 +500,7 @@ def _folder(out: Path) -> Path:
     return out
 
 
-def _name(spec: JobSpec) -> str:
+def _job_name(spec: JobSpec) -> str:
     """Return a short description of a job."""
     p = spec.params
     over = "+".join(p["bottoms"]) if "bottoms" in p else p.get("bottom", "")

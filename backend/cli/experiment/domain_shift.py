@@ -9,10 +9,29 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias, get_args
 
-from touchdown.backend import experiments
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.config import SimulationSettings, load_simulation
 from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.experiments import (
+    EVALUATED_STRATEGIES,
+    PIECES,
+    TABLE_BOTTOMS,
+    CollectionKind,
+    DomainShift,
+    NuisanceSensitivity,
+    RandomisedTraining,
+    adopt_models,
+    change_rows,
+    job_effort,
+    load_model,
+    press_rows,
+    program_version,
+    report_page,
+    sensitivity_report,
+    sensitivity_table,
+    shipped_model_folders,
+    trial_rows,
+)
 from touchdown.backend.jobs import JobSpec, JobStore
 
 EVALUATIONS = ("elsewhere", "sensitivity")
@@ -74,9 +93,9 @@ def _elsewhere(
             "Give --first 0 or more, --epochs 1 or more, --probes 10 or more.",
         )
     trained = _trained(args, given[0])
-    plan = experiments.DomainShift(
+    plan = DomainShift(
         bench=given[0],
-        code=experiments.program_version(),
+        code=program_version(),
         piece=args.pieces,
         models=given[1],
         bottoms=tuple(args.bottoms.split(",")),
@@ -93,17 +112,17 @@ def _elsewhere(
     screen.table(
         "Presses: IoU %, stability right after one probe %; bench, elsewhere, change",
         ("model", "IoU", "elsewhere", "", "right", "elsewhere", "", "unsafe"),
-        *experiments.press_rows(answer),
+        *press_rows(answer),
     )
     screen.table(
         "Change of the IoU in points, group by group",
         ("what", "bottom", "change", "groups"),
-        *experiments.change_rows(answer),
+        *change_rows(answer),
     )
     screen.table(
         "Trials: placed %, unsafe %; bench, elsewhere, change",
         ("strategy", "trials", "placed", "elsewhere", "", "unsafe", "elsewhere", ""),
-        *experiments.trial_rows(answer),
+        *trial_rows(answer),
     )
     return _kept(args.out, "elsewhere", answer, (plan.jobs(), failed), store)
 
@@ -115,9 +134,9 @@ def _sensitivity(
     done: RunJobs,
     given: tuple[SimulationSettings, Mapping[str, str]],
 ) -> Json:
-    plan = experiments.NuisanceSensitivity(
+    plan = NuisanceSensitivity(
         bench=given[0],
-        code=experiments.program_version(),
+        code=program_version(),
         piece=args.pieces,
         model=given[1]["FT+Tac"],
         bottoms=tuple(args.bottoms.split(",")),
@@ -125,28 +144,26 @@ def _sensitivity(
         groups=args.groups,
         trials=args.trials,
     )
-    failed = done(plan.jobs(), experiments.job_effort)
+    failed = done(plan.jobs(), job_effort)
     answer = plan.answer(store)
-    page = experiments.report_page(experiments.sensitivity_report(answer))
+    page = report_page(sensitivity_report(answer))
     write_atomically(args.out / "sensitivity.html", page.encode())
-    table = experiments.sensitivity_table(answer)
+    table = sensitivity_table(answer)
     screen.table(table.title, *table.texts())
     return _kept(args.out, "sensitivity", answer, (plan.jobs(), failed), store)
 
 
-def _trained(
-    args: argparse.Namespace, bench: SimulationSettings
-) -> tuple[experiments.RandomisedTraining, ...]:
+def _trained(args: argparse.Namespace, bench: SimulationSettings) -> tuple[RandomisedTraining, ...]:
     """Return the required trainings; raises ``InputError`` for unknown collections."""
-    names: tuple[experiments.CollectionKind, ...] = get_args(experiments.CollectionKind)
+    names: tuple[CollectionKind, ...] = get_args(CollectionKind)
     wanted = args.train.split(",") if args.train else []
     if unknown := [word for word in wanted if word not in names]:
         raise InputError(
             f"'{unknown[0]}' is no collection.", "--train", f"Name some of {','.join(names)}."
         )
-    own = experiments.RandomisedTraining(
+    own = RandomisedTraining(
         bench,
-        experiments.program_version(),
+        program_version(),
         args.pieces,
         "randomised",
         probes=args.probes,
@@ -158,7 +175,7 @@ def _trained(
 
 def _keep(
     folder: Path,
-    trained: Sequence[experiments.RandomisedTraining],
+    trained: Sequence[RandomisedTraining],
     store: JobStore,
     screen: VerbOutput,
 ) -> None:
@@ -170,17 +187,17 @@ def _keep(
         if store.has(source):
             path = folder / plan.collected / f"{plan.piece}-{plan.inputs.lower()}.safetensors"
             path.parent.mkdir(parents=True, exist_ok=True)
-            save_half_precision(path, experiments.load_model(source, store))
+            save_half_precision(path, load_model(source, store))
             screen.say(f"A model: {path}")
 
 
 def _models(args: argparse.Namespace, bench: SimulationSettings, store: JobStore) -> dict[str, str]:
     """Return the models of the piece, FT+Tac first; raises ``InputError`` for unknown names."""
     known = (
-        (args.pieces, experiments.PIECES),
-        *((b, experiments.TABLE_BOTTOMS) for b in args.bottoms.split(",")),
+        (args.pieces, PIECES),
+        *((b, TABLE_BOTTOMS) for b in args.bottoms.split(",")),
     )
-    known += tuple((s, experiments.EVALUATED_STRATEGIES) for s in args.strategies.split(","))
+    known += tuple((s, EVALUATED_STRATEGIES) for s in args.strategies.split(","))
     for name, names in known:
         if name not in names:
             raise InputError(
@@ -188,8 +205,8 @@ def _models(args: argparse.Namespace, bench: SimulationSettings, store: JobStore
                 "--pieces, --bottoms, --strategies",
                 f"Name one piece, or some of {','.join(names)}.",
             )
-    folders = [args.models] if args.models else experiments.models_that_ship(bench.preset)
-    found = experiments.adopt_models(store, *folders)
+    folders = [args.models] if args.models else shipped_model_folders(bench.preset)
+    found = adopt_models(store, *folders)
     return {n: found[args.pieces, n] for n in ("FT+Tac", "FT") if (args.pieces, n) in found}
 
 

@@ -14,7 +14,7 @@ from touchdown.backend.experiments.document import report_page
 from touchdown.backend.experiments.domain_shift import format_drop, format_interval, press_scores
 from touchdown.backend.experiments.evaluation import FACTORS, NUISANCES, scale_nuisance
 from touchdown.backend.experiments.job_kinds import KINDS
-from touchdown.backend.experiments.models import adopt_models, models_that_ship
+from touchdown.backend.experiments.models import adopt_models, shipped_model_folders
 from touchdown.backend.experiments.sensitivity import (
     NuisanceSensitivity,
     sensitivity_report,
@@ -100,7 +100,7 @@ def test_a_drop_is_told_in_points() -> None:
 
 def test_sensitivity_is_asked_once_for_the_bench_itself(tmp_path: Path) -> None:
     store, bench = JobStore(tmp_path), load_simulation(preset="quiet")
-    source = adopt_models(store, *models_that_ship("quiet"))["pot", "FT+Tac"]
+    source = adopt_models(store, *shipped_model_folders("quiet"))["pot", "FT+Tac"]
     asked = (BY_NAME["tilt"], BY_NAME["gain"])
     plan = NuisanceSensitivity(bench, "test", "pot", source, ("short",), groups=4, nuisances=asked)
     jobs = plan.jobs()

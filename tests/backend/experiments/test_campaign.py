@@ -17,7 +17,7 @@ from touchdown.backend.experiments.models import (
     adopt_models,
     keep_models,
     load_model,
-    models_that_ship,
+    shipped_model_folders,
 )
 from touchdown.backend.experiments.results import DATA, PAGE, write_tables
 from touchdown.backend.experiments.tables import (
@@ -186,9 +186,9 @@ def assert_traced(cell: dict[str, Any], store: JobStore, recipe: Recipe) -> None
 
 def test_quick_uses_models_that_exist_and_leaves_other_cells_empty(tmp_path: Path) -> None:
     store = JobStore(tmp_path / "jobs")
-    models = adopt_models(store, *models_that_ship("mixed"))
+    models = adopt_models(store, *shipped_model_folders("mixed"))
     assert {("pot", "FT+Tac"), ("barrel", "FT+Tac"), ("mushroom", "FT+Tac")} <= set(models)
-    assert adopt_models(store, *models_that_ship("mixed")) == models
+    assert adopt_models(store, *shipped_model_folders("mixed")) == models
     assert load_model(models["pot", "FT+Tac"], store).card.piece == "pot"
     with pytest.raises(InputError, match="no such model"):
         load_model("0" * 32, store)
@@ -204,7 +204,7 @@ def test_quick_uses_models_that_exist_and_leaves_other_cells_empty(tmp_path: Pat
 @pytest.mark.slow
 def test_trials_are_repeated_on_the_devices_with_the_same_model(tmp_path: Path) -> None:
     store = JobStore(tmp_path / "jobs")
-    models = adopt_models(store, *models_that_ship("mixed"))
+    models = adopt_models(store, *shipped_model_folders("mixed"))
     only = {("pot", "FT+Tac"): models["pot", "FT+Tac"]}
     recipe = Recipe(replace(QUICK, trials=1, repeated=1), HARD, "1", only, ("pot",))
     cells = [recipe.stacking("pot", ("short",), "paper"), recipe.devices("pot", ("short",))]
@@ -241,8 +241,8 @@ def test_models_trained_on_the_frozen_bench_win_over_those_of_the_default_one(
     tmp_path: Path,
 ) -> None:
     store = JobStore(tmp_path / "jobs")
-    general = adopt_models(store, *models_that_ship("mixed"))
-    own = adopt_models(store, *models_that_ship("bench-v1"))
+    general = adopt_models(store, *shipped_model_folders("mixed"))
+    own = adopt_models(store, *shipped_model_folders("bench-v1"))
     assert all(own[piece, "FT+Tac"] != general[piece, "FT+Tac"] for piece in PIECES)
     assert set(own) >= {(piece, name) for piece in PIECES for name, _, _ in MODELS}
     card = load_model(own["pot", "FT"], store).card

@@ -20,7 +20,7 @@ from touchdown.backend.experiments.comparison import (
     oracle_shares,
 )
 from touchdown.backend.experiments.document import report_page
-from touchdown.backend.experiments.models import adopt_models, models_that_ship
+from touchdown.backend.experiments.models import adopt_models, shipped_model_folders
 from touchdown.backend.experiments.results import comparison_beside, write_comparison
 from touchdown.backend.experiments.strategies import (
     FORMAT,
@@ -172,7 +172,7 @@ def off(scene: Scene, way_mm: float, angle: float) -> tuple[float, float]:
 
 
 def test_a_tower_and_groups_from_end_to_end(bench_v1: SimulationSettings, store: JobStore) -> None:
-    models = adopt_models(store, *models_that_ship("bench-v1"))
+    models = adopt_models(store, *shipped_model_folders("bench-v1"))
     source = {"pot": models["pot", "FT+Tac"]}
     loops = ClosedLoopComparison(
         bench_v1, "1", source, bottoms=("short+long",), strategies=("fused",), trials=1
